@@ -1,0 +1,36 @@
+"""Grey-box estimation: declare a model structure once, fit it to flight data, know how far to believe the answer."""
+
+from pathlib import Path as _Path
+
+from greybox.frequency_response import FrequencyResponse as FrequencyResponse
+from greybox.frequency_response import read_response as read_response
+from greybox.frequency_response import write_response as write_response
+from greybox.linear import LinearSystem as LinearSystem
+from greybox.linear import frequency_response as frequency_response
+from greybox.linear import linearize as linearize
+from greybox.linear import rational as rational
+from greybox.model import Model as Model
+from greybox.model import StateSpace as StateSpace
+from greybox.model import TransferFunction as TransferFunction
+from greybox.model import feedback as feedback
+from greybox.parameter import Parameter as Parameter
+from greybox.symbolic import arccos as arccos
+from greybox.symbolic import arcsin as arcsin
+from greybox.symbolic import arctan as arctan
+from greybox.symbolic import arctan2 as arctan2
+from greybox.symbolic import cos as cos
+from greybox.symbolic import exp as exp
+from greybox.symbolic import g as g
+from greybox.symbolic import log as log
+from greybox.symbolic import maximum as maximum
+from greybox.symbolic import minimum as minimum
+from greybox.symbolic import sign as sign
+from greybox.symbolic import sin as sin
+from greybox.symbolic import sqrt as sqrt
+from greybox.symbolic import tan as tan
+from greybox.symbolic import tanh as tanh
+from greybox.symbolic import where as where
+
+# In a clone, models/ and problems/ stand beside this package; in a wheel they are inside it.
+if not (_Path(__file__).parent / "models").is_dir():
+    __path__.append(str(_Path(__file__).parents[1]))

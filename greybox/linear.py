@@ -1,0 +1,275 @@
+"""Linear readings of a model: linearization, frequency response, and rational form with delay or Padé approximation."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from greybox.frequency_response import FrequencyResponse
+from greybox.model import Model, Names, StateSpace, TransferFunction
+from greybox.symbolic import Complex, Rational, exp
+from greybox.trim import call_derivative, column, parameter_names, split, trim_function
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSystem:
+    """``x' = A x + B u(t - delay)``, ``y = C x + D u(t - delay)`` about an operating point.
+
+    Attributes
+    ----------
+    A, B, C, D : arrays (n, n), (n, m), (k, n), (k, m)
+        The Jacobians.
+    states, inputs, outputs : tuple of str
+        Signal names, in the order of the rows and columns.
+    delays : (m,) array, s
+        The delay of every input.
+    point : mapping of name to float
+        States and inputs at the operating point.
+    """
+
+    A: NDArray[np.float64]
+    B: NDArray[np.float64]
+    C: NDArray[np.float64]
+    D: NDArray[np.float64]
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    delays: NDArray[np.float64]
+    point: Mapping[str, float]
+
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """Eigenvalues of A, (n,), rad/s."""
+        return np.linalg.eigvals(self.A).astype(complex)
+
+
+def delay_order(delay: str) -> int | None:
+    """Return the Padé order in ``"pade:n"``, or None for ``"exact"``."""
+    if delay == "exact":
+        return None
+    match = re.fullmatch(r"pade:([1-9]\d?)", delay) if isinstance(delay, str) else None
+    if match is None:
+        raise ValueError(f"delay {delay!r} is not known: use 'exact' or 'pade:n' with an order n from 1 to 99.")
+    return int(match[1])
+
+
+def pick_signals(model: Model, input: str = "", output: str = "") -> tuple[str, str]:
+    """Return the input-output pair meant by `input` and `output`; an empty name is the only one that there is."""
+    return (
+        _pick(input, model.input_names, "input", model.label),
+        _pick(output, model.output_names, "output", model.label),
+    )
+
+
+def _pick(name: str, known: tuple[str, ...], what: str, owner: str) -> str:
+    if name in known:
+        return name
+    if name:
+        raise ValueError(f"{owner} has no {what} {name!r}; it has {', '.join(known)}: name the data's {what} as one of them.")
+    if len(known) > 1:
+        raise ValueError(f"{owner} has several {what}s ({', '.join(known)}): say which one the data are, {what}=...")
+    return known[0]
+
+
+def jacobians(model: StateSpace) -> ca.Function:
+    """Return the CasADi function (parameters, states, inputs) -> A, B, C, D."""
+    n, m = len(model.states), len(model.inputs)
+    p, z = ca.SX.sym("p", len(model.parameters)), ca.SX.sym("z", n + m)
+    f, h = column(call_derivative(model, z, p)), column(_call_output(model, z, p))
+    x, u = z[:n], z[n:]
+    blocks = [ca.jacobian(f, x), ca.jacobian(f, u), ca.jacobian(h, x), ca.jacobian(h, u)]
+    return ca.Function("jacobians", [p, x, u], blocks)
+
+
+def _call_output(model: StateSpace, z: ca.SX, p: ca.SX) -> list[Any]:
+    x, u = split(model, z)
+    result = model.output(x, u, parameter_names(model, p))
+    values = list(result) if isinstance(result, (tuple, list)) else [result]
+    if len(values) != len(model.outputs):
+        raise ValueError(
+            f"{model.label}.output returns {len(values)} values but there are {len(model.outputs)} outputs "
+            f"({', '.join(model.outputs)}): return one for each."
+        )
+    return values
+
+
+def linearize(
+    model: StateSpace, values: Mapping[str, float] | None = None, at: Mapping[str, float] | None = None
+) -> LinearSystem:
+    """Linearize `model` at the operating point `at` for the parameter `values` (by default the declared starts).
+
+    Raises
+    ------
+    ValueError
+        If a name is not known or there is no operating point.
+    """
+    p = model.values(values)
+    vector = list(p.values())
+    x, u = trim_function(model, at or {})(vector)
+    blocks = [np.asarray(ca.DM(b)) for b in jacobians(model)(vector, x, u)]
+    point = np.concatenate([np.asarray(x).ravel(), np.asarray(u).ravel()])
+    delays = [p[model.delays[name]] if name in model.delays else 0.0 for name in model.inputs]
+    names = (*model.states, *model.inputs)
+    return LinearSystem(
+        *blocks,
+        states=tuple(model.states),
+        inputs=tuple(model.inputs),
+        outputs=tuple(model.outputs),
+        delays=np.array(delays, dtype=float),
+        point=dict(zip(names, point.tolist(), strict=True)),
+    )
+
+
+def rational(
+    model: Model,
+    values: Mapping[str, float] | None = None,
+    *,
+    input: str = "",
+    output: str = "",
+    at: Mapping[str, float] | None = None,
+    pade: int | None = None,
+) -> Rational:
+    """Read a model as numerator, denominator (coefficients, highest power of s first) and delay in s.
+
+    With `pade`, the delay becomes part of the rational function, approximated to that order.
+
+    Raises
+    ------
+    ValueError
+        If the formula has no rational form, as a loop around an exact delay.
+    """
+    input, output = pick_signals(model, input, output)
+    if isinstance(model, TransferFunction):
+        result = model.response(Rational([1.0, 0.0], pade=pade), model.values(values))
+        return result if isinstance(result, Rational) else Rational([result])
+    assert isinstance(model, StateSpace)
+    system = linearize(model, values, at)
+    i, k = system.inputs.index(input), system.outputs.index(output)
+    b, c, d = system.B[:, i], system.C[k], system.D[k, i]
+    denominator = np.atleast_1d(np.poly(system.A)).real
+    markov = [d, *(c @ np.linalg.matrix_power(system.A, j) @ b for j in range(len(b)))]
+    numerator = np.convolve(denominator, markov)[: len(denominator)]
+    result = Rational(numerator.tolist(), denominator.tolist())
+    return result * exp(Rational([-1.0, 0.0], pade=pade) * system.delays[i])
+
+
+def frequency_response(
+    model: Model,
+    omega: ArrayLike,
+    values: Mapping[str, float] | None = None,
+    *,
+    input: str = "",
+    output: str = "",
+    at: Mapping[str, float] | None = None,
+    delay: str = "exact",
+) -> FrequencyResponse:
+    """Evaluate the frequency response of `model` in numbers, at `omega` (n,) in rad/s.
+
+    `values` are parameter values by name (by default the declared starts), `at` the operating point of an ODE.
+    """
+    omega = np.atleast_1d(np.asarray(omega, dtype=float))
+    input, output = pick_signals(model, input, output)
+    pade = delay_order(delay)
+    if isinstance(model, TransferFunction):
+        response = _numbers(model, omega, model.values(values), pade)
+    else:
+        assert isinstance(model, StateSpace)
+        response = _state_space_numbers(linearize(model, values, at), omega, input, output, pade)
+    return FrequencyResponse(omega, response, input=input, output=output, name=model.label, source="model")
+
+
+def _numbers(model: TransferFunction, omega: NDArray[np.float64], p: Names, pade: int | None) -> NDArray[np.complex128]:
+    s: Any = 1j * omega if pade is None else Complex(np.zeros_like(omega), omega, pade)
+    result = model.response(s, p)
+    if isinstance(result, Complex):
+        result = result.re + 1j * result.im
+    return np.broadcast_to(np.asarray(result, dtype=complex), omega.shape)
+
+
+def _state_space_numbers(
+    system: LinearSystem, omega: NDArray[np.float64], input: str, output: str, pade: int | None
+) -> NDArray[np.complex128]:
+    i, k = system.inputs.index(input), system.outputs.index(output)
+    pencil = 1j * omega[:, None, None] * np.eye(len(system.A)) - system.A
+    b = np.broadcast_to(system.B[:, i, None], (len(omega), len(system.A), 1))
+    plant = np.linalg.solve(pencil, b)[..., 0] @ system.C[k] + system.D[k, i]
+    shift = -system.delays[i] * Complex(np.zeros_like(omega), omega, pade)
+    delayed = exp(shift) * plant
+    return delayed.re + 1j * delayed.im
+
+
+def response_function(
+    model: Model,
+    omega: NDArray[np.float64],
+    *,
+    input: str = "",
+    output: str = "",
+    at: Mapping[str, float] | None = None,
+    pade: int | None = None,
+) -> ca.Function:
+    """Compile the frequency response: the CasADi function from the parameter vector to real and imaginary part (n,)."""
+    input, output = pick_signals(model, input, output)
+    p = ca.SX.sym("p", len(model.parameters))
+    s = Complex(ca.SX.zeros(len(omega)), ca.SX(ca.DM(omega)), pade)
+    if isinstance(model, TransferFunction):
+        if at:
+            raise ValueError(f"{model.label} is a transfer function and has no operating point: leave out at={dict(at)}.")
+        result = model.response(s, parameter_names(model, p))
+        return ca.Function("response", [p], _parts(result, s, model.label))
+    assert isinstance(model, StateSpace)
+    x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", len(model.inputs))
+    i, k = model.input_names.index(input), model.output_names.index(output)
+    A, B, C, D = jacobians(model)(p, x, u)
+    result = _dot(C[k, :], _solve(A, B[:, i], s)) + D[k, i]
+    if input in model.delays:
+        result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
+    at_point = ca.Function("response", [p, x, u], _parts(result, s, model.label))
+    trim = trim_function(model, at or {})
+    q = ca.SX.sym("p", p.numel()) if trim.is_a("SXFunction") else ca.MX.sym("p", p.numel())
+    return ca.Function("response", [q], at_point(q, *trim(q)))
+
+
+def _parts(result: Any, s: Complex, owner: str) -> list[ca.SX]:
+    """Return real and imaginary part of a traced response, one entry per frequency."""
+    if not isinstance(result, Complex):
+        result = result + 0 * s
+    parts = [ca.SX(part) + ca.SX.zeros(s.im.numel()) if ca.SX(part).is_scalar() else ca.SX(part) for part in (result.re, result.im)]
+    if any(part.shape != s.im.shape for part in parts):
+        raise ValueError(f"{owner}.response returns shape {parts[0].shape} for {s.im.numel()} frequencies: return one value for each.")
+    return parts
+
+
+def _solve(A: ca.SX, b: ca.SX, s: Complex) -> list[Complex]:
+    """Solve (s I - A) x = b by elimination without pivoting; every pivot holds s, so it is zero only at a pole."""
+    n = A.size1()
+    rows = [{k: Complex(-A[i, k], 0.0) for k in range(n) if not A[i, k].is_zero()} for i in range(n)]
+    for i in range(n):
+        rows[i][i] = rows[i][i] + s if i in rows[i] else s
+    right = [Complex(b[i], 0.0) for i in range(n)]
+    for i in range(n):
+        for j in range(i + 1, n):
+            if i not in rows[j]:
+                continue
+            factor = rows[j].pop(i) / rows[i][i]
+            for k in (k for k in rows[i] if k > i):
+                change = factor * rows[i][k]
+                rows[j][k] = rows[j][k] - change if k in rows[j] else -change
+            right[j] = right[j] - factor * right[i]
+    x: list[Any] = [None] * n
+    for i in reversed(range(n)):
+        for k in (k for k in rows[i] if k > i):
+            right[i] = right[i] - rows[i][k] * x[k]
+        x[i] = right[i] / rows[i][i]
+    return x
+
+
+def _dot(row: ca.SX, x: list[Complex]) -> Any:
+    total: Any = 0.0
+    for k, value in enumerate(x):
+        if not row[k].is_zero():
+            total = total + value * row[k]
+    return total

@@ -1,0 +1,84 @@
+"""One unknown of a model: where it starts, where it may lie, what it means."""
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """An unknown (or a declared constant) of a model.
+
+    Parameters
+    ----------
+    start : float
+        The value a single run begins at, and the value kept while the parameter is fixed.
+    bounds : (float, float)
+        The interval in which the estimate must lie; infinite ends are allowed.
+    unit : str
+        SI unit as text, e.g. ``"1/s²"``; dimensionless is ``"1"``.
+    about : str
+        What the parameter means, in words.
+    fixed : bool
+        True for a constant; `Problem(..., free=("name",))` sets it free.
+    starts : (float, float), optional
+        The box in which random starts are drawn; by default the bounds.
+    scale : "linear" or "log"
+        "log" optimizes the logarithm and draws starts evenly in it, for positive parameters that span decades.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite where it must be, bounds are reversed, or a start lies outside them.
+    """
+
+    start: float
+    bounds: tuple[float, float] = (-math.inf, math.inf)
+    unit: str = "1"
+    about: str = ""
+    fixed: bool = False
+    starts: tuple[float, float] | None = None
+    scale: str = "linear"
+
+    def __post_init__(self) -> None:
+        """Check the numbers against one another."""
+        low, high = _pair(self.bounds, "bounds")
+        if not low < high:
+            raise ValueError(f"bounds {self.bounds} are reversed or empty: give (low, high) with low < high.")
+        if not math.isfinite(self.start):
+            raise ValueError(f"start {self.start} is not a finite number: give a value inside bounds {self.bounds}.")
+        if not low <= self.start <= high:
+            raise ValueError(
+                f"start {self.start:g} lies outside bounds ({low:g}, {high:g}): move the start or widen them."
+            )
+        if self.scale not in ("linear", "log"):
+            raise ValueError(f"scale {self.scale!r} is not known: use 'linear' or 'log'.")
+        if self.scale == "log" and low <= 0:
+            raise ValueError(f"scale 'log' needs positive bounds, not ({low:g}, {high:g}): raise the lower bound above 0.")
+        if self.starts is not None:
+            self._check_box(low, high)
+
+    def _check_box(self, low: float, high: float) -> None:
+        first, last = _pair(self.starts, "starts")
+        if not (math.isfinite(first) and math.isfinite(last) and first <= last):
+            raise ValueError(f"starts {self.starts} must be two finite numbers (low, high) with low <= high.")
+        if first < low or last > high:
+            raise ValueError(
+                f"starts ({first:g}, {last:g}) reach outside bounds ({low:g}, {high:g}): "
+                "narrow the start box or widen the bounds."
+            )
+
+    @property
+    def box(self) -> tuple[float, float]:
+        """The interval in which random starts are drawn; may be infinite when neither bounds nor starts are given."""
+        return self.starts if self.starts is not None else self.bounds
+
+
+def _pair(value: object, what: str) -> tuple[float, float]:
+    try:
+        low, high = value  # type: ignore[misc]
+        low, high = float(low), float(high)
+    except (TypeError, ValueError):
+        raise ValueError(f"{what} {value!r} must be a pair of numbers (low, high).") from None
+    if math.isnan(low) or math.isnan(high):
+        raise ValueError(f"{what} {value!r} hold a NaN: give two numbers (low, high).")
+    return low, high

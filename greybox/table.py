@@ -1,0 +1,37 @@
+"""Numbers and tables as a person reads them in a terminal."""
+
+import math
+from collections.abc import Sequence
+
+
+def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> str:
+    """Align `rows` of text under `header`; columns in `left` are flush left, all others flush right."""
+    cells = [list(header), *(list(row) for row in rows)]
+    widths = [max(len(row[k]) for row in cells) for k in range(len(header))]
+
+    def line(row: Sequence[str]) -> str:
+        parts = (c.ljust(w) if k in left else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True)))
+        return "  ".join(parts).rstrip()
+
+    rule = "  ".join("-" * w for w in widths)
+    return "\n".join([line(cells[0]), rule, *map(line, cells[1:])])
+
+
+def number(value: float, digits: int = 5) -> str:
+    """Format `value` with `digits` significant digits; what is not known is a dash."""
+    if value is None or math.isnan(value):
+        return "-"
+    return f"{value:.{digits}g}"
+
+
+def with_error(value: float, error: float) -> tuple[str, str]:
+    """Format a value and its standard error, the error with two significant digits and the value to its last digit."""
+    if not (math.isfinite(value) and math.isfinite(error)) or error <= 0:
+        return number(value), "-"
+    if error > 1e3 * abs(value) or error < 1e-9 * abs(value):
+        return number(value), number(error, 2)
+    decimals = 1 - math.floor(math.log10(error))
+    if not -4 <= decimals <= 7 or abs(value) >= 1e7:
+        return f"{value:.{max(2, 2 + math.floor(math.log10(max(abs(value) / error, 1))))}g}", f"{error:.2g}"
+    places = max(decimals, 0)
+    return f"{round(value, decimals):.{places}f}", f"{round(error, decimals):.{places}f}"

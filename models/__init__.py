@@ -1,0 +1,1 @@
+"""Model structures, one family a file."""
