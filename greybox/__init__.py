@@ -2,6 +2,12 @@
 
 from pathlib import Path as _Path
 
+from greybox.criterion import MagnitudePhase as MagnitudePhase
+from greybox.criterion import MaximumLikelihood as MaximumLikelihood
+from greybox.criterion import RelativeError as RelativeError
+from greybox.criterion import SquaredRelativeError as SquaredRelativeError
+from greybox.fit import Fit as Fit
+from greybox.fit import fit as fit
 from greybox.frequency_response import FrequencyResponse as FrequencyResponse
 from greybox.frequency_response import read_response as read_response
 from greybox.frequency_response import write_response as write_response
@@ -13,7 +19,13 @@ from greybox.model import Model as Model
 from greybox.model import StateSpace as StateSpace
 from greybox.model import TransferFunction as TransferFunction
 from greybox.model import feedback as feedback
+from greybox.nlp import cost as cost
 from greybox.parameter import Parameter as Parameter
+from greybox.problem import Problem as Problem
+from greybox.starts import LatinHypercube as LatinHypercube
+from greybox.starts import Listed as Listed
+from greybox.starts import Sobol as Sobol
+from greybox.starts import Uniform as Uniform
 from greybox.symbolic import arccos as arccos
 from greybox.symbolic import arcsin as arcsin
 from greybox.symbolic import arctan as arctan

@@ -1,0 +1,444 @@
+"""The answer: multistart, then accuracy, then words, in a value that prints itself."""
+
+import math
+import platform
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from types import MappingProxyType
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import stdtrit
+from tqdm import tqdm
+
+from greybox.accuracy import Accuracy, assess, propagate
+from greybox.criterion import CRITERIA, evaluate
+from greybox.frequency_response import FrequencyResponse
+from greybox.linear import frequency_response
+from greybox.model import Model, equation
+from greybox.multistart import multistart
+from greybox.nlp import AnyProblem, Nlp, compile_problem
+from greybox.problem import Problem, Sum
+from greybox.reference import reference, resolve
+from greybox.result import Minimum, Multistart
+from greybox.solve import Run
+from greybox.starts import Starts, as_starts
+from greybox.table import number, text_table, with_error
+from greybox.words import pade_error, warnings
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One line of the answer.
+
+    Attributes
+    ----------
+    name, unit, about : str
+    value, standard_error : float
+        NaN for what is not known.
+    kind : "free", "fixed", "tied" or "derived"
+    bounds : (float, float)
+    at_bound : bool
+    """
+
+    name: str
+    value: float
+    standard_error: float
+    kind: Literal["free", "fixed", "tied", "derived"]
+    unit: str = ""
+    about: str = ""
+    bounds: tuple[float, float] = (-math.inf, math.inf)
+    at_bound: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class FittedPart:
+    """One problem of the sum, with its data and the fitted response, in plain values.
+
+    Attributes
+    ----------
+    name, criterion, rule, delay : str
+    data : FrequencyResponse
+    response : (n,) complex array
+        The fitted model at the data's frequencies; NaN when no start converged.
+    curve : FrequencyResponse or None
+        The fitted model on a fine grid over the band, for figures.
+    weight : float
+    at : mapping of name to float
+    rename : mapping of name to name
+        From the model's parameter names to those of the estimate.
+    pade_error : float or None
+        Largest phase error of the Padé approximation over the band, degrees; None with exact delay.
+    model : mapping
+        The model's reference (module, class, arguments), see `greybox.reference`.
+    label, equation : str
+        Name and docstring of the model.
+    """
+
+    name: str
+    criterion: str
+    rule: str
+    delay: str
+    data: FrequencyResponse
+    response: NDArray[np.complex128]
+    curve: FrequencyResponse | None
+    weight: float
+    at: Mapping[str, float]
+    rename: Mapping[str, str]
+    pade_error: float | None
+    model: Mapping[str, Any]
+    label: str
+    equation: str
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The outcome of all starts of a problem. Printing it answers the reader's questions in order.
+
+    It holds plain values only, so that a saved one loads without the model. `runs` and `minima` are those of the
+    multistart; vectors follow `free`.
+
+    Attributes
+    ----------
+    name : str
+        Of the problem.
+    quantities : tuple of Quantity
+        Free, fixed and tied parameters, then derived quantities.
+    names, covariance : tuple of str, (k, k) array
+        Of free parameters, then fixed ones.
+    dof : float
+        Degrees of freedom of Student's t.
+    cost : float
+        The criterion minimized, without smoothing; NaN when no start converged.
+    costs : mapping of str to float
+        The value of every criterion at the estimate; NaN where the data do not hold what it needs.
+    """
+
+    name: str
+    parts: tuple[FittedPart, ...]
+    quantities: tuple[Quantity, ...]
+    free: tuple[str, ...]
+    names: tuple[str, ...]
+    covariance: NDArray[np.float64]
+    dof: float
+    cost: float
+    costs: Mapping[str, float]
+    runs: tuple[Run, ...]
+    minima: tuple[Minimum, ...]
+    warnings: tuple[str, ...]
+    seed: int
+    starts: str
+    seconds: float
+    versions: Mapping[str, str]
+    models: tuple[Model, ...] | None = field(default=None, repr=False)
+
+    @property
+    def converged(self) -> bool:
+        """True when at least one start converged, so that there is an answer."""
+        return bool(self.minima)
+
+    @property
+    def status(self) -> str:
+        """"converged", or why there is no answer."""
+        if self.converged:
+            return "converged"
+        return f"no start converged ({Multistart(self.runs, (), 0.0).failures})"
+
+    @property
+    def agreeing(self) -> int:
+        """How many starts reached the best minimum."""
+        return len(self.minima[0].runs) if self.minima else 0
+
+    @property
+    def criterion(self) -> str:
+        """The rule that was minimized."""
+        return "; ".join(dict.fromkeys(part.rule for part in self.parts))
+
+    @property
+    def delay(self) -> str:
+        """How delays were evaluated."""
+        return "; ".join(dict.fromkeys(part.delay for part in self.parts))
+
+    @property
+    def estimate(self) -> dict[str, float]:
+        """Values of free, fixed and tied parameters by name."""
+        return {q.name: q.value for q in self.quantities if q.kind != "derived"}
+
+    @property
+    def derived(self) -> dict[str, float]:
+        """Values of the derived quantities by name."""
+        return {q.name: q.value for q in self.quantities if q.kind == "derived"}
+
+    @property
+    def standard_error(self) -> dict[str, float]:
+        """Standard errors by name, of derived quantities too; NaN where the data give none, 0 for a constant."""
+        return {q.name: q.standard_error for q in self.quantities}
+
+    @property
+    def checksum(self) -> str:
+        """Checksums of the data of all parts."""
+        return " ".join(part.data.checksum for part in self.parts)
+
+    def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
+        """Return confidence intervals by Student's t, by name; NaN where there is no standard error."""
+        if not 0 < level < 1:
+            raise ValueError(f"level {level} must lie between 0 and 1, e.g. 0.95.")
+        t = float(stdtrit(min(self.dof, 1e9), 0.5 + level / 2)) if self.dof > 0 else math.nan
+        return {
+            q.name: (q.value - t * q.standard_error, q.value + t * q.standard_error)
+            for q in self.quantities
+            if q.kind != "fixed" or q.standard_error > 0
+        }
+
+    def covariance_of(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Return the covariance matrix of the named parameters."""
+        for name in names:
+            if name not in self.names:
+                raise ValueError(f"the fit has no parameter {name!r} with a covariance; it has {', '.join(self.names)}.")
+        places = [self.names.index(name) for name in names]
+        return self.covariance[np.ix_(places, places)]
+
+    def response(self, omega: ArrayLike, part: int = 0, model: Model | None = None) -> FrequencyResponse:
+        """Evaluate the fitted model of a part at `omega` (n,) rad/s.
+
+        A loaded fit imports its model by name; where that is not possible, give the `model`.
+
+        Raises
+        ------
+        LookupError
+            If the model cannot be imported; the sentence says what is missing.
+        """
+        stated = self.parts[part]
+        alive = model or (self.models[part] if self.models else resolve(dict(stated.model)))
+        values = {name: self.estimate[stated.rename.get(name, name)] for name in alive.parameters}
+        data = stated.data
+        return frequency_response(
+            alive, omega, values, input=data.input, output=data.output, at=stated.at, delay=stated.delay
+        )
+
+    def __str__(self) -> str:
+        return _text(self)
+
+
+def fit(
+    problem: AnyProblem,
+    starts: int | Starts | Sequence[Mapping[str, float] | Starts] = 200,
+    seed: int = 0,
+    *,
+    solver_options: Mapping[str, Any] = MappingProxyType({}),
+    progress: bool | Callable[[int, int], None] = True,
+) -> Fit:
+    """Fit a problem by IPOPT from many starts.
+
+    Parameters
+    ----------
+    problem : Problem or a sum of problems
+    starts : int, Starts, or list
+        A number of Sobol points (default), a rule such as `LatinHypercube(200)`, or a list of ``{name: value}``.
+    seed : int
+        Of the Sobol points. More starts with the same seed begin with the same points.
+    solver_options : mapping
+        Options of IPOPT, e.g. ``{"max_iter": 100, "tol": 1e-9}``.
+    progress : bool or function
+        A bar on a terminal for anything longer than two seconds; or a function of finished and all runs.
+
+    Returns
+    -------
+    Fit
+        Also when no start converged: then `Fit.converged` is False and the values are NaN.
+
+    Raises
+    ------
+    ValueError, TypeError
+        For bad input, in one sentence.
+    """
+    if not isinstance(problem, Problem | Sum):
+        raise TypeError(f"problem is {problem!r:.80}: give a Problem(model, data) or a sum of them.")
+    began = time.perf_counter()
+    nlp = compile_problem(problem)
+    parameters = problem.parameters
+    rule = as_starts(starts, seed)
+    points = rule.draw({name: parameters[name] for name in nlp.free})
+    if callable(progress):
+        search = multistart(nlp, points, solver_options, progress)
+    else:
+        with tqdm(total=len(points), disable=None if progress else True, delay=2, unit="start", leave=False) as bar:
+            search = multistart(nlp, points, solver_options, lambda done, _: bar.update(done - bar.n))
+    return assemble(nlp, search, seed=seed, starts=f"{len(points)} {type(rule).__name__}", began=began)
+
+
+def assemble(nlp: Nlp, search: Multistart, *, seed: int, starts: str, began: float) -> Fit:
+    """Turn what a multistart left into the answer; `began` is the clock reading when the work began."""
+    problem = nlp.problem
+    best = search.minima[0].estimate if search.minima else np.full(len(nlp.free), np.nan)
+    accuracy = assess(nlp, best) if search.minima else _nothing(nlp)
+    estimate = dict(zip(nlp.names, nlp.all_values(best).tolist(), strict=True))
+    local = [dict(part.local_values(estimate)) for part in problem.parts]
+    errors = [pade_error(part, values) if search.minima else None for part, values in zip(problem.parts, local, strict=True)]
+    responses = nlp.split(nlp.response_rows(best[None])[0])
+    return Fit(
+        name=problem.name,
+        parts=tuple(_part(*item) for item in zip(problem.parts, local, responses, errors, strict=True)),
+        quantities=_quantities(nlp, accuracy, estimate),
+        free=nlp.free,
+        names=accuracy.names,
+        covariance=_masked(accuracy),
+        dof=accuracy.dof,
+        cost=search.minima[0].cost if search.minima else math.nan,
+        costs=_all_costs(problem, responses),
+        runs=search.runs,
+        minima=search.minima,
+        warnings=warnings(nlp, search, accuracy, errors) if search.minima else (),
+        seed=seed,
+        starts=starts,
+        seconds=time.perf_counter() - began,
+        versions={
+            "greybox": version("greybox-id"),
+            "casadi": ca.__version__,
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+        },
+        models=tuple(part.model for part in problem.parts),
+    )
+
+
+def _nothing(nlp: Nlp) -> Accuracy:
+    k = len(nlp.names)
+    covariance = np.full((k, k), np.nan)
+    return Accuracy(nlp.names, covariance, np.zeros((k, 0)), np.ones(k), 0.0, (), (), np.full(len(nlp.problem.parts), np.nan))
+
+
+def _masked(accuracy: Accuracy) -> NDArray[np.float64]:
+    """Return the covariance with NaN for parameters that have no standard error."""
+    unknown = np.isnan(propagate(accuracy, np.eye(len(accuracy.names))))
+    covariance = accuracy.covariance.copy()
+    covariance[unknown, :] = covariance[:, unknown] = np.nan
+    return covariance
+
+
+def _part(part: Problem, values: dict[str, float], response: NDArray[np.complex128], error: float | None) -> FittedPart:
+    data = part.data
+    curve = None
+    if np.all(np.isfinite(response)):
+        omega = np.geomspace(data.omega.min(), data.omega.max(), 200) if len(data) > 1 else data.omega
+        signals = {"input": data.input, "output": data.output, "at": part.at}
+        curve = frequency_response(part.model, omega, values, delay=part.delay, **signals)
+    return FittedPart(
+        name=part.name,
+        criterion=repr(part.criterion),
+        rule=part.criterion.description,
+        delay=part.delay,
+        data=data,
+        response=response,
+        curve=curve,
+        weight=part.weight,
+        at=dict(part.at),
+        rename=dict(part.rename),
+        pade_error=error,
+        model=reference(part.model),
+        label=part.model.label,
+        equation=equation(part.model),
+    )
+
+
+def _all_costs(problem: AnyProblem, responses: list[NDArray[np.complex128]]) -> dict[str, float]:
+    return {
+        criterion.description: sum(
+            part.weight * evaluate(criterion, response, part.data)
+            for part, response in zip(problem.parts, responses, strict=True)
+        )
+        for criterion in CRITERIA
+    }
+
+
+def _quantities(nlp: Nlp, accuracy: Accuracy, estimate: dict[str, float]) -> tuple[Quantity, ...]:
+    problem, k = nlp.problem, len(nlp.names)
+    parameters = problem.parameters
+    own = propagate(accuracy, np.eye(k))
+    result = [
+        Quantity(
+            name=name,
+            value=estimate[name],
+            standard_error=float(own[i]),
+            kind="fixed" if parameters[name].fixed else "free",
+            unit=parameters[name].unit,
+            about=parameters[name].about,
+            bounds=parameters[name].bounds,
+            at_bound=name in accuracy.at_bound,
+        )
+        for i, name in enumerate(nlp.names)
+    ]
+    formulas = _formulas(problem)
+    symbols = ca.SX.sym("x", k)
+    named = dict(zip(nlp.names, ca.vertsplit(symbols), strict=True))
+    for name, kind, unit, about, formula in formulas:
+        expression = ca.SX(formula(named))
+        both = ca.Function("quantity", [symbols], [expression, ca.jacobian(expression, symbols)])
+        value, gradient = (np.asarray(ca.DM(v)) for v in both(list(estimate.values())))
+        error = float(propagate(accuracy, gradient)[0])
+        result.append(Quantity(name, float(value[0, 0]), error, kind, unit, about))
+    return tuple(result)
+
+
+def _formulas(problem: AnyProblem) -> list[tuple[str, Any, str, str, Callable[[Mapping[str, Any]], Any]]]:
+    """List the tied and derived quantities of all parts: name, kind, unit, meaning, function of the outside values."""
+    found: dict[str, tuple[str, Any, str, str, Callable[[Mapping[str, Any]], Any]]] = {}
+    for part in problem.parts:
+        for name in part.tied:
+            outside, declared = part.rename.get(name, name), part.model.parameters[name]
+            found.setdefault(outside, (outside, "tied", declared.unit, declared.about, _tie(part, name)))
+    taken = {**problem.parameters, **found}
+    for part in problem.parts:
+        for name, function in part.model.derived.items():
+            # Parts that rename parameters have derived quantities of their own.
+            label = name if not part.rename and name not in taken else f"{name} ({part.name})"
+            found.setdefault(label, (label, "derived", "", "", _derivation(part, function)))
+    return list(found.values())
+
+
+def _tie(part: Problem, name: str) -> Callable[[Mapping[str, Any]], Any]:
+    return lambda values: part.local_values(values)[name]
+
+
+def _derivation(part: Problem, function: Callable[[Any], Any]) -> Callable[[Mapping[str, Any]], Any]:
+    return lambda values: function(part.local_values(values))
+
+
+def _text(fit: Fit) -> str:
+    """Answer in order: converged? do the starts agree? at what cost? which values, how sure? what to beware of?"""
+    lines = [f"{fit.name}: {', '.join(dict.fromkeys(part.label for part in fit.parts))}", ""]
+    converged = sum(run.converged for run in fit.runs)
+    if not fit.converged:
+        return "\n".join([*lines, f"  FAILED: {fit.status}."])
+    minima = len(fit.minima)
+    lines += [
+        f"  starts     {converged} of {len(fit.runs)} converged; {fit.agreeing} agree on the best of "
+        f"{minima} distinct {'minimum' if minima == 1 else 'minima'}",
+        f"  cost       {fit.cost:.6g}  ({fit.criterion})",
+        f"  data       {sum(len(p.data) for p in fit.parts)} points in {len(fit.parts)} response{'s'[: len(fit.parts) > 1]}, "
+        f"delay {fit.delay}" + "".join(_pade_text(p) for p in fit.parts if p.pade_error is not None),
+        "",
+    ]
+    rows = []
+    for q in fit.quantities:
+        value, error = with_error(q.value, q.standard_error)
+        note = {"fixed": "fixed", "tied": "tied", "derived": "derived"}.get(q.kind, "AT BOUND" if q.at_bound else "")
+        rows.append([q.name, value, error, q.unit, _interval(q.bounds) if q.kind == "free" else "", note, q.about])
+    table = text_table(["parameter", "estimate", "± error", "unit", "bounds", "", "meaning"], rows, left=(0, 3, 5, 6))
+    lines += ["  " + line for line in table.splitlines()]
+    others = [(rule, cost) for rule, cost in fit.costs.items() if not math.isnan(cost) and rule != fit.criterion]
+    lines += ["", "  other criteria at this estimate:", *(f"    {number(cost):>10}  {rule}" for rule, cost in others), ""]
+    lines += [f"  warning: {text}" for text in fit.warnings]
+    return "\n".join([*lines, f"  {fit.seconds:.2f} s, seed {fit.seed}, starts {fit.starts}"])
+
+
+def _pade_text(part: FittedPart) -> str:
+    return f"; Padé phase error up to {part.pade_error:.2g}° ({part.name})"
+
+
+def _interval(bounds: tuple[float, float]) -> str:
+    return f"[{bounds[0]:g}, {bounds[1]:g}]"

@@ -1,0 +1,208 @@
+"""The compiled problem: one CasADi graph of the cost, in scaled variables, built once and used by every start."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.linear import delay_order, response_function
+from greybox.model import require_known
+from greybox.parameter import Parameter
+from greybox.problem import Problem, Sum
+from greybox.symbolic import Complex
+
+AnyProblem = Problem | Sum
+
+
+@dataclass(frozen=True, eq=False)
+class Scaling:
+    """The change of variables between parameters x and what the solver sees, z: x = factor · z, or x = exp(z)."""
+
+    factor: NDArray[np.float64]
+    logarithmic: NDArray[np.bool_]
+
+    def to_solver(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return z for x, along the last axis."""
+        with np.errstate(divide="ignore"):
+            return np.where(self.logarithmic, np.log(np.where(self.logarithmic, x, 1.0)), x / self.factor)
+
+    def to_parameters(self, z: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return x for z, along the last axis."""
+        return np.where(self.logarithmic, np.exp(np.where(self.logarithmic, z, 0.0)), z * self.factor)
+
+    def expressions(self, z: Any) -> list[Any]:
+        """Return x for a CasADi vector z."""
+        return [ca.exp(z[k]) if log else z[k] * float(f) for k, (f, log) in enumerate(zip(self.factor, self.logarithmic, strict=True))]
+
+
+@dataclass(frozen=True, eq=False)
+class Nlp:
+    """A problem ready for a solver.
+
+    Attributes
+    ----------
+    problem : Problem or Sum
+        What was compiled.
+    free, constants : tuple of str
+        Names of the unknowns, in the order of every vector here, and of the fixed parameters after them.
+    lower, upper : (p,) arrays
+        Bounds of the unknowns, in their own units.
+    scaling : Scaling
+        Between the unknowns and the solver's variables.
+    expressions : dict
+        ``x, p, f, g`` as `casadi.nlpsol` takes them; p is the smoothing of the cost.
+    first : dict or None
+        The same with the criteria that locate the minimum, where they differ.
+    cost : casadi.Function
+        (all values) -> the cost without smoothing, of every part, unweighted, stacked.
+    responses : casadi.Function
+        (all values) -> real and imaginary parts of all responses, stacked: (2 N,).
+    constraint : casadi.Function
+        (all values) -> what must be >= 0, stacked.
+    """
+
+    problem: AnyProblem
+    free: tuple[str, ...]
+    constants: tuple[str, ...]
+    constant_values: NDArray[np.float64]
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+    scaling: Scaling
+    expressions: Mapping[str, Any]
+    first: Mapping[str, Any] | None
+    cost: ca.Function
+    responses: ca.Function
+    constraint: ca.Function
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Free parameters, then constants: the order of all values."""
+        return (*self.free, *self.constants)
+
+    @property
+    def weights(self) -> NDArray[np.float64]:
+        """The weight of every part."""
+        return np.array([part.weight for part in self.problem.parts])
+
+    def all_values(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Append the constants to unknowns x (..., p)."""
+        x = np.asarray(x, dtype=float)
+        constants = np.broadcast_to(self.constant_values, (*x.shape[:-1], len(self.constants)))
+        return np.concatenate([x, constants], axis=-1)
+
+    def costs(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the cost without smoothing of every row of x (r, p): (r,)."""
+        if not len(x):
+            return np.zeros(0)
+        parts = np.asarray(self.cost(self.all_values(x).T))
+        return self.weights @ parts
+
+    def response_rows(self, x: NDArray[np.float64]) -> NDArray[np.complex128]:
+        """Return the responses of all parts, stacked, for every row of x (r, p): (r, N)."""
+        values = np.asarray(self.responses(self.all_values(x).T)).T
+        half = values.shape[1] // 2
+        return values[:, :half] + 1j * values[:, half:]
+
+    def split(self, stacked: NDArray[Any]) -> list[NDArray[Any]]:
+        """Cut an array whose first axis runs over the points of all parts into one array per part."""
+        ends = np.cumsum([len(part.data) for part in self.problem.parts])[:-1]
+        return np.split(stacked, ends)
+
+
+def compile_problem(problem: AnyProblem) -> Nlp:
+    """Build the CasADi expressions of a problem.
+
+    Raises
+    ------
+    ValueError
+        If no parameter is free, or a formula does not trace.
+    """
+    parameters = problem.parameters
+    free = tuple(name for name, p in parameters.items() if not p.fixed)
+    constants = tuple(name for name, p in parameters.items() if p.fixed)
+    if not free:
+        raise ValueError(f"every parameter of {problem.name!r} is fixed: free one, e.g. free=({constants[0]!r},).")
+    models = [_response(part) for part in problem.parts]
+    # A trim that is found by Newton's method exists as MX only; everything else is faster as SX.
+    kind: Any = ca.SX if all(f.is_a("SXFunction") for f in models) else ca.MX
+    scaling = _scaling([parameters[name] for name in free])
+    constant_values = np.array([parameters[name].start for name in constants])
+
+    def trace(values: list[Any]) -> tuple[list[Complex], Any]:
+        """Return the response of every part and the stacked constraints, for values in the order free, constants."""
+        local = [part.local_values(dict(zip((*free, *constants), values, strict=True))) for part in problem.parts]
+        responses = [Complex(*f(ca.vertcat(*p.values()))) for f, p in zip(models, local, strict=True)]
+        constraints = [c(p) for part, p in zip(problem.parts, local, strict=True) for c in part.constraints]
+        return responses, ca.vertcat(*constraints) if constraints else kind(0, 1)
+
+    x = kind.sym("x", len(free) + len(constants))
+    responses, constraints = trace(ca.vertsplit(x))
+    costs = [part.criterion.cost(r, part.data) for part, r in zip(problem.parts, responses, strict=True)]
+    stacked = ca.vertcat(*[r.re for r in responses], *[r.im for r in responses])
+
+    z, smoothing = kind.sym("z", len(free)), kind.sym("smoothing")
+    scaled, limits = trace([*scaling.expressions(z), *constant_values])
+    statement = {"x": z, "p": smoothing, "g": limits}
+    locating = any(part.criterion.first is not None for part in problem.parts)
+    return Nlp(
+        problem=problem,
+        free=free,
+        constants=constants,
+        constant_values=constant_values,
+        lower=np.array([parameters[name].bounds[0] for name in free]),
+        upper=np.array([parameters[name].bounds[1] for name in free]),
+        scaling=scaling,
+        expressions=statement | {"f": _total(problem, scaled, smoothing, locate=False)},
+        first=statement | {"f": _total(problem, scaled, smoothing, locate=True)} if locating else None,
+        cost=ca.Function("cost", [x], [ca.vertcat(*costs)]),
+        responses=ca.Function("responses", [x], [stacked]),
+        constraint=ca.Function("constraint", [x], [constraints]),
+    )
+
+
+def cost(problem: AnyProblem, values: Mapping[str, float]) -> float:
+    """Return the cost of a problem at parameter `values` by name; what is not given is at its start or fixed value.
+
+    Raises
+    ------
+    ValueError
+        For a name that is not a parameter of the problem.
+    """
+    require_known(values, problem.parameters, "parameter", repr(problem.name))
+    nlp = compile_problem(problem)
+    point = [values.get(name, problem.parameters[name].start) for name in nlp.names]
+    return float(nlp.weights @ np.asarray(nlp.cost(point)).ravel())
+
+
+def _total(problem: AnyProblem, responses: list[Complex], smoothing: Any, locate: bool) -> Any:
+    total: Any = 0.0
+    for part, response in zip(problem.parts, responses, strict=True):
+        criterion = (part.criterion.first if locate else None) or part.criterion
+        total = total + part.weight * criterion.cost(response, part.data, smoothing)
+    return total
+
+
+def _response(part: Problem) -> ca.Function:
+    data = part.data
+    pade = delay_order(part.delay)
+    return response_function(part.model, data.omega, input=data.input, output=data.output, at=part.at, pade=pade)
+
+
+def _scaling(parameters: list[Parameter]) -> Scaling:
+    return Scaling(
+        factor=np.array([_size(p) for p in parameters]),
+        logarithmic=np.array([p.scale == "log" for p in parameters]),
+    )
+
+
+def _size(parameter: Parameter) -> float:
+    """Return the larger finite bound: IPOPT then needs about half the time that it takes on unscaled variables."""
+    for pair in (parameter.bounds, parameter.box, (parameter.start, parameter.start)):
+        finite = [abs(v) for v in pair if math.isfinite(v) and v != 0]
+        if finite:
+            return max(finite)
+    return 1.0

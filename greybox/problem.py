@@ -1,0 +1,287 @@
+"""What is to be fitted: a model, data and a criterion, with fixed, tied and renamed parameters. Problems add."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol, Self, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.criterion import Criterion, RelativeError
+from greybox.frequency_response import FrequencyResponse
+from greybox.linear import delay_order, pick_signals
+from greybox.model import Model, Names, StateSpace, merge, require_known
+from greybox.parameter import Parameter
+
+
+@runtime_checkable
+class Estimated(Protocol):
+    """An earlier answer, as `fixed` takes it: values and their covariance."""
+
+    @property
+    def estimate(self) -> Mapping[str, float]:
+        """Values by name."""
+        ...
+
+    def covariance_of(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Return the covariance matrix of the named parameters."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """One model, one set of data, one criterion.
+
+    Parameters
+    ----------
+    model : Model
+        The structure; an ODE is linearized at its operating point.
+    data : FrequencyResponse
+        Meets the model by the names of its input and output.
+    criterion : Criterion, optional
+        `RelativeError` (4.26) by default.
+    fixed : mapping of name to value, or a Fit
+        Parameters held constant. A `Fit`, whole or as the value of a name, gives its estimate and its covariance, which
+        then widens the standard errors here.
+    free : sequence of str
+        Parameters that the model declares fixed and that are to be estimated.
+    tied : mapping of name to function
+        ``{"p7": lambda p: 2 * p.p1}``: the parameter is this expression of the others.
+    constraints : sequence of functions
+        ``lambda p: p.T1 - p.T2``, each must be >= 0.
+    delay : "exact" or "pade:n"
+        How delays are evaluated.
+    at : mapping of name to value
+        The operating point of an ODE: some states and inputs, the rest follows from ``derivative = 0``.
+    rename : mapping of name to name
+        Names under which parameters are known outside, so that added problems share or do not share them.
+    weight : float
+        Factor on this problem's cost in a sum.
+    name : str
+        A label; by default that of the data.
+
+    Raises
+    ------
+    ValueError
+        In one sentence with the value and the cure, for anything that does not fit together.
+    """
+
+    model: Model
+    data: FrequencyResponse
+    criterion: Criterion = None  # type: ignore[assignment]
+    fixed: Mapping[str, "float | Estimated"] | Estimated = field(default_factory=dict)
+    free: Sequence[str] = ()
+    tied: Mapping[str, Callable[[Any], Any]] = field(default_factory=dict)
+    constraints: Sequence[Callable[[Any], Any]] = ()
+    delay: str = "exact"
+    at: Mapping[str, float] = field(default_factory=dict)
+    rename: Mapping[str, str] = field(default_factory=dict)
+    weight: float = 1.0
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        """Fill in the defaults and check that everything fits together."""
+        _require(self.model, Model, "model", "an instance such as Tilt(), not the class")
+        _require(self.data, FrequencyResponse, "data", "a FrequencyResponse")
+        if self.criterion is None:
+            object.__setattr__(self, "criterion", RelativeError())
+        _require(self.criterion, Criterion, "criterion", "a criterion such as RelativeError()")
+        if isinstance(self.free, str):
+            object.__setattr__(self, "free", (self.free,))
+        if not self.name:
+            object.__setattr__(self, "name", self.data.name or self.model.label)
+        if not (math.isfinite(self.weight) and self.weight > 0):
+            raise ValueError(f"weight {self.weight} must be a finite number above 0.")
+        self.criterion.check(self.data)
+        delay_order(self.delay)
+        pick_signals(self.model, self.data.input, self.data.output)
+        self._check_names()
+        self._check_operating_point()
+        object.__setattr__(self, "_parameters", self._build_parameters())
+        self._check_functions()
+
+    def _check_names(self) -> None:
+        label, known = self.model.label, self.model.parameters
+        for what, names in (("fixed", self._given()), ("free", self.free), ("tied", self.tied), ("rename", self.rename)):
+            for name in names:
+                if name not in known:
+                    raise ValueError(
+                        f"{what} names {name!r}, which {label} does not have; its parameters are {', '.join(known)}."
+                    )
+        for a, b, first, second in (
+            (self._given(), self.free, "fixed", "free"),
+            (self._given(), self.tied, "fixed", "tied"),
+            (self.free, self.tied, "free", "tied"),
+        ):
+            both = [name for name in a if name in b]
+            if both:
+                raise ValueError(f"{both[0]!r} is both {first} and {second}: keep one of them.")
+        outside = [self.rename.get(name, name) for name in known]
+        for name in outside:
+            if outside.count(name) > 1:
+                raise ValueError(f"rename gives two parameters of {label} the name {name!r}: use tied to make them equal.")
+
+    def _check_operating_point(self) -> None:
+        if isinstance(self.model, StateSpace):
+            require_known(self.at, (*self.model.states, *self.model.inputs), "state or input", self.model.label)
+        elif self.at:
+            raise ValueError(f"{self.model.label} has no operating point: leave out at={dict(self.at)}.")
+
+    def _given(self) -> Mapping[str, "float | Estimated"]:
+        """Return `fixed` by name."""
+        if not isinstance(self.fixed, Estimated):
+            return self.fixed
+        shared = {name: self.fixed for name in self.model.parameters if self.rename.get(name, name) in self.fixed.estimate}
+        if not shared:
+            raise ValueError(
+                f"the Fit given as fixed has {', '.join(self.fixed.estimate)}, of which {self.model.label} has none; "
+                f"its parameters are {', '.join(self.model.parameters)}."
+            )
+        return shared
+
+    def _build_parameters(self) -> dict[str, Parameter]:
+        result = {}
+        for local, parameter in self.model.parameters.items():
+            if local in self.tied:
+                continue
+            result[local] = self._as_stated(local, parameter)
+        return result
+
+    def _as_stated(self, local: str, parameter: Parameter) -> Parameter:
+        """Apply `fixed` and `free` to one declared parameter."""
+        given = self._given()
+        if local not in given:
+            return replace(parameter, fixed=parameter.fixed and local not in self.free)
+        value = given[local]
+        if isinstance(value, Estimated):
+            require_known([self.rename.get(local, local)], value.estimate, "estimate", "the Fit given as fixed")
+            value = value.estimate[self.rename.get(local, local)]
+        if not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
+            raise ValueError(f"fixed gives {local!r} the value {value!r}: give a finite number or a Fit.")
+        low, high = parameter.bounds
+        if not low <= value <= high:
+            raise ValueError(
+                f"fixed gives {local!r} the value {value:g} outside its bounds ({low:g}, {high:g}): "
+                "change the value or the bounds in the model."
+            )
+        return replace(parameter, start=float(value), fixed=True)
+
+    def _check_functions(self) -> None:
+        """Try ties and constraints in numbers, so that a mistake shows here and not inside CasADi."""
+        start = {self.rename.get(n, n): p.start for n, p in self._own.items()}
+        p = self.local_values(start)
+        for k, constraint in enumerate(self.constraints):
+            _try(constraint, p, f"constraints[{k}]")
+
+    @property
+    def _own(self) -> dict[str, Parameter]:
+        return self.__dict__["_parameters"]
+
+    @property
+    def parts(self) -> tuple["Problem", ...]:
+        """The problems in this sum: itself."""
+        return (self,)
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """Parameters by their outside name, as stated here; tied ones are left out."""
+        return {self.rename.get(name, name): parameter for name, parameter in self._own.items()}
+
+    @property
+    def known(self) -> dict[str, Estimated]:
+        """The earlier answers among the fixed values, by outside name."""
+        return {self.rename.get(n, n): v for n, v in self._given().items() if isinstance(v, Estimated)}
+
+    def local_values(self, values: Mapping[str, Any]) -> Names:
+        """Name the model's parameters, with the ties evaluated, given values (numbers or expressions) by outside name."""
+        local = {name: values[self.rename.get(name, name)] for name in self._own}
+        for name, tie in self.tied.items():
+            local[name] = _try(tie, Names(local, f"the problem {self.name!r}, at the tie of {name!r},"), f"tied[{name!r}]")
+        return Names({name: local[name] for name in self.model.parameters}, self.model.label)
+
+    def __add__(self, other: Any) -> "Sum":
+        return _add(self, other)
+
+    def __radd__(self, other: Any) -> "Problem | Sum":
+        return self if other == 0 else NotImplemented
+
+    def with_(self, **changes: Any) -> Self:
+        """Return the same problem with some fields changed."""
+        return replace(self, **changes)
+
+
+@dataclass(frozen=True, eq=False)
+class Sum:
+    """Several problems solved at once: costs add by their weights, parameters of one name are one unknown."""
+
+    parts: tuple[Problem, ...]
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        """Merge the parameters and check the labels."""
+        if not self.name:
+            object.__setattr__(self, "name", " + ".join(dict.fromkeys(part.name for part in self.parts)))
+        merged: dict[str, Parameter] = {}
+        for part in self.parts:
+            for name, parameter in part.parameters.items():
+                merged[name] = merge(name, merged[name], parameter) if name in merged else parameter
+        self._check_ties(merged)
+        object.__setattr__(self, "_parameters", merged)
+
+    def _check_ties(self, merged: Mapping[str, Parameter]) -> None:
+        start = {name: parameter.start for name, parameter in merged.items()}
+        seen: dict[str, float] = {}
+        for part in self.parts:
+            values = part.local_values(start)
+            for name in part.tied:
+                outside = part.rename.get(name, name)
+                if outside in merged or seen.setdefault(outside, values[name]) != values[name]:
+                    raise ValueError(
+                        f"{outside!r} is tied in {part.name!r} and otherwise in another part: tie it alike in both, "
+                        f"or give one another name, rename={{{name!r}: ...}}."
+                    )
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """The merged parameters by outside name; tied ones are left out."""
+        return dict(self.__dict__["_parameters"])
+
+    @property
+    def known(self) -> dict[str, Estimated]:
+        """The earlier answers among the fixed values."""
+        return {name: value for part in self.parts for name, value in part.known.items()}
+
+    def __add__(self, other: Any) -> "Sum":
+        return _add(self, other)
+
+    def __radd__(self, other: Any) -> "Sum":
+        return self if other == 0 else NotImplemented
+
+    def with_(self, **changes: Any) -> "Sum":
+        """Return the same sum with fields of every part changed (`name` is that of the sum)."""
+        name = changes.pop("name", self.name)
+        return Sum(tuple(replace(part, **changes) for part in self.parts), name)
+
+
+def _add(a: Problem | Sum, b: Any) -> Sum:
+    if not isinstance(b, Problem | Sum):
+        return NotImplemented
+    return Sum((*a.parts, *b.parts))
+
+
+def _require(value: Any, kind: type, what: str, cure: str) -> None:
+    if not isinstance(value, kind):
+        raise TypeError(f"{what} is {value!r:.80}: give {cure}.")
+
+
+def _try(function: Callable[[Any], Any], p: Names, what: str) -> Any:
+    try:
+        value = function(p)
+    except AttributeError as error:
+        raise ValueError(f"{what}: {error}") from None
+    if isinstance(value, (int, float, np.number)) and not math.isfinite(value):
+        raise ValueError(f"{what} is {value} at the start values: correct the function or the starts.")
+    if value is None:
+        raise ValueError(f"{what} returns None: it must return an expression of the parameters.")
+    return value

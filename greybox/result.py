@@ -1,0 +1,92 @@
+"""What a multistart leaves: every run, and the distinct minima that they found."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.nlp import Nlp
+from greybox.solve import Run
+
+SAME_COST = 1e-4  # relative; the smoothing moves costs by up to 6e-5
+SAME_RESPONSE = 1e-2  # root mean square of |P_a - P_b| / |P_b| over the data
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """One distinct minimum: a cost and a model response that a group of runs shares.
+
+    Attributes
+    ----------
+    cost : float
+        Without smoothing.
+    estimate : (p,) array
+        The best run's estimate.
+    runs : tuple of int
+        Indices of the runs that ended here, best first.
+    variants : int
+        How many clearly different parameter vectors give this same response (two lags that swap are two).
+    """
+
+    cost: float
+    estimate: NDArray[np.float64]
+    runs: tuple[int, ...]
+    variants: int
+
+
+@dataclass(frozen=True, eq=False)
+class Multistart:
+    """All runs of a problem, in the order of their starts, and its minima, best first."""
+
+    runs: tuple[Run, ...]
+    minima: tuple[Minimum, ...]
+    seconds: float
+
+    @property
+    def converged(self) -> int:
+        """How many runs converged."""
+        return sum(run.converged for run in self.runs)
+
+    @property
+    def failures(self) -> str:
+        """The statuses of the runs that did not converge, with counts."""
+        counts = Counter(run.status for run in self.runs if not run.converged)
+        return ", ".join(f"{count} × {status}" for status, count in counts.most_common())
+
+
+def find_minima(nlp: Nlp, runs: Sequence[Run]) -> tuple[Minimum, ...]:
+    """Group the converged runs by cost and model response, best first.
+
+    Two runs are at one minimum when their costs and their responses agree, whatever the parameters.
+    """
+    order = sorted((run for run in runs if run.converged), key=lambda run: run.cost)
+    if not order:
+        return ()
+    responses = nlp.response_rows(np.array([run.estimate for run in order]))
+    costs = np.array([run.cost for run in order])
+    size = costs[0] + 1e-6 * sum(len(part.data) for part in nlp.problem.parts)
+    ungrouped = np.ones(len(order), dtype=bool)
+    minima = []
+    while ungrouped.any():
+        k = int(np.argmax(ungrouped))
+        away = np.sqrt(np.mean(np.abs(responses - responses[k]) ** 2 / np.abs(responses[k]) ** 2, axis=1))
+        near = ungrouped & (costs - costs[k] <= SAME_COST * max(costs[k], size)) & (away <= SAME_RESPONSE)
+        near[k] = True
+        ungrouped &= ~near
+        members = [order[i] for i in np.flatnonzero(near)]
+        minima.append(
+            Minimum(order[k].cost, order[k].estimate, tuple(run.index for run in members), _variants(nlp, members))
+        )
+    return tuple(minima)
+
+
+def _variants(nlp: Nlp, members: Sequence[Run]) -> int:
+    """Count the parameter vectors among runs of one minimum that lie more than 5 % of the parameters' size apart."""
+    distinct: list[NDArray[np.float64]] = []
+    for run in members:
+        z = nlp.scaling.to_solver(run.estimate)
+        if not any(np.all(np.abs(z - other) <= 0.05 * np.maximum(np.abs(z), np.abs(other)) + 1e-6) for other in distinct):
+            distinct.append(z)
+    return len(distinct)

@@ -1,0 +1,131 @@
+"""What a careful colleague would say about an answer: warnings in sentences."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.accuracy import Accuracy
+from greybox.linear import delay_order, frequency_response
+from greybox.nlp import Nlp
+from greybox.problem import Problem
+from greybox.result import Minimum, Multistart
+
+PHASE_LIMIT = 1.0  # degrees of Padé error over the fitted band
+FEW = 0.1  # share of agreeing starts below which the minimum is in doubt
+NEAR = 0.01  # relative distance of costs below which a second minimum is a rival
+NOISY = 0.1  # relative noise from which the bias of the measured normalization shows
+
+
+def warnings(nlp: Nlp, search: Multistart, accuracy: Accuracy, pade_errors: list[float | None]) -> tuple[str, ...]:
+    """Return everything a reader should know before believing the estimate, most serious first."""
+    return (
+        *_undetermined(accuracy),
+        *_size(nlp),
+        *_bounds(nlp, search.minima[0], accuracy),
+        *_agreement(search),
+        *_variants(search, accuracy),
+        *_pade(nlp, pade_errors),
+        *_noise(nlp, search.minima[0], accuracy),
+    )
+
+
+def pade_error(part: Problem, values: dict[str, float]) -> float | None:
+    """Return the largest phase error in degrees over the fitted band of a part with Padé delay; None with exact delay."""
+    if delay_order(part.delay) is None:
+        return None
+    data = part.data
+    omega = np.unique(np.concatenate([np.geomspace(data.omega.min(), data.omega.max(), 200), data.omega]))
+    signals = {"input": data.input, "output": data.output, "at": part.at}
+    exact = frequency_response(part.model, omega, values, **signals)
+    approximate = frequency_response(part.model, omega, values, **signals, delay=part.delay)
+    return float(np.degrees(np.abs(np.angle(approximate.response / exact.response))).max())
+
+
+def _undetermined(accuracy: Accuracy) -> Iterator[str]:
+    for combination in accuracy.combinations:
+        names = _listed(combination.names)
+        if math.isinf(combination.index) and len(combination.names) == 1:
+            yield f"{names} is not determined: it does not change the response at these data at all; fix it."
+        elif math.isinf(combination.index):
+            yield (
+                f"{names} are not determined: the data see only a combination of them, so no standard error is given; "
+                "fix one of them."
+            )
+        else:
+            yield (
+                f"{names} are hardly determined: the Jacobian is nearly rank deficient, since changes of them compensate "
+                f"one another (collinearity index {combination.index:.0f}); fix one of them or add data that tell them apart."
+            )
+
+
+def _size(nlp: Nlp) -> Iterator[str]:
+    numbers, unknowns = 2 * sum(len(part.data) for part in nlp.problem.parts), len(nlp.free)
+    if numbers <= unknowns:
+        yield f"{numbers} real numbers of data for {unknowns} unknowns leave nothing to judge the errors by: add data."
+
+
+def _bounds(nlp: Nlp, best: Minimum, accuracy: Accuracy) -> Iterator[str]:
+    for name in accuracy.at_bound:
+        k = nlp.free.index(name)
+        side = "lower" if best.estimate[k] - nlp.lower[k] < nlp.upper[k] - best.estimate[k] else "upper"
+        bound = nlp.lower[k] if side == "lower" else nlp.upper[k]
+        yield f"{name} ended at its {side} bound {bound:g}: widen it if the physics allow, or fix the parameter."
+
+
+def _agreement(search: Multistart) -> Iterator[str]:
+    runs, best = search.runs, search.minima[0]
+    agreeing = len(best.runs)
+    if len(runs) == 1:
+        yield "one start only: whether this is the global minimum is not known; use more starts."
+    elif agreeing == 1 or agreeing < FEW * len(runs):
+        yield f"only {agreeing} of {len(runs)} starts reached the best minimum: there may be a better one; use more starts."
+    if search.converged < 0.5 * len(runs):
+        yield f"only {search.converged} of {len(runs)} runs converged ({search.failures})."
+    rivals = [m for m in search.minima[1:] if m.cost <= best.cost * (1 + NEAR)]
+    if rivals:
+        yield f"another minimum costs only {100 * (rivals[0].cost / best.cost - 1):.2g} % more with a different response."
+
+
+def _variants(search: Multistart, accuracy: Accuracy) -> Iterator[str]:
+    variants = search.minima[0].variants
+    if variants > 1 and not accuracy.combinations:
+        yield (
+            f"at least {variants} clearly different parameter vectors give this same response: "
+            "add an ordering constraint or fix a parameter to choose one of them."
+        )
+
+
+def _pade(nlp: Nlp, errors: list[float | None]) -> Iterator[str]:
+    for part, error in zip(nlp.problem.parts, errors, strict=True):
+        if error is not None and error > PHASE_LIMIT:
+            yield (
+                f"{part.delay} is wrong by up to {error:.2g}° of phase over the band of {part.name!r}: "
+                "use a higher order or delay='exact'."
+            )
+
+
+def _noise(nlp: Nlp, best: Minimum, accuracy: Accuracy) -> Iterator[str]:
+    for part, noise in zip(nlp.problem.parts, accuracy.noise, strict=True):
+        if getattr(part.criterion, "normalized", None) == "measured" and noise > NOISY:
+            yield (
+                f"{part.name!r} misses the model by {100 * noise:.0f} % in each component: dividing by the measured magnitude "
+                f"may bias the gain low by about {200 * noise**2:.0f} %; compare with normalized='model'."
+            )
+        if part.criterion.known_noise:
+            yield from _misfit(part, nlp, best.estimate)
+
+
+def _misfit(part: Problem, nlp: Nlp, x: NDArray[np.float64]) -> Iterator[str]:
+    position = nlp.problem.parts.index(part)
+    ratio = float(np.asarray(nlp.cost(nlp.all_values(x)))[position, 0]) / max(len(part.data) - len(nlp.free) / 2, 0.5)
+    if not 0.4 <= ratio <= 2.5:
+        yield (
+            f"the residuals of {part.name!r} are {ratio:.2g} times what the given variances say: "
+            f"{'the model misses something or the variances are too small' if ratio > 1 else 'the variances are too large'}."
+        )
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

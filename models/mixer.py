@@ -1,0 +1,58 @@
+"""From the controls of the axes to the motors, and from the rotor speeds to the torques, (2.3)."""
+
+import greybox as gb
+
+
+class Mixer(gb.StateSpace):
+    r"""Motor controls from the thrust, roll, pitch and yaw controls, below (2.3).
+
+    $$\begin{aligned}
+    u_1 &= u_F - 0.5 u_\phi - 0.5 u_\theta + u_\psi, & u_2 &= u_F + 0.5 u_\phi + 0.5 u_\theta + u_\psi, \\
+    u_3 &= u_F + 0.5 u_\phi - 0.5 u_\theta - u_\psi, & u_4 &= u_F - 0.5 u_\phi + 0.5 u_\theta - u_\psi
+    \end{aligned}$$
+
+    A static model for the symmetric X frame; the limits of the controls are left out.
+
+    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, below (2.3).
+    """
+
+    inputs = ("u_F", "u_phi", "u_theta", "u_psi")
+    outputs = ("u_1", "u_2", "u_3", "u_4")
+
+    def output(self, x, u, p):
+        return (
+            u.u_F - 0.5 * u.u_phi - 0.5 * u.u_theta + u.u_psi,
+            u.u_F + 0.5 * u.u_phi + 0.5 * u.u_theta + u.u_psi,
+            u.u_F + 0.5 * u.u_phi - 0.5 * u.u_theta - u.u_psi,
+            u.u_F - 0.5 * u.u_phi + 0.5 * u.u_theta - u.u_psi,
+        )
+
+
+class Torques(gb.StateSpace):
+    r"""Torques about the body axes from the four rotor speeds, (2.3).
+
+    $$\begin{aligned} \tau_\phi &= K_\tau (\Omega_2^2 + \Omega_3^2 - \Omega_1^2 - \Omega_4^2), \\
+    \tau_\theta &= K_\tau (\Omega_2^2 + \Omega_4^2 - \Omega_1^2 - \Omega_3^2), \\
+    \tau_\psi &= K_\psi (\Omega_1^2 + \Omega_2^2 - \Omega_3^2 - \Omega_4^2) \end{aligned}$$
+
+    A static model for the symmetric X frame.
+
+    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.3).
+    """
+
+    inputs = ("Omega_1", "Omega_2", "Omega_3", "Omega_4")
+    outputs = ("tau_phi", "tau_theta", "tau_psi")
+    K_tau = gb.Parameter(
+        2e-6, bounds=(1e-9, 1e-3), unit="N·m·s²", about="roll and pitch torque per squared speed", scale="log"
+    )
+    K_psi = gb.Parameter(
+        2e-7, bounds=(1e-10, 1e-4), unit="N·m·s²", about="yaw torque per squared speed", scale="log"
+    )
+
+    def output(self, x, u, p):
+        one, two, three, four = u.Omega_1**2, u.Omega_2**2, u.Omega_3**2, u.Omega_4**2
+        return (
+            p.K_tau * (two + three - one - four),
+            p.K_tau * (two + four - one - three),
+            p.K_psi * (one + two - three - four),
+        )
