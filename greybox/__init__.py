@@ -1,5 +1,6 @@
 """Grey-box estimation: declare a model structure once, fit it to flight data, know how far to believe the answer."""
 
+from importlib import import_module as _import_module
 from pathlib import Path as _Path
 
 from greybox.criterion import MagnitudePhase as MagnitudePhase
@@ -42,6 +43,33 @@ from greybox.symbolic import sqrt as sqrt
 from greybox.symbolic import tan as tan
 from greybox.symbolic import tanh as tanh
 from greybox.symbolic import where as where
+
+__version__ = "0.1.0"
+
+# These need h5py or matplotlib, which take longer to import than everything else together.
+_ON_FIRST_USE = {
+    "load": "store",
+    "save": "store",
+    "plot": "plotting",
+    "plot_bode": "plotting",
+    "plot_nyquist": "plotting",
+    "plot_starts": "plotting",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import what needs a heavy library when it is first asked for."""
+    if name not in _ON_FIRST_USE:
+        raise AttributeError(f"module 'greybox' has no attribute {name!r}")
+    value = getattr(_import_module(f"greybox.{_ON_FIRST_USE[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """List the public names, those on first use included."""
+    return sorted({*globals(), *_ON_FIRST_USE})
+
 
 # In a clone, models/ and problems/ stand beside this package; in a wheel they are inside it.
 if not (_Path(__file__).parent / "models").is_dir():

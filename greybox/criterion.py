@@ -42,7 +42,11 @@ class Criterion(ABC):
     @property
     def description(self) -> str:
         """The rule in words."""
-        return self.rule if getattr(self, "normalized", "measured") == "measured" else f"{self.rule}, over the model's magnitude"
+        return (
+            self.rule
+            if getattr(self, "normalized", "measured") == "measured"
+            else f"{self.rule}, over the model's magnitude"
+        )
 
     def check(self, data: FrequencyResponse) -> None:
         """Raise ValueError when `data` do not hold what the criterion needs."""
@@ -91,7 +95,7 @@ class _Relative(Criterion):
         return (model - data.response) / self.magnitude(model, data)
 
     def magnitude(self, model: Any, data: FrequencyResponse) -> Any:
-        """What the errors are divided by, (n,)."""
+        """Return what the errors are divided by, (n,)."""
         return np.abs(data.response) if self.normalized == "measured" else abs(model)
 
     def jacobian(

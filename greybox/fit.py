@@ -23,7 +23,7 @@ from greybox.model import Model, equation
 from greybox.multistart import multistart
 from greybox.nlp import AnyProblem, Nlp, compile_problem
 from greybox.problem import Problem, Sum
-from greybox.reference import reference, resolve
+from greybox.reference import reference, resolve, source_text
 from greybox.result import Minimum, Multistart
 from greybox.solve import Run
 from greybox.starts import Starts, as_starts
@@ -71,6 +71,8 @@ class FittedPart:
     at : mapping of name to float
     rename : mapping of name to name
         From the model's parameter names to those of the estimate.
+    tied, constraints : mapping of name to str, tuple of str
+        Their source text, for the record.
     pade_error : float or None
         Largest phase error of the Padé approximation over the band, degrees; None with exact delay.
     model : mapping
@@ -89,6 +91,8 @@ class FittedPart:
     weight: float
     at: Mapping[str, float]
     rename: Mapping[str, str]
+    tied: Mapping[str, str]
+    constraints: tuple[str, ...]
     pade_error: float | None
     model: Mapping[str, Any]
     label: str
@@ -143,7 +147,7 @@ class Fit:
 
     @property
     def status(self) -> str:
-        """"converged", or why there is no answer."""
+        """The word "converged", or why there is no answer."""
         if self.converged:
             return "converged"
         return f"no start converged ({Multistart(self.runs, (), 0.0).failures})"
@@ -198,7 +202,9 @@ class Fit:
         """Return the covariance matrix of the named parameters."""
         for name in names:
             if name not in self.names:
-                raise ValueError(f"the fit has no parameter {name!r} with a covariance; it has {', '.join(self.names)}.")
+                raise ValueError(
+                    f"the fit has no parameter {name!r} with a covariance; it has {', '.join(self.names)}."
+                )
         places = [self.names.index(name) for name in names]
         return self.covariance[np.ix_(places, places)]
 
@@ -278,7 +284,9 @@ def assemble(nlp: Nlp, search: Multistart, *, seed: int, starts: str, began: flo
     accuracy = assess(nlp, best) if search.minima else _nothing(nlp)
     estimate = dict(zip(nlp.names, nlp.all_values(best).tolist(), strict=True))
     local = [dict(part.local_values(estimate)) for part in problem.parts]
-    errors = [pade_error(part, values) if search.minima else None for part, values in zip(problem.parts, local, strict=True)]
+    errors = [
+        pade_error(part, values) if search.minima else None for part, values in zip(problem.parts, local, strict=True)
+    ]
     responses = nlp.split(nlp.response_rows(best[None])[0])
     return Fit(
         name=problem.name,
@@ -309,7 +317,9 @@ def assemble(nlp: Nlp, search: Multistart, *, seed: int, starts: str, began: flo
 def _nothing(nlp: Nlp) -> Accuracy:
     k = len(nlp.names)
     covariance = np.full((k, k), np.nan)
-    return Accuracy(nlp.names, covariance, np.zeros((k, 0)), np.ones(k), 0.0, (), (), np.full(len(nlp.problem.parts), np.nan))
+    return Accuracy(
+        nlp.names, covariance, np.zeros((k, 0)), np.ones(k), 0.0, (), (), np.full(len(nlp.problem.parts), np.nan)
+    )
 
 
 def _masked(accuracy: Accuracy) -> NDArray[np.float64]:
@@ -338,6 +348,8 @@ def _part(part: Problem, values: dict[str, float], response: NDArray[np.complex1
         weight=part.weight,
         at=dict(part.at),
         rename=dict(part.rename),
+        tied={name: source_text(tie) for name, tie in part.tied.items()},
+        constraints=tuple(source_text(constraint) for constraint in part.constraints),
         pade_error=error,
         model=reference(part.model),
         label=part.model.label,
@@ -409,7 +421,7 @@ def _derivation(part: Problem, function: Callable[[Any], Any]) -> Callable[[Mapp
 
 
 def _text(fit: Fit) -> str:
-    """Answer in order: converged? do the starts agree? at what cost? which values, how sure? what to beware of?"""
+    """Answer in order: converged, starts that agree, cost, values and their errors, what to beware of."""
     lines = [f"{fit.name}: {', '.join(dict.fromkeys(part.label for part in fit.parts))}", ""]
     converged = sum(run.converged for run in fit.runs)
     if not fit.converged:
@@ -419,8 +431,9 @@ def _text(fit: Fit) -> str:
         f"  starts     {converged} of {len(fit.runs)} converged; {fit.agreeing} agree on the best of "
         f"{minima} distinct {'minimum' if minima == 1 else 'minima'}",
         f"  cost       {fit.cost:.6g}  ({fit.criterion})",
-        f"  data       {sum(len(p.data) for p in fit.parts)} points in {len(fit.parts)} response{'s'[: len(fit.parts) > 1]}, "
-        f"delay {fit.delay}" + "".join(_pade_text(p) for p in fit.parts if p.pade_error is not None),
+        f"  data       {sum(len(p.data) for p in fit.parts)} points in "
+        f"{len(fit.parts)} {'response' if len(fit.parts) == 1 else 'responses'}, delay {fit.delay}"
+        + "".join(_pade_text(p) for p in fit.parts if p.pade_error is not None),
         "",
     ]
     rows = []
@@ -431,7 +444,12 @@ def _text(fit: Fit) -> str:
     table = text_table(["parameter", "estimate", "± error", "unit", "bounds", "", "meaning"], rows, left=(0, 3, 5, 6))
     lines += ["  " + line for line in table.splitlines()]
     others = [(rule, cost) for rule, cost in fit.costs.items() if not math.isnan(cost) and rule != fit.criterion]
-    lines += ["", "  other criteria at this estimate:", *(f"    {number(cost):>10}  {rule}" for rule, cost in others), ""]
+    lines += [
+        "",
+        "  other criteria at this estimate:",
+        *(f"    {number(cost):>10}  {rule}" for rule, cost in others),
+        "",
+    ]
     lines += [f"  warning: {text}" for text in fit.warnings]
     return "\n".join([*lines, f"  {fit.seconds:.2f} s, seed {fit.seed}, starts {fit.starts}"])
 

@@ -169,6 +169,8 @@ def read_response(
         If there is no such file.
     """
     path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no file {path}.")
     with path.open(newline="", encoding="utf-8-sig") as file:
         lines = csv.reader(file)
         try:

@@ -69,7 +69,9 @@ def _pick(name: str, known: tuple[str, ...], what: str, owner: str) -> str:
     if name in known:
         return name
     if name:
-        raise ValueError(f"{owner} has no {what} {name!r}; it has {', '.join(known)}: name the data's {what} as one of them.")
+        raise ValueError(
+            f"{owner} has no {what} {name!r}; it has {', '.join(known)}: name the data's {what} as one of them."
+        )
     if len(known) > 1:
         raise ValueError(f"{owner} has several {what}s ({', '.join(known)}): say which one the data are, {what}=...")
     return known[0]
@@ -217,7 +219,9 @@ def response_function(
     s = Complex(ca.SX.zeros(len(omega)), ca.SX(ca.DM(omega)), pade)
     if isinstance(model, TransferFunction):
         if at:
-            raise ValueError(f"{model.label} is a transfer function and has no operating point: leave out at={dict(at)}.")
+            raise ValueError(
+                f"{model.label} is a transfer function and has no operating point: leave out at={dict(at)}."
+            )
         result = model.response(s, parameter_names(model, p))
         return ca.Function("response", [p], _parts(result, s, model.label))
     assert isinstance(model, StateSpace)
@@ -237,9 +241,15 @@ def _parts(result: Any, s: Complex, owner: str) -> list[ca.SX]:
     """Return real and imaginary part of a traced response, one entry per frequency."""
     if not isinstance(result, Complex):
         result = result + 0 * s
-    parts = [ca.SX(part) + ca.SX.zeros(s.im.numel()) if ca.SX(part).is_scalar() else ca.SX(part) for part in (result.re, result.im)]
+    parts = [
+        ca.SX(part) + ca.SX.zeros(s.im.numel()) if ca.SX(part).is_scalar() else ca.SX(part)
+        for part in (result.re, result.im)
+    ]
     if any(part.shape != s.im.shape for part in parts):
-        raise ValueError(f"{owner}.response returns shape {parts[0].shape} for {s.im.numel()} frequencies: return one value for each.")
+        raise ValueError(
+            f"{owner}.response returns shape {parts[0].shape} for {s.im.numel()} frequencies: "
+            "return one value for each."
+        )
     return parts
 
 

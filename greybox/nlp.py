@@ -36,7 +36,10 @@ class Scaling:
 
     def expressions(self, z: Any) -> list[Any]:
         """Return x for a CasADi vector z."""
-        return [ca.exp(z[k]) if log else z[k] * float(f) for k, (f, log) in enumerate(zip(self.factor, self.logarithmic, strict=True))]
+        return [
+            ca.exp(z[k]) if log else z[k] * float(f)
+            for k, (f, log) in enumerate(zip(self.factor, self.logarithmic, strict=True))
+        ]
 
 
 @dataclass(frozen=True, eq=False)

@@ -53,7 +53,9 @@ class Parameter:
         if self.scale not in ("linear", "log"):
             raise ValueError(f"scale {self.scale!r} is not known: use 'linear' or 'log'.")
         if self.scale == "log" and low <= 0:
-            raise ValueError(f"scale 'log' needs positive bounds, not ({low:g}, {high:g}): raise the lower bound above 0.")
+            raise ValueError(
+                f"scale 'log' needs positive bounds, not ({low:g}, {high:g}): raise the lower bound above 0."
+            )
         if self.starts is not None:
             self._check_box(low, high)
 

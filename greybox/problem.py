@@ -103,15 +103,20 @@ class Problem:
 
     def _check_names(self) -> None:
         label, known = self.model.label, self.model.parameters
-        for what, names in (("fixed", self._given()), ("free", self.free), ("tied", self.tied), ("rename", self.rename)):
+        for what, names in (
+            ("fixed", self.given),
+            ("free", self.free),
+            ("tied", self.tied),
+            ("rename", self.rename),
+        ):
             for name in names:
                 if name not in known:
                     raise ValueError(
                         f"{what} names {name!r}, which {label} does not have; its parameters are {', '.join(known)}."
                     )
         for a, b, first, second in (
-            (self._given(), self.free, "fixed", "free"),
-            (self._given(), self.tied, "fixed", "tied"),
+            (self.given, self.free, "fixed", "free"),
+            (self.given, self.tied, "fixed", "tied"),
             (self.free, self.tied, "free", "tied"),
         ):
             both = [name for name in a if name in b]
@@ -120,7 +125,9 @@ class Problem:
         outside = [self.rename.get(name, name) for name in known]
         for name in outside:
             if outside.count(name) > 1:
-                raise ValueError(f"rename gives two parameters of {label} the name {name!r}: use tied to make them equal.")
+                raise ValueError(
+                    f"rename gives two parameters of {label} the name {name!r}: use tied to make them equal."
+                )
 
     def _check_operating_point(self) -> None:
         if isinstance(self.model, StateSpace):
@@ -128,11 +135,14 @@ class Problem:
         elif self.at:
             raise ValueError(f"{self.model.label} has no operating point: leave out at={dict(self.at)}.")
 
-    def _given(self) -> Mapping[str, "float | Estimated"]:
+    @property
+    def given(self) -> Mapping[str, "float | Estimated"]:
         """Return `fixed` by name."""
         if not isinstance(self.fixed, Estimated):
             return self.fixed
-        shared = {name: self.fixed for name in self.model.parameters if self.rename.get(name, name) in self.fixed.estimate}
+        shared = {
+            name: self.fixed for name in self.model.parameters if self.rename.get(name, name) in self.fixed.estimate
+        }
         if not shared:
             raise ValueError(
                 f"the Fit given as fixed has {', '.join(self.fixed.estimate)}, of which {self.model.label} has none; "
@@ -150,7 +160,7 @@ class Problem:
 
     def _as_stated(self, local: str, parameter: Parameter) -> Parameter:
         """Apply `fixed` and `free` to one declared parameter."""
-        given = self._given()
+        given = self.given
         if local not in given:
             return replace(parameter, fixed=parameter.fixed and local not in self.free)
         value = given[local]
@@ -191,13 +201,15 @@ class Problem:
     @property
     def known(self) -> dict[str, Estimated]:
         """The earlier answers among the fixed values, by outside name."""
-        return {self.rename.get(n, n): v for n, v in self._given().items() if isinstance(v, Estimated)}
+        return {self.rename.get(n, n): v for n, v in self.given.items() if isinstance(v, Estimated)}
 
     def local_values(self, values: Mapping[str, Any]) -> Names:
-        """Name the model's parameters, with the ties evaluated, given values (numbers or expressions) by outside name."""
+        """Name the model's parameters, ties evaluated, given numbers or expressions by outside name."""
         local = {name: values[self.rename.get(name, name)] for name in self._own}
         for name, tie in self.tied.items():
-            local[name] = _try(tie, Names(local, f"the problem {self.name!r}, at the tie of {name!r},"), f"tied[{name!r}]")
+            local[name] = _try(
+                tie, Names(local, f"the problem {self.name!r}, at the tie of {name!r},"), f"tied[{name!r}]"
+            )
         return Names({name: local[name] for name in self.model.parameters}, self.model.label)
 
     def __add__(self, other: Any) -> "Sum":

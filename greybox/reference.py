@@ -1,7 +1,9 @@
 """How a stored result names its model: module, class and arguments, as plain JSON."""
 
 import importlib
+import inspect
 import sys
+from collections.abc import Callable
 from typing import Any
 
 from greybox.model import Model
@@ -40,6 +42,14 @@ def resolve(stored: dict[str, Any]) -> Model:
     return owner(*arguments, **{name: _alive(value) for name, value in stored["keywords"].items()})
 
 
+def source_text(function: Callable[..., Any]) -> str:
+    """Return the source of a tie or constraint, for the record; its name where the source is not at hand."""
+    try:
+        return inspect.getsource(function).strip()
+    except (OSError, TypeError):
+        return repr(function)
+
+
 def _plain(value: Any) -> Any:
     if isinstance(value, Model):
         return {"model": reference(value)}
@@ -54,5 +64,7 @@ def _alive(value: Any) -> Any:
     if isinstance(value, dict) and "model" in value:
         return resolve(value["model"])
     if isinstance(value, dict):
-        raise LookupError(f"an argument of the model, {value.get('text')}, was stored as text only: give model=... itself.")
+        raise LookupError(
+            f"an argument of the model, {value.get('text')}, was stored as text only: give model=... itself."
+        )
     return tuple(_alive(item) for item in value) if isinstance(value, list) else value

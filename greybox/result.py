@@ -87,6 +87,8 @@ def _variants(nlp: Nlp, members: Sequence[Run]) -> int:
     distinct: list[NDArray[np.float64]] = []
     for run in members:
         z = nlp.scaling.to_solver(run.estimate)
-        if not any(np.all(np.abs(z - other) <= 0.05 * np.maximum(np.abs(z), np.abs(other)) + 1e-6) for other in distinct):
+        if not any(
+            np.all(np.abs(z - other) <= 0.05 * np.maximum(np.abs(z), np.abs(other)) + 1e-6) for other in distinct
+        ):
             distinct.append(z)
     return len(distinct)

@@ -60,7 +60,7 @@ class Outcome:
 
 
 class Solver:
-    """IPOPT on one compiled problem, built once; the problem's own criterion, or first the one that locates the minimum."""
+    """IPOPT on one compiled problem, built once: the criterion that locates the minimum, if any, then its own."""
 
     def __init__(self, nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({})) -> None:
         self._nlp = nlp

@@ -24,7 +24,9 @@ def pade_coefficients(order: int) -> list[float]:
     """
     n = order
     return [
-        math.factorial(2 * n - k) * math.factorial(n) / (math.factorial(2 * n) * math.factorial(k) * math.factorial(n - k))
+        math.factorial(2 * n - k)
+        * math.factorial(n)
+        / (math.factorial(2 * n) * math.factorial(k) * math.factorial(n - k))
         for k in range(n + 1)
     ]
 
@@ -110,7 +112,9 @@ class Rational:
 
     __array_ufunc__ = None
 
-    def __init__(self, numerator: Sequence[Any], denominator: Sequence[Any] = (1.0,), delay: Any = 0.0, pade: int | None = None):
+    def __init__(
+        self, numerator: Sequence[Any], denominator: Sequence[Any] = (1.0,), delay: Any = 0.0, pade: int | None = None
+    ):
         self.numerator, self.denominator = _trim(numerator), _trim(denominator)
         self.delay, self.pade = delay, pade
 
@@ -229,7 +233,7 @@ def maximum(a: Any, b: Any) -> Any:
 
 
 def where(condition: Any, a: Any, b: Any) -> Any:
-    """`a` where `condition` holds, else `b`, of numbers or CasADi expressions."""
+    """Return `a` where `condition` holds, else `b`, of numbers or CasADi expressions."""
     if any(isinstance(x, _CASADI) for x in (condition, a, b)):
         return ca.if_else(condition, a, b)
     return np.where(condition, a, b)
@@ -249,7 +253,9 @@ def _complex(value: Any) -> Complex | None:
         return value
     if isinstance(value, (int, float, np.floating, np.integer, *_CASADI)):
         return Complex(value, 0.0)
-    if isinstance(value, (complex, np.complexfloating)) or (isinstance(value, np.ndarray) and value.dtype.kind in "fiuc"):
+    if isinstance(value, (complex, np.complexfloating)) or (
+        isinstance(value, np.ndarray) and value.dtype.kind in "fiuc"
+    ):
         return Complex(np.real(value), np.imag(value))
     return None
 

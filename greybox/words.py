@@ -32,7 +32,7 @@ def warnings(nlp: Nlp, search: Multistart, accuracy: Accuracy, pade_errors: list
 
 
 def pade_error(part: Problem, values: dict[str, float]) -> float | None:
-    """Return the largest phase error in degrees over the fitted band of a part with Padé delay; None with exact delay."""
+    """Return the largest phase error (degrees) of a Padé delay over the fitted band; None with exact delay."""
     if delay_order(part.delay) is None:
         return None
     data = part.data
@@ -55,8 +55,9 @@ def _undetermined(accuracy: Accuracy) -> Iterator[str]:
             )
         else:
             yield (
-                f"{names} are hardly determined: the Jacobian is nearly rank deficient, since changes of them compensate "
-                f"one another (collinearity index {combination.index:.0f}); fix one of them or add data that tell them apart."
+                f"{names} are hardly determined: the Jacobian is nearly rank deficient, since changes of them "
+                f"compensate one another (collinearity index {combination.index:.0f}); fix one of them or add data "
+                "that tell them apart."
             )
 
 
@@ -80,12 +81,15 @@ def _agreement(search: Multistart) -> Iterator[str]:
     if len(runs) == 1:
         yield "one start only: whether this is the global minimum is not known; use more starts."
     elif agreeing == 1 or agreeing < FEW * len(runs):
-        yield f"only {agreeing} of {len(runs)} starts reached the best minimum: there may be a better one; use more starts."
+        yield (
+            f"only {agreeing} of {len(runs)} starts reached the best minimum: a better one may exist; use more starts."
+        )
     if search.converged < 0.5 * len(runs):
         yield f"only {search.converged} of {len(runs)} runs converged ({search.failures})."
-    rivals = [m for m in search.minima[1:] if m.cost <= best.cost * (1 + NEAR)]
+    rivals = [m for m in search.minima[1:] if 0 < m.cost <= best.cost * (1 + NEAR)]
     if rivals:
-        yield f"another minimum costs only {100 * (rivals[0].cost / best.cost - 1):.2g} % more with a different response."
+        excess = 100 * (rivals[0].cost / best.cost - 1)
+        yield f"another minimum costs only {excess:.2g} % more and has a different response."
 
 
 def _variants(search: Multistart, accuracy: Accuracy) -> Iterator[str]:
@@ -110,8 +114,8 @@ def _noise(nlp: Nlp, best: Minimum, accuracy: Accuracy) -> Iterator[str]:
     for part, noise in zip(nlp.problem.parts, accuracy.noise, strict=True):
         if getattr(part.criterion, "normalized", None) == "measured" and noise > NOISY:
             yield (
-                f"{part.name!r} misses the model by {100 * noise:.0f} % in each component: dividing by the measured magnitude "
-                f"may bias the gain low by about {200 * noise**2:.0f} %; compare with normalized='model'."
+                f"{part.name!r} misses the model by {100 * noise:.0f} % in each component: dividing by the measured "
+                f"magnitude may bias the gain low by about {200 * noise**2:.0f} %; compare with normalized='model'."
             )
         if part.criterion.known_noise:
             yield from _misfit(part, nlp, best.estimate)
@@ -123,7 +127,7 @@ def _misfit(part: Problem, nlp: Nlp, x: NDArray[np.float64]) -> Iterator[str]:
     if not 0.4 <= ratio <= 2.5:
         yield (
             f"the residuals of {part.name!r} are {ratio:.2g} times what the given variances say: "
-            f"{'the model misses something or the variances are too small' if ratio > 1 else 'the variances are too large'}."
+            + ("the model misses something or the variances are too small." if ratio > 1 else "they are too large.")
         )
 
 

@@ -45,9 +45,7 @@ class Torques(gb.StateSpace):
     K_tau = gb.Parameter(
         2e-6, bounds=(1e-9, 1e-3), unit="N·m·s²", about="roll and pitch torque per squared speed", scale="log"
     )
-    K_psi = gb.Parameter(
-        2e-7, bounds=(1e-10, 1e-4), unit="N·m·s²", about="yaw torque per squared speed", scale="log"
-    )
+    K_psi = gb.Parameter(2e-7, bounds=(1e-10, 1e-4), unit="N·m·s²", about="yaw torque per squared speed", scale="log")
 
     def output(self, x, u, p):
         one, two, three, four = u.Omega_1**2, u.Omega_2**2, u.Omega_3**2, u.Omega_4**2

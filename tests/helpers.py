@@ -14,9 +14,7 @@ from greybox.linear import delay_order, response_function
 
 def shipped_models():
     """Every model class in greybox.models, by its name."""
-    modules = [
-        importlib.import_module(f"greybox.models.{m.name}") for m in pkgutil.iter_modules(gb.models.__path__)
-    ]
+    modules = [importlib.import_module(f"greybox.models.{m.name}") for m in pkgutil.iter_modules(gb.models.__path__)]
     classes = [
         found
         for module in modules
@@ -31,9 +29,7 @@ def random_values(model, random):
     values = {}
     for name, parameter in model.parameters.items():
         box = np.array(parameter.box)
-        values[name] = float(
-            np.exp(random.uniform(*np.log(box))) if parameter.scale == "log" else random.uniform(*box)
-        )
+        values[name] = float(np.exp(random.uniform(*np.log(box))) if parameter.scale == "log" else random.uniform(*box))
     return values
 
 

@@ -51,9 +51,7 @@ def test_names_are_attributes_and_mapping():
 
 
 def test_names_say_what_there_is():
-    with pytest.raises(
-        AttributeError, match=r"Tilt has no 'a6'; it has a1, a2, a3, a4, T_rotor, T_delay, a5\."
-    ):
+    with pytest.raises(AttributeError, match=r"Tilt has no 'a6'; it has a1, a2, a3, a4, T_rotor, T_delay, a5\."):
         _ = Tilt().values().a6
     with pytest.raises(AttributeError, match="it has no 'a'; it has nothing"):
         _ = Names({}).a
@@ -66,10 +64,18 @@ def test_names_are_read_only():
         Tilt().values().a1 = 3.0
 
 
-@pytest.mark.parametrize("name", ["keys", "values", "items", "get"])
-def test_names_may_be_those_of_mapping_methods(name):
-    """A state or parameter called like a method of a mapping must not break the mapping."""
-    assert dict(Names({name: 1.0})) == {name: 1.0}
+@pytest.mark.parametrize("name", ["keys", "values", "label", "derived"])
+def test_a_parameter_may_not_hide_what_a_formula_or_the_framework_calls(name):
+    """As a parameter, `values` would replace the method of that name."""
+    with pytest.raises(ValueError, match=f"Broken .*{name!r}.*another name"):
+        type("Broken", (gb.TransferFunction,), {name: gb.Parameter(1.0)})
+
+
+@pytest.mark.parametrize("name", ["keys", "values"])
+@pytest.mark.parametrize("kind", ["states", "inputs"])
+def test_a_signal_may_not_hide_what_the_framework_calls(kind, name):
+    with pytest.raises(ValueError, match=f"Broken .*{name!r}.*another name"):
+        declare(**{kind: (name,)})
 
 
 # --- models

@@ -1,0 +1,338 @@
+"""The command line: `greybox list`, `greybox fit`."""
+
+import argparse
+import contextlib
+import json
+import math
+import re
+import sys
+import traceback
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NoReturn
+
+from greybox import criterion as criteria
+from greybox.criterion import Criterion
+from greybox.fit import Fit, fit
+from greybox.frequency_response import read_response
+from greybox.model import Model, equation
+from greybox.nlp import AnyProblem
+from greybox.problem import Problem, Sum
+from greybox.shelf import find_model, find_problem, models_of, shipped, shipped_module
+from greybox.table import number, text_table
+
+USABLE, FAILED, BAD_INPUT = 0, 1, 2
+
+
+class UsageError(Exception):
+    """A mistake on the command line, in one sentence."""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(f"{message}; see {self.prog} --help.")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit status: 0 a usable answer, 1 a run that failed, 2 bad input."""
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    as_json = "--json" in arguments
+    try:
+        options = _parser().parse_args(arguments)
+    except UsageError as error:
+        return _complain(str(error), BAD_INPUT, as_json)
+    try:
+        # With --json, whatever a user's own file prints must not reach standard output.
+        with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
+            result, text, status = options.command(options)
+    except SystemExit:
+        return _complain("a file of your own called sys.exit: remove that call.", BAD_INPUT, as_json)
+    except KeyboardInterrupt:
+        return _complain("interrupted.", FAILED, as_json)
+    except Exception as error:
+        if "--debug" in arguments:
+            traceback.print_exc()
+        return _complain(*_explain(error, arguments), as_json=as_json)
+    print(json.dumps(result, allow_nan=False, ensure_ascii=False) if as_json else text)
+    return status
+
+
+def _complain(sentence: str, status: int, as_json: bool) -> int:
+    print(f"greybox: {sentence}", file=sys.stderr)
+    if as_json:
+        print(json.dumps({"error": sentence}, ensure_ascii=False))
+    return status
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="greybox", description="Grey-box estimation of models from flight data.", allow_abbrev=False)
+    parser.add_argument("--version", action="version", version=f"greybox {version('greybox-id')}")
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+    _add_list(commands)
+    _add_fit(commands)
+    return parser
+
+
+def _add_list(commands: Any) -> None:
+    parser = commands.add_parser("list", help="the shipped models and problems, with their equation and source")
+    parser.add_argument(
+        "name", nargs="?", metavar="NAME", help="show one whole: a problem, or a model such as tilt:Tilt"
+    )
+    _add_common(parser)
+    parser.set_defaults(command=_list)
+
+
+def _add_fit(commands: Any) -> None:
+    parser = commands.add_parser("fit", help="fit a problem from many starts", allow_abbrev=False)
+    add = parser.add_argument
+    add("problem", nargs="?", metavar="PROBLEM", help="a shipped problem, or my.py, or my.py:name")
+    add("--model", help="instead of PROBLEM: tilt:Tilt, 'polynomial:Polynomial(4, 1)' or my.py:Class")
+    add("--data", metavar="CSV", help="with --model: columns omega_rad_s, alpha, beta [, coherence, variance, dof]")
+    add("--input", default="", metavar="NAME", help="with --data: the input signal, if the model has several")
+    add("--output", default="", metavar="NAME", help="with --data: the output signal, if the model has several")
+    add("--at", nargs="+", default=[], metavar="NAME=VALUE", help="with --model: operating point of an ODE")
+    add("--fix", nargs="+", default=[], metavar="NAME=VALUE", help="hold parameters at these values")
+    add("--free", nargs="+", default=[], metavar="NAME", help="free parameters that the model declares fixed")
+    add("--starts", type=_positive, help="number of starts (default: the problem's, or 200)")
+    add("--seed", type=_whole, help="seed of the starts (default: the problem's, or 0)")
+    add("--delay", help="exact or pade:n (default: the problem's)")
+    add("--criterion", help=f"{', '.join(_criteria())} (default: the problem's)")
+    add("--out", type=Path, metavar="FILE", help="save the result to this HDF5 file")
+    add("--plot", type=Path, metavar="FILE", help="draw Nyquist, Bode and starts into this png, pdf or svg")
+    add("--force", action="store_true", help="overwrite files that exist")
+    _add_common(parser)
+    parser.set_defaults(command=_fit)
+
+
+def _add_common(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print one JSON object on standard output and nothing else")
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+
+
+def _positive(text: str) -> int:
+    if not text.isascii() or not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
+    return int(text)
+
+
+def _whole(text: str) -> int:
+    if not text.isascii() or not text.isdigit():
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 0")
+    return int(text)
+
+
+def _fit(options: argparse.Namespace) -> tuple[dict[str, Any], str, int]:
+    for path in (options.out, options.plot):
+        _require_writable(path, options.force)
+    problem, settings = _stated_problem(options)
+    for name in ("starts", "seed"):
+        if getattr(options, name) is not None:
+            settings[name] = getattr(options, name)
+    result = fit(problem, **settings)
+    # Only what needs them imports HDF5 and matplotlib.
+    notes = []
+    if options.out is not None:
+        from greybox.store import save  # noqa: PLC0415
+
+        save(result, options.out)
+        notes.append(f"saved {options.out}")
+    if options.plot is not None:
+        from greybox.plotting import plot  # noqa: PLC0415
+
+        plot(result).savefig(options.plot, dpi=150)
+        notes.append(f"drew {options.plot}")
+    answer = _as_json(result)
+    if not result.converged:
+        answer["error"] = f"{result.status}."
+        print(f"greybox: {result.status}.", file=sys.stderr)
+    return answer, "\n".join([str(result), *notes]), USABLE if result.converged else FAILED
+
+
+def _require_writable(path: Path | None, force: bool) -> None:
+    if path is None:
+        return
+    if path.exists() and not force:
+        raise UsageError(f"{path} exists: give another name, or --force to overwrite it.")
+    if not path.resolve().parent.is_dir():
+        raise UsageError(f"the folder of {path} does not exist: make it first.")
+
+
+def _stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, Any]]:
+    if (options.problem is None) == (options.model is None):
+        raise UsageError("give either a PROBLEM or --model with --data; `greybox list` shows the shipped problems.")
+    settings: dict[str, Any] = {}
+    if options.problem is not None:
+        for name in ("data", "input", "output", "at"):
+            if getattr(options, name):
+                raise UsageError(f"--{name} goes with --model, not with a PROBLEM.")
+        problem, settings = find_problem(options.problem)
+    else:
+        if options.data is None:
+            raise UsageError("--model needs --data FILE.csv.")
+        model = find_model(options.model)
+        data = read_response(options.data, input=options.input, output=options.output)
+        problem = Problem(model, data, at=_assignments(options.at, "--at"))
+    if options.delay is not None:
+        problem = problem.with_(delay=options.delay)
+    if options.criterion is not None:
+        problem = problem.with_(criterion=_criterion(options.criterion))
+    return _restated(problem, _assignments(options.fix, "--fix"), options.free), settings
+
+
+def _restated(problem: AnyProblem, fix: dict[str, float], free: Sequence[str]) -> AnyProblem:
+    """Fix and free parameters by their outside names in every part that has them."""
+    for name in (*fix, *free):
+        if name not in problem.parameters:
+            raise ValueError(f"{problem.name} has no parameter {name!r}; it has {', '.join(problem.parameters)}.")
+    if not fix and not free:
+        return problem
+    parts = [_restated_part(part, fix, free) for part in problem.parts]
+    return parts[0] if isinstance(problem, Problem) else Sum(tuple(parts), problem.name)
+
+
+def _restated_part(part: Problem, fix: dict[str, float], free: Sequence[str]) -> Problem:
+    inside = {part.rename.get(name, name): name for name in part.model.parameters if name not in part.tied}
+    new = {inside[name]: value for name, value in fix.items() if name in inside}
+    freed = [inside[name] for name in free if name in inside]
+    held = {name: value for name, value in part.given.items() if name not in freed}
+    kept = [name for name in part.free if name not in new]
+    return replace(part, fixed={**held, **new}, free=tuple(dict.fromkeys([*kept, *freed])))
+
+
+def _assignments(words: Sequence[str], flag: str) -> dict[str, float]:
+    result = {}
+    for word in words:
+        name, _, value = word.partition("=")
+        try:
+            result[name] = float(value)
+        except ValueError:
+            raise UsageError(f"{flag} {word!r} is not understood: write NAME=VALUE, e.g. a5=0.16.") from None
+    return result
+
+
+def _criteria() -> dict[str, Criterion]:
+    """Return every criterion by its name on the command line."""
+    names = {}
+    for item in criteria.CRITERIA:
+        words = re.sub(r"(?<=[a-z])(?=[A-Z])", "-", type(item).__name__).lower()
+        names[words if getattr(item, "normalized", "measured") == "measured" else f"{words}:model"] = item
+    return names
+
+
+def _criterion(text: str) -> Criterion:
+    known = _criteria()
+    if text not in known:
+        raise UsageError(f"criterion {text!r} is not known; use {', '.join(known)}.")
+    return known[text]
+
+
+def _as_json(result: Fit) -> dict[str, Any]:
+    return {
+        "problem": result.name,
+        "criterion": result.criterion,
+        "delay": result.delay,
+        "starts": len(result.runs),
+        "seed": result.seed,
+        "converged": sum(run.converged for run in result.runs),
+        "agreeing": result.agreeing,
+        "minima": len(result.minima),
+        "cost": _known(result.cost),
+        "costs": _all_known(result.costs),
+        "status": result.status,
+        "estimate": _all_known(result.estimate),
+        "standard_error": _all_known(result.standard_error),
+        "derived": _all_known(result.derived),
+        "at_bound": [q.name for q in result.quantities if q.at_bound],
+        "warnings": list(result.warnings),
+        "checksum": result.checksum,
+        "seconds": result.seconds,
+        "versions": dict(result.versions),
+    }
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _all_known(values: Any) -> dict[str, float | None]:
+    return {name: _known(value) for name, value in values.items()}
+
+
+def _list(options: argparse.Namespace) -> tuple[dict[str, Any], str, int]:
+    if options.name is not None:
+        return _show(options.name)
+    problems = [(name, _doc(shipped_module("problems", name))) for name in shipped("problems")]
+    models = [
+        (f"{name}:{model.__name__}", equation(model))
+        for name in shipped("models")
+        for model in models_of(shipped_module("models", name))
+    ]
+    tables = [
+        text_table(
+            [title, "what it is", "source"], [[name, _first(doc), _source(doc)] for name, doc in rows], (0, 1, 2)
+        )
+        for title, rows in (("problem", problems), ("model", models))
+    ]
+    answer = {
+        kind: [{"name": name, "summary": _first(doc), "source": _source(doc), "about": doc} for name, doc in rows]
+        for kind, rows in (("problems", problems), ("models", models))
+    }
+    return answer, "\n\n".join([*tables, "`greybox list NAME` shows one whole, with its equation."]), USABLE
+
+
+def _show(name: str) -> tuple[dict[str, Any], str, int]:
+    if ":" in name or name.endswith(".py"):
+        model = find_model(name)
+        return {"name": name, "about": equation(model), **_parameters(model)}, _model_text(model), USABLE
+    module = shipped_module("problems", name)
+    problem, _ = find_problem(name)
+    parts = "\n\n".join(dict.fromkeys(_model_text(part.model) for part in problem.parts))
+    return {"name": name, "about": _doc(module)}, f"{name}\n\n{_doc(module)}\n\n{parts}", USABLE
+
+
+def _parameters(model: Model) -> dict[str, Any]:
+    rows = [{"name": n, "start": p.start, "unit": p.unit, "about": p.about} for n, p in model.parameters.items()]
+    return {"parameters": rows, "inputs": list(model.input_names), "outputs": list(model.output_names)}
+
+
+def _model_text(model: Model) -> str:
+    rows = [
+        [name, number(p.start), f"[{p.bounds[0]:g}, {p.bounds[1]:g}]", p.unit, "fixed" if p.fixed else "", p.about]
+        for name, p in model.parameters.items()
+    ]
+    table = text_table(["parameter", "start", "bounds", "unit", "", "meaning"], rows, (0, 3, 4, 5))
+    signals = f"{', '.join(model.input_names)} -> {', '.join(model.output_names)}"
+    return f"{model.label}: {signals}\n\n{equation(model)}\n\n{table}"
+
+
+def _doc(module: ModuleType) -> str:
+    return (module.__doc__ or "").strip()
+
+
+def _first(doc: str) -> str:
+    return doc.partition("\n\n")[0].replace("\n", " ")
+
+
+def _source(doc: str) -> str:
+    match = re.search(r"Source: (.+?)(?:\.\s|\.$|\n\n|$)", doc, re.DOTALL)
+    return " ".join(match[1].split()) if match else ""
+
+
+def _explain(error: Exception, arguments: Sequence[str]) -> tuple[str, int]:
+    """Turn an exception into one sentence and an exit status; an error in a user's own file names file and line."""
+    sentence = " ".join(str(error).split()) or type(error).__name__
+    if isinstance(error, UsageError):
+        return sentence, BAD_INPUT
+    own = {str(Path(m[1]).resolve()): m[1] for word in arguments if (m := re.match(r"(.+\.py)(?:$|[:(])", word))}
+    if isinstance(error, SyntaxError) and error.filename and str(Path(error.filename).resolve()) in own:
+        return f"{own[str(Path(error.filename).resolve())]}, line {error.lineno}: {error.msg}.", BAD_INPUT
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if str(Path(f.filename).resolve()) in own]
+    if frames:
+        place = f"{own[str(Path(frames[-1].filename).resolve())]}, line {frames[-1].lineno}"
+        return f"{place}: {type(error).__name__}: {sentence}", BAD_INPUT
+    if isinstance(error, (ValueError, TypeError, LookupError, OSError)):
+        return sentence, BAD_INPUT
+    return f"internal error, {type(error).__name__}: {sentence}; run again with --debug and report it.", FAILED

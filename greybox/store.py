@@ -1,0 +1,248 @@
+"""Results in HDF5: one file holds the whole answer, in a layout that any HDF5 reader understands.
+
+Layout, version 1
+-----------------
+``/``            attributes ``format`` ("greybox fit"), ``layout``, ``name``, ``criterion``, ``delay``, ``status``,
+                 ``cost``, ``dof``, ``seed``, ``starts``, ``seconds``, ``checksum`` (SHA-256 of the data, part by part);
+                 JSON attributes ``costs`` and ``versions``; dataset ``warnings``.
+``/quantities``  one row per parameter and derived quantity: ``name, value, standard_error, kind, unit, about, bounds,
+                 at_bound``.
+``/covariance``  ``names`` (k,) and ``values`` (k, k).
+``/runs``        one row per start: ``start`` and ``estimate`` (r, p), ``cost, status, converged, iterations, seconds``,
+                 ``minimum`` (the row of ``/minima``, -1 for none); attribute ``free`` names the p columns.
+``/minima``      ``cost`` (m,), ``estimate`` (m, p), ``variants`` (m,), best first.
+``/parts/0 ...`` one group per problem in the sum: attributes ``name, criterion, rule, delay, weight, label, equation,
+                 checksum, pade_error`` and, as JSON, ``model, at, rename, tied, constraints``; groups ``data`` and
+                 ``curve`` (``omega, alpha, beta`` and, if known, ``coherence, variance, dof``) and the fitted
+                 ``response_alpha, response_beta`` at the data's frequencies.
+
+NaN means "not known". Nothing in a file is executed when it is loaded.
+"""
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from greybox.fit import Fit, FittedPart, Quantity
+from greybox.frequency_response import FrequencyResponse
+from greybox.result import Minimum
+from greybox.solve import Run
+
+LAYOUT = 1
+_EXTRAS = ("coherence", "variance", "dof")
+
+
+def save(fit: Fit, path: str | Path) -> None:
+    """Write `fit` to an HDF5 file; an existing file is replaced only once the new one is complete.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be written.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with h5py.File(temporary, "w") as file:
+            _write(file, fit)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def load(path: str | Path) -> Fit:
+    """Read a `Fit` that `save` wrote. The model is imported by name only when `Fit.response` asks for it.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is not a greybox result, is damaged, or was written by a later version.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no file {path}.")
+    try:
+        with h5py.File(path, "r") as file:
+            _check(file, path)
+            fit = _read(file)
+    except (OSError, KeyError, json.JSONDecodeError) as error:
+        raise ValueError(f"{path} is not a greybox result or is damaged ({error}).") from None
+    return fit
+
+
+def _check(file: h5py.File, path: Path) -> None:
+    if file.attrs.get("format") != "greybox fit":
+        raise ValueError(f"{path} is an HDF5 file but not a greybox result.")
+    if int(file.attrs["layout"]) > LAYOUT:
+        raise ValueError(
+            f"{path} has layout {file.attrs['layout']} and this version reads up to {LAYOUT}: install a newer greybox."
+        )
+
+
+def _write(file: h5py.File, fit: Fit) -> None:
+    scalars = ("name", "criterion", "delay", "status", "cost", "dof", "seed", "starts", "seconds", "checksum")
+    _attributes(file, format="greybox fit", layout=LAYOUT, **{name: getattr(fit, name) for name in scalars})
+    _attributes(file, costs=json.dumps(_finite(fit.costs)), versions=json.dumps(dict(fit.versions)))
+    _texts(file, "warnings", fit.warnings)
+    group = file.create_group("quantities")
+    for column in ("name", "kind", "unit", "about"):
+        _texts(group, column, [getattr(q, column) for q in fit.quantities])
+    for column in ("value", "standard_error", "bounds", "at_bound"):
+        group[column] = np.array([getattr(q, column) for q in fit.quantities])
+    _texts(file, "covariance/names", fit.names)
+    file["covariance/values"] = fit.covariance
+    _write_runs(file, fit)
+    for k, part in enumerate(fit.parts):
+        _write_part(file.create_group(f"parts/{k}"), part)
+
+
+def _write_runs(file: h5py.File, fit: Fit) -> None:
+    group = file.create_group("runs")
+    _texts(group, "status", [run.status for run in fit.runs])
+    for column in ("start", "estimate", "cost", "converged", "iterations", "seconds"):
+        group[column] = np.array([getattr(run, column) for run in fit.runs])
+    _attributes(group, free=json.dumps(fit.free))
+    minimum = np.full(len(fit.runs), -1)
+    for k, found in enumerate(fit.minima):
+        minimum[list(found.runs)] = k
+    group["minimum"] = minimum
+    minima = file.create_group("minima")
+    minima["cost"] = np.array([m.cost for m in fit.minima])
+    minima["variants"] = np.array([m.variants for m in fit.minima], dtype=int)
+    minima["estimate"] = np.array([m.estimate for m in fit.minima]).reshape(len(fit.minima), len(fit.free))
+
+
+def _write_part(group: h5py.Group, part: FittedPart) -> None:
+    texts = ("name", "criterion", "rule", "delay", "weight", "label", "equation")
+    _attributes(group, checksum=part.data.checksum, **{name: getattr(part, name) for name in texts})
+    _attributes(group, pade_error=math.nan if part.pade_error is None else part.pade_error)
+    for name in ("model", "at", "rename", "tied"):
+        _attributes(group, **{name: json.dumps(dict(getattr(part, name)))})
+    _attributes(group, constraints=json.dumps(part.constraints))
+    group["response_alpha"], group["response_beta"] = part.response.real, part.response.imag
+    for name, response in (("data", part.data), ("curve", part.curve)):
+        if response is not None:
+            _write_response(group.create_group(name), response)
+
+
+def _write_response(group: h5py.Group, response: FrequencyResponse) -> None:
+    _attributes(group, input=response.input, output=response.output, name=response.name, source=response.source)
+    for column in ("omega", "alpha", "beta", *_EXTRAS):
+        if getattr(response, column) is not None:
+            group[column] = getattr(response, column)
+
+
+def _read(file: h5py.File) -> Fit:
+    free = tuple(json.loads(file["runs"].attrs["free"]))
+    runs = _read_runs(file["runs"])
+    attributes = file.attrs
+    return Fit(
+        name=str(attributes["name"]),
+        parts=tuple(_read_part(file[f"parts/{k}"]) for k in range(len(file["parts"]))),
+        quantities=_read_quantities(file["quantities"]),
+        free=free,
+        names=_read_texts(file["covariance/names"]),
+        covariance=file["covariance/values"][()],
+        dof=float(attributes["dof"]),
+        cost=float(attributes["cost"]),
+        costs={k: math.nan if v is None else v for k, v in json.loads(attributes["costs"]).items()},
+        runs=runs,
+        minima=_read_minima(file, runs),
+        warnings=_read_texts(file["warnings"]),
+        seed=int(attributes["seed"]),
+        starts=str(attributes["starts"]),
+        seconds=float(attributes["seconds"]),
+        versions=json.loads(attributes["versions"]),
+    )
+
+
+def _read_quantities(group: h5py.Group) -> tuple[Quantity, ...]:
+    texts = {column: _read_texts(group[column]) for column in ("name", "kind", "unit", "about")}
+    values, errors, bounds, hits = (group[c][()] for c in ("value", "standard_error", "bounds", "at_bound"))
+    return tuple(
+        Quantity(
+            **{column: texts[column][k] for column in texts},  # type: ignore[arg-type]
+            value=float(values[k]),
+            standard_error=float(errors[k]),
+            bounds=(float(bounds[k, 0]), float(bounds[k, 1])),
+            at_bound=bool(hits[k]),
+        )
+        for k in range(len(values))
+    )
+
+
+def _read_runs(group: h5py.Group) -> tuple[Run, ...]:
+    status = _read_texts(group["status"])
+    start, estimate, cost = (group[c][()] for c in ("start", "estimate", "cost"))
+    converged, iterations, seconds = (group[c][()] for c in ("converged", "iterations", "seconds"))
+    return tuple(
+        Run(
+            index=k,
+            start=start[k],
+            estimate=estimate[k],
+            cost=float(cost[k]),
+            status=status[k],
+            converged=bool(converged[k]),
+            iterations=int(iterations[k]),
+            seconds=float(seconds[k]),
+        )
+        for k in range(len(status))
+    )
+
+
+def _read_minima(file: h5py.File, runs: tuple[Run, ...]) -> tuple[Minimum, ...]:
+    minimum, group = file["runs/minimum"][()], file["minima"]
+    cost, estimate, variants = (group[c][()] for c in ("cost", "estimate", "variants"))
+    result = []
+    for k in range(len(cost)):
+        members = sorted(np.flatnonzero(minimum == k).tolist(), key=lambda i: runs[i].cost)
+        result.append(Minimum(float(cost[k]), estimate[k], tuple(members), int(variants[k])))
+    return tuple(result)
+
+
+def _read_part(group: h5py.Group) -> FittedPart:
+    attributes = group.attrs
+    data = _read_response(group["data"])
+    if data.checksum != attributes["checksum"]:
+        raise KeyError(f"the data of part {attributes['name']!r} do not match their checksum")
+    error = float(attributes["pade_error"])
+    return FittedPart(
+        **{name: str(attributes[name]) for name in ("name", "criterion", "rule", "delay", "label", "equation")},
+        **{name: json.loads(attributes[name]) for name in ("model", "at", "rename", "tied")},
+        constraints=tuple(json.loads(attributes["constraints"])),
+        weight=float(attributes["weight"]),
+        pade_error=None if math.isnan(error) else error,
+        data=data,
+        response=group["response_alpha"][()] + 1j * group["response_beta"][()],
+        curve=_read_response(group["curve"]) if "curve" in group else None,
+    )
+
+
+def _read_response(group: h5py.Group) -> FrequencyResponse:
+    extras = {column: group[column][()] for column in _EXTRAS if column in group}
+    texts: dict[str, Any] = {name: str(group.attrs[name]) for name in ("input", "output", "name", "source")}
+    return FrequencyResponse(group["omega"][()], group["alpha"][()] + 1j * group["beta"][()], **texts, **extras)
+
+
+def _attributes(group: h5py.Group, **values: Any) -> None:
+    for name, value in values.items():
+        group.attrs[name] = value
+
+
+def _texts(group: h5py.Group, name: str, values: Any) -> None:
+    group.create_dataset(name, data=list(values), dtype=h5py.string_dtype(), shape=(len(values),))
+
+
+def _read_texts(dataset: h5py.Dataset) -> tuple[str, ...]:
+    return tuple(dataset.asstr()[()].tolist())
+
+
+def _finite(costs: Any) -> dict[str, float | None]:
+    return {name: value if math.isfinite(value) else None for name, value in costs.items()}

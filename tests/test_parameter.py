@@ -1,0 +1,63 @@
+"""Parameters: what they keep and every value that they refuse."""
+
+import dataclasses
+import math
+
+import pytest
+
+import greybox as gb
+
+
+def test_defaults():
+    parameter = gb.Parameter(2.0)
+    assert parameter.bounds == parameter.box == (-math.inf, math.inf)
+    assert (parameter.unit, parameter.about, parameter.fixed, parameter.scale) == ("1", "", False, "linear")
+
+
+def test_starts_are_drawn_in_the_bounds_unless_said():
+    assert gb.Parameter(2.0, bounds=(0, 5)).box == (0, 5)
+    assert gb.Parameter(2.0, bounds=(0, 5), starts=(1, 4)).box == (1, 4)
+    assert gb.Parameter(2.0, bounds=(0, 5), starts=(3, 3)).box == (3, 3)
+
+
+@pytest.mark.parametrize("start", [0.0, 5.0])
+def test_a_start_may_lie_on_a_bound(start):
+    assert gb.Parameter(start, bounds=(0, 5)).start == start
+
+
+def test_a_parameter_is_frozen_and_compares_by_value():
+    parameter = gb.Parameter(2.0, bounds=(0, 5))
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        parameter.start = 3.0
+    assert parameter == gb.Parameter(2.0, bounds=(0, 5))
+    assert parameter != gb.Parameter(2.0, bounds=(0, 6))
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ({"start": math.nan}, r"start nan is not a finite number: give a value inside bounds"),
+        ({"start": math.inf}, r"start inf is not a finite number"),
+        ({"start": "2"}, r"start '2' is not a"),
+        ({"start": None}, r"start None is not a"),
+        ({"start": 6.0}, r"start 6 lies outside bounds \(0, 5\): move the start or widen them"),
+        ({"start": -0.1}, r"start -0\.1 lies outside bounds"),
+        ({"bounds": (5, 0)}, r"bounds \(5, 0\) are reversed or empty: give \(low, high\) with low < high"),
+        ({"bounds": (2, 2)}, r"bounds \(2, 2\) are reversed or empty"),
+        ({"bounds": (math.nan, 5)}, r"bounds \(nan, 5\) hold a NaN"),
+        ({"bounds": 5}, r"bounds 5 must be a pair of numbers \(low, high\)"),
+        ({"bounds": (0, 1, 5)}, r"bounds \(0, 1, 5\) must be a pair"),
+        ({"bounds": ("a", "b")}, r"bounds \('a', 'b'\) must be a pair"),
+        ({"bounds": None}, r"bounds None must be a pair"),
+        ({"starts": (3, 1)}, r"starts \(3, 1\) must be two finite numbers \(low, high\) with low <= high"),
+        ({"starts": (0, math.inf)}, r"starts \(0, inf\) must be two finite numbers"),
+        ({"starts": (-1, 4)}, r"starts \(-1, 4\) reach outside bounds \(0, 5\): narrow the start box or widen"),
+        ({"starts": (1, 6)}, r"starts \(1, 6\) reach outside bounds \(0, 5\)"),
+        ({"starts": 3}, r"starts 3 must be a pair"),
+        ({"scale": "ln"}, r"scale 'ln' is not known: use 'linear' or 'log'"),
+        ({"scale": "log"}, r"scale 'log' needs positive bounds, not \(0, 5\): raise the lower bound above 0"),
+    ],
+)
+def test_bad_values_are_refused(words, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        gb.Parameter(**{"start": 2.0, "bounds": (0, 5)} | words)
