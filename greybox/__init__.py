@@ -3,11 +3,11 @@
 from importlib import import_module as _import_module
 from pathlib import Path as _Path
 
+from greybox.answer import Fit as Fit
 from greybox.criterion import MagnitudePhase as MagnitudePhase
 from greybox.criterion import MaximumLikelihood as MaximumLikelihood
 from greybox.criterion import RelativeError as RelativeError
 from greybox.criterion import SquaredRelativeError as SquaredRelativeError
-from greybox.fit import Fit as Fit
 from greybox.fit import fit as fit
 from greybox.frequency_response import FrequencyResponse as FrequencyResponse
 from greybox.frequency_response import read_response as read_response

@@ -14,9 +14,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NoReturn
 
-from greybox import criterion as criteria
-from greybox.criterion import Criterion
-from greybox.fit import Fit, fit
+from greybox.answer import Fit
+from greybox.criterion import CRITERIA, Criterion
+from greybox.fit import fit
 from greybox.frequency_response import read_response
 from greybox.model import Model, equation
 from greybox.nlp import AnyProblem
@@ -216,7 +216,7 @@ def _assignments(words: Sequence[str], flag: str) -> dict[str, float]:
 def _criteria() -> dict[str, Criterion]:
     """Return every criterion by its name on the command line."""
     names = {}
-    for item in criteria.CRITERIA:
+    for item in CRITERIA:
         words = re.sub(r"(?<=[a-z])(?=[A-Z])", "-", type(item).__name__).lower()
         names[words if getattr(item, "normalized", "measured") == "measured" else f"{words}:model"] = item
     return names
@@ -271,16 +271,17 @@ def _list(options: argparse.Namespace) -> tuple[dict[str, Any], str, int]:
         for model in models_of(shipped_module("models", name))
     ]
     tables = [
-        text_table(
-            [title, "what it is", "source"], [[name, _first(doc), _source(doc)] for name, doc in rows], (0, 1, 2)
-        )
+        text_table([title, "what it is"], [[name, _first(doc)] for name, doc in rows], (0, 1))
         for title, rows in (("problem", problems), ("model", models))
     ]
+    titles = dict.fromkeys(re.split(r", (?=[(]|section|below)", _source(doc))[0] for _, doc in (*problems, *models) if _source(doc))
+    sources = "\n".join(f"Source: {title}" for title in titles)
+    last = "`greybox list NAME` shows one whole, with its equation."
     answer = {
         kind: [{"name": name, "summary": _first(doc), "source": _source(doc), "about": doc} for name, doc in rows]
         for kind, rows in (("problems", problems), ("models", models))
     }
-    return answer, "\n\n".join([*tables, "`greybox list NAME` shows one whole, with its equation."]), USABLE
+    return answer, "\n\n".join([*tables, sources, last]), USABLE
 
 
 def _show(name: str) -> tuple[dict[str, Any], str, int]:

@@ -11,7 +11,7 @@ IEEE Trans. Automatic Control 19 (1974) 716-723.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,15 +28,7 @@ RANK = 1e-12  # singular values smaller than this part of the largest are roundi
 
 @dataclass(frozen=True)
 class NearPair:
-    """A zero and a pole that nearly cancel.
-
-    Attributes
-    ----------
-    zero, pole : complex, rad/s
-        Of a complex pair the one with positive imaginary part.
-    distance : float
-        |zero - pole| / max(|zero|, |pole|).
-    """
+    """A zero and a pole (the upper ones of complex pairs), rad/s; `distance` is |zero - pole| / max(|zero|, |pole|)."""
 
     zero: complex
     pole: complex
@@ -56,22 +48,9 @@ class NearPair:
 class Factored:
     """The factored form of (3.18) to (3.20): stable real poles as (T s + 1), all other factors monic.
 
-    Attributes
-    ----------
-    gain : float
-        The number in front of the factors.
-    zeros : tuple of float, rad/s
-        c of every real factor (s + c) of the numerator.
-    zero_quadratics : tuple of (float, float)
-        (c1, c0) of every factor s² + c1 s + c0 of the numerator, rad/s and rad²/s².
-    integrators : int
-        How many poles are zero.
-    time_constants : tuple of float, s
-        T of every stable real pole (T s + 1), smallest first.
-    unstable : tuple of float, rad/s
-        c < 0 of every unstable real pole (s + c).
-    quadratics : tuple of (float, float)
-        (c1, c0) of every factor s² + c1 s + c0 of the denominator, rad/s and rad²/s².
+    `zeros` holds c (rad/s) of every real factor (s + c) of the numerator, `zero_quadratics` (c1, c0) of every
+    s² + c1 s + c0. In the denominator there are `integrators` factors s, `time_constants` T (s), smallest first,
+    `unstable` c < 0 of (s + c), and `quadratics` like those of the numerator.
     """
 
     gain: float
@@ -83,9 +62,9 @@ class Factored:
     quadratics: tuple[tuple[float, float], ...]
 
     def __str__(self) -> str:
-        above = [_monic(c) for c in self.zeros] + [_quadratic(*c) for c in self.zero_quadratics]
+        above = [_factor(c) for c in self.zeros] + [_factor(*c) for c in self.zero_quadratics]
         below = ["s"] * self.integrators + [f"({number(T, 4)} s + 1)" for T in self.time_constants]
-        below += [_monic(c) for c in self.unstable] + [_quadratic(*c) for c in self.quadratics]
+        below += [_factor(c) for c in self.unstable] + [_factor(*c) for c in self.quadratics]
         return " ".join([number(self.gain, 4), *above]) + (f" / [{' '.join(below)}]" if below else "")
 
 
@@ -93,25 +72,13 @@ class Factored:
 class RationalFit:
     """A rational function (2.13) fitted by `levy`.
 
-    Attributes
-    ----------
-    numerator, denominator : arrays (m + 1,), (n + 1,)
-        Coefficients, highest power of s first; the denominator is monic and, with `integrator`, ends in 0.
-    integrator : bool
-        Whether the denominator was given the factor s, which `n` counts.
-    points : int
-        Number of frequencies of the data.
-    iterations : int
-        How often the equations were reweighted.
-    cost : float
-        Sum of relative errors (4.26) on the data, which is not what was minimized; NaN when the data hold a zero.
-    aic : float
-        Akaike's criterion 2 n_ω ln(Σ|e|² / n_ω) + 2 k of the relative errors e = P/P̂ - 1, for k coefficients: minus
-        twice the log likelihood of circular complex normal errors of one unknown relative size, plus twice the number
-        of unknowns, without what is the same for all orders. The estimate does not minimize Σ|e|², so read small
-        differences with care, and compare on the same data only.
-    condition : float
-        Condition number of the equations, their columns normalized; inf when one is exactly superfluous.
+    `numerator` (m + 1,) and monic `denominator` (n + 1,) have the highest power of s first; with `integrator` the last
+    coefficient of the denominator is 0. `points` is the number of frequencies, `iterations` that of reweightings.
+    `cost` is the sum of relative errors (4.26), which is not what was minimized; NaN when the data hold a zero.
+    `aic` is 2 n_ω ln(Σ|e|² / n_ω) + 2 k of the relative errors e = P/P̂ - 1, for k coefficients: Akaike's -2 ln L + 2 k
+    for circular complex normal errors of one unknown relative size, without what is the same for all orders. The
+    estimate does not minimize Σ|e|², so read small differences with care, and compare on the same data only.
+    `condition` is the condition number of the equations with normalized columns, inf when one unknown is superfluous.
     """
 
     numerator: NDArray[np.float64]
@@ -172,8 +139,9 @@ class RationalFit:
 
     def __str__(self) -> str:
         how = f"reweighted {self.iterations} times" if self.iterations else "not reweighted"
-        rows = [("zero", *_root_cells(z)) for z in _upper(self.zeros)]
-        rows += [("pole", *_root_cells(p)) for p in _upper(self.poles)]
+        roots = [("zero", z) for z in _upper(self.zeros)] + [("pole", p) for p in _upper(self.poles)]
+        damping = [number(-root.real / abs(root), 3) if root else "-" for _, root in roots]
+        rows = [(kind, _root(r), number(abs(r), 4), d) for (kind, r), d in zip(roots, damping, strict=True)]
         lines = [
             f"linear least squares (3.17), n = {self.n}, m = {self.m}"
             f"{', with integrator' if self.integrator else ''}, {self.points} frequencies, {how}",
@@ -189,17 +157,7 @@ class RationalFit:
 
 @dataclass(frozen=True, eq=False)
 class OrderPath:
-    """The orders that `order_path` visited.
-
-    Attributes
-    ----------
-    steps : tuple of RationalFit
-        One for each pair of orders, in the order visited.
-    reasons : tuple of str
-        Why each step was left; for the last, why it is the last.
-    tolerance : float
-        Relative distance below which a pair counts.
-    """
+    """The `steps` of `order_path`, why each was left or is the last, and the distance below which a pair counts."""
 
     steps: tuple[RationalFit, ...]
     reasons: tuple[str, ...]
@@ -222,9 +180,11 @@ class OrderPath:
 
     def __str__(self) -> str:
         marks = [""] * (len(self.steps) - 1) + [f"<- ends here: {self.reasons[-1]}"]
+        stable = [sum(pair.stable for pair in pairs) for pairs in self.pairs]
+        counted = [(str(k), str(len(pairs) - k)) for k, pairs in zip(stable, self.pairs, strict=True)]
         rows = [
-            (str(step.n), str(step.m), number(step.cost), number(step.aic, 4), *_counts(pairs), mark or reason)
-            for step, pairs, reason, mark in zip(self.steps, self.pairs, self.reasons, marks, strict=True)
+            (*map(str, (step.n, step.m)), number(step.cost), number(step.aic, 4), *counts, mark or reason)
+            for step, counts, reason, mark in zip(self.steps, counted, self.reasons, marks, strict=True)
         ]
         header = ("n", "m", "cost (4.26)", "AIC", "stable pairs", "unstable", "lowered because of")
         return text_table(header, rows, left=(6,)) + f"\nP(s) = {self.fit.factored}"
@@ -243,7 +203,8 @@ def levy(
 
     Real and imaginary part of b(jω) - P [a(jω) - (jω)ⁿ] = P (jω)ⁿ at the n_ω frequencies are 2 n_ω equations. Their
     columns are normalized before they are solved, which changes the rounding and not the solution. Where the equations
-    are rank deficient the solution of least norm (of the normalized unknowns) is taken; see `determined`.
+    are rank deficient the solution of least norm (of the normalized unknowns) is taken; see `determined`. The result is
+    a start for the model: ``gb.fit(problem, starts=[levy(data, 4, 1).coefficients, gb.Sobol(100)])``.
 
     Parameters
     ----------
@@ -259,11 +220,6 @@ def levy(
         How often to solve again with the equations also divided by |a(jω)| of the solution before (Sanathanan and
         Koerner 1963), which leads from the equation error towards the error of the response.
 
-    Returns
-    -------
-    RationalFit
-        Its `coefficients` are a start: ``gb.fit(problem, starts=[levy(data, 4, 1).coefficients, gb.Sobol(100)])``.
-
     Raises
     ------
     ValueError
@@ -277,7 +233,10 @@ def levy(
     for _ in range(iterations):
         size = np.abs(np.polyval(denominator, 1j * data.omega))
         numerator, denominator, condition = _solve(data, n, m, integrator, weights / size)
-    return _rational_fit(data, numerator, denominator, integrator, iterations=iterations, condition=condition)
+    numerator.flags.writeable = denominator.flags.writeable = False
+    model = np.polyval(numerator, 1j * data.omega) / np.polyval(denominator, 1j * data.omega)
+    cost, aic = evaluate(RelativeError(), model, data), _aic(model, data, n + m + 1 - bool(integrator))
+    return RationalFit(numerator, denominator, bool(integrator), len(data), iterations, cost, aic, condition)
 
 
 def order_path(
@@ -295,19 +254,18 @@ def order_path(
     Fit at the given orders. If a stable zero and a stable pole are closer than `tolerance`, or the equations are rank
     deficient (orders too high for noise-free data, where the place of the superfluous pair is arbitrary), lower both
     orders by one and fit again; otherwise, or at m = 0, end. So n - m stays what it was. The paper does not say how
-    close is obvious; nothing here looks at cost or AIC, which the table shows beside.
+    close is obvious; nothing here looks at cost or AIC, which the table shows beside. On the tables of the paper the
+    rule does not lead down to the paper's (4, 1): look at several beginnings.
 
     Parameters
     ----------
-    data, n, m, integrator
-        As for `levy`; the highest orders to begin with.
+    data, n, m, integrator, **options
+        As for `levy`, with its `weight` and `iterations`; the highest orders to begin with.
     tolerance : float
         Relative distance |zero - pole| / max(|zero|, |pole|) below which a pair obviously cancels, in (0, 1].
     unstable : bool
         Whether unstable pairs count as well. The paper names stable ones only, since cancelling an unstable pole hides
         it; but a pair that fits the noise falls to either side of the axis by chance.
-    **options
-        `weight` and `iterations` of `levy`.
 
     Raises
     ------
@@ -323,8 +281,8 @@ def order_path(
             break
         reasons.append(reason)
         steps.append(levy(data, steps[-1].n - 1, steps[-1].m - 1, integrator, **options))
-    kind = "pair" if unstable else "stable pair"
-    return OrderPath(tuple(steps), (*reasons, reason or f"no {kind} within {100 * tolerance:g} %"), tolerance)
+    end = f"no {'' if unstable else 'stable '}pair within {100 * tolerance:g} %"
+    return OrderPath(tuple(steps), (*reasons, reason or end), tolerance)
 
 
 def near_pairs(zeros: ArrayLike, poles: ArrayLike, tolerance: float = NEAR) -> tuple[NearPair, ...]:
@@ -334,14 +292,14 @@ def near_pairs(zeros: ArrayLike, poles: ArrayLike, tolerance: float = NEAR) -> t
     relative, a zero near the origin does not cancel an integrator unless it is zero itself.
     """
     above, below = _upper(zeros), _upper(poles)
-    found = [NearPair(complex(z), complex(p), _distance(z, p)) for z in above for p in below]
+    sizes = [(z, p, max(abs(z), abs(p))) for z in above for p in below]
+    found = [NearPair(z, p, abs(z - p) / size if size else 0.0) for z, p, size in sizes]
     taken: list[NearPair] = []
-    free_zeros, free_poles = list(above), list(below)
     for pair in sorted(found, key=lambda pair: pair.distance):
-        if pair.distance < tolerance and pair.zero in free_zeros and pair.pole in free_poles:
+        if pair.distance < tolerance and pair.zero in above and pair.pole in below:
             taken.append(pair)
-            free_zeros.remove(pair.zero)
-            free_poles.remove(pair.pole)
+            above.remove(pair.zero)
+            below.remove(pair.pole)
     return tuple(taken)
 
 
@@ -349,17 +307,17 @@ def factored(numerator: Sequence[float] | NDArray[Any], denominator: Sequence[fl
     """Factor a ratio of real polynomials (highest power of s first) into the form of (3.18)."""
     above, below = np.trim_zeros(np.asarray(numerator, float), "f"), np.asarray(denominator, float)
     zeros, poles = _upper(np.roots(above)), _upper(np.roots(below))
+    quadratics = [tuple((-2 * r.real, abs(r) ** 2) for r in roots if r.imag > 0) for roots in (zeros, poles)]
     real = [float(p.real) for p in poles if p.imag == 0]
     constants = tuple(sorted(-1 / p for p in real if p < 0))
-    lead = float(above[0] / below[0]) if above.size else 0.0
     return Factored(
-        gain=lead * math.prod(constants),
-        zeros=_offsets(z.real for z in zeros if z.imag == 0),
-        zero_quadratics=_quadratics(zeros),
+        gain=float(above[0] / below[0]) * math.prod(constants) if above.size else 0.0,
+        zeros=tuple(0.0 - z.real for z in zeros if z.imag == 0),
+        zero_quadratics=quadratics[0],
         integrators=real.count(0.0),
         time_constants=constants,
-        unstable=_offsets(p for p in real if p > 0),
-        quadratics=_quadratics(poles),
+        unstable=tuple(-p for p in real if p > 0),
+        quadratics=quadratics[1],
     )
 
 
@@ -373,33 +331,10 @@ def _solve(
     matrix, right = (np.concatenate([part.real, part.imag]) for part in (equations, response[:, 0]))
     scale = np.linalg.norm(matrix, axis=0)
     scale[scale == 0] = 1.0
-    solution, _, _, singular = np.linalg.lstsq(matrix / scale, right, rcond=RANK)
-    solution = solution / scale
+    normalized, _, _, singular = np.linalg.lstsq(matrix / scale, right, rcond=RANK)
+    solution = normalized / scale
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else math.inf
     return solution[: m + 1], np.concatenate([[1.0], solution[m + 1 :], np.zeros(int(integrator))]), condition
-
-
-def _rational_fit(
-    data: FrequencyResponse,
-    numerator: NDArray[np.float64],
-    denominator: NDArray[np.float64],
-    integrator: bool,
-    **about: Any,
-) -> RationalFit:
-    s = 1j * data.omega
-    model = np.polyval(numerator, s) / np.polyval(denominator, s)
-    unknowns = len(numerator) + len(denominator) - 1 - integrator
-    for values in (numerator, denominator):
-        values.setflags(write=False)
-    return RationalFit(
-        numerator,
-        denominator,
-        integrator=bool(integrator),
-        points=len(data),
-        cost=evaluate(RelativeError(), model, data),
-        aic=_aic(model, data, unknowns),
-        **about,
-    )
 
 
 def _aic(model: NDArray[np.complex128], data: FrequencyResponse, unknowns: int) -> float:
@@ -412,10 +347,9 @@ def _aic(model: NDArray[np.complex128], data: FrequencyResponse, unknowns: int) 
 
 def _superfluous(fit: RationalFit, tolerance: float, unstable: bool) -> str:
     """Say why the orders are obviously too high; empty when they are not."""
-    pairs = [p for p in near_pairs(fit.zeros, fit.poles, tolerance) if p.stable or unstable]
     if not fit.determined:
         return "rank deficient"
-    return str(pairs[0]) if pairs else ""
+    return next((str(p) for p in near_pairs(fit.zeros, fit.poles, tolerance) if p.stable or unstable), "")
 
 
 def _check_orders(data: FrequencyResponse, n: int, m: int, integrator: bool) -> None:
@@ -440,12 +374,9 @@ def _check_weight(weight: ArrayLike | None, data: FrequencyResponse) -> NDArray[
     weights = np.ones(len(data)) if weight is None else np.asarray(weight, dtype=float)
     if weights.shape != (len(data),):
         raise ValueError(f"weight has shape {weights.shape} for {len(data)} frequencies: give one number for each.")
-    bad = np.flatnonzero(~(np.isfinite(weights) & (weights > 0)))
-    if bad.size:
-        raise ValueError(
-            f"weight is {weights[bad[0]]:g} at omega = {data.omega[bad[0]]:g} rad/s: give finite numbers above 0, "
-            "and leave out the points that shall not count."
-        )
+    for omega, value in zip(data.omega, weights, strict=True):
+        if not 0 < value < math.inf:
+            raise ValueError(f"weight is {value:g} at omega = {omega:g} rad/s: it must be above 0, or omit the point.")
     return weights
 
 
@@ -454,39 +385,13 @@ def _upper(roots: ArrayLike) -> list[complex]:
     return sorted((complex(r) for r in np.atleast_1d(np.asarray(roots)) if r.imag >= 0), key=abs)
 
 
-def _distance(zero: complex, pole: complex) -> float:
-    return abs(zero - pole) / max(abs(zero), abs(pole)) if zero != pole else 0.0
-
-
-def _offsets(roots: Iterable[float]) -> tuple[float, ...]:
-    return tuple(0.0 - float(r) for r in roots)
-
-
-def _quadratics(roots: list[complex]) -> tuple[tuple[float, float], ...]:
-    return tuple((-2 * r.real, abs(r) ** 2) for r in roots if r.imag > 0)
-
-
-def _term(value: float, power: str = "") -> str:
-    return f" {'-' if value < 0 else '+'} {number(abs(value), 4)}{power}"
-
-
-def _monic(c: float) -> str:
-    return f"(s{_term(c)})" if c else "s"
-
-
-def _quadratic(c1: float, c0: float) -> str:
-    return f"(s²{_term(c1, ' s')}{_term(c0)})"
+def _factor(*coefficients: float) -> str:
+    """Write s + c, or s² + c1 s + c0, in brackets."""
+    powers = ("",) if len(coefficients) == 1 else (" s", "")
+    terms = [f" {'-' if c < 0 else '+'} {number(abs(c), 4)}{s}" for c, s in zip(coefficients, powers, strict=True) if c]
+    text = ("s", "s²")[len(coefficients) - 1] + "".join(terms)
+    return f"({text})" if terms else text
 
 
 def _root(root: complex) -> str:
     return number(root.real, 4) + (f" ± {number(root.imag, 4)}j" if root.imag else "")
-
-
-def _root_cells(root: complex) -> tuple[str, str, str]:
-    size = abs(root)
-    return _root(root), number(size, 4), number(-root.real / size, 3) if size else "-"
-
-
-def _counts(pairs: tuple[NearPair, ...]) -> tuple[str, str]:
-    stable = sum(pair.stable for pair in pairs)
-    return str(stable), str(len(pairs) - stable)

@@ -28,7 +28,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from greybox.fit import Fit, FittedPart, Quantity
+from greybox.answer import Fit, FittedPart, Quantity
 from greybox.frequency_response import FrequencyResponse
 from greybox.result import Minimum
 from greybox.solve import Run

@@ -12,7 +12,7 @@ from greybox.models.coupled import (
 )
 from greybox.models.mixer import Mixer, Torques
 from greybox.models.polynomial import Polynomial
-from greybox.models.rate import BasicAngle, BasicRate, YawRateLag, YawRateLead
+from greybox.models.rate import BasicAngle, BasicRate, DampedRate, YawRateLag, YawRateLead
 from greybox.models.rigid_body import EulerKinematics, RigidBody
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
@@ -167,6 +167,30 @@ def test_basic_rate_and_angle_are_mixer_rotor_torques_and_body_in_series():
         chain = gain * response(Rotor(), rotor) * body
         basic = {"K_phi": K_phi, "T_rotor": rotor["T_rotor"], "T_delay": rotor["T_delay"]}
         assert_allclose(response(model, basic), chain, rtol=1e-10)
+
+
+@pytest.mark.parametrize("values", draws(DampedRate()))
+def test_damped_rate_has_the_poles_its_parameters_name(values):
+    """(2.7): a zero at the origin, a pole at -1/T_1, and a pair of size omega_p at the angle that xi says."""
+    form = gb.rational(DampedRate(), values)
+    assert np.roots(form.numerator) == [0.0]
+    poles = np.roots(form.denominator)
+    pair = np.roots([1, 2 * values["xi"] * values["omega_p"], values["omega_p"] ** 2])
+    assert_allclose(np.sort_complex(poles), np.sort_complex([-1 / values["T_1"], *pair]), rtol=1e-8)
+    assert_allclose(np.prod(pair), values["omega_p"] ** 2, rtol=1e-12)
+    slope = form.numerator[0] / form.denominator[-1]  # of the response at s = 0
+    assert_allclose(slope, values["K_1"] / values["omega_p"] ** 2, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("model", "gain", "lag"), [(Rotor(), "K_Omega", "T_rotor"), (YawRateLag(), "K_2", "T_2")])
+def test_a_lag_falls_to_half_power_and_turns_by_45_degrees_at_its_corner(model, gain, lag):
+    """(4.21) and (2.8)."""
+    values = model.values(T_delay=0.0)
+    corner = 1 / values[lag]
+    response = gb.frequency_response(model, [1e-6 * corner, corner], values).response
+    assert_allclose(response, values[gain] * np.array([1, (1 - 1j) / 2]), rtol=1e-5)
+    later = gb.frequency_response(model, [corner], {**values, "T_delay": 0.02}).response
+    assert_allclose(later / response[1:], np.exp(-0.02j * corner), rtol=1e-12)
 
 
 def test_yaw_rate_lead_without_lead_is_the_lag_behind_the_rotor():

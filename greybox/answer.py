@@ -1,0 +1,260 @@
+"""The answer: estimates, errors, all runs and warnings, in plain values that print themselves."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from greybox.frequency_response import FrequencyResponse
+from greybox.linear import frequency_response
+from greybox.model import Model
+from greybox.reference import resolve
+from greybox.result import Minimum, Multistart
+from greybox.solve import Run
+from greybox.table import number, text_table, with_error
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One line of the answer.
+
+    Attributes
+    ----------
+    name, unit, about : str
+    value, standard_error : float
+        NaN for what is not known.
+    kind : "free", "fixed", "tied" or "derived"
+    bounds : (float, float)
+    at_bound : bool
+    """
+
+    name: str
+    value: float
+    standard_error: float
+    kind: Literal["free", "fixed", "tied", "derived"]
+    unit: str = ""
+    about: str = ""
+    bounds: tuple[float, float] = (-math.inf, math.inf)
+    at_bound: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class FittedPart:
+    """One problem of the sum, with its data and the fitted response, in plain values.
+
+    Attributes
+    ----------
+    name, criterion, rule, delay : str
+    data : FrequencyResponse
+    response : (n,) complex array
+        The fitted model at the data's frequencies; NaN when no start converged.
+    curve : FrequencyResponse or None
+        The fitted model on a fine grid over the band, for figures.
+    weight : float
+    at : mapping of name to float
+    rename : mapping of name to name
+        From the model's parameter names to those of the estimate.
+    tied, constraints : mapping of name to str, tuple of str
+        Their source text, for the record.
+    pade_error : float or None
+        Largest phase error of the Padé approximation over the band, degrees; None with exact delay.
+    model : mapping
+        The model's reference (module, class, arguments), see `greybox.reference`.
+    label, equation : str
+        Name and docstring of the model.
+    """
+
+    name: str
+    criterion: str
+    rule: str
+    delay: str
+    data: FrequencyResponse
+    response: NDArray[np.complex128]
+    curve: FrequencyResponse | None
+    weight: float
+    at: Mapping[str, float]
+    rename: Mapping[str, str]
+    tied: Mapping[str, str]
+    constraints: tuple[str, ...]
+    pade_error: float | None
+    model: Mapping[str, Any]
+    label: str
+    equation: str
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The outcome of all starts of a problem. Printing it answers the reader's questions in order.
+
+    It holds plain values only, so that a saved one loads without the model. `runs` and `minima` are those of the
+    multistart; vectors follow `free`.
+
+    Attributes
+    ----------
+    name : str
+        Of the problem.
+    quantities : tuple of Quantity
+        Free, fixed and tied parameters, then derived quantities.
+    names, covariance : tuple of str, (k, k) array
+        Of free parameters, then fixed ones.
+    dof : float
+        Degrees of freedom of Student's t.
+    cost : float
+        The criterion minimized, without smoothing; NaN when no start converged.
+    costs : mapping of str to float
+        The value of every criterion at the estimate; NaN where the data do not hold what it needs.
+    """
+
+    name: str
+    parts: tuple[FittedPart, ...]
+    quantities: tuple[Quantity, ...]
+    free: tuple[str, ...]
+    names: tuple[str, ...]
+    covariance: NDArray[np.float64]
+    dof: float
+    cost: float
+    costs: Mapping[str, float]
+    runs: tuple[Run, ...]
+    minima: tuple[Minimum, ...]
+    warnings: tuple[str, ...]
+    seed: int
+    starts: str
+    seconds: float
+    versions: Mapping[str, str]
+    models: tuple[Model, ...] | None = field(default=None, repr=False)
+
+    @property
+    def converged(self) -> bool:
+        """True when at least one start converged, so that there is an answer."""
+        return bool(self.minima)
+
+    @property
+    def status(self) -> str:
+        """The word "converged", or why there is no answer."""
+        if self.converged:
+            return "converged"
+        return f"no start converged ({Multistart(self.runs, (), 0.0).failures})"
+
+    @property
+    def agreeing(self) -> int:
+        """How many starts reached the best minimum."""
+        return len(self.minima[0].runs) if self.minima else 0
+
+    @property
+    def criterion(self) -> str:
+        """The rule that was minimized."""
+        return "; ".join(dict.fromkeys(part.rule for part in self.parts))
+
+    @property
+    def delay(self) -> str:
+        """How delays were evaluated."""
+        return "; ".join(dict.fromkeys(part.delay for part in self.parts))
+
+    @property
+    def estimate(self) -> dict[str, float]:
+        """Values of free, fixed and tied parameters by name."""
+        return {q.name: q.value for q in self.quantities if q.kind != "derived"}
+
+    @property
+    def derived(self) -> dict[str, float]:
+        """Values of the derived quantities by name."""
+        return {q.name: q.value for q in self.quantities if q.kind == "derived"}
+
+    @property
+    def standard_error(self) -> dict[str, float]:
+        """Standard errors by name, of derived quantities too; NaN where the data give none, 0 for a constant."""
+        return {q.name: q.standard_error for q in self.quantities}
+
+    @property
+    def checksum(self) -> str:
+        """Checksums of the data of all parts."""
+        return " ".join(part.data.checksum for part in self.parts)
+
+    def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
+        """Return confidence intervals by Student's t, by name; NaN where there is no standard error."""
+        if not 0 < level < 1:
+            raise ValueError(f"level {level} must lie between 0 and 1, e.g. 0.95.")
+        from scipy.special import stdtrit  # noqa: PLC0415  (takes a tenth of a second to import)
+
+        t = float(stdtrit(min(self.dof, 1e9), 0.5 + level / 2)) if self.dof > 0 else math.nan
+        return {
+            q.name: (q.value - t * q.standard_error, q.value + t * q.standard_error)
+            for q in self.quantities
+            if q.kind != "fixed" or q.standard_error > 0
+        }
+
+    def covariance_of(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Return the covariance matrix of the named parameters."""
+        for name in names:
+            if name not in self.names:
+                raise ValueError(
+                    f"the fit has no parameter {name!r} with a covariance; it has {', '.join(self.names)}."
+                )
+        places = [self.names.index(name) for name in names]
+        return self.covariance[np.ix_(places, places)]
+
+    def response(self, omega: ArrayLike, part: int = 0, model: Model | None = None) -> FrequencyResponse:
+        """Evaluate the fitted model of a part at `omega` (n,) rad/s.
+
+        A loaded fit imports its model by name; where that is not possible, give the `model`.
+
+        Raises
+        ------
+        LookupError
+            If the model cannot be imported; the sentence says what is missing.
+        """
+        stated = self.parts[part]
+        alive = model or (self.models[part] if self.models else resolve(dict(stated.model)))
+        values = {name: self.estimate[stated.rename.get(name, name)] for name in alive.parameters}
+        data = stated.data
+        return frequency_response(
+            alive, omega, values, input=data.input, output=data.output, at=stated.at, delay=stated.delay
+        )
+
+    def __str__(self) -> str:
+        return _text(self)
+
+
+def _text(fit: Fit) -> str:
+    """Answer in order: converged, starts that agree, cost, values and their errors, what to beware of."""
+    lines = [f"{fit.name}: {', '.join(dict.fromkeys(part.label for part in fit.parts))}", ""]
+    converged = sum(run.converged for run in fit.runs)
+    if not fit.converged:
+        return "\n".join([*lines, f"  FAILED: {fit.status}."])
+    minima = len(fit.minima)
+    lines += [
+        f"  starts     {converged} of {len(fit.runs)} converged; {fit.agreeing} agree on the best of "
+        f"{minima} distinct {'minimum' if minima == 1 else 'minima'}",
+        f"  cost       {fit.cost:.6g}  ({fit.criterion})",
+        f"  data       {sum(len(p.data) for p in fit.parts)} points in "
+        f"{len(fit.parts)} {'response' if len(fit.parts) == 1 else 'responses'}, delay {fit.delay}"
+        + "".join(_pade_text(p) for p in fit.parts if p.pade_error is not None),
+        "",
+    ]
+    rows = []
+    for q in fit.quantities:
+        value, error = with_error(q.value, q.standard_error)
+        note = {"fixed": "fixed", "tied": "tied", "derived": "derived"}.get(q.kind, "AT BOUND" if q.at_bound else "")
+        rows.append([q.name, value, error, q.unit, _interval(q.bounds) if q.kind == "free" else "", note, q.about])
+    table = text_table(["parameter", "estimate", "± error", "unit", "bounds", "", "meaning"], rows, left=(0, 3, 5, 6))
+    lines += ["  " + line for line in table.splitlines()]
+    others = [(rule, cost) for rule, cost in fit.costs.items() if not math.isnan(cost) and rule != fit.criterion]
+    lines += [
+        "",
+        "  other criteria at this estimate:",
+        *(f"    {number(cost):>10}  {rule}" for rule, cost in others),
+        "",
+    ]
+    lines += [f"  warning: {text}" for text in fit.warnings]
+    return "\n".join([*lines, f"  {fit.seconds:.2f} s, seed {fit.seed}, starts {fit.starts}"])
+
+
+def _pade_text(part: FittedPart) -> str:
+    return f"; Padé phase error up to {part.pade_error:.2g}° ({part.name})"
+
+
+def _interval(bounds: tuple[float, float]) -> str:
+    return f"[{bounds[0]:g}, {bounds[1]:g}]"

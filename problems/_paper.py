@@ -1,0 +1,53 @@
+"""What the problems of the paper share: its tables, and its polynomial structure with named outputs.
+
+The tables are those of "Frequency Domain Identification of the Quadcopter Attitude Dynamics": real flights of a
+quadcopter with an S500 frame, 10-inch propellers and a Pixhawk 4 with ArduPilot. The setpoint of one angle followed
+sines, one frequency after another, (3.14); each point of a table is a ratio (3.15) of Fourier filters (3.16).
+"""
+
+from pathlib import Path
+
+import numpy as np
+from greybox.models.polynomial import Polynomial
+
+import greybox as gb
+
+FOLDER = Path(__file__).parent / "data"
+
+
+def table(number, prefix, output, name):
+    """Return one response of a table, e.g. ``table("3.1", "pitch_", "theta", "pitch hover")``."""
+    file = FOLDER / f"table_{number.replace('.', '_')}.csv"
+    return gb.read_response(file, prefix, input="u", output=output, name=name)
+
+
+def coefficients(numerator, *factors):
+    """Return the coefficients of (2.13) by name, for a numerator and denominator factors given highest power first."""
+    denominator = np.ones(1)
+    for factor in factors:
+        denominator = np.convolve(denominator, factor)
+    b, a = np.array(numerator)[::-1] / denominator[0], denominator[:0:-1] / denominator[0]
+    named = {f"b{k}": float(value) for k, value in enumerate(b)} | {f"a{k}": float(value) for k, value in enumerate(a)}
+    return {name: value for name, value in named.items() if value or name != "a0"}  # an integrator has no a0
+
+
+class TiltPolynomial(Polynomial):
+    r"""Tilt angle from the tilt control by polynomial coefficients, (2.13).
+
+    $$P(s) = \frac{b_m s^m + \dots + b_0}{s^n + a_{n-1} s^{n-1} + \dots + a_0}, \qquad m < n$$
+
+    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.13).
+    """
+
+    output = "theta"
+
+
+class YawPolynomial(Polynomial):
+    r"""Yaw angle from the yaw control by polynomial coefficients, (2.13).
+
+    $$P(s) = \frac{b_m s^m + \dots + b_0}{s^n + a_{n-1} s^{n-1} + \dots + a_0}, \qquad m < n$$
+
+    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.13).
+    """
+
+    output = "psi"

@@ -1,0 +1,30 @@
+"""Pitch angle from the pitch control in hover: Table 3.1 and (4.25), estimate (4.28).
+
+Flown: setpoint sines of the pitch angle of a quadcopter in hover.
+
+Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 4.2.
+
+Rotor and delay are fixed at (4.22), the drag a5 at 0.16 1/s, as in the paper, whose third number is a3 times g.
+The minimum is lower than the published estimate.
+"""
+
+from greybox.models.tilt import Tilt
+from greybox.problems._paper import table
+
+import greybox as gb
+
+published = {
+    "source": "(4.28)",
+    "values": {"a1": -14.61, "a2": 2.97, "a3": 83.06 / gb.g, "a4": 295.5},
+    "cost": 0.5866,
+}
+minimum = 0.559187
+settings = {"starts": 200, "seed": 0}
+
+
+def data():
+    return table("3.1", "pitch_", "theta", "pitch hover")
+
+
+def problem():
+    return gb.Problem(Tilt(), data())

@@ -1,0 +1,30 @@
+"""Pitch angle in hover by the coefficients of a transfer function: Table 3.1 and (2.13), estimate (3.19).
+
+Flown: as in `pitch_hover`.
+
+Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 3.
+
+Odd: the published coefficients solve the linear least squares problem (3.17), not (4.26), which is minimized here.
+There is no delay: the coefficients absorb it.
+"""
+
+from greybox.problems import pitch_hover
+from greybox.problems._paper import TiltPolynomial, coefficients
+
+import greybox as gb
+
+published = {
+    "source": "(3.19)",
+    "values": coefficients([49.39, -49.39 * 0.156], [0.046, 1], [0.181, 1], [1, -3.79, 12.9]),
+    "cost": 0.6771,
+}
+minimum = 0.426659
+settings = {"starts": 200, "seed": 0}
+
+
+def data():
+    return pitch_hover.data()
+
+
+def problem():
+    return gb.Problem(TiltPolynomial(4, 1), data(), name="pitch hover, polynomial")

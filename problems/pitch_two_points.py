@@ -1,0 +1,27 @@
+"""Pitch angle in hover and around 5° at once, with common damping and gain: Tables 3.1 and 4.3, (4.25).
+
+Flown: as in `pitch_hover` and `pitch_5deg`.
+
+Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 4.2. The paper identifies each
+operating point by itself, (4.28) and (4.31), and finds that a1 and a3 change significantly; here only these
+two differ (a1_5deg, a3_5deg), while a2 and a4 are one unknown each.
+"""
+
+from greybox.models.tilt import Tilt
+from greybox.problems import pitch_5deg, pitch_hover
+
+import greybox as gb
+
+minimum = 0.0
+settings = {"starts": 200, "seed": 0}
+
+
+def data():
+    return pitch_hover.data(), pitch_5deg.data()
+
+
+def problem():
+    hover, moving = data()
+    separate = {"a1": "a1_5deg", "a3": "a3_5deg"}
+    both = gb.Problem(Tilt(), hover) + gb.Problem(Tilt(), moving, rename=separate)
+    return both.with_(name="pitch, two operating points")

@@ -1,0 +1,30 @@
+"""Roll angle from the roll control in hover: Table 3.1 and (4.25), estimate (4.27).
+
+Flown: setpoint sines of the roll angle of a quadcopter in hover.
+
+Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 4.2.
+
+Rotor and delay are fixed at (4.22), the drag a5 at 0.16 1/s, as in the paper, whose third number is a3 times g.
+The minimum is lower than the published estimate.
+"""
+
+from greybox.models.tilt import Tilt
+from greybox.problems._paper import table
+
+import greybox as gb
+
+published = {
+    "source": "(4.27)",
+    "values": {"a1": -1.28, "a2": 1.86, "a3": 73.07 / gb.g, "a4": 286.6},
+    "cost": 0.6222,
+}
+minimum = 0.566476
+settings = {"starts": 200, "seed": 0}
+
+
+def data():
+    return table("3.1", "roll_", "theta", "roll hover")
+
+
+def problem():
+    return gb.Problem(Tilt(), data())

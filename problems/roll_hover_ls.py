@@ -1,0 +1,30 @@
+"""Roll angle in hover by the coefficients of a transfer function: Table 3.1 and (2.13), estimate (3.18).
+
+Flown: as in `roll_hover`.
+
+Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 3.
+
+Odd: the published coefficients solve the linear least squares problem (3.17), not (4.26), which is minimized here.
+There is no delay: the coefficients absorb it.
+"""
+
+from greybox.problems import roll_hover
+from greybox.problems._paper import TiltPolynomial, coefficients
+
+import greybox as gb
+
+published = {
+    "source": "(3.18)",
+    "values": coefficients([58.65, 58.65 * 0.304], [0.050, 1], [0.193, 1], [1, -3.44, 13.8]),
+    "cost": 0.6288,
+}
+minimum = 0.488585
+settings = {"starts": 200, "seed": 0}
+
+
+def data():
+    return roll_hover.data()
+
+
+def problem():
+    return gb.Problem(TiltPolynomial(4, 1), data(), name="roll hover, polynomial")

@@ -1,0 +1,27 @@
+"""Rotor speeds and pitch angle in hover at once: Tables 4.2 and 3.1, (4.21) and (4.25) with one rotor.
+
+Flown: as in `rotors` and `pitch_hover`.
+
+Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, sections 4.1 and 4.2. The paper identifies
+the rotor first and keeps it while it identifies the pitch dynamics; here T_rotor and T_delay are estimated from both
+experiments together.
+
+Odd: the sign of one value of Table 4.2 is mended, see `rotors`; ``problem(mended=False)`` takes it as printed.
+"""
+
+from greybox.models.tilt import Tilt
+from greybox.problems import pitch_hover, rotors
+
+import greybox as gb
+
+minimum = 0.0
+settings = {"starts": 200, "seed": 0}
+
+
+def data(mended=True):
+    return *rotors.data(mended), pitch_hover.data()
+
+
+def problem(mended=True):
+    pitch = gb.Problem(Tilt(), pitch_hover.data(), free=("T_rotor", "T_delay"))
+    return (rotors.problem(mended) + pitch).with_(name="rotors and pitch")

@@ -1,0 +1,51 @@
+"""The generated tables of the README; `python tests/readme.py` writes them."""
+
+import re
+from pathlib import Path
+
+import greybox as gb
+from greybox.model import equation
+from greybox.shelf import find_problem, models_of, shipped, shipped_module
+
+README = Path(__file__).parents[1] / "README.md"
+
+
+def problems_table():
+    """One row per problem: published and refitted values side by side."""
+    lines = ["| problem | what it is | published | refitted | cost, published | cost, refitted |", "| --- " * 6 + "|"]
+    for name in shipped("problems"):
+        module = shipped_module("problems", name)
+        problem, settings = find_problem(name)
+        fit = gb.fit(problem, **settings, progress=False)
+        published = getattr(module, "published", {})
+        values = {n: v for n, v in fit.estimate.items() if n in fit.free}
+        about = (module.__doc__ or "").partition("\n")[0]
+        cost = f"{published['cost']:.4f}" if published else ""
+        old = _values(published.get("values", {}), published.get("source", ""))
+        lines.append(f"| `{name}` | {about} | {old} | {_values(values)} | {cost} | {fit.cost:.4f} |")
+    return "\n".join(lines)
+
+
+def models_table():
+    """One row per model."""
+    lines = ["| model | what it is |", "| --- | --- |"]
+    for name in shipped("models"):
+        for model in models_of(shipped_module("models", name)):
+            lines.append(f"| `{name}:{model.__name__}` | {equation(model).partition(chr(10))[0]} |")
+    return "\n".join(lines)
+
+
+def written(text):
+    """Return the README's text with its tables made anew."""
+    for title, table in (("problems", problems_table()), ("models", models_table())):
+        pattern = rf"(<!-- {title} -->\n).*?(<!-- end -->)"
+        text = re.sub(pattern, lambda m, table=table: f"{m[1]}{table}\n{m[2]}", text, flags=re.DOTALL)
+    return text
+
+
+def _values(values, source=""):
+    return (f"{source} " if source else "") + ", ".join(f"{name} {value:.4g}" for name, value in values.items())
+
+
+if __name__ == "__main__":
+    README.write_text(written(README.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,0 +1,33 @@
+"""The public names are a short explicit list, and each says what it is."""
+
+import dataclasses
+import inspect
+
+import greybox as gb
+
+PUBLIC = """
+Fit FrequencyResponse LatinHypercube LinearSystem Listed MagnitudePhase MaximumLikelihood Model Parameter Problem
+RelativeError Sobol SquaredRelativeError StateSpace TransferFunction Uniform
+arccos arcsin arctan arctan2 cos exp g log maximum minimum sign sin sqrt tan tanh where
+cost feedback fit frequency_response levy linearize load order_path plot plot_bode plot_nyquist plot_starts rational
+read_response save write_response
+""".split()
+
+
+def test_the_list_is_complete():
+    modules = {name for name in dir(gb) if inspect.ismodule(getattr(gb, name))}
+    assert sorted(n for n in dir(gb) if not n.startswith("_") and n not in modules) == sorted(PUBLIC)
+
+
+def test_every_public_name_has_a_docstring():
+    for name in PUBLIC:
+        thing = getattr(gb, name)
+        assert name == "g" or (thing.__doc__ or "").strip(), name
+
+
+def test_public_values_are_frozen_or_abstract():
+    for name in PUBLIC:
+        thing = getattr(gb, name)
+        if isinstance(thing, type):
+            frozen = dataclasses.is_dataclass(thing) and thing.__dataclass_params__.frozen
+            assert frozen or inspect.isabstract(thing), name
