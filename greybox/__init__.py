@@ -12,6 +12,8 @@ from greybox.fit import fit as fit
 from greybox.frequency_response import FrequencyResponse as FrequencyResponse
 from greybox.frequency_response import read_response as read_response
 from greybox.frequency_response import write_response as write_response
+from greybox.levy import levy as levy
+from greybox.levy import order_path as order_path
 from greybox.linear import LinearSystem as LinearSystem
 from greybox.linear import frequency_response as frequency_response
 from greybox.linear import linearize as linearize

@@ -274,7 +274,9 @@ def _list(options: argparse.Namespace) -> tuple[dict[str, Any], str, int]:
         text_table([title, "what it is"], [[name, _first(doc)] for name, doc in rows], (0, 1))
         for title, rows in (("problem", problems), ("model", models))
     ]
-    titles = dict.fromkeys(re.split(r", (?=[(]|section|below)", _source(doc))[0] for _, doc in (*problems, *models) if _source(doc))
+    titles = dict.fromkeys(
+        re.split(r", (?=[(]|section|below)", _source(doc))[0] for _, doc in (*problems, *models) if _source(doc)
+    )
     sources = "\n".join(f"Source: {title}" for title in titles)
     last = "`greybox list NAME` shows one whole, with its equation."
     answer = {
@@ -330,7 +332,10 @@ def _explain(error: Exception, arguments: Sequence[str]) -> tuple[str, int]:
     own = {str(Path(m[1]).resolve()): m[1] for word in arguments if (m := re.match(r"(.+\.py)(?:$|[:(])", word))}
     if isinstance(error, SyntaxError) and error.filename and str(Path(error.filename).resolve()) in own:
         return f"{own[str(Path(error.filename).resolve())]}, line {error.lineno}: {error.msg}.", BAD_INPUT
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if str(Path(f.filename).resolve()) in own]
+    causes = [error, *([error.__cause__] if error.__cause__ else [])]
+    frames = [
+        f for e in causes for f in traceback.extract_tb(e.__traceback__) if str(Path(f.filename).resolve()) in own
+    ]
     if frames:
         place = f"{own[str(Path(frames[-1].filename).resolve())]}, line {frames[-1].lineno}"
         return f"{place}: {type(error).__name__}: {sentence}", BAD_INPUT

@@ -1,5 +1,6 @@
 """Fitting a problem: many starts, then accuracy, then words."""
 
+import contextlib
 import math
 import platform
 import time
@@ -133,7 +134,8 @@ def _part(part: Problem, values: dict[str, float], response: NDArray[np.complex1
     if np.all(np.isfinite(response)):
         omega = np.geomspace(data.omega.min(), data.omega.max(), 200) if len(data) > 1 else data.omega
         signals = {"input": data.input, "output": data.output, "at": part.at}
-        curve = frequency_response(part.model, omega, values, delay=part.delay, **signals)
+        with contextlib.suppress(ValueError):  # an undamped resonance exactly on the grid
+            curve = frequency_response(part.model, omega, values, delay=part.delay, **signals)
     return FittedPart(
         name=part.name,
         criterion=repr(part.criterion),

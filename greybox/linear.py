@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from greybox.frequency_response import FrequencyResponse
 from greybox.model import Model, Names, StateSpace, TransferFunction
 from greybox.symbolic import Complex, Rational, exp
-from greybox.trim import call_derivative, column, parameter_names, split, trim_function
+from greybox.trim import call_derivative, column, parameter_names, split, traced, trim_function
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ def jacobians(model: StateSpace) -> ca.Function:
 
 def _call_output(model: StateSpace, z: ca.SX, p: ca.SX) -> list[Any]:
     x, u = split(model, z)
-    result = model.output(x, u, parameter_names(model, p))
+    result = traced(f"{model.label}.output", model.output, x, u, parameter_names(model, p))
     values = list(result) if isinstance(result, (tuple, list)) else [result]
     if len(values) != len(model.outputs):
         raise ValueError(
@@ -172,15 +172,24 @@ def frequency_response(
     """Evaluate the frequency response of `model` in numbers, at `omega` (n,) in rad/s.
 
     `values` are parameter values by name (by default the declared starts), `at` the operating point of an ODE.
+
+    Raises
+    ------
+    ValueError
+        For a name that is not known, or where the response is not finite, as at a pole on the imaginary axis.
     """
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
     input, output = pick_signals(model, input, output)
     pade = delay_order(delay)
-    if isinstance(model, TransferFunction):
-        response = _numbers(model, omega, model.values(values), pade)
-    else:
-        assert isinstance(model, StateSpace)
-        response = _state_space_numbers(linearize(model, values, at), omega, input, output, pade)
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        if isinstance(model, TransferFunction):
+            response = _numbers(model, omega, model.values(values), pade)
+        else:
+            assert isinstance(model, StateSpace)
+            response = _state_space_numbers(linearize(model, values, at), omega, input, output, pade)
+    if not np.all(np.isfinite(response)):
+        worst = omega[np.argmin(np.isfinite(response))]
+        raise ValueError(f"{model.label} has no finite response at omega = {worst:g} rad/s: a pole lies there.")
     return FrequencyResponse(omega, response, input=input, output=output, name=model.label, source="model")
 
 
@@ -189,7 +198,12 @@ def _numbers(model: TransferFunction, omega: NDArray[np.float64], p: Names, pade
     result = model.response(s, p)
     if isinstance(result, Complex):
         result = result.re + 1j * result.im
-    return np.broadcast_to(np.asarray(result, dtype=complex), omega.shape)
+    values = np.asarray(result, dtype=complex)
+    if values.shape not in ((), omega.shape):
+        raise ValueError(
+            f"{model.label}.response returns {values.size} values for {omega.size} frequencies: return one for each."
+        )
+    return np.broadcast_to(values, omega.shape)
 
 
 def _state_space_numbers(
@@ -198,7 +212,11 @@ def _state_space_numbers(
     i, k = system.inputs.index(input), system.outputs.index(output)
     pencil = 1j * omega[:, None, None] * np.eye(len(system.A)) - system.A
     b = np.broadcast_to(system.B[:, i, None], (len(omega), len(system.A), 1))
-    plant = np.linalg.solve(pencil, b)[..., 0] @ system.C[k] + system.D[k, i]
+    try:
+        states = np.linalg.solve(pencil, b)[..., 0]
+    except np.linalg.LinAlgError:
+        return np.full(len(omega), np.nan, dtype=complex)
+    plant = states @ system.C[k] + system.D[k, i]
     shift = -system.delays[i] * Complex(np.zeros_like(omega), omega, pade)
     delayed = exp(shift) * plant
     return delayed.re + 1j * delayed.im
@@ -222,7 +240,7 @@ def response_function(
             raise ValueError(
                 f"{model.label} is a transfer function and has no operating point: leave out at={dict(at)}."
             )
-        result = model.response(s, parameter_names(model, p))
+        result = traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
         return ca.Function("response", [p], _parts(result, s, model.label))
     assert isinstance(model, StateSpace)
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", len(model.inputs))
@@ -239,17 +257,18 @@ def response_function(
 
 def _parts(result: Any, s: Complex, owner: str) -> list[ca.SX]:
     """Return real and imaginary part of a traced response, one entry per frequency."""
-    if not isinstance(result, Complex):
-        result = result + 0 * s
-    parts = [
-        ca.SX(part) + ca.SX.zeros(s.im.numel()) if ca.SX(part).is_scalar() else ca.SX(part)
-        for part in (result.re, result.im)
-    ]
-    if any(part.shape != s.im.shape for part in parts):
-        raise ValueError(
-            f"{owner}.response returns shape {parts[0].shape} for {s.im.numel()} frequencies: "
-            "return one value for each."
-        )
+    if not isinstance(result, (Complex, int, float, np.number, ca.SX, ca.DM)):
+        raise ValueError(f"{owner}.response returns a {type(result).__name__}: return one expression of s and p.")
+    both = (result.re, result.im) if isinstance(result, Complex) else (result, 0.0)
+    parts = [ca.SX(part) for part in both]
+    for k, part in enumerate(parts):
+        if part.is_scalar():
+            parts[k] = part + ca.SX.zeros(s.im.numel())
+        elif part.shape != s.im.shape:
+            raise ValueError(
+                f"{owner}.response returns {part.numel()} values for {s.im.numel()} frequencies: return one for each."
+            )
+    column([part[0] for part in parts])
     return parts
 
 

@@ -1,6 +1,7 @@
 """The operating point of an ODE: states and inputs at which its derivative is zero, as a function of the parameters."""
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -47,13 +48,29 @@ def derivative_function(model: StateSpace) -> ca.Function:
 def call_derivative(model: StateSpace, z: ca.SX, p: ca.SX) -> list[Any]:
     """Evaluate `model.derivative` on expressions and check its length."""
     x, u = split(model, z)
-    result = list(model.derivative(x, u, parameter_names(model, p)))
+    result = traced(f"{model.label}.derivative", model.derivative, x, u, parameter_names(model, p))
+    if not isinstance(result, (tuple, list)):
+        raise ValueError(
+            f"{model.label}.derivative returns a {type(result).__name__}: return a tuple, one value a state."
+        )
     if len(result) != len(model.states):
         raise ValueError(
             f"{model.label}.derivative returns {len(result)} values but there are {len(model.states)} states "
             f"({', '.join(model.states)}): return one for each."
         )
-    return result
+    return list(result)
+
+
+def traced(owner: str, formula: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a user's formula with CasADi expressions, turning what CasADi has to say into a sentence with the cure."""
+    try:
+        return formula(*arguments)
+    except (RuntimeError, NotImplementedError, TypeError) as error:
+        reason = re.sub(r"^\.\.\./casadi\S+ ", "", str(error).strip().partition("\n")[0])
+        raise ValueError(
+            f"{owner} cannot be compiled ({reason.rstrip('.')}): write it with + - * / **, gb.exp, gb.where, "
+            "gb.maximum and friends, not with math, numpy, if, max or and."
+        ) from error
 
 
 def split(model: StateSpace, z: Any) -> tuple[Names, Names]:
@@ -77,7 +94,12 @@ def column(values: Sequence[Any]) -> ca.SX:
                 f"value {k} of the formula is a {type(value).__name__}, not a CasADi expression: "
                 "use gb.exp, gb.tan and friends instead of numpy or math functions."
             )
-    return ca.vertcat(*values) if values else ca.SX(0, 1)
+    stacked = ca.vertcat(*values) if values else ca.SX(0, 1)
+    if np.isnan([float(e) for e in stacked.elements() if e.is_constant()]).any():
+        raise ValueError(
+            "the formula becomes NaN when it is compiled: use gb.exp, gb.tan and friends instead of math functions."
+        )
+    return stacked
 
 
 def _as_function(model: StateSpace, p: ca.SX, point: Sequence[Any]) -> ca.Function:

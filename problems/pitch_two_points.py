@@ -12,7 +12,7 @@ from greybox.problems import pitch_5deg, pitch_hover
 
 import greybox as gb
 
-minimum = 0.0
+minimum = 1.791177
 settings = {"starts": 200, "seed": 0}
 
 

@@ -14,7 +14,7 @@ from greybox.problems import pitch_hover, rotors
 
 import greybox as gb
 
-minimum = 0.0
+minimum = 1.871958
 settings = {"starts": 200, "seed": 0}
 
 

@@ -247,6 +247,7 @@ def test_linear_tilt_has_the_transfer_functions_of_the_paper(values):
     assert_allclose(angle, response(Tilt(), values), rtol=1e-10)
     velocity = response(LinearTilt(), values, output="v")
     assert_allclose(velocity, angle * gb.g / (1j * OMEGA + values["a5"]), rtol=1e-10)
+    derived_quantities_equal(LinearTilt(), values, {"a3_tilde": 9.8065 * values["a3"]})
 
 
 @pytest.mark.parametrize("values", draws(YawStates(), 5))
