@@ -21,12 +21,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import scipy
-from greybox.models.rotor import Rotor
-from greybox.models.tilt import Tilt
 from scipy.special import stdtrit
 
 import greybox as gb
 from greybox.accuracy import assess, propagate
+from greybox.models.rotor import Rotor
+from greybox.models.tilt import Tilt
 from greybox.nlp import compile_problem
 from greybox.symbolic import Complex
 
@@ -130,7 +130,9 @@ def cases() -> list[Case]:
     both = Part(Tilt(), TILT_OMEGA, 0.05, ("T_rotor", "T_delay"))
     return [
         *result,
+        Case("lags, 40 points, 10 % noise", (Part(Lags(), LAGS_OMEGA, 0.1),)),
         Case("joint, rotor 2 % + tilt 5 %", (rotor, both)),
+        Case("joint, rotor 2 % + tilt 5 % with 96 points", (rotor, replace(both, omega=np.geomspace(0.5, 30, 96)))),
         Case("two-step, rotor 2 %, then tilt 5 %", (Part(Tilt(), TILT_OMEGA, 0.05),), rotor),
         Case("two-step, rotor 4 %, then tilt 2 %", (Part(Tilt(), TILT_OMEGA, 0.02),), replace(rotor, noise=0.04)),
     ]

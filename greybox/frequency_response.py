@@ -185,6 +185,9 @@ def read_response(
             f"{path} has no column {missing[0]!r}; it has {', '.join(header) or 'no header line'}: "
             "the columns must be omega_rad_s, alpha, beta and, if known, coherence, variance, dof."
         )
+    twice = [header[k] for k in wanted.values() if header.count(header[k]) > 1]
+    if twice:
+        raise ValueError(f"{path} has two columns {twice[0]!r}: rename or remove one.")
     table = [_numbers(path, number, row, wanted, header) for number, row in rows]
     kept = np.array([row for row in table if row is not None], dtype=float).reshape(-1, len(wanted))
     values = dict(zip(wanted, kept.T, strict=True))

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from greybox.frequency_response import FrequencyResponse
 from greybox.model import Model, Names, StateSpace, TransferFunction
 from greybox.symbolic import Complex, Rational, exp
-from greybox.trim import call_derivative, column, parameter_names, split, traced, trim_function
+from greybox.trace import parameter_names, require_no_nan, traced, traced_derivative, traced_output
+from greybox.trim import trim_function
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,22 +82,10 @@ def jacobians(model: StateSpace) -> ca.Function:
     """Return the CasADi function (parameters, states, inputs) -> A, B, C, D."""
     n, m = len(model.states), len(model.inputs)
     p, z = ca.SX.sym("p", len(model.parameters)), ca.SX.sym("z", n + m)
-    f, h = column(call_derivative(model, z, p)), column(_call_output(model, z, p))
+    f, h = traced_derivative(model, z, p), traced_output(model, z, p)
     x, u = z[:n], z[n:]
     blocks = [ca.jacobian(f, x), ca.jacobian(f, u), ca.jacobian(h, x), ca.jacobian(h, u)]
     return ca.Function("jacobians", [p, x, u], blocks)
-
-
-def _call_output(model: StateSpace, z: ca.SX, p: ca.SX) -> list[Any]:
-    x, u = split(model, z)
-    result = traced(f"{model.label}.output", model.output, x, u, parameter_names(model, p))
-    values = list(result) if isinstance(result, (tuple, list)) else [result]
-    if len(values) != len(model.outputs):
-        raise ValueError(
-            f"{model.label}.output returns {len(values)} values but there are {len(model.outputs)} outputs "
-            f"({', '.join(model.outputs)}): return one for each."
-        )
-    return values
 
 
 def linearize(
@@ -112,8 +101,12 @@ def linearize(
     p = model.values(values)
     vector = list(p.values())
     x, u = trim_function(model, at or {})(vector)
-    blocks = [np.asarray(ca.DM(b)) for b in jacobians(model)(vector, x, u)]
     point = np.concatenate([np.asarray(x).ravel(), np.asarray(u).ravel()])
+    if not np.all(np.isfinite(point)):
+        raise ValueError(
+            f"{model.label} has no operating point with {dict(at or {})} at {dict(p)}: check `at` and the values."
+        )
+    blocks = [np.asarray(ca.DM(b)) for b in jacobians(model)(vector, x, u)]
     delays = [p[model.delays[name]] if name in model.delays else 0.0 for name in model.inputs]
     names = (*model.states, *model.inputs)
     return LinearSystem(
@@ -146,13 +139,14 @@ def rational(
     """
     input, output = pick_signals(model, input, output)
     if isinstance(model, TransferFunction):
+        _require_no_point(model, at)
         result = model.response(Rational([1.0, 0.0], pade=pade), model.values(values))
         return result if isinstance(result, Rational) else Rational([result])
     assert isinstance(model, StateSpace)
     system = linearize(model, values, at)
     i, k = system.inputs.index(input), system.outputs.index(output)
     b, c, d = system.B[:, i], system.C[k], system.D[k, i]
-    denominator = np.atleast_1d(np.poly(system.A)).real
+    denominator = np.atleast_1d(np.poly(np.linalg.eigvals(system.A))).real
     markov = [d, *(c @ np.linalg.matrix_power(system.A, j) @ b for j in range(len(b)))]
     numerator = np.convolve(denominator, markov)[: len(denominator)]
     result = Rational(numerator.tolist(), denominator.tolist())
@@ -183,6 +177,7 @@ def frequency_response(
     pade = delay_order(delay)
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         if isinstance(model, TransferFunction):
+            _require_no_point(model, at)
             response = _numbers(model, omega, model.values(values), pade)
         else:
             assert isinstance(model, StateSpace)
@@ -198,12 +193,19 @@ def _numbers(model: TransferFunction, omega: NDArray[np.float64], p: Names, pade
     result = model.response(s, p)
     if isinstance(result, Complex):
         result = result.re + 1j * result.im
+    if not isinstance(result, (int, float, complex, np.number, np.ndarray)):
+        raise ValueError(f"{model.label}.response returns a {type(result).__name__}: return one expression of s and p.")
     values = np.asarray(result, dtype=complex)
     if values.shape not in ((), omega.shape):
         raise ValueError(
             f"{model.label}.response returns {values.size} values for {omega.size} frequencies: return one for each."
         )
     return np.broadcast_to(values, omega.shape)
+
+
+def _require_no_point(model: Model, at: Mapping[str, float] | None) -> None:
+    if at:
+        raise ValueError(f"{model.label} is a transfer function and has no operating point: leave out at={dict(at)}.")
 
 
 def _state_space_numbers(
@@ -236,10 +238,7 @@ def response_function(
     p = ca.SX.sym("p", len(model.parameters))
     s = Complex(ca.SX.zeros(len(omega)), ca.SX(ca.DM(omega)), pade)
     if isinstance(model, TransferFunction):
-        if at:
-            raise ValueError(
-                f"{model.label} is a transfer function and has no operating point: leave out at={dict(at)}."
-            )
+        _require_no_point(model, at)
         result = traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
         return ca.Function("response", [p], _parts(result, s, model.label))
     assert isinstance(model, StateSpace)
@@ -257,7 +256,7 @@ def response_function(
 
 def _parts(result: Any, s: Complex, owner: str) -> list[ca.SX]:
     """Return real and imaginary part of a traced response, one entry per frequency."""
-    if not isinstance(result, (Complex, int, float, np.number, ca.SX, ca.DM)):
+    if not isinstance(result, (Complex, int, float, np.number, np.ndarray, ca.SX, ca.DM)):
         raise ValueError(f"{owner}.response returns a {type(result).__name__}: return one expression of s and p.")
     both = (result.re, result.im) if isinstance(result, Complex) else (result, 0.0)
     parts = [ca.SX(part) for part in both]
@@ -268,7 +267,7 @@ def _parts(result: Any, s: Complex, owner: str) -> list[ca.SX]:
             raise ValueError(
                 f"{owner}.response returns {part.numel()} values for {s.im.numel()} frequencies: return one for each."
             )
-    column([part[0] for part in parts])
+    require_no_nan(f"{owner}.response", ca.vertcat(*parts))
     return parts
 
 

@@ -1,6 +1,7 @@
 """Model structures: a transfer function or an ODE, declared once with named parameters."""
 
 import inspect
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -38,6 +39,13 @@ class Names(Mapping[str, Any]):
         return f"Names({dict(self)!r})"
 
 
+def _require_usable(names: Iterable[str], owner: str, taken: type = Names) -> None:
+    """Raise ValueError for a name that would hide what the framework calls on `taken`."""
+    for name in names:
+        if hasattr(taken, name):
+            raise ValueError(f"{owner} cannot have a parameter or signal called {name!r}: choose another name.")
+
+
 class Model(ABC):
     """What `TransferFunction` and `StateSpace` share: declared parameters and derived quantities.
 
@@ -60,6 +68,8 @@ class Model(ABC):
         found: dict[str, Parameter] = {}
         for owner in reversed(cls.__mro__):
             found |= {name: value for name, value in vars(owner).items() if isinstance(value, Parameter)}
+        for taken in (Names, *(base for base in cls.__mro__[1:] if base.__module__ == __name__)):
+            _require_usable(found, cls.__name__, taken)
         cls.parameters = MappingProxyType(found)
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
@@ -93,6 +103,9 @@ class Model(ABC):
         """
         given = {**(given or {}), **more}
         require_known(given, self.parameters, "parameter", self.label)
+        for name, value in given.items():
+            if isinstance(value, (str, type(None))) or (isinstance(value, float) and not math.isfinite(value)):
+                raise ValueError(f"{name} = {value!r} is no finite number: give a value for {self.label}.")
         return Names({n: given.get(n, p.start) for n, p in self.parameters.items()}, self.label)
 
     def __repr__(self) -> str:
@@ -140,8 +153,12 @@ class Series(TransferFunction):
         _require_transfer_functions(first, second)
         self.first, self.second = first, second
         self.parameters = merged_parameters((first, second))
-        self.derived = {**first.derived, **second.derived}  # type: ignore[misc]
         self.input, self.output = first.input, second.output
+
+    @property
+    def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
+        """Those of both."""
+        return {**self.first.derived, **self.second.derived}
 
     def response(self, s: Any, p: Any) -> Any:
         """Product of the two responses."""
@@ -166,8 +183,12 @@ class Feedback(TransferFunction):
         self.forward, self.back, self.sign = forward, back, sign
         parts = (forward,) if back is None else (forward, back)
         self.parameters = merged_parameters(parts)
-        self.derived = {name: f for part in parts for name, f in part.derived.items()}  # type: ignore[misc]
         self.input, self.output = forward.input, forward.output
+
+    @property
+    def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
+        """Those of all parts."""
+        return {**self.forward.derived, **(self.back.derived if self.back else {})}
 
     def response(self, s: Any, p: Any) -> Any:
         """Return forward over one plus the loop."""
@@ -210,6 +231,7 @@ class StateSpace(Model):
             names = getattr(cls, attribute)
             if isinstance(names, str) or len(set(names)) != len(names):
                 raise ValueError(f"{cls.__name__}.{attribute} = {names!r} must be a tuple of different names.")
+            _require_usable(names, cls.__name__)
         twice = set(cls.states) & set(cls.inputs)
         if twice:
             raise ValueError(f"{cls.__name__} has {twice.pop()!r} both as state and as input: use two names.")

@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -44,8 +46,8 @@ class Parameter:
         low, high = _pair(self.bounds, "bounds")
         if not low < high:
             raise ValueError(f"bounds {self.bounds} are reversed or empty: give (low, high) with low < high.")
-        if not math.isfinite(self.start):
-            raise ValueError(f"start {self.start} is not a finite number: give a value inside bounds {self.bounds}.")
+        if not isinstance(self.start, (int, float, np.number)) or not math.isfinite(self.start):
+            raise ValueError(f"start {self.start!r} is not a finite number: give a value inside bounds {self.bounds}.")
         if not low <= self.start <= high:
             raise ValueError(
                 f"start {self.start:g} lies outside bounds ({low:g}, {high:g}): move the start or widen them."

@@ -1,7 +1,6 @@
 """Figures of a fit: Nyquist diagram, Bode diagram, and the costs that the starts reached."""
 
 import io
-import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,25 +11,21 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
-from matplotlib.path import Path
-from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
-from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from greybox.answer import Fit
 from greybox.frequency_response import FrequencyResponse
+from greybox.page import MARKER_SIZE, Room, plain, symbol
 
 # Okabe and Ito's colors, which readers with a color vision deficiency can tell apart; yellow is too pale for lines.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 DARK, GRAYS = "#222222", ("#222222", "#777777", "#AAAAAA")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 STYLES = ("-", "--", "-.", ":")
-MARKER_SIZE = 5.5  # points
 SAME_CURVE = 1e-2  # relative distance below which two curves of one fit are the same line on paper
 MANY = 12  # points of one data set that are all annotated
 LOG_SPAN = 30.0  # costs that span more than this are drawn on a log scale
-NEAR = 45.0  # points on the page, within which a number is not repeated
 
 
 def plot_nyquist(*fits: Fit | FrequencyResponse, labels: Sequence[str] = ()) -> Figure:
@@ -133,7 +128,7 @@ class _Series:
 def _collect(items: Sequence[Fit | FrequencyResponse], labels: Sequence[str]) -> list[_Series]:
     """Sort what is given into curves and then points; data that come twice count once."""
     _check(items, labels)
-    names = [_plain(label) for label in labels or _labels(items)]
+    names = [plain(label) for label in labels or _labels(items)]
     measured = {r.checksum: (r, label) for k, name in zip(items, names, strict=True) for r, label in _data(k, name)}
     places = [*measured]
     colors = COLORS if len(places) > 1 else (DARK,)
@@ -165,7 +160,7 @@ def _check(items: Sequence[Fit | FrequencyResponse], labels: Sequence[str]) -> N
 def _data(item: Fit | FrequencyResponse, name: str) -> list[tuple[FrequencyResponse, str]]:
     """Return the measured responses of an item with their labels."""
     if isinstance(item, Fit):
-        return [(part.data, _plain(part.name)) for part in item.parts]
+        return [(part.data, plain(part.name)) for part in item.parts]
     return [] if item.source == "model" else [(item, name)]
 
 
@@ -213,36 +208,18 @@ def _title(items: Sequence[Fit | FrequencyResponse]) -> str:
     fits = [item for item in items if isinstance(item, Fit)]
     names = [fit.name if fit.converged else f"{fit.name}: no start converged" for fit in fits]
     text = _joined(names or [item.name for item in items if item.name])
-    return _plain(text if len(text) <= 64 else text[:63].rstrip() + "…")
+    return plain(text if len(text) <= 64 else text[:63].rstrip() + "…")
 
 
 def _joined(names: Iterable[str]) -> str:
     return ", ".join(dict.fromkeys(names))
 
 
-def _plain(text: str) -> str:
-    """Return `text` as matplotlib is to show it: no mathematics, and no underscore that hides it from a legend."""
-    return text.lstrip("_").replace("$", r"\$")
-
-
 def _ratio(series: Sequence[_Series]) -> str:
     """Return output/input in symbols, e.g. θ/u, or P(jω) where they are not the same for all."""
     outputs = {one.response.output for one in series} - {""}
     inputs = {one.response.input for one in series} - {""}
-    return f"{_symbol(*outputs)}/{_symbol(*inputs)}" if len(outputs) == len(inputs) == 1 else "P(jω)"
-
-
-def _symbol(name: str) -> str:
-    """Return a signal's name with Greek letters: theta is θ, u_phi is u_φ."""
-    return "_".join(_greek(part) for part in name.split("_"))
-
-
-def _greek(name: str) -> str:
-    size = "SMALL" if name.islower() else "CAPITAL" if name.istitle() else "no"
-    try:
-        return unicodedata.lookup(f"GREEK {size} LETTER {name}")
-    except KeyError:
-        return name.replace("$", r"\$")
+    return f"{symbol(*outputs)}/{symbol(*inputs)}" if len(outputs) == len(inputs) == 1 else "P(jω)"
 
 
 def _draw_nyquist(figure: Figure | SubFigure, series: Sequence[_Series], title: str) -> Axes:
@@ -295,7 +272,7 @@ def _number_points(figure: Figure, axes: Axes, series: Sequence[_Series]) -> Non
     figure.draw_without_rendering()  # lays the axes out, so that places on the page are known
     measured = [one.response for one in series if one.measured]
     places = [axes.transData.transform(np.column_stack([data.alpha, data.beta])) for data in measured]
-    room = _Room(axes, [np.zeros((0, 2)), *places])
+    room = Room(axes, [np.zeros((0, 2)), *places])
     for data, place in zip(measured, places, strict=True):
         order = np.argsort(data.omega)
         omega, spots = data.omega[order], place[order]
@@ -303,48 +280,6 @@ def _number_points(figure: Figure, axes: Axes, series: Sequence[_Series]) -> Non
         for k in [*chosen[:1], *chosen[:0:-1]]:  # the ends first
             unit = " rad/s" if k == 0 and data is measured[0] else ""
             room.write(f"{omega[k]:.3g}{unit}", spots[k], spots[k] - spots[max(0, k - 1) : k + 2].mean(axis=0))
-
-
-class _Room:
-    """The page around the points: knows what is taken, and writes where nothing is. Lengths are in pixels."""
-
-    def __init__(self, axes: Axes, points: Sequence[NDArray]) -> None:
-        self._axes, self._pixel, self._points = axes, axes.figure.dpi / 72, np.vstack(points)
-        lines = [line for line in axes.get_lines() if line.get_linestyle() != "None"]
-        self._lines = [line.get_path().transformed(line.get_transform()) for line in lines]
-        self._written: list[tuple[str, NDArray, Bbox]] = []
-
-    def write(self, text: str, spot: NDArray, outward: NDArray) -> None:
-        """Write `text` beside the point at `spot` (2,), best in the direction `outward` (2,), if not just said."""
-        near = [said for said, there, _ in self._written if np.hypot(*(spot - there)) < NEAR * self._pixel]
-        if text.removesuffix(" rad/s") in [said.removesuffix(" rad/s") for said in near]:
-            return
-        look = {"fontsize": 8.5, "color": "0.25", "path_effects": [withStroke(linewidth=2, foreground="white")]}
-        x, y = self._axes.transData.inverted().transform(spot)
-        note = self._axes.annotate(text, (x, y), (0, 0), textcoords="offset points", ha="center", va="center", **look)
-        half = np.array(note.get_window_extent().size) / 2
-        offsets = self._offsets(half, outward)
-        for offset, lines in [*((d, self._lines) for d in offsets), *((d, self._lines[2:]) for d in offsets)]:
-            box = Bbox(np.array([spot + offset - half, spot + offset + half]))
-            if self._is_free(box, lines):  # at last on the axes through zero, which are the first two lines
-                note.set_position(tuple(offset / self._pixel))
-                self._written.append((text, spot, box))
-                return
-        note.remove()
-
-    def _offsets(self, half: NDArray, outward: NDArray) -> list[NDArray]:
-        """Return places around a point for the middle of a text of half the size `half` (2,), outward ones first."""
-        angles = np.radians(np.arange(0, 360, 30))
-        directions = np.column_stack([np.cos(angles), np.sin(angles)])
-        directions = directions[np.argsort(-directions @ outward, kind="stable")]
-        return [d * (MARKER_SIZE * self._pixel + np.min(half / np.maximum(np.abs(d), 1e-9))) for d in directions]
-
-    def _is_free(self, box: Bbox, lines: Sequence[Path]) -> bool:
-        wide, near, frame = box.padded(self._pixel * MARKER_SIZE / 2), box.padded(self._pixel), self._axes.bbox
-        within = np.all(box.min >= frame.min) and np.all(box.max <= frame.max)
-        covers = np.any(np.all((self._points > wide.min) & (self._points < wide.max), axis=1))
-        crossed = any(path.intersects_bbox(near, filled=False) for path in lines)
-        return bool(within and not covers and not crossed) and not any(near.overlaps(b) for *_, b in self._written)
 
 
 def _draw_bode(figure: Figure | SubFigure, series: Sequence[_Series], title: str) -> None:

@@ -1,7 +1,6 @@
 """The operating point of an ODE: states and inputs at which its derivative is zero, as a function of the parameters."""
 
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -9,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.model import Names, StateSpace, require_known
+from greybox.trace import column, derivative_function, parameter_names, traced, traced_derivative
 
 _TOLERANCE = 1e-9  # of the derivative at a trim, relative to the size of its terms
+_STEPS = 10  # from the trim at the start values to that at the values asked for
 
 
 def trim_function(model: StateSpace, at: Mapping[str, float]) -> ca.Function:
@@ -27,8 +28,8 @@ def trim_function(model: StateSpace, at: Mapping[str, float]) -> ca.Function:
     """
     require_known(at, (*model.states, *model.inputs), "state or input", model.label)
     for name, value in at.items():
-        if not np.isfinite(value):
-            raise ValueError(f"at[{name!r}] is {value}: give a finite number.")
+        if not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
+            raise ValueError(f"at[{name!r}] is {value!r}: give a finite number.")
     p = ca.SX.sym("p", len(model.parameters))
     if model.trim is not None:
         return _own_trim(model, at, p)
@@ -38,78 +39,16 @@ def trim_function(model: StateSpace, at: Mapping[str, float]) -> ca.Function:
     return _implicit_trim(model, at)
 
 
-def derivative_function(model: StateSpace) -> ca.Function:
-    """Return the CasADi function (states and inputs, parameters) -> derivative."""
-    z = ca.SX.sym("z", len(model.states) + len(model.inputs))
-    p = ca.SX.sym("p", len(model.parameters))
-    return ca.Function("derivative", [z, p], [column(call_derivative(model, z, p))])
-
-
-def call_derivative(model: StateSpace, z: ca.SX, p: ca.SX) -> list[Any]:
-    """Evaluate `model.derivative` on expressions and check its length."""
-    x, u = split(model, z)
-    result = traced(f"{model.label}.derivative", model.derivative, x, u, parameter_names(model, p))
-    if not isinstance(result, (tuple, list)):
-        raise ValueError(
-            f"{model.label}.derivative returns a {type(result).__name__}: return a tuple, one value a state."
-        )
-    if len(result) != len(model.states):
-        raise ValueError(
-            f"{model.label}.derivative returns {len(result)} values but there are {len(model.states)} states "
-            f"({', '.join(model.states)}): return one for each."
-        )
-    return list(result)
-
-
-def traced(owner: str, formula: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a user's formula with CasADi expressions, turning what CasADi has to say into a sentence with the cure."""
-    try:
-        return formula(*arguments)
-    except (RuntimeError, NotImplementedError, TypeError) as error:
-        reason = re.sub(r"^\.\.\./casadi\S+ ", "", str(error).strip().partition("\n")[0])
-        raise ValueError(
-            f"{owner} cannot be compiled ({reason.rstrip('.')}): write it with + - * / **, gb.exp, gb.where, "
-            "gb.maximum and friends, not with math, numpy, if, max or and."
-        ) from error
-
-
-def split(model: StateSpace, z: Any) -> tuple[Names, Names]:
-    """Name the states and the inputs in the stacked vector `z`."""
-    n = len(model.states)
-    x = Names({name: z[k] for k, name in enumerate(model.states)}, f"{model.label}.states")
-    u = Names({name: z[n + k] for k, name in enumerate(model.inputs)}, f"{model.label}.inputs")
-    return x, u
-
-
-def parameter_names(model: Any, p: Any) -> Names:
-    """Name the entries of a parameter vector."""
-    return Names({name: p[k] for k, name in enumerate(model.parameters)}, model.label)
-
-
-def column(values: Sequence[Any]) -> ca.SX:
-    """Stack scalar expressions, saying which one is not an expression."""
-    for k, value in enumerate(values):
-        if not isinstance(value, (int, float, np.number, ca.SX, ca.DM)):
-            raise ValueError(
-                f"value {k} of the formula is a {type(value).__name__}, not a CasADi expression: "
-                "use gb.exp, gb.tan and friends instead of numpy or math functions."
-            )
-    stacked = ca.vertcat(*values) if values else ca.SX(0, 1)
-    if np.isnan([float(e) for e in stacked.elements() if e.is_constant()]).any():
-        raise ValueError(
-            "the formula becomes NaN when it is compiled: use gb.exp, gb.tan and friends instead of math functions."
-        )
-    return stacked
-
-
 def _as_function(model: StateSpace, p: ca.SX, point: Sequence[Any]) -> ca.Function:
     n = len(model.states)
-    return ca.Function("trim", [p], [column(point[:n]), column(point[n:])])
+    return ca.Function(
+        "trim", [p], [column(f"{model.label}.trim", point[:n]), column(f"{model.label}.trim", point[n:])]
+    )
 
 
 def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> ca.Function:
     assert model.trim is not None
-    given = dict(model.trim(Names(at, "at"), parameter_names(model, p)))
+    given = dict(traced(f"{model.label}.trim", model.trim, Names(at, "at"), parameter_names(model, p)))
     require_known(given, (*model.states, *model.inputs), "state or input", model.label)
     trim = _as_function(model, p, [{**given, **at}.get(n, 0.0) for n in (*model.states, *model.inputs)])
     start = [q.start for q in model.parameters.values()]
@@ -144,7 +83,7 @@ def _some_value(parameter: Any, random: np.random.Generator) -> float:
 def _implicit_trim(model: StateSpace, at: Mapping[str, float]) -> ca.Function:
     names = (*model.states, *model.inputs)
     z, p = ca.SX.sym("z", len(names)), ca.SX.sym("p", len(model.parameters))
-    rest = column(call_derivative(model, z, p))
+    rest = traced_derivative(model, z, p)
     used = ca.sum1(ca.DM(ca.jacobian_sparsity(rest, z), 1.0)) if len(model.states) else ca.DM.zeros(1, len(names))
     unknown = [k for k, name in enumerate(names) if name not in at and float(used[k]) > 0]
     excess = len(unknown) - len(model.states)
@@ -168,8 +107,7 @@ def _presolve(
     model: StateSpace, at: Mapping[str, float], residual: ca.Function, start: NDArray[np.float64], size: int
 ) -> tuple[NDArray[np.float64], list[int]]:
     """Solve the trim at the start values; return it with as many independent equations as there are unknowns."""
-    from scipy.linalg import qr  # noqa: PLC0415  (scipy.optimize takes a fifth of a second to import)
-    from scipy.optimize import least_squares  # noqa: PLC0415
+    from scipy.optimize import least_squares  # noqa: PLC0415  (takes a fifth of a second to import)
 
     random = np.random.default_rng(0)
     guesses = [np.full(size, c) for c in (0.1, 1.0, -0.1, -1.0, 10.0)] + list(random.normal(0, 3, (15, size)))
@@ -184,34 +122,52 @@ def _presolve(
             ftol=1e-15,
             gtol=1e-15,
         )
-        jacobian = np.asarray(residual(solution.x, start)[1])
         if np.abs(solution.fun).max() > _TOLERANCE * (1 + np.abs(solution.x).max(initial=0)):
             continue
-        _, triangle, order = qr(jacobian.T, pivoting=True, mode="economic")
-        diagonal = np.abs(np.diag(triangle))
-        if diagonal.size and diagonal.min() < 1e-9 * diagonal.max():
+        root = solution.x
+        for _ in range(30):  # at a double root every step only halves the distance, and with it the slope
+            rest, jacobian = (np.asarray(v) for v in residual(root, start))
+            root = root - np.linalg.lstsq(jacobian, rest.ravel())[0]
+        diagonal, order = _pivots(residual(root, start)[1])
+        nearby, _ = _pivots(residual(root + 0.1 * (1 + np.abs(root)), start)[1])
+        if diagonal.size and diagonal.min() < max(1e-9 * diagonal.max(), 1e-6 * np.nan_to_num(nearby).min()):
             raise ValueError(
                 f"{model.label} at {dict(at)} has a singular operating point (its derivative does not fix every "
                 "state there): give more of the point in at, or declare trim(self, at, p)."
             )
-        return solution.x, sorted(int(k) for k in order[:size])
+        return root, sorted(int(k) for k in order[:size])
     raise ValueError(
         f"{model.label} has no operating point with {dict(at)} at its start values: check `at`, the start values, "
         "or declare trim(self, at, p)."
     )
 
 
+def _pivots(jacobian: ca.DM) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Pivots of a Jacobian, largest first, and the order in which its rows were taken."""
+    from scipy.linalg import qr  # noqa: PLC0415  (see `_presolve`)
+
+    _, triangle, order = qr(np.nan_to_num(np.asarray(jacobian)).T, pivoting=True, mode="economic")
+    return np.abs(np.diag(triangle)), order
+
+
 def _rootfinder(
     model: StateSpace, w: ca.SX, p: ca.SX, point: ca.SX, rest: ca.SX, guess: NDArray[np.float64], rows: list[int]
 ) -> ca.Function:
-    options = {"error_on_fail": False, "abstol": 1e-12, "max_iter": 50}
+    options = {"error_on_fail": False, "abstol": 1e-12, "max_iter": 50, "show_eval_warnings": False}
     equations = ca.vertcat(*[rest[k] for k in rows])
     newton = ca.rootfinder("newton", "newton", {"x": w, "p": p, "g": equations}, options)
     size = ca.sqrt(ca.sumsqr(rest)) / (1 + ca.sqrt(ca.sumsqr(w)))
     finish = ca.Function("finish", [w, p], [point, size < _TOLERANCE])
     parameters = ca.MX.sym("p", p.numel())
     # A root that was not found becomes infinite, so that the run that met it fails instead of using it.
-    full, found = finish(newton(x0=guess, p=parameters)["x"], parameters)
+    direct = newton(x0=guess, p=parameters)["x"]
+    start = ca.DM([q.start for q in model.parameters.values()])
+    root = ca.MX(ca.DM(guess))
+    for step in range(1, _STEPS + 1):
+        root = newton(x0=root, p=start + (parameters - start) * step / _STEPS)["x"]
+    slowly = ca.Function("slowly", [parameters], [root])
+    root = ca.if_else(finish(direct, parameters)[1], direct, slowly(parameters), True)
+    full, found = finish(root, parameters)
     full = full / found
     n = len(model.states)
     return ca.Function("trim", [parameters], [full[:n], full[n:]])

@@ -8,9 +8,9 @@ sines, one frequency after another, (3.14); each point of a table is a ratio (3.
 from pathlib import Path
 
 import numpy as np
-from greybox.models.polynomial import Polynomial
 
 import greybox as gb
+from greybox.models.polynomial import Polynomial
 
 FOLDER = Path(__file__).parent / "data"
 

@@ -8,17 +8,16 @@ Odd: the published coefficients solve the linear least squares problem (3.17), n
 There is no delay: the coefficients absorb it.
 """
 
+import greybox as gb
 from greybox.problems import pitch_hover
 from greybox.problems._paper import TiltPolynomial, coefficients
-
-import greybox as gb
 
 published = {
     "source": "(3.19)",
     "values": coefficients([49.39, -49.39 * 0.156], [0.046, 1], [0.181, 1], [1, -3.79, 12.9]),
     "cost": 0.6771,
 }
-minimum = 0.426659
+minimum = 0.426659  # about 70 % of 1000 starts; bounds a hundred times wider give no better one
 settings = {"starts": 200, "seed": 0}
 
 

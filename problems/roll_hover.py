@@ -8,17 +8,16 @@ Rotor and delay are fixed at (4.22), the drag a5 at 0.16 1/s, as in the paper, w
 The minimum is lower than the published estimate.
 """
 
+import greybox as gb
 from greybox.models.tilt import Tilt
 from greybox.problems._paper import table
-
-import greybox as gb
 
 published = {
     "source": "(4.27)",
     "values": {"a1": -1.28, "a2": 1.86, "a3": 73.07 / gb.g, "a4": 286.6},
     "cost": 0.6222,
 }
-minimum = 0.566476
+minimum = 0.566476  # 976 of 1000 starts; the boxes a hundred times wider give no better one
 settings = {"starts": 200, "seed": 0}
 
 

@@ -8,17 +8,16 @@ Odd: the published coefficients solve the linear least squares problem (3.17), n
 There is no delay: the coefficients absorb it.
 """
 
+import greybox as gb
 from greybox.problems import roll_hover
 from greybox.problems._paper import TiltPolynomial, coefficients
-
-import greybox as gb
 
 published = {
     "source": "(3.18)",
     "values": coefficients([58.65, 58.65 * 0.304], [0.050, 1], [0.193, 1], [1, -3.44, 13.8]),
     "cost": 0.6288,
 }
-minimum = 0.488585
+minimum = 0.488585  # about 60 % of 1000 starts; bounds a hundred times wider give no better one
 settings = {"starts": 200, "seed": 0}
 
 

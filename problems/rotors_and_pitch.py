@@ -9,12 +9,11 @@ experiments together.
 Odd: the sign of one value of Table 4.2 is mended, see `rotors`; ``problem(mended=False)`` takes it as printed.
 """
 
+import greybox as gb
 from greybox.models.tilt import Tilt
 from greybox.problems import pitch_hover, rotors
 
-import greybox as gb
-
-minimum = 1.871958
+minimum = 1.871958  # 986 of 1000 starts; boxes ten times wider give no better one
 settings = {"starts": 200, "seed": 0}
 
 

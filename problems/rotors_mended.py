@@ -8,7 +8,7 @@ Odd: the real part of rotor 3 at 3.00 rad/s is +1002 here, as its neighbors say,
 from greybox.problems import rotors
 
 published = rotors.published | {"cost": 1.3391}
-minimum = 1.323714
+minimum = 1.323714  # every one of 1000 starts; the boxes ten times wider give no better one
 settings = rotors.settings
 
 

@@ -10,17 +10,16 @@ The minimum has a pole near 240 rad/s, eight times the highest frequency of the 
 the model's own (radius 50 rad/s gives 0.79207 with a3 at its bound).
 """
 
+import greybox as gb
 from greybox.problems import yaw_hover
 from greybox.problems._paper import YawPolynomial, coefficients
-
-import greybox as gb
 
 published = {
     "source": "(3.20)",
     "values": coefficients([1294, 1294 * 10.93], [1, 0], [0.834, 1], [1, 28.9, 1036]),
     "cost": 1.9701,
 }
-minimum = 0.789827
+minimum = 0.789827  # half of 1000 starts; bounds a hundred times wider give no better one
 settings = {"starts": 200, "seed": 0}
 
 
@@ -29,4 +28,6 @@ def data():
 
 
 def problem():
-    return gb.Problem(YawPolynomial(4, 1, integrator=True, radius=200.0), data(), name="yaw hover, polynomial")
+    return gb.Problem(
+        YawPolynomial(4, 1, integrator=True, radius=100.0, starts=100.0), data(), name="yaw hover, polynomial"
+    )

@@ -5,10 +5,10 @@ import inspect
 import pkgutil
 
 import casadi as ca
-import greybox.models
 import numpy as np
 
 import greybox as gb
+import greybox.models
 from greybox.linear import delay_order, response_function
 
 

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from greybox.models.rotor import Rotor
-from greybox.models.tilt import Tilt
 from helpers import numeric_jacobian
 from numpy.testing import assert_allclose
 from scipy.optimize import curve_fit
@@ -16,6 +14,8 @@ from scipy.stats import binom, t
 
 import greybox as gb
 from greybox.accuracy import assess, propagate
+from greybox.models.rotor import Rotor
+from greybox.models.tilt import Tilt
 from greybox.nlp import compile_problem
 
 OMEGA = np.geomspace(1, 60, 20)

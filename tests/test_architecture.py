@@ -12,10 +12,10 @@ ROOT = Path(__file__).parents[1]
 # A file may import only files listed above it.
 ORDER = """
 table parameter frequency_response
-symbolic model trim linear criterion problem
+symbolic model trace trim linear criterion problem
 nlp levy starts solve result multistart
 accuracy words reference answer store fit
-plotting shelf cli __main__
+page plotting shelf cli __main__
 """.split()
 
 SOURCES = sorted(path for folder in ("greybox", "models", "problems") for path in (ROOT / folder).glob("*.py"))

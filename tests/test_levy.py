@@ -5,13 +5,13 @@ from pathlib import Path
 import hypothesis.strategies as st
 import numpy as np
 import pytest
-from greybox.models.polynomial import Polynomial
 from hypothesis import assume, given
 from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.criterion import evaluate
 from greybox.levy import Factored, NearPair, OrderPath, factored, levy, near_pairs, order_path
+from greybox.models.polynomial import Polynomial
 
 TABLE = Path(__file__).parents[1] / "problems" / "data" / "table_3_1.csv"
 OMEGA = np.geomspace(0.5, 20, 14)

@@ -4,15 +4,15 @@ import pickle
 
 import numpy as np
 import pytest
-from greybox.models.polynomial import Polynomial
-from greybox.models.rotor import Rotor
-from greybox.models.tilt import LinearTilt, Tilt
-from greybox.models.yaw import YawAngle, YawRate
 from helpers import compiled_response
 from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.model import Names, equation, merge, merged_parameters
+from greybox.models.polynomial import Polynomial
+from greybox.models.rotor import Rotor
+from greybox.models.tilt import LinearTilt, Tilt
+from greybox.models.yaw import YawAngle, YawRate
 
 OMEGA = np.geomspace(0.3, 40, 12)
 

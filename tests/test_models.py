@@ -4,6 +4,12 @@ import re
 
 import numpy as np
 import pytest
+from helpers import compiled_response, input_output_pairs, random_values, shipped_models
+from numpy.testing import assert_allclose
+
+import greybox as gb
+from greybox.linear import delay_order
+from greybox.model import equation
 from greybox.models.coupled import (
     CoupledVelocity,
     CoupledVelocityTransfer,
@@ -17,12 +23,6 @@ from greybox.models.rigid_body import EulerKinematics, RigidBody
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
 from greybox.models.yaw import YawAngle, YawRate, YawStates
-from helpers import compiled_response, input_output_pairs, random_values, shipped_models
-from numpy.testing import assert_allclose
-
-import greybox as gb
-from greybox.linear import delay_order
-from greybox.model import equation
 from greybox.trim import derivative_function
 
 SHIPPED = shipped_models()

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from greybox.models.rotor import Rotor
-from greybox.models.tilt import Tilt
 
 import greybox as gb
 from greybox import plotting
+from greybox.models.rotor import Rotor
+from greybox.models.tilt import Tilt
 
 DATA = Path(__file__).parents[1] / "problems" / "data"
 QUICK = {"starts": 8, "progress": False}

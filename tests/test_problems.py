@@ -1,4 +1,4 @@
-"""Every shipped problem: the published cost, the recorded minimum from several starts, and the same physics as an ODE."""
+"""Every shipped problem: the published cost, the recorded minimum from any starts, and the same physics as an ODE."""
 
 import importlib
 import re
@@ -6,8 +6,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+
+import greybox as gb
 from greybox.models.tilt import LinearTilt
 from greybox.models.yaw import YawStates
+from greybox.nlp import compile_problem
 from greybox.problems import (
     pitch_5deg,
     pitch_hover,
@@ -18,15 +21,13 @@ from greybox.problems import (
     yaw_hover,
 )
 from greybox.shelf import shipped
-
-import greybox as gb
-from greybox.nlp import compile_problem
+from greybox.starts import as_starts
 
 MODULES = {name: importlib.import_module(f"greybox.problems.{name}") for name in shipped("problems")}
 PUBLISHED = {name: module for name, module in MODULES.items() if hasattr(module, "published")}
-# IPOPT does not always finish the last polish of these two, whose minimum passes through a point of the data.
+# The last polish of these two, whose minimum passes through points of the data, does not always succeed.
 TOLERANCE = {"roll_hover_ls": 1e-4, "pitch_hover_ls": 1e-4}
-RULES = (gb.Sobol(60, seed=1), gb.LatinHypercube(60, seed=2), gb.Uniform(60, seed=3))
+RULES = (gb.Sobol(20, seed=0), gb.Sobol(20, seed=1), gb.LatinHypercube(20, seed=2), gb.Uniform(20, seed=3))
 TILTS = {"roll_hover": roll_hover, "pitch_hover": pitch_hover, "pitch_5deg": pitch_5deg}
 
 every = pytest.mark.parametrize("name", MODULES)
@@ -37,6 +38,17 @@ every_tilt = pytest.mark.parametrize("name", TILTS)
 @cache
 def fitted(name, rule):
     return gb.fit(MODULES[name].problem(), rule, progress=False)
+
+
+def as_states(name, **options):
+    """The problem with its transfer function replaced by the ODE it comes from."""
+    model = YawStates() if name == "yaw_hover" else LinearTilt()
+    return gb.Problem(model, MODULES[name].data(), **options)
+
+
+@cache
+def fitted_states(name):
+    return gb.fit(as_states(name), RULES[0], progress=False)
 
 
 def responses(data):
@@ -59,7 +71,10 @@ def test_the_docstring_names_table_equation_flight_and_source(name):
 
 @every
 def test_settings_are_what_fit_takes(name):
-    assert set(MODULES[name].settings) <= {"starts", "seed"}
+    settings = MODULES[name].settings
+    assert set(settings) == {"starts", "seed"}
+    parameters = {n: p for n, p in MODULES[name].problem().parameters.items() if not p.fixed}
+    assert len(as_starts(**settings).draw(parameters)) >= 100
 
 
 @every
@@ -119,22 +134,15 @@ def test_the_sign_of_one_value_explains_most_of_the_rotors_cost():
 
 
 @every
-@pytest.mark.parametrize("rule", RULES, ids=lambda rule: type(rule).__name__)
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: f"{type(rule).__name__}-{rule.seed}")
 def test_few_starts_of_any_rule_reach_the_recorded_minimum(name, rule):
     fit = fitted(name, rule)
     module = MODULES[name]
     assert fit.cost == pytest.approx(module.minimum, rel=TOLERANCE.get(name, 1e-5))
-    assert fit.agreeing >= 0.2 * len(fit.runs)
+    assert fit.agreeing >= 2
     assert not any(q.at_bound for q in fit.quantities)
     if name in PUBLISHED:
         assert fit.cost <= module.published["cost"]
-
-
-@every
-def test_the_recorded_settings_reach_the_recorded_minimum(name):
-    module = MODULES[name]
-    fit = gb.fit(module.problem(), **module.settings, progress=False)
-    assert fit.cost == pytest.approx(module.minimum, rel=TOLERANCE.get(name, 1e-5))
 
 
 def test_yaw_angle_alone_leaves_three_parameters_hanging_together():
@@ -157,15 +165,9 @@ def test_joint_problems_share_what_the_paper_takes_in_turn():
 # --- the same physics as an ODE
 
 
-def as_states(name, **options):
-    """The problem with its transfer function replaced by the ODE it comes from."""
-    model = YawStates() if name == "yaw_hover" else LinearTilt()
-    return gb.Problem(model, MODULES[name].data(), **options)
-
-
 @pytest.mark.parametrize("name", [*TILTS, "yaw_hover"])
 def test_an_ode_reaches_the_minimum_of_its_transfer_function(name):
-    fit = gb.fit(as_states(name), RULES[0], progress=False)
+    fit = fitted_states(name)
     assert fit.cost == pytest.approx(fitted(name, RULES[0]).cost, rel=1e-6)
 
 
@@ -179,7 +181,7 @@ def test_pade_of_second_order_costs_almost_the_same(name, states):
 
 @every_tilt
 def test_an_ode_has_the_estimate_of_its_transfer_function(name):
-    fit = gb.fit(as_states(name), RULES[0], progress=False)
+    fit = fitted_states(name)
     for parameter, value in fitted(name, RULES[0]).estimate.items():
         assert fit.estimate[parameter] == pytest.approx(value, rel=1e-3)
 

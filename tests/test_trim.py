@@ -3,14 +3,14 @@
 import casadi as ca
 import numpy as np
 import pytest
-from greybox.models.mixer import Torques
-from greybox.models.tilt import NonlinearTilt
-from greybox.models.yaw import YawStates
 from helpers import numeric_jacobian
 from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.linear import response_function
+from greybox.models.mixer import Torques
+from greybox.models.tilt import NonlinearTilt
+from greybox.models.yaw import YawStates
 from greybox.trim import trim_function
 
 OMEGA = np.geomspace(0.3, 40, 6)
@@ -196,7 +196,7 @@ def test_the_own_trim_is_the_implicit_one():
             r"Mine\.trim at \{'u': 2\.0\} is no equilibrium: .* 'x' is -2 there",
         ),
         (lambda self, at, p: {"x": at.u / p.c, "y": 0.0}, r"Mine has no state or input 'y'; it has x, u"),
-        (lambda self, at, p: {"x": np.nan}, r"Mine\.trim at .* is no equilibrium"),
+        (lambda self, at, p: {"x": np.nan}, r"Mine\.trim becomes NaN"),
         (lambda self, at, p: {"x": at.w}, r"at has no 'w'; it has u"),
     ],
 )
