@@ -61,8 +61,10 @@ def _as_runs(nlp: Nlp, starts: NDArray[np.float64], outcomes: list[Outcome]) -> 
 
 def _polished(nlp: Nlp, solver: Solver, best: Minimum) -> Minimum:
     """Solve once more from the best minimum with almost no smoothing; keep a solution that is no worse."""
-    outcome = solver.run(best.estimate, POLISH)
-    cost = float(nlp.costs(outcome.estimate[None])[0])
-    if outcome.status not in CONVERGED or not cost <= best.cost:
-        return best
-    return replace(best, cost=cost, estimate=outcome.estimate)
+    for smoothing in POLISH:
+        outcome = solver.run(best.estimate, smoothing)
+        cost = float(nlp.costs(outcome.estimate[None])[0])
+        if outcome.status not in CONVERGED or not cost <= best.cost:
+            break
+        best = replace(best, cost=cost, estimate=outcome.estimate)
+    return best

@@ -318,14 +318,22 @@ def _draw_bode_series(axes: Sequence[Axes], one: _Series, phase: NDArray[np.floa
 
 
 def _phase_beside(one: _Series, series: Sequence[_Series]) -> NDArray[np.float64]:
-    """Return the phase (n,) in degrees: a curve's unwrapped along omega, a point's next to its curve, else to any."""
-    curves = [k for k in series if not k.measured]
-    own = [k for k in curves if k.checksum == one.checksum]
-    omega, guide = _unwrapped([*own, *curves, one][0] if one.measured else one)
+    """Return the phase (n,) in degrees: a curve's unwrapped along omega, a point's next to the nearest curve."""
+    curves = [k for k in series if not k.measured] or [one]
+    omega, guide = _unwrapped(min(curves, key=lambda curve: _distance(one, curve)) if one.measured else one)
     first = _interpolated(omega, *_unwrapped(series[0]))
     guide = guide + 360 * np.round(np.mean(first - guide) / 360)  # as a whole, next to the first
     phase = np.degrees(np.angle(one.response.response))
     return phase + 360 * np.round((_interpolated(one.response.omega, omega, guide) - phase) / 360)
+
+
+def _distance(one: _Series, curve: _Series) -> float:
+    """Return how far points lie from a curve, relative and on average; 0 for the one that was fitted to them."""
+    if one.checksum == curve.checksum:
+        return 0.0
+    order = np.argsort(curve.response.omega)
+    there = _interpolated(one.response.omega, curve.response.omega[order], curve.response.response[order])
+    return float(np.mean(np.abs(one.response.response - there) / np.maximum(np.abs(there), 1e-300)))
 
 
 def _unwrapped(one: _Series) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

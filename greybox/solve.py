@@ -14,7 +14,7 @@ from greybox.nlp import Nlp
 
 CONVERGED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 SMOOTHING = 1e-8  # under the root of |e|²; 1e-14 takes about twice the time and moves the cost by 6e-5 at most
-POLISH = 1e-13  # smoothing of the last run, from the minimum found
+POLISH = (1e-10, 1e-11, 1e-12, 1e-13)  # of the last runs, one from the other; a kink allows no less at once
 
 _QUIET = {"print_level": 0, "sb": "yes", "max_iter": 500}
 

@@ -25,6 +25,8 @@ class Polynomial(gb.TransferFunction):
         Poles and zeros up to this size, in rad/s, give the bounds of the coefficients.
     starts : float
         Poles and zeros up to this size give the box in which starts are drawn.
+    output : str
+        The name of the output, by which data and model meet.
 
     Raises
     ------
@@ -32,7 +34,7 @@ class Polynomial(gb.TransferFunction):
         For orders that are no whole numbers with 0 <= m < n, or sizes that are not 0 < starts <= radius.
     """
 
-    def __init__(self, n=4, m=1, integrator=False, radius=50.0, starts=20.0):
+    def __init__(self, n=4, m=1, integrator=False, radius=50.0, starts=20.0, output="y"):
         _require_order("n", n, 1)
         _require_order("m", m, 0)
         if m >= n:
@@ -41,7 +43,7 @@ class Polynomial(gb.TransferFunction):
             raise ValueError(
                 f"starts = {starts} and radius = {radius} must be finite with 0 < starts <= radius, in rad/s."
             )
-        self.n, self.m, self.integrator = n, m, bool(integrator)
+        self.n, self.m, self.integrator, self.output = n, m, bool(integrator), output
         numerator = {f"b{k}": _coefficient(k, m, n, radius, starts) for k in range(m + 1)}
         denominator = {f"a{k}": _coefficient(k, n, n, radius, starts) for k in range(self.integrator, n)}
         self.parameters = numerator | denominator

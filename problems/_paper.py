@@ -1,4 +1,4 @@
-"""What the problems of the paper share: its tables, and its polynomial structure with named outputs.
+"""What the problems of the paper share: its tables.
 
 The tables are those of "Frequency Domain Identification of the Quadcopter Attitude Dynamics": real flights of a
 quadcopter with an S500 frame, 10-inch propellers and a Pixhawk 4 with ArduPilot. The setpoint of one angle followed
@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 import greybox as gb
-from greybox.models.polynomial import Polynomial
 
 FOLDER = Path(__file__).parent / "data"
 
@@ -29,25 +28,3 @@ def coefficients(numerator, *factors):
     b, a = np.array(numerator)[::-1] / denominator[0], denominator[:0:-1] / denominator[0]
     named = {f"b{k}": float(value) for k, value in enumerate(b)} | {f"a{k}": float(value) for k, value in enumerate(a)}
     return {name: value for name, value in named.items() if value or name != "a0"}  # an integrator has no a0
-
-
-class TiltPolynomial(Polynomial):
-    r"""Tilt angle from the tilt control by polynomial coefficients, (2.13).
-
-    $$P(s) = \frac{b_m s^m + \dots + b_0}{s^n + a_{n-1} s^{n-1} + \dots + a_0}, \qquad m < n$$
-
-    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.13).
-    """
-
-    output = "theta"
-
-
-class YawPolynomial(Polynomial):
-    r"""Yaw angle from the yaw control by polynomial coefficients, (2.13).
-
-    $$P(s) = \frac{b_m s^m + \dots + b_0}{s^n + a_{n-1} s^{n-1} + \dots + a_0}, \qquad m < n$$
-
-    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.13).
-    """
-
-    output = "psi"

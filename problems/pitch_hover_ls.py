@@ -9,8 +9,9 @@ There is no delay: the coefficients absorb it.
 """
 
 import greybox as gb
+from greybox.models.polynomial import Polynomial
 from greybox.problems import pitch_hover
-from greybox.problems._paper import TiltPolynomial, coefficients
+from greybox.problems._paper import coefficients
 
 published = {
     "source": "(3.19)",
@@ -26,4 +27,4 @@ def data():
 
 
 def problem():
-    return gb.Problem(TiltPolynomial(4, 1), data(), name="pitch hover, polynomial")
+    return gb.Problem(Polynomial(4, 1, output="theta"), data(), name="pitch hover, polynomial")

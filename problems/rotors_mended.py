@@ -1,6 +1,8 @@
 """Speed of the four rotors with the sign of one misprinted value turned: Table 4.2 and (4.21), estimate (4.22).
 
-Flown and source: as in `rotors`.
+Flown: as in `rotors`.
+
+Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 4.1.
 
 Odd: the real part of rotor 3 at 3.00 rad/s is +1002 here, as its neighbors say, and not -1002 as printed.
 """

@@ -11,8 +11,9 @@ the model's own (radius 50 rad/s gives 0.79207 with a3 at its bound).
 """
 
 import greybox as gb
+from greybox.models.polynomial import Polynomial
 from greybox.problems import yaw_hover
-from greybox.problems._paper import YawPolynomial, coefficients
+from greybox.problems._paper import coefficients
 
 published = {
     "source": "(3.20)",
@@ -29,5 +30,7 @@ def data():
 
 def problem():
     return gb.Problem(
-        YawPolynomial(4, 1, integrator=True, radius=100.0, starts=100.0), data(), name="yaw hover, polynomial"
+        Polynomial(4, 1, integrator=True, radius=100.0, starts=100.0, output="psi"),
+        data(),
+        name="yaw hover, polynomial",
     )
