@@ -52,7 +52,11 @@ def main():
     print(f"{date.today()}, greybox {gb.__version__}, casadi {ca.__version__}, python {platform.python_version()}")
     problem = pitch_hover.problem()
     nlp = compile_problem(problem)
-    quiet = {"print_time": False, "show_eval_warnings": False, "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 500}}
+    quiet = {
+        "print_time": False,
+        "show_eval_warnings": False,
+        "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 500},
+    }
     solver = ca.nlpsol("bare", "ipopt", dict(nlp.expressions), quiet)
     points = gb.Sobol(options.starts).draw({name: problem.parameters[name] for name in nlp.free})
     z = nlp.scaling.to_solver(points)

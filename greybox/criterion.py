@@ -40,6 +40,11 @@ class Criterion(ABC):
     known_noise: ClassVar[bool] = False
 
     @property
+    def gain_bias(self) -> float:
+        """How low the gain comes out, in units of σ², with relative noise σ in each component."""
+        return 0.0
+
+    @property
     def description(self) -> str:
         """The rule in words."""
         return (
@@ -84,6 +89,12 @@ class _Relative(Criterion):
     """What the two relative criteria share: errors e = (P - P̂) / |P̂|, or over |P|."""
 
     normalized: Literal["measured", "model"] = "measured"
+    measured_bias: ClassVar[float]
+
+    @property
+    def gain_bias(self) -> float:
+        """How low the gain comes out, in units of σ²: large measured values get small weights."""
+        return self.measured_bias if self.normalized == "measured" else 0.0
 
     def __post_init__(self) -> None:
         """Check the normalization."""
@@ -115,6 +126,7 @@ class RelativeError(_Relative):
     """
 
     rule: ClassVar[str] = "sum of relative errors, (4.26)"
+    measured_bias: ClassVar[float] = 1.0
     smoothed: ClassVar[bool] = True
 
     def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
@@ -138,6 +150,7 @@ class SquaredRelativeError(_Relative):
     """
 
     rule: ClassVar[str] = "sum of squared relative errors"
+    measured_bias: ClassVar[float] = 2.0
 
     def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
         """Return Σ |e|²."""

@@ -73,7 +73,7 @@ class RationalFit:
     """A rational function (2.13) fitted by `levy`.
 
     `numerator` (m + 1,) and monic `denominator` (n + 1,) have the highest power of s first; with `integrator` the last
-    coefficient of the denominator is 0. `points` is the number of frequencies, `iterations` that of reweightings.
+    coefficient of the denominator is 0. `data` is what was fitted, `iterations` the number of reweightings.
     `cost` is the sum of relative errors (4.26), which is not what was minimized; NaN when the data hold a zero.
     `aic` is 2 n_ω ln(Σ|e|² / n_ω) + 2 k of the relative errors e = P/P̂ - 1, for k coefficients: Akaike's -2 ln L + 2 k
     for circular complex normal errors of one unknown relative size, without what is the same for all orders. The
@@ -84,7 +84,7 @@ class RationalFit:
     numerator: NDArray[np.float64]
     denominator: NDArray[np.float64]
     integrator: bool
-    points: int
+    data: FrequencyResponse
     iterations: int
     cost: float
     aic: float
@@ -132,10 +132,12 @@ class RationalFit:
         a = {f"a{k}": float(value) for k, value in enumerate(self.denominator[:0:-1])}
         return b | {name: value for name, value in a.items() if not (self.integrator and name == "a0")}
 
-    def response(self, omega: ArrayLike) -> NDArray[np.complex128]:
+    def response(self, omega: ArrayLike) -> FrequencyResponse:
         """Evaluate P(jω) at `omega` (k,) in rad/s."""
-        s = 1j * np.atleast_1d(np.asarray(omega, dtype=float))
-        return np.polyval(self.numerator, s) / np.polyval(self.denominator, s)
+        omega = np.atleast_1d(np.asarray(omega, dtype=float))
+        values = np.polyval(self.numerator, 1j * omega) / np.polyval(self.denominator, 1j * omega)
+        signals = {"input": self.data.input, "output": self.data.output}
+        return FrequencyResponse(omega, values, **signals, name=f"least squares ({self.n}, {self.m})", source="model")
 
     def __str__(self) -> str:
         how = f"reweighted {self.iterations} times" if self.iterations else "not reweighted"
@@ -144,7 +146,7 @@ class RationalFit:
         rows = [(kind, _root(r), number(abs(r), 4), d) for (kind, r), d in zip(roots, damping, strict=True)]
         lines = [
             f"linear least squares (3.17), n = {self.n}, m = {self.m}"
-            f"{', with integrator' if self.integrator else ''}, {self.points} frequencies, {how}",
+            f"{', with integrator' if self.integrator else ''}, {len(self.data)} frequencies, {how}",
             f"P(s) = {self.factored}",
             text_table(("", "rad/s", "size", "damping"), rows),
             f"cost (4.26) {number(self.cost)}, AIC {number(self.aic, 4)}",
@@ -236,7 +238,7 @@ def levy(
     numerator.flags.writeable = denominator.flags.writeable = False
     model = np.polyval(numerator, 1j * data.omega) / np.polyval(denominator, 1j * data.omega)
     cost, aic = evaluate(RelativeError(), model, data), _aic(model, data, n + m + 1 - bool(integrator))
-    return RationalFit(numerator, denominator, bool(integrator), len(data), iterations, cost, aic, condition)
+    return RationalFit(numerator, denominator, bool(integrator), data, iterations, cost, aic, condition)
 
 
 def order_path(

@@ -112,10 +112,12 @@ def _pade(nlp: Nlp, errors: list[float | None]) -> Iterator[str]:
 
 def _noise(nlp: Nlp, best: Minimum, accuracy: Accuracy) -> Iterator[str]:
     for part, noise in zip(nlp.problem.parts, accuracy.noise, strict=True):
-        if getattr(part.criterion, "normalized", None) == "measured" and noise > NOISY:
+        bias = part.criterion.gain_bias * noise**2
+        if bias and noise > NOISY:
             yield (
-                f"{part.name!r} misses the model by {100 * noise:.0f} % in each component: dividing by the measured "
-                f"magnitude may bias the gain low by about {200 * noise**2:.0f} %; compare with normalized='model'."
+                f"{part.name!r} misses the model by {100 * noise:.0f} % in each component: if that is noise, dividing "
+                f"by the measured magnitude biases the gain low by about {100 * bias:.0f} %; "
+                "compare with normalized='model'."
             )
         if part.criterion.known_noise:
             yield from _misfit(part, nlp, best.estimate)

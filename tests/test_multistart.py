@@ -21,9 +21,7 @@ CRITERIA = [
 @pytest.mark.parametrize("criterion", CRITERIA, ids=repr)
 def test_two_lags_and_a_delay_are_found_from_95_of_100_starts(criterion):
     exact = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS)
-    data = measured(
-        LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, columns={"variance": 1e-4 * np.abs(exact.response) ** 2}
-    )
+    data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, columns={"variance": 1e-4 * np.abs(exact.response) ** 2})
     ordered = [lambda p: p.T1 - p.T2]
     fit = gb.fit(gb.Problem(LagLagDelay(), data, criterion, constraints=ordered), starts=100)
     assert fit.agreeing >= 95

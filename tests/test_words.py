@@ -1,0 +1,191 @@
+"""Warnings appear when they should and not otherwise."""
+
+import numpy as np
+import pytest
+from greybox.models.yaw import YawStates
+from made import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, Oscillator, Parabola, measured
+
+import greybox as gb
+
+ORDERED = [lambda p: p.T1 - p.T2]
+SMALL = {"K": 5.0, "T1": 1.0, "T2": 0.1, "tau": 0.05}
+
+
+def warned(model, data, criterion=None, starts=12, **statement):
+    return gb.fit(gb.Problem(model, data, criterion, **statement), starts=starts).warnings
+
+
+def lags(noise=0.02, seed=1, **changes):
+    return measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS | changes, noise=noise, seed=seed)
+
+
+@pytest.mark.parametrize(
+    "criterion", [gb.RelativeError(), gb.SquaredRelativeError(), gb.MagnitudePhase()], ids=lambda c: type(c).__name__
+)
+def test_a_good_fit_has_no_warnings(criterion):
+    assert warned(LagLagDelay(), lags(), criterion, constraints=ORDERED) == ()
+
+
+def test_lags_that_may_swap_are_told():
+    (text,) = warned(LagLagDelay(), lags(), starts=30)
+    assert "at least 2 clearly different parameter vectors give this same response" in text
+
+
+@pytest.mark.parametrize(("side", "truth", "bound"), [("lower", -0.02, "0"), ("upper", 0.7, "0.5")])
+def test_a_parameter_at_its_bound_is_named_with_side_and_bound(side, truth, bound):
+    fit = gb.fit(gb.Problem(LagLagDelay(), lags(tau=truth), constraints=ORDERED), starts=12)
+    assert (
+        f"tau ended at its {side} bound {bound}: widen it if the physics allow, or fix the parameter." in fit.warnings
+    )
+    assert np.isnan(fit.standard_error["tau"])
+    assert {q.name for q in fit.quantities if q.at_bound} == {"tau"}
+    assert "AT BOUND" in str(fit)
+
+
+def test_one_start_and_few_agreeing_starts_are_told():
+    (text,) = warned(Lag(), measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0}, noise=0.02), starts=1)
+    assert text.startswith("one start only: whether this is the global minimum is not known")
+    bumps = measured(Parabola(), [0.5, 1.0, 2.0, 4.0], {"x": 1.0, "slope": 0.0}, noise=0.01)
+    lone = warned(Parabola(), bumps, starts=[{"x": -1.5}] * 11 + [{"x": 1.3}])
+    assert any(text.startswith("only 1 of 12 starts reached the best minimum") for text in lone)
+    several = warned(Parabola(), bumps, starts=[{"x": -1.5}] * 8 + [{"x": 1.3}] * 4)
+    assert not any("reached the best minimum" in text for text in several)
+
+
+def test_runs_that_failed_are_counted_when_they_are_the_majority():
+    data = measured(Oscillator(), [1.0, 2.0, 4.0, 8.0], {"w0": 3.0, "K": 2.0}, noise=0.01)
+    starts = [{"w0": 2.0}, {"w0": 4.0}, {"w0": 2.0}, {"w0": 3.2}, {"w0": 3.1}]
+    assert "only 2 of 5 runs converged (3 × Invalid_Number_Detected)." in warned(Oscillator(), data, starts=starts)
+    few = warned(Oscillator(), data, starts=[{"w0": 2.0}, {"w0": 3.2}, {"w0": 3.1}])
+    assert not any("runs converged" in text for text in few)
+
+
+def test_a_rival_minimum_is_told_with_its_excess():
+    class Twins(gb.TransferFunction):
+        """The response at x and that at -x lie almost equally far from the data."""
+
+        x = gb.Parameter(0.5, bounds=(-2, 2))
+
+        def response(self, s, p):
+            return 2 + (p.x**2 - 1) ** 2 + 0.3 * p.x + 0 * s
+
+    data = gb.FrequencyResponse([1.0, 2.0, 3.0, 4.0], [2.0 + 0.001j, 2.002, 1.999, 2.0])
+    assert not any("another minimum" in text for text in warned(Twins(), data, starts=20))
+    rival = gb.FrequencyResponse([1.0, 2.0], [1.5, 2.6])
+    fit = gb.fit(gb.Problem(Twins(), rival), starts=20)
+    near = [m for m in fit.minima[1:] if m.cost <= 1.01 * fit.cost]
+    assert any("another minimum costs only" in text for text in fit.warnings) == bool(near)
+
+
+def pade_phase(order, z):
+    """Phase error in degrees of exp(-z j) by its diagonal Padé approximant, from SciPy."""
+    from math import factorial
+
+    from scipy.interpolate import pade
+
+    p, q = pade([(-1) ** k / factorial(k) for k in range(2 * order + 1)], order)
+    return np.degrees(np.abs(np.angle(p(1j * z) / q(1j * z) / np.exp(-1j * z)))).max()
+
+
+@pytest.mark.parametrize(("order", "tau", "expected"), [(1, 0.05, True), (2, 0.05, True), (3, 0.05, False)])
+def test_a_pade_delay_is_told_when_it_errs_by_more_than_a_degree(order, tau, expected):
+    delay = f"pade:{order}"
+    data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS | {"tau": tau}, delay=delay, noise=0.001)
+    fit = gb.fit(gb.Problem(LagLagDelay(), data, delay=delay, constraints=ORDERED), starts=10)
+    error = pade_phase(order, TWO_LAGS_OMEGA * fit.estimate["tau"])
+    assert fit.parts[0].pade_error == pytest.approx(error, rel=1e-6)
+    assert (error > 1) == expected
+    texts = [text for text in fit.warnings if text.startswith(f"{delay} is wrong by up to {error:.2g}° of phase")]
+    assert len(texts) == expected
+    assert f"Padé phase error up to {error:.2g}°" in str(fit)
+
+
+def test_an_exact_delay_has_no_pade_error():
+    fit = gb.fit(gb.Problem(LagLagDelay(), lags(), constraints=ORDERED), starts=5)
+    assert fit.parts[0].pade_error is None
+    assert "Padé" not in str(fit)
+
+
+def test_a_dead_parameter_is_named_and_has_no_standard_error():
+    class Dead(Lag):
+        mass = gb.Parameter(1.0, bounds=(-5, 5))
+
+        def response(self, s, p):
+            return super().response(s, p) + 0 * p.mass
+
+    fit = gb.fit(gb.Problem(Dead(), measured(Dead(), TWO_LAGS_OMEGA, {"K": 2.0}, noise=0.02)), starts=10)
+    (text,) = fit.warnings
+    assert text.startswith("mass is not determined: it does not change the response")
+    assert np.isnan(fit.standard_error["mass"])
+    assert np.isfinite(fit.standard_error["K"])
+
+
+def test_parameters_seen_only_as_a_product_are_named_together():
+    truth = {"a1": 500.0, "a2": 50.0, "a3": 900.0, "a4": 5.0}
+    data = measured(YawStates(), np.geomspace(1, 60, 30), truth, noise=0.02, seed=2, input="u", output="r")
+    fit = gb.fit(gb.Problem(YawStates(), data, free=("K_nu",)), starts=20)
+    texts = [text for text in fit.warnings if "see only a combination" in text]
+    assert len(texts) == 1
+    assert set(texts[0].split(" are not determined")[0].split(" and ")) == {"K_nu", "a1"}
+    assert np.isnan([fit.standard_error[n] for n in ("K_nu", "a1")]).all()
+    # The product is determined as well as with K_nu fixed.
+    alone = gb.fit(gb.Problem(YawStates(), data), starts=20)
+    assert not any("determined" in text for text in alone.warnings)
+    for name in ("a1_tilde", "a2", "a3", "a4"):
+        assert fit.standard_error[name] == pytest.approx(alone.standard_error[name], rel=0.05)
+    assert fit.derived["a1_tilde"] == pytest.approx(alone.derived["a1_tilde"], rel=1e-3)
+
+
+def test_hardly_determined_combinations_are_told_with_their_collinearity():
+    omega = np.geomspace(0.01, 0.1, 12)  # far below both corners the lags act as one delay
+    data = measured(LagLagDelay(), omega, SMALL, noise=0.02, seed=3)
+    texts = [t for t in warned(LagLagDelay(), data, constraints=ORDERED) if "hardly determined" in t]
+    assert texts
+    assert all("collinearity index" in text for text in texts)
+    assert any("tau" in text for text in texts)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+@pytest.mark.parametrize("points", [1, 2])
+def test_too_few_data_are_told_and_give_no_standard_errors(points, noise):
+    data = measured(LagLagDelay(), [0.5, 8.0][:points], TWO_LAGS, noise=noise)
+    fit = gb.fit(gb.Problem(LagLagDelay(), data), starts=8)
+    words = f"{2 * points} real numbers of data for 4 unknowns leave nothing to judge the errors by: add data."
+    assert words in fit.warnings
+    assert np.isnan([fit.standard_error[n] for n in fit.free]).all()
+
+
+def test_three_points_are_enough_for_four_unknowns():
+    data = measured(LagLagDelay(), [0.5, 2.0, 8.0], TWO_LAGS, noise=0.02)
+    assert not any("leave nothing" in text for text in warned(LagLagDelay(), data))
+
+
+def test_noise_beyond_a_tenth_is_told_for_the_measured_normalization_only():
+    loud = lags(noise=0.2)
+    measured_, model = (
+        warned(LagLagDelay(), loud, gb.RelativeError(normalized=n), constraints=ORDERED) for n in ("measured", "model")
+    )
+    assert any("bias the gain low" in text for text in measured_)
+    assert not any("bias the gain low" in text for text in model)
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"), [(1.0, None), (0.04, "variances are too small"), (25.0, "they are too large")]
+)
+def test_variances_that_do_not_match_the_residuals_are_told(factor, words):
+    exact = gb.frequency_response(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS).response
+    noisy = lags(noise=0.02)
+    data = gb.FrequencyResponse(
+        noisy.omega, noisy.response, variance=factor * 2 * 0.02**2 * np.abs(exact) ** 2, name="made"
+    )
+    texts = [t for t in warned(LagLagDelay(), data, gb.MaximumLikelihood(), constraints=ORDERED) if "variances" in t]
+    assert len(texts) == (words is not None)
+    assert all(words in text for text in texts)
+
+
+def test_words_about_a_part_name_that_part():
+    small = measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0, "T": 0.3}, noise=0.01, name="quiet", seed=1)
+    loud = measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0, "T": 0.3}, noise=0.3, name="loud", seed=2)
+    texts = gb.fit(gb.Problem(Lag(), small) + gb.Problem(Lag(), loud), starts=8).warnings
+    assert [text for text in texts if "bias the gain low" in text][0].startswith("'loud'")
+    assert not any("'quiet'" in text for text in texts)
