@@ -250,9 +250,9 @@ class Cell:
         accuracy = assess(nlp, x)
         value, gradient = (np.asarray(v) for v in self._quantities(nlp.all_values(x)))
         gradient = np.vstack([np.eye(x.size, len(nlp.names)), gradient])
-        return Answer(
-            np.concatenate([x, value.ravel()]), propagate(accuracy, gradient), accuracy.dof, accuracy.covariance
-        )
+        error = propagate(accuracy, gradient)
+        half = stdtrit(min(accuracy.dof, 1e9), 0.975) * error
+        return Answer(np.concatenate([x, value.ravel()]), error, half, accuracy.covariance)
 
     def inside(self, x: np.ndarray) -> np.ndarray:
         """Return which rows of `x` lie within the bounds."""
@@ -261,16 +261,12 @@ class Cell:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """Values, standard errors and degrees of freedom, in the order of `Cell.names`."""
+    """Values, standard errors and half widths of the 95 % intervals, in the order of `Cell.names`; covariance."""
 
     value: np.ndarray
     error: np.ndarray
-    dof: float
+    half: np.ndarray
     covariance: np.ndarray
-
-    def interval(self) -> np.ndarray:
-        """Return half of the width of the 95 % intervals."""
-        return stdtrit(min(self.dof, 1e9), 0.975) * self.error
 
 
 @dataclass
@@ -289,7 +285,7 @@ class Outcome:
         """Append one repeat."""
         self.value.append(answer.value)
         self.error.append(answer.error)
-        self.half.append(answer.interval())
+        self.half.append(answer.half)
 
     def summary(self) -> list[tuple[str, float, float, int, float, float]]:
         """Per quantity: coverage and its binomial sigma (per cent), no interval, bias / sd, printed error / sd."""
@@ -311,9 +307,12 @@ def by_fit(problem: Any, names: Sequence[str]) -> Answer:
     """Fit with the public function, from the truth."""
     start = {name: TRUTH[name] for name, p in problem.parameters.items() if not p.fixed}
     fit = gb.fit(problem, starts=[start], progress=False)
-    values = {**fit.estimate, **fit.derived}
+    values, intervals = {**fit.estimate, **fit.derived}, fit.interval()
     return Answer(
-        np.array([values[n] for n in names]), np.array([fit.standard_error[n] for n in names]), fit.dof, fit.covariance
+        np.array([values[name] for name in names]),
+        np.array([fit.standard_error[name] for name in names]),
+        np.array([(intervals[name][1] - intervals[name][0]) / 2 for name in names]),
+        fit.covariance,
     )
 
 
@@ -367,6 +366,7 @@ def _run(problem: Callable[[int], Any], draws: list[np.ndarray], repeats: int) -
                     outcome.difference,
                     float(np.max(np.abs(full.value - answer.value) / answer.error)),
                     float(np.max(np.abs(full.error / answer.error - 1))),
+                    float(np.max(np.abs(full.half / answer.half - 1))),
                 )
             else:
                 outcome.by_fit += 1

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -162,7 +163,7 @@ def _directions(
 def _information(nlp: Nlp, x: NDArray[np.float64], dof: int) -> _Information:
     p = len(nlp.free)
     values = nlp.all_values(x)
-    symbols = ca.SX.sym("x", len(values)) if nlp.responses.is_a("SXFunction") else ca.MX.sym("x", len(values))
+    symbols: Any = ca.SX.sym("x", len(values)) if nlp.responses.is_a("SXFunction") else ca.MX.sym("x", len(values))
     derivative = ca.Function("derivative", [symbols], [ca.jacobian(nlp.responses(symbols), symbols)])
     stacked = np.asarray(ca.DM(derivative(values)))
     half = len(stacked) // 2
@@ -206,7 +207,7 @@ def _active_constraints(nlp: Nlp, x: NDArray[np.float64]) -> NDArray[np.float64]
 
 
 def _combinations(
-    unit: NDArray[np.float64], active: NDArray[np.float64], names: Sequence[str], at_bound: Sequence[str]
+    unit: NDArray[np.float64], active: NDArray[np.float64], names: tuple[str, ...], at_bound: Sequence[str]
 ) -> tuple[Combination, ...]:
     """Return the suspect combinations of a Jacobian with unit columns (2N, p)."""
     inside = [k for k, name in enumerate(names) if name not in at_bound]

@@ -56,7 +56,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if "--debug" in arguments:
             traceback.print_exc()
         return _complain(*_explain(error, arguments), as_json=as_json)
-    print(json.dumps(result, allow_nan=False, ensure_ascii=False) if as_json else text)
+    with contextlib.suppress(BrokenPipeError):  # `greybox list | head`
+        print(json.dumps(result, allow_nan=False, ensure_ascii=False) if as_json else text, flush=True)
+        return status
+    sys.stdout = None  # type: ignore[assignment]
     return status
 
 

@@ -71,7 +71,7 @@ def fit(
         search = multistart(nlp, points, solver_options, progress)
     else:
         with tqdm(total=len(points), disable=None if progress else True, delay=2, unit="start", leave=False) as bar:
-            search = multistart(nlp, points, solver_options, lambda done, _: bar.update(done - bar.n))
+            search = multistart(nlp, points, solver_options, lambda done, _: _advance(bar, done))
     return assemble(nlp, search, seed=seed, starts=f"{len(points)} {type(rule).__name__}", began=began)
 
 
@@ -104,12 +104,16 @@ def assemble(nlp: Nlp, search: Multistart, *, seed: int, starts: str, began: flo
         seconds=time.perf_counter() - began,
         versions={
             "greybox": version("greybox-id"),
-            "casadi": ca.__version__,
+            "casadi": ca.CasadiMeta.version(),
             "numpy": np.__version__,
             "python": platform.python_version(),
         },
         models=tuple(part.model for part in problem.parts),
     )
+
+
+def _advance(bar: tqdm, done: int) -> None:
+    bar.update(done - bar.n)
 
 
 def _nothing(nlp: Nlp) -> Accuracy:

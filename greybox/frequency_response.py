@@ -105,7 +105,9 @@ class FrequencyResponse:
         ranges = {"coherence": (0, 1), "variance": (0, np.inf), "dof": (0, np.inf)}
         for name, (low, high) in ranges.items():
             values = getattr(self, name)
-            bad = np.flatnonzero(~((values > low) & (values <= high))) if values is not None else np.zeros(0, int)
+            if values is None:
+                continue
+            bad = np.flatnonzero(~((values > low) & (values <= high)))
             if bad.size:
                 limit = f"above 0 and at most {high:g}" if np.isfinite(high) else "above 0"
                 raise ValueError(f"{name} is {values[bad[0]]:g} at index {bad[0]}: it must be {limit}.")
@@ -139,7 +141,7 @@ class FrequencyResponse:
         """Divide by jω, e.g. from a rate to its angle; `output` names the new signal."""
         return self._scaled(1 / (1j * self.omega), output)
 
-    def _scaled(self, factor: NDArray[np.complex128], output: str) -> "FrequencyResponse":
+    def _scaled(self, factor: NDArray[np.complexfloating], output: str) -> "FrequencyResponse":
         variance = None if self.variance is None else self.variance * np.abs(factor) ** 2
         return replace(self, response=self.response * factor, variance=variance, output=output or self.output)
 

@@ -136,8 +136,8 @@ class RationalFit:
         """Evaluate P(jω) at `omega` (k,) in rad/s."""
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
         values = np.polyval(self.numerator, 1j * omega) / np.polyval(self.denominator, 1j * omega)
-        signals = {"input": self.data.input, "output": self.data.output}
-        return FrequencyResponse(omega, values, **signals, name=f"least squares ({self.n}, {self.m})", source="model")
+        names = self.data.input, self.data.output, f"least squares ({self.n}, {self.m})"
+        return FrequencyResponse(omega, values, input=names[0], output=names[1], name=names[2], source="model")
 
     def __str__(self) -> str:
         how = f"reweighted {self.iterations} times" if self.iterations else "not reweighted"

@@ -1,7 +1,7 @@
 """Linear readings of a model: linearization, frequency response, and rational form with delay or Padé approximation."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -66,7 +66,7 @@ def pick_signals(model: Model, input: str = "", output: str = "") -> tuple[str, 
     )
 
 
-def _pick(name: str, known: tuple[str, ...], what: str, owner: str) -> str:
+def _pick(name: str, known: Sequence[str], what: str, owner: str) -> str:
     if name in known:
         return name
     if name:
@@ -250,7 +250,7 @@ def response_function(
         result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
     at_point = ca.Function("response", [p, x, u], _parts(result, s, model.label))
     trim = trim_function(model, at or {})
-    q = ca.SX.sym("p", p.numel()) if trim.is_a("SXFunction") else ca.MX.sym("p", p.numel())
+    q: Any = ca.SX.sym("p", p.numel()) if trim.is_a("SXFunction") else ca.MX.sym("p", p.numel())
     return ca.Function("response", [q], at_point(q, *trim(q)))
 
 
@@ -258,7 +258,7 @@ def _parts(result: Any, s: Complex, owner: str) -> list[ca.SX]:
     """Return real and imaginary part of a traced response, one entry per frequency."""
     if not isinstance(result, (Complex, int, float, np.number, np.ndarray, ca.SX, ca.DM)):
         raise ValueError(f"{owner}.response returns a {type(result).__name__}: return one expression of s and p.")
-    both = (result.re, result.im) if isinstance(result, Complex) else (result, 0.0)
+    both: Any = (result.re, result.im) if isinstance(result, Complex) else (result, 0.0)
     parts = [ca.SX(part) for part in both]
     for k, part in enumerate(parts):
         if part.is_scalar():

@@ -34,6 +34,7 @@ from greybox.result import Minimum
 from greybox.solve import Run
 
 LAYOUT = 1
+Node = Any  # h5py types every item as "group, dataset or type", which is of no help
 _EXTRAS = ("coherence", "variance", "dof")
 
 
@@ -77,7 +78,7 @@ def load(path: str | Path) -> Fit:
     return fit
 
 
-def _check(file: h5py.File, path: Path) -> None:
+def _check(file: Node, path: Path) -> None:
     if file.attrs.get("format") != "greybox fit":
         raise ValueError(f"{path} is an HDF5 file but not a greybox result.")
     if int(file.attrs["layout"]) > LAYOUT:
@@ -86,7 +87,7 @@ def _check(file: h5py.File, path: Path) -> None:
         )
 
 
-def _write(file: h5py.File, fit: Fit) -> None:
+def _write(file: Node, fit: Fit) -> None:
     scalars = ("name", "criterion", "delay", "status", "cost", "dof", "seed", "starts", "seconds", "checksum")
     _attributes(file, format="greybox fit", layout=LAYOUT, **{name: getattr(fit, name) for name in scalars})
     _attributes(file, costs=json.dumps(_finite(fit.costs)), versions=json.dumps(dict(fit.versions)))
@@ -103,7 +104,7 @@ def _write(file: h5py.File, fit: Fit) -> None:
         _write_part(file.create_group(f"parts/{k}"), part)
 
 
-def _write_runs(file: h5py.File, fit: Fit) -> None:
+def _write_runs(file: Node, fit: Fit) -> None:
     group = file.create_group("runs")
     _texts(group, "status", [run.status for run in fit.runs])
     for column in ("start", "estimate", "cost", "converged", "iterations", "seconds"):
@@ -119,7 +120,7 @@ def _write_runs(file: h5py.File, fit: Fit) -> None:
     minima["estimate"] = np.array([m.estimate for m in fit.minima]).reshape(len(fit.minima), len(fit.free))
 
 
-def _write_part(group: h5py.Group, part: FittedPart) -> None:
+def _write_part(group: Node, part: FittedPart) -> None:
     texts = ("name", "criterion", "rule", "delay", "weight", "label", "equation")
     _attributes(group, checksum=part.data.checksum, **{name: getattr(part, name) for name in texts})
     _attributes(group, pade_error=math.nan if part.pade_error is None else part.pade_error)
@@ -132,14 +133,14 @@ def _write_part(group: h5py.Group, part: FittedPart) -> None:
             _write_response(group.create_group(name), response)
 
 
-def _write_response(group: h5py.Group, response: FrequencyResponse) -> None:
+def _write_response(group: Node, response: FrequencyResponse) -> None:
     _attributes(group, input=response.input, output=response.output, name=response.name, source=response.source)
     for column in ("omega", "alpha", "beta", *_EXTRAS):
         if getattr(response, column) is not None:
             group[column] = getattr(response, column)
 
 
-def _read(file: h5py.File) -> Fit:
+def _read(file: Node) -> Fit:
     free = tuple(json.loads(file["runs"].attrs["free"]))
     runs = _read_runs(file["runs"])
     attributes = file.attrs
@@ -163,7 +164,7 @@ def _read(file: h5py.File) -> Fit:
     )
 
 
-def _read_quantities(group: h5py.Group) -> tuple[Quantity, ...]:
+def _read_quantities(group: Node) -> tuple[Quantity, ...]:
     texts = {column: _read_texts(group[column]) for column in ("name", "kind", "unit", "about")}
     values, errors, bounds, hits = (group[c][()] for c in ("value", "standard_error", "bounds", "at_bound"))
     return tuple(
@@ -178,7 +179,7 @@ def _read_quantities(group: h5py.Group) -> tuple[Quantity, ...]:
     )
 
 
-def _read_runs(group: h5py.Group) -> tuple[Run, ...]:
+def _read_runs(group: Node) -> tuple[Run, ...]:
     status = _read_texts(group["status"])
     start, estimate, cost = (group[c][()] for c in ("start", "estimate", "cost"))
     converged, iterations, seconds = (group[c][()] for c in ("converged", "iterations", "seconds"))
@@ -197,7 +198,7 @@ def _read_runs(group: h5py.Group) -> tuple[Run, ...]:
     )
 
 
-def _read_minima(file: h5py.File, runs: tuple[Run, ...]) -> tuple[Minimum, ...]:
+def _read_minima(file: Node, runs: tuple[Run, ...]) -> tuple[Minimum, ...]:
     minimum, group = file["runs/minimum"][()], file["minima"]
     cost, estimate, variants = (group[c][()] for c in ("cost", "estimate", "variants"))
     result = []
@@ -207,7 +208,7 @@ def _read_minima(file: h5py.File, runs: tuple[Run, ...]) -> tuple[Minimum, ...]:
     return tuple(result)
 
 
-def _read_part(group: h5py.Group) -> FittedPart:
+def _read_part(group: Node) -> FittedPart:
     attributes = group.attrs
     data = _read_response(group["data"])
     if data.checksum != attributes["checksum"]:
@@ -225,22 +226,22 @@ def _read_part(group: h5py.Group) -> FittedPart:
     )
 
 
-def _read_response(group: h5py.Group) -> FrequencyResponse:
+def _read_response(group: Node) -> FrequencyResponse:
     extras = {column: group[column][()] for column in _EXTRAS if column in group}
     texts: dict[str, Any] = {name: str(group.attrs[name]) for name in ("input", "output", "name", "source")}
     return FrequencyResponse(group["omega"][()], group["alpha"][()] + 1j * group["beta"][()], **texts, **extras)
 
 
-def _attributes(group: h5py.Group, **values: Any) -> None:
+def _attributes(group: Node, **values: Any) -> None:
     for name, value in values.items():
         group.attrs[name] = value
 
 
-def _texts(group: h5py.Group, name: str, values: Any) -> None:
+def _texts(group: Node, name: str, values: Any) -> None:
     group.create_dataset(name, data=list(values), dtype=h5py.string_dtype(), shape=(len(values),))
 
 
-def _read_texts(dataset: h5py.Dataset) -> tuple[str, ...]:
+def _read_texts(dataset: Node) -> tuple[str, ...]:
     return tuple(dataset.asstr()[()].tolist())
 
 

@@ -17,6 +17,10 @@ g = 9.8065  # m/s², the paper's value, below (4.24)
 _CASADI = (ca.SX, ca.MX, ca.DM)
 
 
+def _is_casadi(value: Any) -> bool:
+    return isinstance(value, _CASADI)
+
+
 def pade_coefficients(order: int) -> list[float]:
     """Coefficients c_0 ... c_n of the diagonal Padé approximation exp(z) ≈ Σ c_k z^k / Σ c_k (-z)^k.
 
@@ -180,7 +184,7 @@ class Rational:
         if self.pade is not None:
             coefficients = pade_coefficients(self.pade)
             return _horner(coefficients[::-1], self) / _horner(coefficients[::-1], -self)
-        constant = len(self.denominator) == 1 and not isinstance(self.delay, _CASADI) and self.delay == 0
+        constant = len(self.denominator) == 1 and not _is_casadi(self.delay) and self.delay == 0
         if not constant or len(self.numerator) > 2 or (len(self.numerator) and not _is_zero(self.numerator[-1])):
             raise ValueError("only exp(-s T) with a T that does not depend on s has a rational form with a delay.")
         return Rational([1.0], delay=-self.numerator[0] / self.denominator[0] if len(self.numerator) == 2 else 0.0)
@@ -197,7 +201,7 @@ def _function(name: str, casadi: Callable[..., Any], numpy: Callable[..., Any], 
             if method is None:
                 raise ValueError(f"{name} of a function of s has no {type(x).__name__.lower()} form.")
             return method()
-        return casadi(x) if isinstance(x, _CASADI) else numpy(x)
+        return casadi(x) if _is_casadi(x) else numpy(x)
 
     apply.__name__ = apply.__qualname__ = name
     apply.__doc__ = f"{doc}, of numbers, CasADi expressions and functions of s."
@@ -219,22 +223,22 @@ sign = _function("sign", ca.sign, np.sign, "Sign, 0 at 0")
 
 def arctan2(y: Any, x: Any) -> Any:
     """Angle of the point (x, y), of numbers or CasADi expressions."""
-    return ca.atan2(y, x) if isinstance(y, _CASADI) or isinstance(x, _CASADI) else np.arctan2(y, x)
+    return ca.atan2(y, x) if _is_casadi(y) or _is_casadi(x) else np.arctan2(y, x)
 
 
 def minimum(a: Any, b: Any) -> Any:
     """Return the smaller of `a` and `b`, elementwise, of numbers or CasADi expressions."""
-    return ca.fmin(a, b) if isinstance(a, _CASADI) or isinstance(b, _CASADI) else np.minimum(a, b)
+    return ca.fmin(a, b) if _is_casadi(a) or _is_casadi(b) else np.minimum(a, b)
 
 
 def maximum(a: Any, b: Any) -> Any:
     """Return the larger of `a` and `b`, elementwise, of numbers or CasADi expressions."""
-    return ca.fmax(a, b) if isinstance(a, _CASADI) or isinstance(b, _CASADI) else np.maximum(a, b)
+    return ca.fmax(a, b) if _is_casadi(a) or _is_casadi(b) else np.maximum(a, b)
 
 
 def where(condition: Any, a: Any, b: Any) -> Any:
     """Return `a` where `condition` holds, else `b`, of numbers or CasADi expressions."""
-    if any(isinstance(x, _CASADI) for x in (condition, a, b)):
+    if any(_is_casadi(x) for x in (condition, a, b)):
         return ca.if_else(condition, a, b)
     return np.where(condition, a, b)
 
@@ -289,13 +293,13 @@ def _horner(coefficients: Sequence[Any], s: Any) -> Any:
 
 
 def _is_zero(c: Any) -> bool:
-    return c.is_zero() if isinstance(c, ca.SX | ca.MX | ca.DM) else bool(c == 0)
+    return c.is_zero() if _is_casadi(c) else bool(c == 0)
 
 
 def _equal(a: Any, b: Any) -> bool:
     if isinstance(a, ca.MX) or isinstance(b, ca.MX):
         return ca.is_equal(ca.MX(a), ca.MX(b), 8)
-    if isinstance(a, _CASADI) or isinstance(b, _CASADI):
+    if _is_casadi(a) or _is_casadi(b):
         return ca.is_equal(ca.SX(a), ca.SX(b), 8)
     return bool(a == b)
 

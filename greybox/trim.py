@@ -117,7 +117,7 @@ def _presolve(
         solution = least_squares(
             lambda w: np.nan_to_num(np.asarray(residual(w, start)[0]).ravel(), nan=1e9, posinf=1e9, neginf=-1e9),
             guess,
-            jac=lambda w: np.nan_to_num(np.asarray(residual(w, start)[1])),
+            jac=lambda w: np.nan_to_num(np.asarray(residual(w, start)[1])),  # type: ignore[arg-type]
             xtol=1e-15,
             ftol=1e-15,
             gtol=1e-15,
@@ -142,11 +142,12 @@ def _presolve(
     )
 
 
-def _pivots(jacobian: ca.DM) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _pivots(jacobian: ca.DM) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
     """Pivots of a Jacobian, largest first, and the order in which its rows were taken."""
     from scipy.linalg import qr  # noqa: PLC0415  (see `_presolve`)
 
-    _, triangle, order = qr(np.nan_to_num(np.asarray(jacobian)).T, pivoting=True, mode="economic")
+    result: Any = qr(np.nan_to_num(np.asarray(jacobian)).T, pivoting=True, mode="economic")
+    _, triangle, order = result
     return np.abs(np.diag(triangle)), order
 
 

@@ -33,4 +33,5 @@ def data(mended=False):
 
 
 def problem(mended=False):
-    return sum(gb.Problem(Rotor(), rotor) for rotor in data(mended)).with_(name="rotors")
+    first, *others = (gb.Problem(Rotor(), rotor) for rotor in data(mended))
+    return sum(others, first).with_(name="rotors")

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from greybox.models.rotor import Rotor
-from greybox.models.tilt import LinearTilt, Tilt
 from made import ROTOR, ROTOR_OMEGA, TILT, TILT_OMEGA, TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 
 import greybox as gb
+from greybox.models.rotor import Rotor
+from greybox.models.tilt import LinearTilt, Tilt
 
 SHARED = TILT | {"T_rotor": ROTOR["T_rotor"], "T_delay": ROTOR["T_delay"]}
 DATA = measured(Tilt(), TILT_OMEGA, SHARED)
@@ -105,6 +105,24 @@ def test_things_of_another_kind_are_refused(arguments, words):
         gb.Problem(*arguments)
     with pytest.raises(TypeError, match="problem is .*give a Problem"):
         gb.fit(LagLagDelay())
+
+
+@pytest.mark.parametrize(
+    ("statement", "words"),
+    [
+        ({"tied": {"T1": 3.0}}, r"tied\['T1'\]"),
+        ({"tied": {"T1": lambda p: p.T2 / 0}}, r"tied\['T1'\]"),
+        ({"constraints": [3]}, r"constraints\[0\]"),
+        ({"constraints": [lambda p: "T1 > T2"]}, r"constraints\[0\]"),
+        ({"constraints": lambda p: p.T1 - p.T2}, "constraints"),
+        ({"fixed": ("K",)}, "fixed"),
+        ({"weight": "heavy"}, "weight 'heavy' must be a finite number"),
+    ],
+    ids=["number", "zero division", "number as constraint", "text", "no list", "tuple", "weight"],
+)
+def test_other_kinds_of_statements_are_refused_by_their_name(statement, words):
+    with pytest.raises((ValueError, TypeError), match=words):
+        gb.Problem(LagLagDelay(), TWO, **statement)
 
 
 def test_data_and_model_meet_by_signal_names():

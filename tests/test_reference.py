@@ -3,12 +3,12 @@
 import json
 
 import pytest
-from greybox.models.polynomial import Polynomial
-from greybox.models.rotor import Rotor
-from greybox.models.tilt import LinearTilt, Tilt
 from made import LagLagDelay
 
 import greybox as gb
+from greybox.models.polynomial import Polynomial
+from greybox.models.rotor import Rotor
+from greybox.models.tilt import LinearTilt, Tilt
 from greybox.reference import reference, resolve, source_text
 
 
@@ -85,9 +85,16 @@ def test_an_argument_that_is_no_plain_value_is_stored_as_text_and_said_to_be():
 
 
 def test_a_class_that_no_longer_takes_its_arguments_is_a_lookup_error():
-    stored = reference(Tilt()) | {"arguments": [1, 2]}
-    with pytest.raises(LookupError, match="Tilt"):
+    stored = reference(Polynomial(4, 1)) | {"keywords": {"order": 3}}
+    with pytest.raises(LookupError, match="Polynomial"):
         resolve(stored)
+
+
+def test_arguments_that_a_model_does_not_take_are_refused():
+    with pytest.raises(TypeError, match="Tilt"):
+        Tilt(a5=0.2)
+    with pytest.raises(TypeError, match="Tilt"):
+        Tilt({"a5": 0.2})
 
 
 def test_a_tie_is_recorded_by_its_source():
