@@ -137,8 +137,11 @@ def _covariance(
     shift = np.zeros((k, k))
     shift[:p, p:] = -inverse @ information.bread[:, p:]
     shift[p:, p:] = np.eye(k - p)
-    covariance = shift @ known @ shift.T
-    covariance[:p, :p] += inverse @ information.meat @ inverse
+    covariance = known.copy()
+    covariance[:p, :p] = np.nan
+    if np.all(np.isfinite(known)):
+        covariance = shift @ known @ shift.T
+        covariance[:p, :p] += inverse @ information.meat @ inverse
     return covariance
 
 
@@ -173,7 +176,8 @@ def _information(nlp: Nlp, x: NDArray[np.float64], dof: int) -> _Information:
     bread, meat, rows = np.zeros((p, len(values))), np.zeros((p, p)), []
     for part, response, sensitivity in zip(nlp.problem.parts, responses, sensitivities, strict=True):
         jacobian = part.criterion.jacobian(response, sensitivity, part.data)
-        scale, spread = part.criterion.spread(response, part.data, correction)
+        scale, spread = part.criterion.spread(response, part.data, correction) if dof > 0 else (1.0, np.zeros(half * 2))
+        spread = spread[: len(jacobian)]
         own = jacobian[:, :p]
         bread += part.weight * scale * own.T @ jacobian
         meat += part.weight**2 * own.T @ (spread[:, None] * own)
@@ -241,5 +245,5 @@ def _known_covariance(nlp: Nlp) -> NDArray[np.float64]:
             sources.setdefault(id(source), (source, []))[1].append(name)
     for source, group in sources.values():
         places = [names.index(name) for name in group]
-        result[np.ix_(places, places)] = np.nan_to_num(source.covariance_of(group))
+        result[np.ix_(places, places)] = source.covariance_of(group)
     return result

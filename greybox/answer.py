@@ -99,7 +99,7 @@ class Fit:
     quantities : tuple of Quantity
         Free, fixed and tied parameters, then derived quantities.
     names, covariance : tuple of str, (k, k) array
-        Of free parameters, then fixed ones.
+        Of free, fixed and tied parameters.
     dof : float
         Degrees of freedom of Student's t.
     cost : float
@@ -120,7 +120,7 @@ class Fit:
     runs: tuple[Run, ...]
     minima: tuple[Minimum, ...]
     warnings: tuple[str, ...]
-    seed: int
+    seed: int | None
     starts: str
     seconds: float
     versions: Mapping[str, str]
@@ -249,7 +249,11 @@ def _text(fit: Fit) -> str:
         "",
     ]
     lines += [f"  warning: {text}" for text in fit.warnings]
-    return "\n".join([*lines, f"  {fit.seconds:.2f} s, seed {fit.seed}, starts {fit.starts}"])
+    return "\n".join([*lines, f"  {fit.seconds:.2f} s, starts {fit.starts}{_seed_text(fit)}"])
+
+
+def _seed_text(fit: Fit) -> str:
+    return "" if fit.seed is None else f", seed {fit.seed}"
 
 
 def _pade_text(part: FittedPart) -> str:

@@ -41,7 +41,7 @@ class Criterion(ABC):
 
     @property
     def gain_bias(self) -> float:
-        """How low the gain comes out, in units of σ², with relative noise σ in each component."""
+        """The relative error of the gain in units of σ², with relative noise σ in each component."""
         return 0.0
 
     @property
@@ -93,8 +93,8 @@ class _Relative(Criterion):
 
     @property
     def gain_bias(self) -> float:
-        """How low the gain comes out, in units of σ²: large measured values get small weights."""
-        return self.measured_bias if self.normalized == "measured" else 0.0
+        """Low over the measured magnitude, high over the model's: the two bracket the truth (measured, σ to 0.2)."""
+        return self.measured_bias if self.normalized == "measured" else 2.0
 
     def __post_init__(self) -> None:
         """Check the normalization."""
@@ -120,13 +120,14 @@ class _Relative(Criterion):
 class RelativeError(_Relative):
     """Sum of relative errors, (4.26): Σ |P - P̂| / |P̂|, with P the model and P̂ the measurement.
 
-    `normalized` by the "measured" magnitude as in the paper, or by the "model"'s, which does not bias the gain low when
-    the data are noisy. The standard errors hold for errors that are isotropic in the complex plane and of one relative
+    `normalized` by the "measured" magnitude as in the paper, or by the "model"'s. With relative noise σ in each
+    component the first biases the gain by -σ², the second by 2 σ². The standard errors hold for errors that are
+    isotropic in the complex plane and of one relative
     size: Cov = (4/π) s² (JᵀJ)⁻¹, with s the standard deviation of one component.
     """
 
     rule: ClassVar[str] = "sum of relative errors, (4.26)"
-    measured_bias: ClassVar[float] = 1.0
+    measured_bias: ClassVar[float] = -1.0
     smoothed: ClassVar[bool] = True
 
     def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
@@ -150,7 +151,7 @@ class SquaredRelativeError(_Relative):
     """
 
     rule: ClassVar[str] = "sum of squared relative errors"
-    measured_bias: ClassVar[float] = 2.0
+    measured_bias: ClassVar[float] = -2.0
 
     def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
         """Return Σ |e|²."""

@@ -14,14 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from greybox.accuracy import Accuracy, assess, propagate
-from greybox.answer import Fit, FittedPart, Quantity
+from greybox.accuracy import Accuracy, assess
+from greybox.answer import Fit, FittedPart
 from greybox.criterion import CRITERIA, evaluate
 from greybox.linear import frequency_response
 from greybox.model import equation
 from greybox.multistart import multistart
 from greybox.nlp import AnyProblem, Nlp, compile_problem
 from greybox.problem import Problem, Sum
+from greybox.quantities import quantities
 from greybox.reference import reference, source_text
 from greybox.result import Multistart
 from greybox.starts import Starts, as_starts
@@ -72,10 +73,10 @@ def fit(
     else:
         with tqdm(total=len(points), disable=None if progress else True, delay=2, unit="start", leave=False) as bar:
             search = multistart(nlp, points, solver_options, lambda done, _: _advance(bar, done))
-    return assemble(nlp, search, seed=seed, starts=f"{len(points)} {type(rule).__name__}", began=began)
+    return assemble(nlp, search, seed=rule.seed, starts=f"{len(points)} by {type(rule).__name__}", began=began)
 
 
-def assemble(nlp: Nlp, search: Multistart, *, seed: int, starts: str, began: float) -> Fit:
+def assemble(nlp: Nlp, search: Multistart, *, seed: int | None, starts: str, began: float) -> Fit:
     """Turn what a multistart left into the answer; `began` is the clock reading when the work began."""
     problem = nlp.problem
     best = search.minima[0].estimate if search.minima else np.full(len(nlp.free), np.nan)
@@ -86,13 +87,14 @@ def assemble(nlp: Nlp, search: Multistart, *, seed: int, starts: str, began: flo
         pade_error(part, values) if search.minima else None for part, values in zip(problem.parts, local, strict=True)
     ]
     responses = nlp.split(nlp.response_rows(best[None])[0])
+    lines, names, covariance = quantities(nlp, accuracy, estimate)
     return Fit(
         name=problem.name,
         parts=tuple(_part(*item) for item in zip(problem.parts, local, responses, errors, strict=True)),
-        quantities=_quantities(nlp, accuracy, estimate),
+        quantities=lines,
         free=nlp.free,
-        names=accuracy.names,
-        covariance=_masked(accuracy),
+        names=names,
+        covariance=covariance,
         dof=accuracy.dof,
         cost=search.minima[0].cost if search.minima else math.nan,
         costs=_all_costs(problem, responses),
@@ -124,14 +126,6 @@ def _nothing(nlp: Nlp) -> Accuracy:
     )
 
 
-def _masked(accuracy: Accuracy) -> NDArray[np.float64]:
-    """Return the covariance with NaN for parameters that have no standard error."""
-    unknown = np.isnan(propagate(accuracy, np.eye(len(accuracy.names))))
-    covariance = accuracy.covariance.copy()
-    covariance[unknown, :] = covariance[:, unknown] = np.nan
-    return covariance
-
-
 def _part(part: Problem, values: dict[str, float], response: NDArray[np.complex128], error: float | None) -> FittedPart:
     data = part.data
     curve = None
@@ -149,7 +143,7 @@ def _part(part: Problem, values: dict[str, float], response: NDArray[np.complex1
         response=response,
         curve=curve,
         weight=part.weight,
-        at=dict(part.at),
+        at={name: float(value) for name, value in part.at.items()},
         rename=dict(part.rename),
         tied={name: source_text(tie) for name, tie in part.tied.items()},
         constraints=tuple(source_text(constraint) for constraint in part.constraints),
@@ -168,56 +162,3 @@ def _all_costs(problem: AnyProblem, responses: list[NDArray[np.complex128]]) -> 
         )
         for criterion in CRITERIA
     }
-
-
-def _quantities(nlp: Nlp, accuracy: Accuracy, estimate: dict[str, float]) -> tuple[Quantity, ...]:
-    problem, k = nlp.problem, len(nlp.names)
-    parameters = problem.parameters
-    own = propagate(accuracy, np.eye(k))
-    result = [
-        Quantity(
-            name=name,
-            value=estimate[name],
-            standard_error=float(own[i]),
-            kind="fixed" if parameters[name].fixed else "free",
-            unit=parameters[name].unit,
-            about=parameters[name].about,
-            bounds=parameters[name].bounds,
-            at_bound=name in accuracy.at_bound,
-        )
-        for i, name in enumerate(nlp.names)
-    ]
-    formulas = _formulas(problem)
-    symbols = ca.SX.sym("x", k)
-    named = dict(zip(nlp.names, ca.vertsplit(symbols), strict=True))
-    for name, kind, unit, about, formula in formulas:
-        expression = ca.SX(formula(named))
-        both = ca.Function("quantity", [symbols], [expression, ca.jacobian(expression, symbols)])
-        value, gradient = (np.asarray(ca.DM(v)) for v in both(list(estimate.values())))
-        error = float(propagate(accuracy, gradient)[0])
-        result.append(Quantity(name, float(value[0, 0]), error, kind, unit, about))
-    return tuple(result)
-
-
-def _formulas(problem: AnyProblem) -> list[tuple[str, Any, str, str, Callable[[Mapping[str, Any]], Any]]]:
-    """List the tied and derived quantities of all parts: name, kind, unit, meaning, function of the outside values."""
-    found: dict[str, tuple[str, Any, str, str, Callable[[Mapping[str, Any]], Any]]] = {}
-    for part in problem.parts:
-        for name in part.tied:
-            outside, declared = part.rename.get(name, name), part.model.parameters[name]
-            found.setdefault(outside, (outside, "tied", declared.unit, declared.about, _tie(part, name)))
-    taken = {**problem.parameters, **found}
-    for part in problem.parts:
-        for name, function in part.model.derived.items():
-            # Parts that rename parameters have derived quantities of their own.
-            label = name if not part.rename and name not in taken else f"{name} ({part.name})"
-            found.setdefault(label, (label, "derived", "", "", _derivation(part, function)))
-    return list(found.values())
-
-
-def _tie(part: Problem, name: str) -> Callable[[Mapping[str, Any]], Any]:
-    return lambda values: part.local_values(values)[name]
-
-
-def _derivation(part: Problem, function: Callable[[Any], Any]) -> Callable[[Mapping[str, Any]], Any]:
-    return lambda values: function(part.local_values(values))

@@ -74,6 +74,11 @@ class Model(ABC):
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
         """Remember the arguments, so that a stored result can name its model."""
+        if (args or kwargs) and cls.__init__ is object.__init__:
+            raise TypeError(
+                f"{cls.__name__}() takes no arguments: give values to a problem, e.g. fixed={{name: value}}, "
+                "or to gb.frequency_response."
+            )
         model = super().__new__(cls)
         model.arguments = (args, kwargs)
         return model

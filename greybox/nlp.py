@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.linear import delay_order, response_function
-from greybox.model import require_known
+from greybox.model import Names, require_known
 from greybox.parameter import Parameter
 from greybox.problem import Problem, Sum
 from greybox.symbolic import Complex
@@ -139,7 +139,7 @@ def compile_problem(problem: AnyProblem) -> Nlp:
         """Return the response of every part and the stacked constraints, for values in the order free, constants."""
         local = [part.local_values(dict(zip((*free, *constants), values, strict=True))) for part in problem.parts]
         responses = [Complex(*f(ca.vertcat(*p.values()))) for f, p in zip(models, local, strict=True)]
-        constraints = [c(p) for part, p in zip(problem.parts, local, strict=True) for c in part.constraints]
+        constraints = [g for part, p in zip(problem.parts, local, strict=True) for g in _limits(part, p)]
         return responses, ca.vertcat(*constraints) if constraints else kind(0, 1)
 
     x = kind.sym("x", len(free) + len(constants))
@@ -165,6 +165,16 @@ def compile_problem(problem: AnyProblem) -> Nlp:
         responses=ca.Function("responses", [x], [stacked]),
         constraint=ca.Function("constraint", [x], [constraints]),
     )
+
+
+def _limits(part: Problem, p: Names) -> list[Any]:
+    """Return what must be >= 0: the constraints, and the declared bounds of tied parameters."""
+    result = [constraint(p) for constraint in part.constraints]
+    for name in part.tied:
+        low, high = part.model.parameters[name].bounds
+        result += [p[name] - low] if math.isfinite(low) else []
+        result += [high - p[name]] if math.isfinite(high) else []
+    return result
 
 
 def cost(problem: AnyProblem, values: Mapping[str, float]) -> float:

@@ -91,8 +91,8 @@ class Problem:
             object.__setattr__(self, "free", (self.free,))
         if not self.name:
             object.__setattr__(self, "name", self.data.name or self.model.label)
-        if not (math.isfinite(self.weight) and self.weight > 0):
-            raise ValueError(f"weight {self.weight} must be a finite number above 0.")
+        if not isinstance(self.weight, (int, float, np.number)) or not (math.isfinite(self.weight) and self.weight > 0):
+            raise ValueError(f"weight {self.weight!r} must be a finite number above 0.")
         self.criterion.check(self.data)
         delay_order(self.delay)
         pick_signals(self.model, self.data.input, self.data.output)
@@ -138,8 +138,10 @@ class Problem:
     @property
     def given(self) -> Mapping[str, "float | Estimated"]:
         """Return `fixed` by name."""
-        if not isinstance(self.fixed, Estimated):
+        if isinstance(self.fixed, Mapping):
             return self.fixed
+        if not isinstance(self.fixed, Estimated):
+            raise TypeError(f"fixed is {self.fixed!r:.60}: give {{name: value}} or a Fit.")
         shared = {
             name: self.fixed for name in self.model.parameters if self.rename.get(name, name) in self.fixed.estimate
         }
@@ -178,11 +180,17 @@ class Problem:
         return replace(parameter, start=float(value), fixed=True)
 
     def _check_functions(self) -> None:
-        """Try ties and constraints in numbers, so that a mistake shows here and not inside CasADi."""
+        """Try ties, constraints and derived quantities in numbers, so that a mistake shows here, not inside CasADi."""
+        if not isinstance(self.constraints, Sequence) or isinstance(self.constraints, str):
+            raise TypeError(f"constraints is {self.constraints!r:.60}: give a list of functions.")
         start = {self.rename.get(n, n): p.start for n, p in self._own.items()}
         p = self.local_values(start)
+        for name in self.tied:
+            _require_number(p[name], f"tied[{name!r}]")
         for k, constraint in enumerate(self.constraints):
-            _try(constraint, p, f"constraints[{k}]")
+            _require_number(_call(constraint, p, f"constraints[{k}]"), f"constraints[{k}]")
+        for name, function in self.model.derived.items():
+            _require_number(_call(function, p, f"derived[{name!r}] of {self.model.label}"), f"derived[{name!r}]")
 
     @property
     def _own(self) -> dict[str, Parameter]:
@@ -207,9 +215,7 @@ class Problem:
         """Name the model's parameters, ties evaluated, given numbers or expressions by outside name."""
         local = {name: values[self.rename.get(name, name)] for name in self._own}
         for name, tie in self.tied.items():
-            local[name] = _try(
-                tie, Names(local, f"the problem {self.name!r}, at the tie of {name!r},"), f"tied[{name!r}]"
-            )
+            local[name] = _call(tie, Names(local, f"the problem {self.name!r}, at this tie,"), f"tied[{name!r}]")
         return Names({name: local[name] for name in self.model.parameters}, self.model.label)
 
     def __add__(self, other: Any) -> "Sum":
@@ -242,13 +248,15 @@ class Sum:
         object.__setattr__(self, "_parameters", merged)
 
     def _check_ties(self, merged: Mapping[str, Parameter]) -> None:
-        start = {name: parameter.start for name, parameter in merged.items()}
-        seen: dict[str, float] = {}
+        random = np.random.default_rng(0)
+        low, high = np.clip(np.array([p.bounds for p in merged.values()]).T, -1e3, 1e3)
+        points = [[p.start for p in merged.values()], *random.uniform(low, high, (4, len(merged)))]
+        seen: dict[str, list[float]] = {}
         for part in self.parts:
-            values = part.local_values(start)
             for name in part.tied:
                 outside = part.rename.get(name, name)
-                if outside in merged or seen.setdefault(outside, values[name]) != values[name]:
+                values = [part.local_values(dict(zip(merged, point, strict=True)))[name] for point in points]
+                if outside in merged or not np.allclose(seen.setdefault(outside, values), values, equal_nan=True):
                     raise ValueError(
                         f"{outside!r} is tied in {part.name!r} and otherwise in another part: tie it alike in both, "
                         f"or give one another name, rename={{{name!r}: ...}}."
@@ -287,13 +295,20 @@ def _require(value: Any, kind: type, what: str, cure: str) -> None:
         raise TypeError(f"{what} is {value!r:.80}: give {cure}.")
 
 
-def _try(function: Callable[[Any], Any], p: Names, what: str) -> Any:
+def _call(function: Callable[[Any], Any], p: Names, what: str) -> Any:
+    """Evaluate a user's function of the parameters, naming it when it fails."""
+    if not callable(function):
+        raise TypeError(f"{what} is {function!r:.60}: give a function such as lambda p: 2 * p.{next(iter(p), 'a')}.")
     try:
-        value = function(p)
-    except AttributeError as error:
-        raise ValueError(f"{what}: {error}") from None
-    if isinstance(value, (int, float, np.number)) and not math.isfinite(value):
+        return function(p)
+    except (AttributeError, KeyError, ArithmeticError) as error:
+        raise ValueError(f"{what}: {error}") from error
+
+
+def _require_number(value: Any, what: str) -> None:
+    if isinstance(value, (bool, np.bool_)):
+        raise ValueError(f"{what} gives a truth value: write a difference that must be >= 0, such as p.T1 - p.T2.")
+    if not isinstance(value, (int, float, np.number)):
+        raise ValueError(f"{what} gives {value!r:.60}: it must give an expression of the parameters.")
+    if not math.isfinite(value):
         raise ValueError(f"{what} is {value} at the start values: correct the function or the starts.")
-    if value is None:
-        raise ValueError(f"{what} returns None: it must return an expression of the parameters.")
-    return value

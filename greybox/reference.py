@@ -39,7 +39,10 @@ def resolve(stored: dict[str, Any]) -> Model:
     if not (isinstance(owner, type) and issubclass(owner, Model)):
         raise LookupError(f"{missing} ({class_name} there is no Model): {cure}.")
     arguments = [_alive(value) for value in stored["arguments"]]
-    return owner(*arguments, **{name: _alive(value) for name, value in stored["keywords"].items()})
+    try:
+        return owner(*arguments, **{name: _alive(value) for name, value in stored["keywords"].items()})
+    except TypeError as error:
+        raise LookupError(f"{missing} as it was: {error}; give the model itself, model=...") from None
 
 
 def source_text(function: Callable[..., Any]) -> str:

@@ -67,14 +67,14 @@ def find_minima(nlp: Nlp, runs: Sequence[Run]) -> tuple[Minimum, ...]:
     responses = nlp.response_rows(np.array([run.estimate for run in order]))
     costs = np.array([run.cost for run in order])
     floor = 1e-12 * np.abs(responses).max() + 1e-150
-    size = costs[0] + 1e-6 * sum(len(part.data) for part in nlp.problem.parts)
+    least = 1e-3 * sum(len(part.data) for part in nlp.problem.parts)
     ungrouped = np.ones(len(order), dtype=bool)
     minima = []
     while ungrouped.any():
         k = int(np.argmax(ungrouped))
         relative = (responses - responses[k]) / np.maximum(np.abs(responses[k]), floor)
         away = np.sqrt(np.mean(np.abs(relative) ** 2, axis=1))
-        near = ungrouped & (costs - costs[k] <= SAME_COST * max(costs[k], size)) & (away <= SAME_RESPONSE)
+        near = ungrouped & (costs - costs[k] <= SAME_COST * max(costs[k], least)) & (away <= SAME_RESPONSE)
         near[k] = True
         ungrouped &= ~near
         members = [order[i] for i in np.flatnonzero(near)]

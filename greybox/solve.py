@@ -98,7 +98,7 @@ def _ipopt(expressions: Mapping[str, Any], options: Mapping[str, Any]) -> ca.Fun
 
 
 def _settings(ipopt: Mapping[str, Any]) -> dict[str, Any]:
-    return {"print_time": False, "show_eval_warnings": False, "ipopt": dict(ipopt)}
+    return {"print_time": False, "show_eval_warnings": False, "calc_lam_p": False, "ipopt": dict(ipopt)}
 
 
 def _check_option(name: str, value: Any) -> None:

@@ -12,7 +12,9 @@ from greybox.parameter import Parameter
 
 
 class Starts(ABC):
-    """A rule that gives the start points of a multistart."""
+    """A rule that gives the start points of a multistart; `seed` is None where nothing is random."""
+
+    seed: int | None = None
 
     @abstractmethod
     def draw(self, parameters: Mapping[str, Parameter]) -> NDArray[np.float64]:
@@ -23,7 +25,7 @@ class _Random(Starts):
     """Points in the unit cube, stretched to the start boxes; evenly in the logarithm where a parameter asks for it."""
 
     number: int
-    seed: int
+    seed: int  # type: ignore[assignment]
 
     @abstractmethod
     def unit_points(self, size: int) -> NDArray[np.float64]:
@@ -98,6 +100,8 @@ class Listed(Starts):
             raise ValueError("the list of starts is empty: give at least one, Listed([{}]) for the declared one.")
         for point in self.points:
             for name, value in point.items():
+                if not isinstance(value, (int, float, np.number)):
+                    raise ValueError(f"a listed start gives {name!r} the value {value!r}: give a finite number.")
                 if name not in parameters:
                     raise ValueError(
                         f"a listed start names {name!r}, which is not free; free are {', '.join(parameters)}."

@@ -16,12 +16,15 @@ Layout, version 1
                  ``curve`` (``omega, alpha, beta`` and, if known, ``coherence, variance, dof``) and the fitted
                  ``response_alpha, response_beta`` at the data's frequencies.
 
-NaN means "not known". Nothing in a file is executed when it is loaded.
+The first 512 bytes are an HDF5 user block with the SHA-256 of everything behind it, so that a damaged or edited file is
+noticed before it is opened. NaN means "not known". Nothing in a file is executed when it is loaded.
 """
 
+import hashlib
 import json
 import math
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +37,8 @@ from greybox.result import Minimum
 from greybox.solve import Run
 
 LAYOUT = 1
+_BLOCK = 512
+_SEAL = "greybox fit, SHA-256 of what follows this block: "
 Node = Any  # h5py types every item as "group, dataset or type", which is of no help
 _EXTRAS = ("coherence", "variance", "dof")
 
@@ -49,8 +54,9 @@ def save(fit: Fit, path: str | Path) -> None:
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        with h5py.File(temporary, "w") as file:
+        with h5py.File(temporary, "w", userblock_size=_BLOCK) as file:
             _write(file, fit)
+        seal(temporary)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -69,22 +75,36 @@ def load(path: str | Path) -> Fit:
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}.")
+    _require_seal(path)
     try:
         with h5py.File(path, "r") as file:
-            _check(file, path)
-            fit = _read(file)
-    except (OSError, KeyError, json.JSONDecodeError) as error:
+            layout = int(file.attrs["layout"])
+            if file.attrs["format"] != "greybox fit":
+                raise ValueError(f"its format is {file.attrs['format']!r}")
+            if layout <= LAYOUT:
+                return _read(file)
+    except (OSError, LookupError, TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"{path} is not a greybox result or is damaged ({error}).") from None
-    return fit
+    raise ValueError(f"{path} has layout {layout} and this version reads up to {LAYOUT}: install a newer greybox.")
 
 
-def _check(file: Node, path: Path) -> None:
-    if file.attrs.get("format") != "greybox fit":
-        raise ValueError(f"{path} is an HDF5 file but not a greybox result.")
-    if int(file.attrs["layout"]) > LAYOUT:
-        raise ValueError(
-            f"{path} has layout {file.attrs['layout']} and this version reads up to {LAYOUT}: install a newer greybox."
-        )
+def seal(path: Path) -> None:
+    """Write the checksum of an HDF5 file into its user block."""
+    with path.open("r+b") as file:
+        file.seek(_BLOCK)
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+        file.seek(0)
+        file.write(f"{_SEAL}{digest}\n".encode().ljust(_BLOCK, b"\0"))
+
+
+def _require_seal(path: Path) -> None:
+    with path.open("rb") as file:
+        head = file.read(_BLOCK)
+        if not head.startswith(_SEAL.encode()):
+            raise ValueError(f"{path} is not a greybox result: give a file that gb.save or --out wrote.")
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    if head.rstrip(b"\0").decode(errors="replace") != f"{_SEAL}{digest}\n":
+        raise ValueError(f"{path} is damaged or was changed since it was saved: restore it or fit again.")
 
 
 def _write(file: Node, fit: Fit) -> None:
@@ -165,37 +185,40 @@ def _read(file: Node) -> Fit:
 
 
 def _read_quantities(group: Node) -> tuple[Quantity, ...]:
-    texts = {column: _read_texts(group[column]) for column in ("name", "kind", "unit", "about")}
-    values, errors, bounds, hits = (group[c][()] for c in ("value", "standard_error", "bounds", "at_bound"))
+    rows = _rows(group, ("name", "kind", "unit", "about"), ("value", "standard_error", "bounds", "at_bound"))
     return tuple(
         Quantity(
-            **{column: texts[column][k] for column in texts},  # type: ignore[arg-type]
-            value=float(values[k]),
-            standard_error=float(errors[k]),
-            bounds=(float(bounds[k, 0]), float(bounds[k, 1])),
-            at_bound=bool(hits[k]),
+            **{name: row[name] for name in ("name", "kind", "unit", "about")},
+            value=float(row["value"]),
+            standard_error=float(row["standard_error"]),
+            bounds=(float(row["bounds"][0]), float(row["bounds"][1])),
+            at_bound=bool(row["at_bound"]),
         )
-        for k in range(len(values))
+        for row in rows
     )
 
 
 def _read_runs(group: Node) -> tuple[Run, ...]:
-    status = _read_texts(group["status"])
-    start, estimate, cost = (group[c][()] for c in ("start", "estimate", "cost"))
-    converged, iterations, seconds = (group[c][()] for c in ("converged", "iterations", "seconds"))
+    rows = _rows(group, ("status",), ("start", "estimate", "cost", "converged", "iterations", "seconds"))
     return tuple(
         Run(
             index=k,
-            start=start[k],
-            estimate=estimate[k],
-            cost=float(cost[k]),
-            status=status[k],
-            converged=bool(converged[k]),
-            iterations=int(iterations[k]),
-            seconds=float(seconds[k]),
+            start=row["start"],
+            estimate=row["estimate"],
+            cost=float(row["cost"]),
+            status=row["status"],
+            converged=bool(row["converged"]),
+            iterations=int(row["iterations"]),
+            seconds=float(row["seconds"]),
         )
-        for k in range(len(status))
+        for k, row in enumerate(rows)
     )
+
+
+def _rows(group: Node, texts: Sequence[str], numbers: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the rows of a table that is stored by columns, which must be of one length."""
+    columns = [*(_read_texts(group[name]) for name in texts), *(group[name][()] for name in numbers)]
+    return [dict(zip((*texts, *numbers), row, strict=True)) for row in zip(*columns, strict=True)]
 
 
 def _read_minima(file: Node, runs: tuple[Run, ...]) -> tuple[Minimum, ...]:

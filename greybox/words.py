@@ -22,6 +22,7 @@ def warnings(nlp: Nlp, search: Multistart, accuracy: Accuracy, pade_errors: list
     """Return everything a reader should know before believing the estimate, most serious first."""
     return (
         *_undetermined(accuracy),
+        *_unknown_constants(nlp, accuracy),
         *_size(nlp),
         *_bounds(nlp, search.minima[0], accuracy),
         *_agreement(search),
@@ -59,6 +60,16 @@ def _undetermined(accuracy: Accuracy) -> Iterator[str]:
                 f"compensate one another (collinearity index {combination.index:.0f}); fix one of them or add data "
                 "that tell them apart."
             )
+
+
+def _unknown_constants(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
+    errors = np.diag(accuracy.covariance)[len(nlp.free) :]
+    unknown = tuple(n for n, e in zip(nlp.constants, errors, strict=True) if n in nlp.problem.known and np.isnan(e))
+    if unknown:
+        yield (
+            f"the earlier fit gives {_listed(unknown)} no standard error, so none can be given here; "
+            "fix it at a number to take it as exact."
+        )
 
 
 def _size(nlp: Nlp) -> Iterator[str]:
@@ -114,10 +125,11 @@ def _noise(nlp: Nlp, best: Minimum, accuracy: Accuracy) -> Iterator[str]:
     for part, noise in zip(nlp.problem.parts, accuracy.noise, strict=True):
         bias = part.criterion.gain_bias * noise**2
         if bias and noise > NOISY:
+            other = "model" if bias < 0 else "measured"
             yield (
-                f"{part.name!r} misses the model by {100 * noise:.0f} % in each component: if that is noise, dividing "
-                f"by the measured magnitude biases the gain low by about {100 * bias:.0f} %; "
-                "compare with normalized='model'."
+                f"{part.name!r} misses the model by {100 * noise:.0f} % in each component: if that is noise, the gain "
+                f"is about {100 * abs(bias):.0f} % too {'low' if bias < 0 else 'high'}; "
+                f"compare with normalized='{other}', which errs to the other side."
             )
         if part.criterion.known_noise:
             yield from _misfit(part, nlp, best.estimate)

@@ -14,7 +14,7 @@ ORDER = """
 table parameter frequency_response
 symbolic model trace trim linear criterion problem
 nlp levy starts solve result multistart
-accuracy words reference answer store fit
+accuracy words reference answer quantities store fit
 page plotting shelf cli __main__
 """.split()
 

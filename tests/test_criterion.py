@@ -122,7 +122,7 @@ def test_a_zero_response_is_refused_where_it_would_be_divided_by(criterion):
 
 def test_maximum_likelihood_refuses_data_without_variance():
     bare = gb.FrequencyResponse(DATA.omega, DATA.response)
-    with pytest.raises(ValueError, match="needs the variance of every point.*variance=.*or use RelativeError"):
+    with pytest.raises(ValueError, match=r"needs the variance of every point.*variance=.*or use RelativeError"):
         gb.Problem(LagLagDelay(), bare, gb.MaximumLikelihood())
     assert np.isnan(evaluate(gb.MaximumLikelihood(), MODEL, bare))
 
