@@ -24,7 +24,7 @@ import scipy
 from scipy.special import stdtrit
 
 import greybox as gb
-from greybox.accuracy import assess, propagate
+from greybox.accuracy import assess, degrees, propagate
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import Tilt
 from greybox.nlp import compile_problem
@@ -144,6 +144,7 @@ class Known:
 
     estimate: Mapping[str, float]
     covariance: np.ndarray
+    dof: float
 
     def covariance_of(self, names: Sequence[str]) -> np.ndarray:
         """Return the covariance of the named parameters."""
@@ -251,8 +252,8 @@ class Cell:
         value, gradient = (np.asarray(v) for v in self._quantities(nlp.all_values(x)))
         gradient = np.vstack([np.eye(x.size, len(nlp.names)), gradient])
         error = propagate(accuracy, gradient)
-        half = stdtrit(min(accuracy.dof, 1e9), 0.975) * error
-        return Answer(np.concatenate([x, value.ravel()]), error, half, accuracy.covariance)
+        half = stdtrit(np.minimum(degrees(accuracy, gradient), 1e9), 0.975) * error
+        return Answer(np.concatenate([x, value.ravel()]), error, half, accuracy.covariance, accuracy.dof)
 
     def inside(self, x: np.ndarray) -> np.ndarray:
         """Return which rows of `x` lie within the bounds."""
@@ -261,12 +262,13 @@ class Cell:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """Values, standard errors and half widths of the 95 % intervals, in the order of `Cell.names`; covariance."""
+    """Values, standard errors and half widths of the 95 % intervals, in the order of `Cell.names`; covariance, dof."""
 
     value: np.ndarray
     error: np.ndarray
     half: np.ndarray
     covariance: np.ndarray
+    dof: float
 
 
 @dataclass
@@ -313,6 +315,7 @@ def by_fit(problem: Any, names: Sequence[str]) -> Answer:
         np.array([fit.standard_error[name] for name in names]),
         np.array([(intervals[name][1] - intervals[name][0]) / 2 for name in names]),
         fit.covariance,
+        fit.dof,
     )
 
 
@@ -344,7 +347,7 @@ def _fixed(part: Part, known: Known | None) -> dict[str, Any]:
 def _first(part: Part, criterion: str, draws: np.ndarray) -> list[Known]:
     """Fit the first step of a two-step case in every repeat."""
     outcome, answers = _run(lambda r: part.problem(draws[r], criterion, {}), [draws], len(draws))
-    return [Known(dict(zip(outcome.names, a.value.tolist(), strict=True)), a.covariance) for a in answers]
+    return [Known(dict(zip(outcome.names, a.value.tolist(), strict=True)), a.covariance, a.dof) for a in answers]
 
 
 def _run(problem: Callable[[int], Any], draws: list[np.ndarray], repeats: int) -> tuple[Outcome, list[Answer]]:

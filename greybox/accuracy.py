@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.nlp import Nlp
-from greybox.problem import Estimated
+from greybox.problem import Estimated, Problem
 
 DEAD = 1e-7  # singular value of the unit-column Jacobian below which a combination is not determined at all
 COLLINEAR = 20.0  # collinearity index from which a combination is suspect, see `Combination`
@@ -51,7 +51,9 @@ class Accuracy:
     size : (k,) array
         The change of each value that the data notice.
     dof : float
-        Degrees of freedom of Student's t for intervals.
+        Numbers in the data less the directions they choose; infinite where the noise is given.
+    shares : tuple of (k, k) array and float
+        What each part, and each earlier fit, contributes to the covariance, and the degrees of freedom it has.
     combinations : tuple of Combination
         What the data do not, or hardly, determine.
     at_bound : tuple of str
@@ -65,18 +67,20 @@ class Accuracy:
     blind: NDArray[np.float64]
     size: NDArray[np.float64]
     dof: float
+    shares: tuple[tuple[NDArray[np.float64], float], ...]
     combinations: tuple[Combination, ...]
     at_bound: tuple[str, ...]
     noise: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class _Information:
-    """Weighted sums over the parts: bread (p, k) against all values, meat (p, p), and the weighted Jacobian (2N, p)."""
+class _Share:
+    """What one part tells of the unknowns: bread (p, k) against all values, meat (p, p), weighted Jacobian (2n, p)."""
 
     bread: NDArray[np.float64]
     meat: NDArray[np.float64]
     jacobian: NDArray[np.float64]
+    dof: float
 
 
 def assess(nlp: Nlp, x: NDArray[np.float64]) -> Accuracy:
@@ -87,34 +91,58 @@ def assess(nlp: Nlp, x: NDArray[np.float64]) -> Accuracy:
     C + S Σ Sᵀ with S the derivative of the estimate with respect to them.
     """
     p, k = len(nlp.free), len(nlp.names)
-    data_size = 2 * sum(len(part.data) for part in nlp.problem.parts)
-    information = _information(nlp, x, data_size - p)
+    parts = _part_jacobians(nlp, x)
+    shares = [_share(*part, p=p, correction=1.0, dof=math.inf) for part in parts]
+    jacobian = np.vstack([share.jacobian for share in shares])
     at_bound = _at_bound(nlp, x)
     active = _active_constraints(nlp, x)
-    length = np.linalg.norm(information.jacobian, axis=0)
+    length = np.linalg.norm(jacobian, axis=0)
     # In units in which every column of the Jacobian has length one, ranks can be judged.
     size = np.where(np.isfinite(length) & (length > 0), 1 / np.where(length > 0, length, 1.0), 1.0)
-    unit = np.nan_to_num(information.jacobian * size)
+    unit = np.nan_to_num(jacobian * size)
     seen, blind = _directions(unit, active * size, [nlp.free.index(name) for name in at_bound])
-    covariance = np.full((k, k), np.nan)
-    if data_size > p and np.all(np.isfinite(information.bread)):
-        covariance = _covariance(information, seen * size[:, None], _known_covariance(nlp))
+    dof = len(jacobian) - seen.shape[1]
+    covariance, contributions = np.full((k, k), np.nan), ()
+    size = np.concatenate([size, np.ones(k - p)])
+    blind = np.vstack([blind, np.zeros((k - p, blind.shape[1]))])
+    if dof > 0 and all(np.all(np.isfinite(share.bread)) for share in shares):
+        basis = seen * size[:p, None]
+        shares = _corrected(parts, shares, basis)
+        inverse, slope = _inverse(shares, basis)
+        contributions, unknown = _contributions(nlp, shares, inverse, slope)
+        covariance = sum((c for c, _ in contributions), np.zeros((k, k)))
+        # What depends on a constant that has no standard error has none either.
+        blind = np.hstack([blind, _unit_columns(slope[:, unknown] / size[:, None])])
     combinations = tuple(
         c
-        for c in _combinations(unit, active * size, nlp.free, at_bound)
+        for c in _combinations(unit, active * size[:p], nlp.free, at_bound)
         if math.isinf(c.index) or _is_loose(c, nlp, covariance, x)
     )
     known_noise = all(part.criterion.known_noise for part in nlp.problem.parts)
     return Accuracy(
         names=nlp.names,
         covariance=covariance,
-        blind=np.vstack([blind, np.zeros((k - p, blind.shape[1]))]),
-        size=np.concatenate([size, np.ones(k - p)]),
-        dof=math.inf if known_noise else float(max(data_size - p, 0)),
+        blind=blind,
+        size=size,
+        dof=math.inf if known_noise else float(max(dof, 0)),
+        shares=contributions,
         combinations=combinations,
         at_bound=at_bound,
         noise=_noise(nlp, x),
     )
+
+
+def degrees(accuracy: Accuracy, gradient: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the degrees of freedom of quantities from their gradient (m, k): (m,).
+
+    A variance Σ vᵢ whose parts have νᵢ degrees of freedom has (Σ vᵢ)² / Σ (vᵢ²/νᵢ).
+    Source: Welch (1947), Biometrika 34; Satterthwaite (1946), Biometrics Bulletin 2.
+    """
+    if not accuracy.shares:
+        return np.full(len(gradient), accuracy.dof)
+    v = np.array([np.einsum("ij,jk,ik->i", gradient, c, gradient) for c, _ in accuracy.shares])
+    spread = (v**2 / np.array([dof for _, dof in accuracy.shares])[:, None]).sum(axis=0)
+    return np.where(spread > 0, v.sum(axis=0) ** 2 / np.where(spread > 0, spread, 1.0), math.inf)
 
 
 def propagate(accuracy: Accuracy, gradient: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -128,21 +156,56 @@ def propagate(accuracy: Accuracy, gradient: NDArray[np.float64]) -> NDArray[np.f
     return np.where(unseen.any(axis=1), np.nan, np.sqrt(np.maximum(variance, 0)))
 
 
-def _covariance(
-    information: _Information, basis: NDArray[np.float64], known: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return B⁻¹ M B⁻¹ within `basis` (p, r), and what the constants' covariance (k, k) adds to it."""
-    p, k = information.bread.shape
-    inverse = basis @ np.linalg.inv(basis.T @ information.bread[:, :p] @ basis) @ basis.T
-    shift = np.zeros((k, k))
-    shift[:p, p:] = -inverse @ information.bread[:, p:]
-    shift[p:, p:] = np.eye(k - p)
-    covariance = known.copy()
-    covariance[:p, :p] = np.nan
-    if np.all(np.isfinite(known)):
-        covariance = shift @ known @ shift.T
-        covariance[:p, :p] += inverse @ information.meat @ inverse
-    return covariance
+def _corrected(
+    parts: Sequence[tuple[Problem, NDArray[np.complex128], NDArray[np.float64]]],
+    shares: Sequence[_Share],
+    basis: NDArray[np.float64],
+) -> list[_Share]:
+    """Scale the noise of every part for the parameters that it pays: pᵢ = tr(B⁻¹ Bᵢ) of the p in all.
+
+    2nᵢ residuals then have 2nᵢ - pᵢ degrees of freedom, as if the part had been fitted alone with pᵢ parameters.
+    """
+    inverse, _ = _inverse(shares, basis)
+    p = len(inverse)
+    paid = [float(np.trace(inverse @ share.bread[:, :p])) for share in shares]
+    numbers = [len(share.jacobian) for share in shares]
+    left = [max(n - q, 0.5) for n, q in zip(numbers, paid, strict=True)]
+    return [
+        _share(*part, p=p, correction=math.sqrt(n / m), dof=math.inf if part[0].criterion.known_noise else m)
+        for part, n, m in zip(parts, numbers, left, strict=True)
+    ]
+
+
+def _inverse(shares: Sequence[_Share], basis: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return B⁻¹ (p, p) within `basis` (p, r), and the derivative (k, k) of all values to the constants."""
+    bread = sum((share.bread for share in shares), np.zeros_like(shares[0].bread))
+    p, k = bread.shape
+    inverse = basis @ np.linalg.inv(basis.T @ bread[:, :p] @ basis) @ basis.T
+    slope = np.zeros((k, k))
+    slope[:p, p:] = -inverse @ bread[:, p:]
+    slope[p:, p:] = np.eye(k - p)
+    return inverse, slope
+
+
+def _contributions(
+    nlp: Nlp, shares: Sequence[_Share], inverse: NDArray[np.float64], slope: NDArray[np.float64]
+) -> tuple[tuple[tuple[NDArray[np.float64], float], ...], NDArray[np.bool_]]:
+    """Return B⁻¹ Mᵢ B⁻¹ of every part and S Σ Sᵀ of every earlier fit; and which constants (k,) have no error."""
+    p, k = len(nlp.free), len(nlp.names)
+    result = []
+    for share in shares:
+        own = np.zeros((k, k))
+        own[:p, :p] = inverse @ share.meat @ inverse
+        result.append((own, share.dof))
+    unknown = np.zeros(k, dtype=bool)
+    for known, dof in _known_covariances(nlp):
+        unknown |= np.isnan(np.diag(known))
+        result.append((slope @ np.nan_to_num(known) @ slope.T, dof))
+    return tuple(result), unknown
+
+
+def _unit_columns(directions: NDArray[np.float64]) -> NDArray[np.float64]:
+    return directions / np.maximum(np.linalg.norm(directions, axis=0), 1e-300)
 
 
 def _directions(
@@ -163,8 +226,10 @@ def _directions(
     return basis @ rows[:rank].T, np.hstack([basis @ rows[rank:].T, np.eye(p)[:, list(bounded)]])
 
 
-def _information(nlp: Nlp, x: NDArray[np.float64], dof: int) -> _Information:
-    p = len(nlp.free)
+def _part_jacobians(
+    nlp: Nlp, x: NDArray[np.float64]
+) -> list[tuple[Problem, NDArray[np.complex128], NDArray[np.float64]]]:
+    """Return every part with its response (n,) and the Jacobian (2n, k) of its residuals to all values."""
     values = nlp.all_values(x)
     symbols: Any = ca.SX.sym("x", len(values)) if nlp.responses.is_a("SXFunction") else ca.MX.sym("x", len(values))
     derivative = ca.Function("derivative", [symbols], [ca.jacobian(nlp.responses(symbols), symbols)])
@@ -172,17 +237,30 @@ def _information(nlp: Nlp, x: NDArray[np.float64], dof: int) -> _Information:
     half = len(stacked) // 2
     responses = nlp.split(nlp.response_rows(x[None])[0])
     sensitivities = nlp.split(stacked[:half] + 1j * stacked[half:])
-    correction = math.sqrt(2 * half / dof) if dof > 0 else math.nan
-    bread, meat, rows = np.zeros((p, len(values))), np.zeros((p, p)), []
-    for part, response, sensitivity in zip(nlp.problem.parts, responses, sensitivities, strict=True):
-        jacobian = part.criterion.jacobian(response, sensitivity, part.data)
-        scale, spread = part.criterion.spread(response, part.data, correction) if dof > 0 else (1.0, np.zeros(half * 2))
-        spread = spread[: len(jacobian)]
-        own = jacobian[:, :p]
-        bread += part.weight * scale * own.T @ jacobian
-        meat += part.weight**2 * own.T @ (spread[:, None] * own)
-        rows.append(math.sqrt(part.weight * min(scale, 1e12)) * own)
-    return _Information(bread, meat, np.vstack(rows))
+    return [
+        (part, response, part.criterion.jacobian(response, sensitivity, part.data))
+        for part, response, sensitivity in zip(nlp.problem.parts, responses, sensitivities, strict=True)
+    ]
+
+
+def _share(
+    part: Problem,
+    response: NDArray[np.complex128],
+    jacobian: NDArray[np.float64],
+    *,
+    p: int,
+    correction: float,
+    dof: float,
+) -> _Share:
+    """Return what a part tells of the `p` unknowns, its noise scaled by `correction`."""
+    scale, spread = part.criterion.spread(response, part.data, correction)
+    free = jacobian[:, :p]
+    return _Share(
+        bread=part.weight * scale * free.T @ jacobian,
+        meat=part.weight**2 * free.T @ (spread[:, None] * free),
+        jacobian=math.sqrt(part.weight * min(scale, 1e12)) * free,
+        dof=dof,
+    )
 
 
 def _noise(nlp: Nlp, x: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -235,15 +313,17 @@ def _is_loose(combination: Combination, nlp: Nlp, covariance: NDArray[np.float64
     return bool(np.any(~(error < LOOSE * np.abs(x[places]))))
 
 
-def _known_covariance(nlp: Nlp) -> NDArray[np.float64]:
-    """Return the covariance of the constants that come from earlier fits, embedded in that of all values."""
+def _known_covariances(nlp: Nlp) -> list[tuple[NDArray[np.float64], float]]:
+    """Return the covariance of the constants that come from each earlier fit, embedded in that of all values."""
     names = nlp.names
-    result = np.zeros((len(names), len(names)))
     sources: dict[int, tuple[Estimated, list[str]]] = {}
     for name, source in nlp.problem.known.items():
         if name in names:
             sources.setdefault(id(source), (source, []))[1].append(name)
+    result = []
     for source, group in sources.values():
         places = [names.index(name) for name in group]
-        result[np.ix_(places, places)] = source.covariance_of(group)
+        embedded = np.zeros((len(names), len(names)))
+        embedded[np.ix_(places, places)] = source.covariance_of(group)
+        result.append((embedded, source.dof))
     return result

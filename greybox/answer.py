@@ -29,6 +29,8 @@ class Quantity:
     kind : "free", "fixed", "tied" or "derived"
     bounds : (float, float)
     at_bound : bool
+    dof : float
+        Degrees of freedom of Student's t for its interval.
     """
 
     name: str
@@ -39,6 +41,7 @@ class Quantity:
     about: str = ""
     bounds: tuple[float, float] = (-math.inf, math.inf)
     at_bound: bool = False
+    dof: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +104,7 @@ class Fit:
     names, covariance : tuple of str, (k, k) array
         Of free, fixed and tied parameters.
     dof : float
-        Degrees of freedom of Student's t.
+        Numbers in the data less the directions that they choose; infinite where the noise is given.
     cost : float
         The criterion minimized, without smoothing; NaN when no start converged.
     costs : mapping of str to float
@@ -179,9 +182,11 @@ class Fit:
             raise ValueError(f"level {level} must lie between 0 and 1, e.g. 0.95.")
         from scipy.special import stdtrit  # noqa: PLC0415  (takes a tenth of a second to import)
 
-        t = float(stdtrit(min(self.dof, 1e9), 0.5 + level / 2)) if self.dof > 0 else math.nan
+        def half(q: Quantity) -> float:
+            return float(stdtrit(min(q.dof, 1e9), 0.5 + level / 2)) * q.standard_error if q.dof > 0 else math.nan
+
         return {
-            q.name: (q.value - t * q.standard_error, q.value + t * q.standard_error)
+            q.name: (q.value - half(q), q.value + half(q))
             for q in self.quantities
             if q.kind != "fixed" or q.standard_error > 0
         }

@@ -122,7 +122,7 @@ def _nothing(nlp: Nlp) -> Accuracy:
     k = len(nlp.names)
     covariance = np.full((k, k), np.nan)
     return Accuracy(
-        nlp.names, covariance, np.zeros((k, 0)), np.ones(k), 0.0, (), (), np.full(len(nlp.problem.parts), np.nan)
+        nlp.names, covariance, np.zeros((k, 0)), np.ones(k), 0.0, (), (), (), np.full(len(nlp.problem.parts), np.nan)
     )
 
 

@@ -24,6 +24,11 @@ class Estimated(Protocol):
         """Values by name."""
         ...
 
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom of the covariance."""
+        ...
+
     def covariance_of(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return the covariance matrix of the named parameters."""
         ...

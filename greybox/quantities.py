@@ -1,13 +1,15 @@
 """The lines of an answer: parameters, tied values and derived quantities, each with its standard error."""
 
+import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.accuracy import Accuracy, propagate
+from greybox.accuracy import Accuracy, degrees, propagate
 from greybox.answer import Quantity
 from greybox.nlp import AnyProblem, Nlp
 from greybox.problem import Problem
@@ -35,9 +37,12 @@ def quantities(
     values, gradients = _evaluated(nlp, formulas, estimate)
     rows = np.vstack([np.eye(len(nlp.names)), gradients])
     errors = propagate(accuracy, rows)
-    lines = [_parameter(nlp, accuracy, n, estimate[n], e) for n, e in zip(nlp.names, errors, strict=False)]
-    for formula, value, error in zip(formulas, values, errors[len(nlp.names) :], strict=True):
-        lines.append(Quantity(formula.name, float(value), float(error), formula.kind, formula.unit, formula.about))
+    bare = [_parameter(nlp, accuracy, name, estimate[name]) for name in nlp.names]
+    bare += [_line(formula, float(value)) for formula, value in zip(formulas, values, strict=True)]
+    lines = [
+        replace(line, standard_error=float(error), dof=float(dof))
+        for line, error, dof in zip(bare, errors, degrees(accuracy, rows), strict=True)
+    ]
     named = [line for line in lines if line.kind != "derived"]
     rows, known = rows[: len(named)], errors[: len(named)] + errors[: len(named), None]
     return tuple(lines), tuple(line.name for line in named), np.where(np.isnan(known), np.nan, _product(rows, accuracy))
@@ -47,11 +52,15 @@ def _product(rows: NDArray[np.float64], accuracy: Accuracy) -> NDArray[np.float6
     return rows @ accuracy.covariance @ rows.T
 
 
-def _parameter(nlp: Nlp, accuracy: Accuracy, name: str, value: float, error: float) -> Quantity:
+def _line(formula: Formula, value: float) -> Quantity:
+    return Quantity(formula.name, value, math.nan, formula.kind, formula.unit, formula.about)
+
+
+def _parameter(nlp: Nlp, accuracy: Accuracy, name: str, value: float) -> Quantity:
     declared = nlp.problem.parameters[name]
     kind = "fixed" if declared.fixed else "free"
     hit = name in accuracy.at_bound
-    return Quantity(name, value, float(error), kind, declared.unit, declared.about, declared.bounds, hit)
+    return Quantity(name, value, math.nan, kind, declared.unit, declared.about, declared.bounds, hit)
 
 
 def _evaluated(

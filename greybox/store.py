@@ -6,7 +6,7 @@ Layout, version 1
                  ``cost``, ``dof``, ``seed``, ``starts``, ``seconds``, ``checksum`` (SHA-256 of the data, part by part);
                  JSON attributes ``costs`` and ``versions``; dataset ``warnings``.
 ``/quantities``  one row per parameter and derived quantity: ``name, value, standard_error, kind, unit, about, bounds,
-                 at_bound``.
+                 at_bound, dof``.
 ``/covariance``  ``names`` (k,) and ``values`` (k, k).
 ``/runs``        one row per start: ``start`` and ``estimate`` (r, p), ``cost, status, converged, iterations, seconds``,
                  ``minimum`` (the row of ``/minima``, -1 for none); attribute ``free`` names the p columns.
@@ -115,7 +115,7 @@ def _write(file: Node, fit: Fit) -> None:
     group = file.create_group("quantities")
     for column in ("name", "kind", "unit", "about"):
         _texts(group, column, [getattr(q, column) for q in fit.quantities])
-    for column in ("value", "standard_error", "bounds", "at_bound"):
+    for column in ("value", "standard_error", "bounds", "at_bound", "dof"):
         group[column] = np.array([getattr(q, column) for q in fit.quantities])
     _texts(file, "covariance/names", fit.names)
     file["covariance/values"] = fit.covariance
@@ -185,7 +185,7 @@ def _read(file: Node) -> Fit:
 
 
 def _read_quantities(group: Node) -> tuple[Quantity, ...]:
-    rows = _rows(group, ("name", "kind", "unit", "about"), ("value", "standard_error", "bounds", "at_bound"))
+    rows = _rows(group, ("name", "kind", "unit", "about"), ("value", "standard_error", "bounds", "at_bound", "dof"))
     return tuple(
         Quantity(
             **{name: row[name] for name in ("name", "kind", "unit", "about")},
@@ -193,6 +193,7 @@ def _read_quantities(group: Node) -> tuple[Quantity, ...]:
             standard_error=float(row["standard_error"]),
             bounds=(float(row["bounds"][0]), float(row["bounds"][1])),
             at_bound=bool(row["at_bound"]),
+            dof=float(row["dof"]),
         )
         for row in rows
     )

@@ -83,7 +83,10 @@ def _bounds(nlp: Nlp, best: Minimum, accuracy: Accuracy) -> Iterator[str]:
         k = nlp.free.index(name)
         side = "lower" if best.estimate[k] - nlp.lower[k] < nlp.upper[k] - best.estimate[k] else "upper"
         bound = nlp.lower[k] if side == "lower" else nlp.upper[k]
-        yield f"{name} ended at its {side} bound {bound:g}: widen it if the physics allow, or fix the parameter."
+        yield (
+            f"{name} ended at its {side} bound {bound:g}, where the other standard errors take it to be exactly: "
+            "widen the bound if the physics allow, or fix the parameter."
+        )
 
 
 def _agreement(search: Multistart) -> Iterator[str]:

@@ -261,7 +261,6 @@ def test_an_active_constraint_equals_a_tie():
     same_errors(free, tied, ["K", "T1", "T2", "T"], 0.02)
 
 
-@pytest.mark.xfail(strict=True, reason="degrees of freedom count parameters that the data did not choose")
 @pytest.mark.parametrize("pair", [at_bound, constrained])
 def test_degrees_of_freedom_count_what_the_data_choose(pair):
     one, other = pair()
@@ -314,14 +313,12 @@ def independent_parts():
     return fitted(few + many), fitted(few), fitted(many)
 
 
-@pytest.mark.xfail(strict=True, reason="the correction for estimated parameters is common to all parts")
 def test_parts_that_share_nothing_have_the_errors_they_have_alone():
     both, few, many = independent_parts()
     same_errors(both, few, few.free, 1e-3)
     same_errors(both, many, many.free, 1e-3)
 
 
-@pytest.mark.xfail(strict=True, reason="the degrees of freedom are common to all parts")
 def test_parts_that_share_nothing_have_the_intervals_they_have_alone():
     both, few, many = independent_parts()
     for alone in (few, many):

@@ -34,9 +34,7 @@ def test_lags_that_may_swap_are_told():
 @pytest.mark.parametrize(("side", "truth", "bound"), [("lower", -0.02, "0"), ("upper", 0.7, "0.5")])
 def test_a_parameter_at_its_bound_is_named_with_side_and_bound(side, truth, bound):
     fit = gb.fit(gb.Problem(LagLagDelay(), lags(tau=truth), constraints=ORDERED), starts=12)
-    assert (
-        f"tau ended at its {side} bound {bound}: widen it if the physics allow, or fix the parameter." in fit.warnings
-    )
+    assert any(text.startswith(f"tau ended at its {side} bound {bound}, where") for text in fit.warnings)
     assert np.isnan(fit.standard_error["tau"])
     assert {q.name for q in fit.quantities if q.at_bound} == {"tau"}
     assert "AT BOUND" in str(fit)
