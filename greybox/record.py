@@ -3,7 +3,6 @@
 import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -61,14 +60,15 @@ class Record:
         back = np.flatnonzero(np.diff(time) <= 0)
         if back.size:
             raise ValueError(
-                f"time does not increase after {time[back[0]]:.6f} s (index {back[0]}): sort the samples and drop doubles."
+                f"time does not increase after {time[back[0]]:.6f} s (index {back[0]}): "
+                "sort the samples and drop doubles."
             )
         signals = {name: _read_only(values, name) for name, values in self.signals.items()}
         for name, values in signals.items():
             if values.size != time.size:
                 raise ValueError(f"time has {time.size} samples but {name} has {values.size}: they must match.")
         object.__setattr__(self, "time", time)
-        object.__setattr__(self, "signals", MappingProxyType(signals))
+        object.__setattr__(self, "signals", signals)
         if not self.checksum:
             object.__setattr__(self, "checksum", _digest(time, signals))
 
@@ -106,7 +106,8 @@ class Record:
         rows = np.flatnonzero((self.time >= start) & (self.time <= end))
         if not rows.size:
             raise ValueError(
-                f"the record has no sample from {start:g} to {end:g} s; it runs from {self.time[0]:g} to {self.time[-1]:g} s."
+                f"the record has no sample from {start:g} to {end:g} s; "
+                f"it runs from {self.time[0]:g} to {self.time[-1]:g} s."
             )
         return self._rows(rows)
 

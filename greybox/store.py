@@ -78,9 +78,10 @@ def load(path: str | Path) -> Fit:
     _require_seal(path)
     try:
         with h5py.File(path, "r") as file:
-            layout = int(file.attrs["layout"])
-            if file.attrs["format"] != "greybox fit":
-                raise ValueError(f"its format is {file.attrs['format']!r}")
+            attributes: Any = file.attrs
+            layout = int(attributes["layout"])
+            if attributes["format"] != "greybox fit":
+                raise ValueError(f"its format is {attributes['format']!r}")
             if layout <= LAYOUT:
                 return _read(file)
     except (OSError, LookupError, TypeError, ValueError, RuntimeError) as error:
