@@ -10,8 +10,6 @@ from greybox.criterion import RelativeError as RelativeError
 from greybox.criterion import SquaredRelativeError as SquaredRelativeError
 from greybox.fit import fit as fit
 from greybox.frequency_response import FrequencyResponse as FrequencyResponse
-from greybox.frequency_response import read_response as read_response
-from greybox.frequency_response import write_response as write_response
 from greybox.levy import levy as levy
 from greybox.levy import order_path as order_path
 from greybox.linear import LinearSystem as LinearSystem
@@ -25,6 +23,12 @@ from greybox.model import feedback as feedback
 from greybox.nlp import cost as cost
 from greybox.parameter import Parameter as Parameter
 from greybox.problem import Problem as Problem
+from greybox.record import Record as Record
+from greybox.record import Recording as Recording
+from greybox.response_file import read_response as read_response
+from greybox.response_file import write_response as write_response
+from greybox.signals import horizontal_velocity as horizontal_velocity
+from greybox.signals import prepare as prepare
 from greybox.starts import LatinHypercube as LatinHypercube
 from greybox.starts import Listed as Listed
 from greybox.starts import Sobol as Sobol

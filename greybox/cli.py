@@ -17,10 +17,10 @@ from typing import Any, NoReturn
 from greybox.answer import Fit
 from greybox.criterion import CRITERIA, Criterion
 from greybox.fit import fit
-from greybox.frequency_response import read_response
 from greybox.model import Model, equation
 from greybox.nlp import AnyProblem
 from greybox.problem import Problem, Sum
+from greybox.response_file import read_response
 from greybox.shelf import find_model, find_problem, models_of, shipped, shipped_module
 from greybox.table import number, text_table
 

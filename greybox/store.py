@@ -16,14 +16,11 @@ Layout, version 1
                  ``curve`` (``omega, alpha, beta`` and, if known, ``coherence, variance, dof``) and the fitted
                  ``response_alpha, response_beta`` at the data's frequencies.
 
-The first 512 bytes are an HDF5 user block with the SHA-256 of everything behind it, so that a damaged or edited file is
-noticed before it is opened. NaN means "not known". Nothing in a file is executed when it is loaded.
+The file is sealed, see `greybox.sealed`. NaN means "not known". Nothing in a file is executed when it is loaded.
 """
 
-import hashlib
 import json
 import math
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -32,15 +29,13 @@ import h5py
 import numpy as np
 
 from greybox.answer import Fit, FittedPart, Quantity
-from greybox.frequency_response import FrequencyResponse
+from greybox.response_file import read_group, write_group
 from greybox.result import Minimum
+from greybox.sealed import Node, open_sealed, write_sealed
 from greybox.solve import Run
 
+KIND = "fit"
 LAYOUT = 1
-_BLOCK = 512
-_SEAL = "greybox fit, SHA-256 of what follows this block: "
-Node = Any  # h5py types every item as "group, dataset or type", which is of no help
-_EXTRAS = ("coherence", "variance", "dof")
 
 
 def save(fit: Fit, path: str | Path) -> None:
@@ -51,15 +46,7 @@ def save(fit: Fit, path: str | Path) -> None:
     OSError
         If the folder cannot be written.
     """
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with h5py.File(temporary, "w", userblock_size=_BLOCK) as file:
-            _write(file, fit)
-        seal(temporary)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_sealed(Path(path), KIND, lambda file: _write(file, fit))
 
 
 def load(path: str | Path) -> Fit:
@@ -70,42 +57,16 @@ def load(path: str | Path) -> Fit:
     FileNotFoundError
         If there is no such file.
     ValueError
-        If it is not a greybox result, is damaged, or was written by a later version.
+        If it is not a greybox fit, is damaged, or was written by a later version.
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"there is no file {path}.")
-    _require_seal(path)
-    try:
-        with h5py.File(path, "r") as file:
-            attributes: Any = file.attrs
-            layout = int(attributes["layout"])
-            if attributes["format"] != "greybox fit":
-                raise ValueError(f"its format is {attributes['format']!r}")
-            if layout <= LAYOUT:
-                return _read(file)
-    except (OSError, LookupError, TypeError, ValueError, RuntimeError) as error:
-        raise ValueError(f"{path} is not a greybox result or is damaged ({error}).") from None
+    with open_sealed(path, KIND) as file:
+        layout = int(file.attrs["layout"])
+        if file.attrs["format"] != "greybox fit":
+            raise ValueError(f"its format is {file.attrs['format']!r}")
+        if layout <= LAYOUT:
+            return _read(file)
     raise ValueError(f"{path} has layout {layout} and this version reads up to {LAYOUT}: install a newer greybox.")
-
-
-def seal(path: Path) -> None:
-    """Write the checksum of an HDF5 file into its user block."""
-    with path.open("r+b") as file:
-        file.seek(_BLOCK)
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-        file.seek(0)
-        file.write(f"{_SEAL}{digest}\n".encode().ljust(_BLOCK, b"\0"))
-
-
-def _require_seal(path: Path) -> None:
-    with path.open("rb") as file:
-        head = file.read(_BLOCK)
-        if not head.startswith(_SEAL.encode()):
-            raise ValueError(f"{path} is not a greybox result: give a file that gb.save or --out wrote.")
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-    if head.rstrip(b"\0").decode(errors="replace") != f"{_SEAL}{digest}\n":
-        raise ValueError(f"{path} is damaged or was changed since it was saved: restore it or fit again.")
 
 
 def _write(file: Node, fit: Fit) -> None:
@@ -151,14 +112,7 @@ def _write_part(group: Node, part: FittedPart) -> None:
     group["response_alpha"], group["response_beta"] = part.response.real, part.response.imag
     for name, response in (("data", part.data), ("curve", part.curve)):
         if response is not None:
-            _write_response(group.create_group(name), response)
-
-
-def _write_response(group: Node, response: FrequencyResponse) -> None:
-    _attributes(group, input=response.input, output=response.output, name=response.name, source=response.source)
-    for column in ("omega", "alpha", "beta", *_EXTRAS):
-        if getattr(response, column) is not None:
-            group[column] = getattr(response, column)
+            write_group(group.create_group(name), response)
 
 
 def _read(file: Node) -> Fit:
@@ -178,7 +132,7 @@ def _read(file: Node) -> Fit:
         runs=runs,
         minima=_read_minima(file, runs),
         warnings=_read_texts(file["warnings"]),
-        seed=int(attributes["seed"]),
+        seed=int(attributes["seed"]) if "seed" in attributes else None,
         starts=str(attributes["starts"]),
         seconds=float(attributes["seconds"]),
         versions=json.loads(attributes["versions"]),
@@ -235,7 +189,7 @@ def _read_minima(file: Node, runs: tuple[Run, ...]) -> tuple[Minimum, ...]:
 
 def _read_part(group: Node) -> FittedPart:
     attributes = group.attrs
-    data = _read_response(group["data"])
+    data = read_group(group["data"])
     if data.checksum != attributes["checksum"]:
         raise KeyError(f"the data of part {attributes['name']!r} do not match their checksum")
     error = float(attributes["pade_error"])
@@ -247,19 +201,14 @@ def _read_part(group: Node) -> FittedPart:
         pade_error=None if math.isnan(error) else error,
         data=data,
         response=group["response_alpha"][()] + 1j * group["response_beta"][()],
-        curve=_read_response(group["curve"]) if "curve" in group else None,
+        curve=read_group(group["curve"]) if "curve" in group else None,
     )
-
-
-def _read_response(group: Node) -> FrequencyResponse:
-    extras = {column: group[column][()] for column in _EXTRAS if column in group}
-    texts: dict[str, Any] = {name: str(group.attrs[name]) for name in ("input", "output", "name", "source")}
-    return FrequencyResponse(group["omega"][()], group["alpha"][()] + 1j * group["beta"][()], **texts, **extras)
 
 
 def _attributes(group: Node, **values: Any) -> None:
     for name, value in values.items():
-        group.attrs[name] = value
+        if value is not None:
+            group.attrs[name] = value
 
 
 def _texts(group: Node, name: str, values: Any) -> None:

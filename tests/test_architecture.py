@@ -11,7 +11,8 @@ ROOT = Path(__file__).parents[1]
 
 # A file may import only files listed above it.
 ORDER = """
-table parameter record frequency_response
+table parameter record frequency_response sealed response_file
+signals
 symbolic model trace trim linear criterion problem
 nlp levy starts solve result multistart
 accuracy words reference answer quantities store fit

@@ -62,9 +62,13 @@ def test_the_equations_of_the_paper_are_all_there():
 @pytest.mark.parametrize("name", SHIPPED)
 def test_docstring_has_sentence_equation_and_source(name):
     text = equation(SHIPPED[name])
-    assert re.match(r"[A-Z].*\(\d\.\d+\).*\.\n\n", text)
+    assert re.match(r"[A-Z].*\.\n\n", text)
     assert text.count("$$") == 2
-    assert re.search(r"^Source: Frequency Domain Identification .*\(\d\.\d+\)\.$", text, re.MULTILINE)
+    source = re.search(r"^Source: (.*)\.$", text, re.MULTILINE)
+    assert source
+    if source[1].startswith("Frequency Domain Identification"):
+        assert re.search(r"\(\d\.\d+\)$", source[1])
+        assert re.match(r".*\(\d\.\d+\)", text)
 
 
 @pytest.mark.parametrize("model", [model for model, _ in CASES], ids=repr)

@@ -21,6 +21,7 @@ from greybox import store
 from greybox.models.polynomial import Polynomial
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import LinearTilt, Tilt
+from greybox.sealed import seal
 
 SHARED = TILT | {n: ROTOR[n] for n in ("T_rotor", "T_delay")}
 NOISY = measured(Tilt(), TILT_OMEGA, SHARED, noise=0.02, columns={"coherence": np.full(16, 0.9), "dof": np.full(16, 8)})
@@ -150,7 +151,7 @@ def edited(tmp_path, change):
     gb.save(LAG, path)
     with h5py.File(path, "a") as file:
         change(file)
-    store.seal(path)
+    seal(path, "fit")
     return path
 
 
@@ -186,8 +187,8 @@ def forget(place):
         (lambda file: file.attrs.__setitem__("layout", 99), "has layout 99 and this version reads up to 1: install a"),
         (lambda file: file.attrs.__setitem__("layout", "x"), "damaged"),
         (lambda file: file.attrs.__delitem__("layout"), "damaged"),
-        (lambda file: file.attrs.__delitem__("format"), "not a greybox result or is damaged"),
-        (lambda file: file.attrs.__setitem__("format", "else"), "not a greybox result or is damaged"),
+        (lambda file: file.attrs.__delitem__("format"), "not a greybox fit or is damaged"),
+        (lambda file: file.attrs.__setitem__("format", "else"), "not a greybox fit or is damaged"),
         (lambda file: file.attrs.__setitem__("versions", "{"), "damaged"),
         (forget("runs"), "damaged"),
         (forget("parts"), "damaged"),
@@ -213,14 +214,14 @@ def test_a_truncated_file_is_refused(tmp_path, kept):
     gb.save(LAG, path)
     raw = path.read_bytes()
     path.write_bytes(raw[: kept if isinstance(kept, int) else int(kept * len(raw))])
-    with pytest.raises(ValueError, match=r"not a greybox result|is damaged"):
+    with pytest.raises(ValueError, match=r"not a greybox fit|is damaged"):
         gb.load(path)
 
 
 def test_what_is_no_hdf5_file_is_refused(tmp_path):
     text = tmp_path / "a.h5"
     text.write_text("omega,alpha\n1,2\n")
-    with pytest.raises(ValueError, match="not a greybox result: give a file that"):
+    with pytest.raises(ValueError, match="not a greybox fit: give a file that"):
         gb.load(text)
     for path in (tmp_path / "none.h5", tmp_path):
         with pytest.raises(FileNotFoundError, match=re.escape(f"there is no file {path}")):

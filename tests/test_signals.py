@@ -1,0 +1,156 @@
+"""`prepare`: signals of different messages on one time base, against signals known in closed form."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import greybox as gb
+from greybox.record import Record, Recording
+from greybox.signals import SecondOrderLowPass, negative
+
+RANDOM = np.random.default_rng(0)
+
+
+def recording(metadata=None, **messages):
+    """Build a recording from message -> (time, {field: values}, {field: unit})."""
+    return Recording({name: Record(t, s, u) for name, (t, s, u) in messages.items()}, "made.bin", "sum", metadata or {})
+
+
+def stamps(rate, duration, jitter=0.0, start=0.0):
+    time = start + np.arange(int(duration * rate)) / rate
+    return time + jitter / rate * RANDOM.uniform(-0.5, 0.5, time.size)
+
+
+def wave(time, omega=3.0):
+    return np.sin(omega * time + 0.3)
+
+
+def test_signals_of_different_rates_meet_by_their_time_stamps():
+    fast, slow = stamps(400, 20, 0.4), stamps(23.6, 20, 0.4, start=0.11)
+    log = recording(RATE=(fast, {"POut": wave(fast)}, {}), XKF1=(slow, {"VN": wave(slow)}, {"VN": "m/s"}))
+    record = gb.prepare(log, {"u": "RATE.POut", "v": "XKF1.VN"}, rate=50)
+    assert np.ptp(np.diff(record.time)) < 1e-9
+    assert record.rate == pytest.approx(50)
+    inner = slice(10, -10)
+    assert record["u"][inner] == pytest.approx(wave(record.time[inner]), abs=1e-3)
+    assert record["v"][inner] == pytest.approx(wave(record.time[inner]), abs=1e-3)
+    assert record.units["v"] == "m/s"
+    assert record.checksum == "sum"
+
+
+def test_the_default_rate_is_that_of_the_slowest():
+    fast, slow = stamps(400, 5), stamps(25, 5)
+    log = recording(A=(fast, {"x": fast}, {}), B=(slow, {"y": slow}, {}))
+    assert gb.prepare(log, {"x": "A.x", "y": "B.y"}).rate == pytest.approx(25)
+
+
+@pytest.mark.parametrize(("omega", "kept"), [(2 * np.pi * 5, 1.0), (2 * np.pi * 17, 1.0), (2 * np.pi * 60, 0.0)])
+def test_what_is_above_half_the_new_rate_is_filtered_and_the_rest_is_not(omega, kept):
+    time = stamps(400, 20)
+    record = gb.prepare(recording(A=(time, {"x": wave(time, omega)}, {})), {"x": "A.x"}, rate=50)
+    inner = slice(60, -60)
+    expected = kept * wave(record.time[inner], omega)
+    assert record["x"][inner] == pytest.approx(expected, abs=2e-3)
+
+
+def test_units_become_si_and_angles_are_unwrapped():
+    time = stamps(100, 10)
+    heading = np.degrees(1.5 * time) % 360
+    log = recording(
+        ATT=(time, {"Yaw": heading, "Pitch": np.full(time.size, 3.0)}, {"Yaw": "deg", "Pitch": "deg"}),
+        RATE=(time, {"P": np.full(time.size, 180.0)}, {"P": "deg/s"}),
+    )
+    record = gb.prepare(log, {"psi": "ATT.Yaw", "theta": "ATT.Pitch", "q": "RATE.P"}, rate=100, interpolation="linear")
+    assert record.units == {"psi": "rad", "theta": "rad", "q": "rad/s"}
+    assert record["psi"] == pytest.approx(1.5 * record.time, abs=1e-9)
+    assert record["theta"] == pytest.approx(np.radians(3.0))
+    assert record["q"] == pytest.approx(np.pi)
+
+
+def test_nothing_is_invented_across_a_gap():
+    time = stamps(100, 20)
+    holed = time[(time < 5) | (time > 8)]
+    log = recording(A=(time, {"x": wave(time)}, {}), B=(holed, {"y": wave(holed)}, {}))
+    record = gb.prepare(log, {"x": "A.x", "y": "B.y"}, rate=100)
+    assert len(record.pieces) == 2
+    assert record.pieces[0].time[-1] == pytest.approx(5, abs=0.02)
+    assert record.pieces[1].time[0] == pytest.approx(8, abs=0.03)
+    assert record["y"] == pytest.approx(wave(record.time), abs=1e-4)
+
+
+def test_missing_samples_are_left_out():
+    time = stamps(100, 5)
+    values = wave(time)
+    values[100:103] = np.nan
+    record = gb.prepare(recording(A=(time, {"x": values}, {})), {"x": "A.x"}, rate=100)
+    assert len(record.pieces) == 2
+
+
+@given(st.floats(-3, 3), st.floats(-2, 2), st.floats(-2, 2))
+@settings(max_examples=30, deadline=None)
+def test_the_horizontal_velocity_is_turned_into_the_body(yaw, forward, right):
+    time = np.arange(0, 1, 0.02)
+    ones = np.ones(time.size)
+    north, east = forward * np.cos(yaw) - right * np.sin(yaw), forward * np.sin(yaw) + right * np.cos(yaw)
+    log = recording(
+        XKF1=(time, {"VN": north * ones, "VE": east * ones}, {"VN": "m/s", "VE": "m/s"}),
+        ATT=(time, {"Yaw": np.degrees(yaw) % 360 * ones}, {"Yaw": "deg"}),
+    )
+    names = {"v": gb.horizontal_velocity(), "w": gb.horizontal_velocity(axis="right"), "back": negative("XKF1.VN")}
+    record = gb.prepare(log, names, rate=50)
+    assert record["v"] == pytest.approx(forward, abs=1e-9)
+    assert record["w"] == pytest.approx(right, abs=1e-9)
+    assert record["back"] == pytest.approx(-north, abs=1e-9)
+    assert record.units == {"v": "m/s", "w": "m/s", "back": "m/s"}
+
+
+def test_cut_and_detrend():
+    time = stamps(100, 30)
+    log = recording(A=(time, {"x": 2 + 0.5 * time}, {}))
+    record = gb.prepare(log, {"x": "A.x"}, rate=20, start=5, end=10, detrend="linear")
+    assert (record.time[0], record.time[-1]) == pytest.approx((5, 10), abs=0.051)
+    assert record["x"] == pytest.approx(0, abs=1e-6)
+    mean = gb.prepare(log, {"x": "A.x"}, rate=20, start=5, end=10, detrend="mean")
+    assert mean["x"].mean() == pytest.approx(0, abs=1e-9)
+    assert np.ptp(mean["x"]) > 2
+
+
+def test_the_gyro_filter_is_recorded():
+    time = stamps(100, 2)
+    log = recording(
+        {"parameters": {"INS_GYRO_FILTER": 20.0}},
+        RATE=(time, {"P": time, "POut": time}, {"P": "deg/s"}),
+    )
+    record = gb.prepare(log, {"u": "RATE.POut", "q": "RATE.P"}, rate=50)
+    assert record.filters == {"q": (SecondOrderLowPass(20.0),)}
+
+
+def test_the_filter_model_is_the_filter():
+    from scipy.signal import butter, freqs
+
+    from greybox.models.filters import LowPass
+
+    omega = np.array([1.0, 50, 125, 400])
+    _, expected = freqs(*butter(2, 2 * np.pi * 20, analog=True), omega)
+    assert gb.frequency_response(LowPass(20.0), omega).response == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"signals": {}}, ValueError, "signals is empty"),
+        ({"signals": {"u": "RATE.Nothing"}}, KeyError, "no signal 'Nothing'; it has POut"),
+        ({"signals": {"u": "RTAE.POut"}}, KeyError, "no message 'RTAE'; it has RATE"),
+        ({"rate": 0}, ValueError, "rate 0 must be"),
+        ({"rate": np.nan}, ValueError, "rate nan must be"),
+        ({"start": 100.0}, ValueError, "no stretch of time in common"),
+        ({"interpolation": "magic"}, ValueError, "interpolation 'magic'"),
+        ({"detrend": "all"}, ValueError, "detrend 'all'"),
+    ],
+)
+def test_bad_input_is_a_sentence(options, error, words):
+    time = stamps(100, 5)
+    log = recording(RATE=(time, {"POut": wave(time)}, {}))
+    with pytest.raises(error, match=words):
+        gb.prepare(log, **{"signals": {"u": "RATE.POut"}, "rate": 50, **options})
