@@ -13,6 +13,7 @@ from greybox.nlp import Nlp
 from greybox.problem import Estimated, Problem
 
 DEAD = 1e-7  # singular value of the unit-column Jacobian below which a combination is not determined at all
+BLIND = 1e-5  # share of an invisible direction from which a quantity has no standard error
 COLLINEAR = 20.0  # collinearity index from which a combination is suspect, see `Combination`
 LOOSE = 0.5  # relative standard error from which a suspect combination is reported
 
@@ -58,6 +59,8 @@ class Accuracy:
         What the data do not, or hardly, determine.
     at_bound : tuple of str
         Free parameters that ended at a bound.
+    active : tuple of str
+        Constraints, and bounds of tied parameters, that hold with equality.
     noise : (parts,) array
         The standard deviation of one component of the relative error, of every part.
     """
@@ -70,6 +73,7 @@ class Accuracy:
     shares: tuple[tuple[NDArray[np.float64], float], ...]
     combinations: tuple[Combination, ...]
     at_bound: tuple[str, ...]
+    active: tuple[str, ...]
     noise: NDArray[np.float64]
 
 
@@ -95,7 +99,7 @@ def assess(nlp: Nlp, x: NDArray[np.float64]) -> Accuracy:
     shares = [_share(*part, p=p, correction=1.0, dof=math.inf) for part in parts]
     jacobian = np.vstack([share.jacobian for share in shares])
     at_bound = _at_bound(nlp, x)
-    active = _active_constraints(nlp, x)
+    active, holding = _active_constraints(nlp, x)
     length = np.linalg.norm(jacobian, axis=0)
     # In units in which every column of the Jacobian has length one, ranks can be judged.
     size = np.where(np.isfinite(length) & (length > 0), 1 / np.where(length > 0, length, 1.0), 1.0)
@@ -128,6 +132,7 @@ def assess(nlp: Nlp, x: NDArray[np.float64]) -> Accuracy:
         shares=contributions,
         combinations=combinations,
         at_bound=at_bound,
+        active=holding,
         noise=_noise(nlp, x),
     )
 
@@ -152,7 +157,7 @@ def propagate(accuracy: Accuracy, gradient: NDArray[np.float64]) -> NDArray[np.f
     """
     variance = np.einsum("ij,jk,ik->i", gradient, accuracy.covariance, gradient)
     scaled = gradient * accuracy.size
-    unseen = np.abs(scaled @ accuracy.blind) > 1e-5 * np.linalg.norm(scaled, axis=1)[:, None]
+    unseen = np.abs(scaled @ accuracy.blind) > BLIND * np.linalg.norm(scaled, axis=1)[:, None]
     return np.where(unseen.any(axis=1), np.nan, np.sqrt(np.maximum(variance, 0)))
 
 
@@ -221,7 +226,7 @@ def _directions(
     if len(closed):
         _, singular, rows = np.linalg.svd(closed)
         basis = rows[int(np.sum(singular > 1e-12 * singular[0])) :].T
-    _, singular, rows = np.linalg.svd(jacobian @ basis, full_matrices=True)
+    _, singular, rows = np.linalg.svd(np.linalg.qr(jacobian @ basis, mode="r"), full_matrices=True)
     rank = int(np.sum(singular > DEAD))
     return basis @ rows[:rank].T, np.hstack([basis @ rows[rank:].T, np.eye(p)[:, list(bounded)]])
 
@@ -265,27 +270,32 @@ def _share(
 
 def _noise(nlp: Nlp, x: NDArray[np.float64]) -> NDArray[np.float64]:
     responses = nlp.split(nlp.response_rows(x[None])[0])
-    errors = [np.abs(r / part.data.response - 1) for r, part in zip(responses, nlp.problem.parts, strict=True)]
-    return np.array([e.mean() * math.sqrt(2 / math.pi) for e in errors])
+    noise = []
+    for response, part in zip(responses, nlp.problem.parts, strict=True):
+        there = part.data.response != 0
+        errors = np.abs(response[there] / part.data.response[there] - 1)
+        noise.append(errors.mean() * math.sqrt(2 / math.pi) if errors.size else math.nan)
+    return np.array(noise)
 
 
 def _at_bound(nlp: Nlp, x: NDArray[np.float64]) -> tuple[str, ...]:
     z, low, high = (nlp.scaling.to_solver(v) for v in (x, nlp.lower, nlp.upper))
-    tolerance = 1e-6 * np.maximum(1.0, np.abs(z))
+    tolerance = 1e-7 * np.maximum(1.0, np.abs(z))  # in units of the start box
     return tuple(n for n, hit in zip(nlp.free, (z - low < tolerance) | (high - z < tolerance), strict=True) if hit)
 
 
-def _active_constraints(nlp: Nlp, x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the gradients (a, p) of the constraints that hold with equality."""
-    p, size = len(nlp.free), nlp.constraint.numel_out()
-    if not size:
-        return np.zeros((0, p))
+def _active_constraints(nlp: Nlp, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Return the gradients (a, p) and the names of the constraints that hold with equality."""
+    p = len(nlp.free)
+    if not nlp.limits:
+        return np.zeros((0, p)), ()
     values = nlp.all_values(x)
     symbols = ca.MX.sym("x", len(values))
     slope = ca.Function("slope", [symbols], [ca.jacobian(nlp.constraint(symbols), symbols)])
     gradient = np.asarray(ca.DM(slope(values)))[:, :p]
     slack = np.asarray(nlp.constraint(values)).ravel()
-    return gradient[slack < 1e-6 * (np.abs(gradient) @ np.abs(x) + 1e-12)]
+    active = slack < 1e-6 * (np.abs(gradient) @ np.abs(x) + 1e-12)
+    return gradient[active], tuple(label for label, holds in zip(nlp.limits, active, strict=True) if holds)
 
 
 def _combinations(
@@ -297,12 +307,14 @@ def _combinations(
         return ()
     limits = active[:, inside]
     unit = np.vstack([unit[:, inside], limits / np.maximum(np.linalg.norm(limits, axis=1, keepdims=True), 1e-300)])
-    _, singular, rows = np.linalg.svd(unit, full_matrices=True)
+    _, singular, rows = np.linalg.svd(np.linalg.qr(unit, mode="r"), full_matrices=True)
     singular = np.concatenate([singular, np.zeros(len(rows) - len(singular))])
     found = []
     for value, row in zip(singular, np.abs(rows), strict=True):
         if value <= 1 / COLLINEAR:
-            group = tuple(names[inside[i]] for i in np.argsort(-row) if row[i] > 0.2 * row.max())
+            # What is invisible takes the error from everything that it involves, however little.
+            least = BLIND if value < DEAD else 0.2 * row.max()
+            group = tuple(names[inside[i]] for i in np.argsort(-row) if row[i] > least)
             found.append(Combination(group, math.inf if value < DEAD else float(1 / value)))
     return tuple(found)
 

@@ -51,6 +51,8 @@ class FittedPart:
     Attributes
     ----------
     name, criterion, rule, delay : str
+    condition : str
+        What the errors of the data must be like for the standard errors to hold.
     data : FrequencyResponse
     response : (n,) complex array
         The fitted model at the data's frequencies; NaN when no start converged.
@@ -73,6 +75,7 @@ class FittedPart:
     name: str
     criterion: str
     rule: str
+    condition: str
     delay: str
     data: FrequencyResponse
     response: NDArray[np.complex128]
@@ -246,19 +249,14 @@ def _text(fit: Fit) -> str:
         rows.append([q.name, value, error, q.unit, _interval(q.bounds) if q.kind == "free" else "", note, q.about])
     table = text_table(["parameter", "estimate", "± error", "unit", "bounds", "", "meaning"], rows, left=(0, 3, 5, 6))
     lines += ["  " + line for line in table.splitlines()]
+    conditions = "; ".join(dict.fromkeys(part.condition for part in fit.parts))
+    dof = "" if math.isinf(fit.dof) else f"; Student's t with {fit.dof:g} degrees of freedom"
+    lines += ["", f"  ± is the standard error for {conditions}{dof}."]
     others = [(rule, cost) for rule, cost in fit.costs.items() if not math.isnan(cost) and rule != fit.criterion]
-    lines += [
-        "",
-        "  other criteria at this estimate:",
-        *(f"    {number(cost):>10}  {rule}" for rule, cost in others),
-        "",
-    ]
+    lines += ["", "  other criteria at this estimate:"] if others else []
+    lines += [*(f"    {number(cost):>10}  {rule}" for rule, cost in others), ""]
     lines += [f"  warning: {text}" for text in fit.warnings]
-    return "\n".join([*lines, f"  {fit.seconds:.2f} s, starts {fit.starts}{_seed_text(fit)}"])
-
-
-def _seed_text(fit: Fit) -> str:
-    return "" if fit.seed is None else f", seed {fit.seed}"
+    return "\n".join([*lines, f"  {fit.seconds:.2f} s; starts: {fit.starts}"])
 
 
 def _pade_text(part: FittedPart) -> str:

@@ -25,6 +25,7 @@ from greybox.shelf import find_model, find_problem, models_of, shipped, shipped_
 from greybox.table import number, text_table
 
 USABLE, FAILED, BAD_INPUT = 0, 1, 2
+FIGURES = (".png", ".pdf", ".svg")
 
 
 class UsageError(Exception):
@@ -130,6 +131,8 @@ def _whole(text: str) -> int:
 def _fit(options: argparse.Namespace) -> tuple[dict[str, Any], str, int]:
     for path in (options.out, options.plot):
         _require_writable(path, options.force)
+    if options.plot is not None and options.plot.suffix.lower() not in FIGURES:
+        raise UsageError(f"--plot {options.plot} is no known kind of figure: end it in {', '.join(FIGURES)}.")
     problem, settings = _stated_problem(options)
     for name in ("starts", "seed"):
         if getattr(options, name) is not None:
@@ -157,6 +160,8 @@ def _fit(options: argparse.Namespace) -> tuple[dict[str, Any], str, int]:
 def _require_writable(path: Path | None, force: bool) -> None:
     if path is None:
         return
+    if path.is_dir() or not path.name:
+        raise UsageError(f"{path} is a folder: give the name of a file.")
     if path.exists() and not force:
         raise UsageError(f"{path} exists: give another name, or --force to overwrite it.")
     if not path.resolve().parent.is_dir():

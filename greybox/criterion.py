@@ -31,6 +31,8 @@ class Criterion(ABC):
         The formula, for the reader of a result; `description` completes it with the options.
     smoothed : bool
         True when the cost has a kink at a zero residual, so that the solver minimizes it with a small smoothing.
+    condition : str
+        What the errors must be like for the standard errors to hold.
     known_noise : bool
         True when the size of the errors is given with the data rather than estimated from the residuals.
     """
@@ -38,6 +40,7 @@ class Criterion(ABC):
     rule: ClassVar[str]
     smoothed: ClassVar[bool] = False
     known_noise: ClassVar[bool] = False
+    condition: ClassVar[str] = "errors isotropic in the complex plane and of one relative size"
 
     @property
     def gain_bias(self) -> float:
@@ -233,6 +236,7 @@ class MaximumLikelihood(Criterion):
 
     rule: ClassVar[str] = "maximum likelihood, given variances"
     known_noise: ClassVar[bool] = True
+    condition: ClassVar[str] = "circular errors of the given variances, taken as known"
 
     def check(self, data: FrequencyResponse) -> None:
         """Raise ValueError without variances."""

@@ -17,6 +17,7 @@ from tqdm import tqdm
 from greybox.accuracy import Accuracy, assess
 from greybox.answer import Fit, FittedPart
 from greybox.criterion import CRITERIA, evaluate
+from greybox.frequency_response import FrequencyResponse
 from greybox.linear import frequency_response
 from greybox.model import equation
 from greybox.multistart import multistart
@@ -28,11 +29,13 @@ from greybox.result import Multistart
 from greybox.starts import Starts, as_starts
 from greybox.words import pade_error, warnings
 
+CURVE = 2000  # points from which a curve for figures is not refined further
+
 
 def fit(
     problem: AnyProblem,
     starts: int | Starts | Sequence[Mapping[str, float] | Starts] = 200,
-    seed: int = 0,
+    seed: int | None = None,
     *,
     solver_options: Mapping[str, Any] = MappingProxyType({}),
     progress: bool | Callable[[int, int], None] = True,
@@ -44,8 +47,8 @@ def fit(
     problem : Problem or a sum of problems
     starts : int, Starts, or list
         A number of Sobol points (default), a rule such as `LatinHypercube(200)`, or a list of ``{name: value}``.
-    seed : int
-        Of the Sobol points. More starts with the same seed begin with the same points.
+    seed : int, optional
+        Of the Sobol points, 0 by default; a rule has its own. More starts of one seed begin with the same points.
     solver_options : mapping
         Options of IPOPT, e.g. ``{"max_iter": 100, "tol": 1e-9}``.
     progress : bool or function
@@ -73,7 +76,7 @@ def fit(
     else:
         with tqdm(total=len(points), disable=None if progress else True, delay=2, unit="start", leave=False) as bar:
             search = multistart(nlp, points, solver_options, lambda done, _: _advance(bar, done))
-    return assemble(nlp, search, seed=rule.seed, starts=f"{len(points)} by {type(rule).__name__}", began=began)
+    return assemble(nlp, search, seed=rule.seed, starts=str(rule), began=began)
 
 
 def assemble(nlp: Nlp, search: Multistart, *, seed: int | None, starts: str, began: float) -> Fit:
@@ -122,7 +125,16 @@ def _nothing(nlp: Nlp) -> Accuracy:
     k = len(nlp.names)
     covariance = np.full((k, k), np.nan)
     return Accuracy(
-        nlp.names, covariance, np.zeros((k, 0)), np.ones(k), 0.0, (), (), (), np.full(len(nlp.problem.parts), np.nan)
+        nlp.names,
+        covariance,
+        np.zeros((k, 0)),
+        np.ones(k),
+        0.0,
+        (),
+        (),
+        (),
+        (),
+        np.full(len(nlp.problem.parts), np.nan),
     )
 
 
@@ -130,14 +142,14 @@ def _part(part: Problem, values: dict[str, float], response: NDArray[np.complex1
     data = part.data
     curve = None
     if np.all(np.isfinite(response)):
-        omega = np.geomspace(data.omega.min(), data.omega.max(), 200) if len(data) > 1 else data.omega
-        signals = {"input": data.input, "output": data.output, "at": part.at}
+        signals = {"input": data.input, "output": data.output, "at": part.at, "delay": part.delay}
         with contextlib.suppress(ValueError):  # an undamped resonance exactly on the grid
-            curve = frequency_response(part.model, omega, values, delay=part.delay, **signals)
+            curve = _curve(lambda omega: frequency_response(part.model, omega, values, **signals), data.omega)
     return FittedPart(
         name=part.name,
         criterion=repr(part.criterion),
         rule=part.criterion.description,
+        condition=part.criterion.condition,
         delay=part.delay,
         data=data,
         response=response,
@@ -152,6 +164,23 @@ def _part(part: Problem, values: dict[str, float], response: NDArray[np.complex1
         label=part.model.label,
         equation=equation(part.model),
     )
+
+
+def _curve(
+    response: Callable[[NDArray[np.float64]], FrequencyResponse], omega: NDArray[np.float64]
+) -> FrequencyResponse:
+    """Evaluate on a grid over the band of `omega`, halved where a step is coarse, as at a resonance."""
+    grid = np.geomspace(omega.min(), omega.max(), 200) if omega.size > 1 else omega
+    curve = response(grid)
+    for _ in range(12):
+        steps = np.abs(np.diff(curve.response))
+        turns = np.abs(np.angle(curve.response[1:] / curve.response[:-1]))
+        coarse = (steps > 0.02 * np.abs(curve.response).max()) | (turns > np.radians(5))
+        if not coarse.any() or grid.size > CURVE:
+            break
+        grid = np.sort(np.concatenate([grid, np.sqrt(grid[:-1] * grid[1:])[coarse]]))
+        curve = response(grid)
+    return curve
 
 
 def _all_costs(problem: AnyProblem, responses: list[NDArray[np.complex128]]) -> dict[str, float]:

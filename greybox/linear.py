@@ -9,11 +9,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from greybox.elimination import elimination_order, solve, solve_pencils
 from greybox.frequency_response import FrequencyResponse
 from greybox.model import Model, Names, StateSpace, TransferFunction
 from greybox.symbolic import Complex, Rational, exp
 from greybox.trace import parameter_names, require_no_nan, traced, traced_derivative, traced_output
-from greybox.trim import trim_function
+from greybox.trim import some_value, trim_function
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +42,13 @@ class LinearSystem:
     outputs: tuple[str, ...]
     delays: NDArray[np.float64]
     point: Mapping[str, float]
+
+    def __str__(self) -> str:
+        names = ("x' = A x + B u(t - delay)", "y  = C x + D u(t - delay)")
+        signals = f"states {', '.join(self.states)}; inputs {', '.join(self.inputs)}; outputs {', '.join(self.outputs)}"
+        point = ", ".join(f"{name} = {value:.6g}" for name, value in self.point.items())
+        matrices = [f"{name} =\n{np.array2string(getattr(self, name), precision=6)}" for name in "ABCD"]
+        return "\n".join([*names, signals, f"about {point}", *matrices, f"delay = {self.delays} s"])
 
     @property
     def poles(self) -> NDArray[np.complex128]:
@@ -213,12 +221,8 @@ def _state_space_numbers(
 ) -> NDArray[np.complex128]:
     i, k = system.inputs.index(input), system.outputs.index(output)
     pencil = 1j * omega[:, None, None] * np.eye(len(system.A)) - system.A
-    b = np.broadcast_to(system.B[:, i, None], (len(omega), len(system.A), 1))
-    try:
-        states = np.linalg.solve(pencil, b)[..., 0]
-    except np.linalg.LinAlgError:
-        return np.full(len(omega), np.nan, dtype=complex)
-    plant = states @ system.C[k] + system.D[k, i]
+    b = np.broadcast_to(system.B[:, i], (len(omega), len(system.A)))
+    plant = solve_pencils(pencil, b) @ system.C[k] + system.D[k, i]
     shift = -system.delays[i] * Complex(np.zeros_like(omega), omega, pade)
     delayed = exp(shift) * plant
     return delayed.re + 1j * delayed.im
@@ -244,14 +248,33 @@ def response_function(
     assert isinstance(model, StateSpace)
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", len(model.inputs))
     i, k = model.input_names.index(input), model.output_names.index(output)
-    A, B, C, D = jacobians(model)(p, x, u)
-    result = _dot(C[k, :], _solve(A, B[:, i], s)) + D[k, i]
+    matrices, trim = jacobians(model), trim_function(model, at or {})
+    A, B, C, D = matrices(p, x, u)
+    n = A.size1()
+    entries = [[None if A[r, c].is_zero() else A[r, c] for c in range(n)] for r in range(n)]
+    states = solve(entries, [B[r, i] for r in range(n)], s, _order(model, matrices, trim, i, omega))
+    result = sum((state * C[k, r] for r, state in enumerate(states) if not C[k, r].is_zero()), D[k, i])
     if input in model.delays:
         result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
     at_point = ca.Function("response", [p, x, u], _parts(result, s, model.label))
-    trim = trim_function(model, at or {})
     q: Any = ca.SX.sym("p", p.numel()) if trim.is_a("SXFunction") else ca.MX.sym("p", p.numel())
     return ca.Function("response", [q], at_point(q, *trim(q)))
+
+
+def _order(
+    model: StateSpace, matrices: ca.Function, trim: ca.Function, input: int, omega: NDArray[np.float64]
+) -> tuple[int, ...]:
+    """Choose the order of elimination from the matrices at the start values and at some others."""
+    random = np.random.default_rng(0)
+    points = [[q.start for q in model.parameters.values()]]
+    points += [[some_value(q, random) for q in model.parameters.values()] for _ in range(3)]
+    blocks = [[np.asarray(ca.DM(block)) for block in matrices(point, *trim(point))[:2]] for point in points]
+    usable = [(A, B[:, input]) for A, B in blocks if np.all(np.isfinite(A)) and np.all(np.isfinite(B))]
+    if not usable:
+        return tuple(range(len(model.states)))
+    zero = np.all([A == 0 for A, _ in usable], axis=0)
+    few = omega if omega.size <= 50 else omega[np.linspace(0, omega.size - 1, 50).astype(int)]
+    return elimination_order(np.array([A for A, _ in usable]), np.array([b for _, b in usable]), zero, few)
 
 
 def _parts(result: Any, s: Complex, owner: str) -> list[ca.SX]:
@@ -269,35 +292,3 @@ def _parts(result: Any, s: Complex, owner: str) -> list[ca.SX]:
             )
     require_no_nan(f"{owner}.response", ca.vertcat(*parts))
     return parts
-
-
-def _solve(A: ca.SX, b: ca.SX, s: Complex) -> list[Complex]:
-    """Solve (s I - A) x = b by elimination without pivoting; every pivot holds s, so it is zero only at a pole."""
-    n = A.size1()
-    rows = [{k: Complex(-A[i, k], 0.0) for k in range(n) if not A[i, k].is_zero()} for i in range(n)]
-    for i in range(n):
-        rows[i][i] = rows[i][i] + s if i in rows[i] else s
-    right = [Complex(b[i], 0.0) for i in range(n)]
-    for i in range(n):
-        for j in range(i + 1, n):
-            if i not in rows[j]:
-                continue
-            factor = rows[j].pop(i) / rows[i][i]
-            for k in (k for k in rows[i] if k > i):
-                change = factor * rows[i][k]
-                rows[j][k] = rows[j][k] - change if k in rows[j] else -change
-            right[j] = right[j] - factor * right[i]
-    x: list[Any] = [None] * n
-    for i in reversed(range(n)):
-        for k in (k for k in rows[i] if k > i):
-            right[i] = right[i] - rows[i][k] * x[k]
-        x[i] = right[i] / rows[i][i]
-    return x
-
-
-def _dot(row: ca.SX, x: list[Complex]) -> Any:
-    total: Any = 0.0
-    for k, value in enumerate(x):
-        if not row[k].is_zero():
-            total = total + value * row[k]
-    return total

@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from greybox.nlp import Nlp
 from greybox.result import Minimum, Multistart, find_minima
-from greybox.solve import CONVERGED, POLISH, Outcome, Run, Solver
+from greybox.solve import CONVERGED, INVALID, POLISH, Outcome, Run, Solver
 
 Progress = Callable[[int, int], None]
 """Called with the number of finished and of all runs."""
+
+CLOSE = 1e-2  # relative cost up to which a minimum is polished too: smoothing may change the order of close ones
 
 
 def multistart(
@@ -38,12 +40,16 @@ def multistart(
     runs = _as_runs(nlp, starts, outcomes)
     minima = find_minima(nlp, runs)
     if minima and any(part.criterion.smoothed for part in nlp.problem.parts):
-        minima = (_polished(nlp, solver, minima[0]), *minima[1:])
+        last = solver.polishing()
+        close = [m.cost <= (1 + CLOSE) * minima[0].cost for m in minima]
+        minima = tuple(_polished(nlp, last, m) if near else m for m, near in zip(minima, close, strict=True))
+        minima = tuple(sorted(minima, key=lambda m: m.cost))
     return Multistart(runs, minima, time.perf_counter() - began)
 
 
 def _as_runs(nlp: Nlp, starts: NDArray[np.float64], outcomes: list[Outcome]) -> tuple[Run, ...]:
     costs = nlp.costs(np.array([outcome.estimate for outcome in outcomes]))
+    reasons = _reasons(nlp, starts, outcomes)
     return tuple(
         Run(
             index=k,
@@ -54,13 +60,29 @@ def _as_runs(nlp: Nlp, starts: NDArray[np.float64], outcomes: list[Outcome]) -> 
             converged=outcome.status in CONVERGED and math.isfinite(cost),
             iterations=outcome.iterations,
             seconds=outcome.seconds,
+            reason=reason,
         )
-        for k, (start, outcome, cost) in enumerate(zip(starts, outcomes, costs, strict=True))
+        for k, (start, outcome, cost, reason) in enumerate(zip(starts, outcomes, costs, reasons, strict=True))
     )
 
 
+def _reasons(nlp: Nlp, starts: NDArray[np.float64], outcomes: list[Outcome]) -> list[str]:
+    """Say where the response is not finite, at the start or the end of every run that met an invalid number."""
+    reasons = [""] * len(outcomes)
+    failed = [k for k, outcome in enumerate(outcomes) if outcome.status == INVALID]
+    labels = [f"{omega:g} rad/s" for part in nlp.problem.parts for omega in part.data.omega]
+    for points in (starts, np.array([outcome.estimate for outcome in outcomes])):
+        if not failed:
+            break
+        for k, row in zip(failed, np.isfinite(nlp.response_rows(points[failed])), strict=True):
+            if not row.all():
+                where = "any frequency" if not row.any() else f"omega = {labels[int(np.argmin(row))]}"
+                reasons[k] = f"no finite response at {where}"
+    return reasons
+
+
 def _polished(nlp: Nlp, solver: Solver, best: Minimum) -> Minimum:
-    """Solve once more from the best minimum with almost no smoothing; keep a solution that is no worse."""
+    """Solve once more from a minimum with ever less smoothing; keep what is a solution and no worse."""
     for smoothing in POLISH:
         outcome = solver.run(best.estimate, smoothing)
         cost = float(nlp.costs(outcome.estimate[None])[0])

@@ -66,6 +66,8 @@ class Nlp:
         (all values) -> real and imaginary parts of all responses, stacked: (2 N,).
     constraint : casadi.Function
         (all values) -> what must be >= 0, stacked.
+    limits : tuple of str
+        What each of these is, in words.
     """
 
     problem: AnyProblem
@@ -80,6 +82,7 @@ class Nlp:
     cost: ca.Function
     responses: ca.Function
     constraint: ca.Function
+    limits: tuple[str, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -128,28 +131,29 @@ def compile_problem(problem: AnyProblem) -> Nlp:
     free = tuple(name for name, p in parameters.items() if not p.fixed)
     constants = tuple(name for name, p in parameters.items() if p.fixed)
     if not free:
-        raise ValueError(f"every parameter of {problem.name!r} is fixed: free one, e.g. free=({constants[0]!r},).")
+        cure = f"free one, e.g. free=({constants[0]!r},)" if constants else "there is nothing to estimate"
+        raise ValueError(f"no parameter of {problem.name!r} is free: {cure}.")
     models = [_response(part) for part in problem.parts]
     # A trim that is found by Newton's method exists as MX only; everything else is faster as SX.
     kind: Any = ca.SX if all(f.is_a("SXFunction") for f in models) else ca.MX
     scaling = _scaling([parameters[name] for name in free])
     constant_values = np.array([parameters[name].start for name in constants])
 
-    def trace(values: list[Any]) -> tuple[list[Complex], Any]:
-        """Return the response of every part and the stacked constraints, for values in the order free, constants."""
+    def trace(values: list[Any]) -> tuple[list[Complex], dict[str, Any]]:
+        """Return the response of every part and the limits by label, for values in the order free, constants."""
         local = [part.local_values(dict(zip((*free, *constants), values, strict=True))) for part in problem.parts]
         responses = [Complex(*f(ca.vertcat(*p.values()))) for f, p in zip(models, local, strict=True)]
-        constraints = [g for part, p in zip(problem.parts, local, strict=True) for g in _limits(part, p)]
-        return responses, ca.vertcat(*constraints) if constraints else kind(0, 1)
+        limits = [item for part, p in zip(problem.parts, local, strict=True) for item in _limits(part, p).items()]
+        return responses, dict(limits)
 
     x = kind.sym("x", len(free) + len(constants))
-    responses, constraints = trace(ca.vertsplit(x))
+    responses, limits = trace(ca.vertsplit(x))
     costs = [part.criterion.cost(r, part.data) for part, r in zip(problem.parts, responses, strict=True)]
     stacked = ca.vertcat(*[r.re for r in responses], *[r.im for r in responses])
 
     z, smoothing = kind.sym("z", len(free)), kind.sym("smoothing")
-    scaled, limits = trace([*scaling.expressions(z), *constant_values])
-    statement = {"x": z, "p": smoothing, "g": limits}
+    scaled, scaled_limits = trace([*scaling.expressions(z), *constant_values])
+    statement = {"x": z, "p": smoothing, "g": ca.vertcat(kind(0, 1), *scaled_limits.values())}
     locating = any(part.criterion.first is not None for part in problem.parts)
     return Nlp(
         problem=problem,
@@ -163,17 +167,19 @@ def compile_problem(problem: AnyProblem) -> Nlp:
         first=statement | {"f": _total(problem, scaled, smoothing, locate=True)} if locating else None,
         cost=ca.Function("cost", [x], [ca.vertcat(*costs)]),
         responses=ca.Function("responses", [x], [stacked]),
-        constraint=ca.Function("constraint", [x], [constraints]),
+        constraint=ca.Function("constraint", [x], [ca.vertcat(kind(0, 1), *limits.values())]),
+        limits=tuple(limits),
     )
 
 
-def _limits(part: Problem, p: Names) -> list[Any]:
-    """Return what must be >= 0: the constraints, and the declared bounds of tied parameters."""
-    result = [constraint(p) for constraint in part.constraints]
+def _limits(part: Problem, p: Names) -> dict[str, Any]:
+    """Return what must be >= 0, by a label: the constraints, and the declared bounds of tied parameters."""
+    result = {f"constraints[{k}] of {part.name!r}": constraint(p) for k, constraint in enumerate(part.constraints)}
     for name in part.tied:
         low, high = part.model.parameters[name].bounds
-        result += [p[name] - low] if math.isfinite(low) else []
-        result += [high - p[name]] if math.isfinite(high) else []
+        tied = f"of the tied {part.rename.get(name, name)}"
+        result |= {f"the lower bound {low:g} {tied}": p[name] - low} if math.isfinite(low) else {}
+        result |= {f"the upper bound {high:g} {tied}": high - p[name]} if math.isfinite(high) else {}
     return result
 
 
@@ -213,8 +219,11 @@ def _scaling(parameters: list[Parameter]) -> Scaling:
 
 
 def _size(parameter: Parameter) -> float:
-    """Return the larger finite bound: IPOPT then needs about half the time that it takes on unscaled variables."""
-    for pair in (parameter.bounds, parameter.box, (parameter.start, parameter.start)):
+    """Return the larger end of the start box: IPOPT then needs about half the time that it takes unscaled.
+
+    Not that of wider bounds, from which IPOPT would push the starts away by a share of their distance.
+    """
+    for pair in (parameter.box, parameter.bounds, (parameter.start, parameter.start)):
         finite = [abs(v) for v in pair if math.isfinite(v) and v != 0]
         if finite:
             return max(finite)

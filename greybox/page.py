@@ -1,17 +1,20 @@
-"""Texts on a figure: names as symbols, and numbers beside points where there is room."""
+"""What stands on a page: points and curves, the frame around them, legends, and names as symbols."""
 
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.path import Path
-from matplotlib.patheffects import withStroke
-from matplotlib.transforms import Bbox
-from numpy.typing import NDArray
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.legend_handler import HandlerTuple
+from matplotlib.lines import Line2D
 
+from greybox.frequency_response import FrequencyResponse
+
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 MARKER_SIZE = 5.5  # points
-NEAR = 45.0  # points on the page, within which a number is not repeated
+CROWD = 100  # points of one data set from which on they shrink and lie below the curves
 
 
 def plain(text: str) -> str:
@@ -32,43 +35,76 @@ def _greek(name: str) -> str:
         return name.replace("$", r"\$")
 
 
-class Room:
-    """The page around the points: knows what is taken, and writes where nothing is. Lengths are in pixels."""
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Measured points (of the style of a marker) or a curve (of the style of a line), and what it belongs to.
 
-    def __init__(self, axes: Axes, points: Sequence[NDArray]) -> None:
-        self._axes, self._pixel, self._points = axes, axes.figure.dpi / 72, np.vstack(points)
-        lines = [line for line in axes.get_lines() if line.get_linestyle() != "None"]
-        self._lines = [line.get_path().transformed(line.get_transform()) for line in lines]
-        self._written: list[tuple[str, NDArray, Bbox]] = []
+    `checksum` is that of the data, `pair` the names of input and output.
+    """
 
-    def write(self, text: str, spot: NDArray, outward: NDArray) -> None:
-        """Write `text` beside the point at `spot` (2,), best in the direction `outward` (2,), if not just said."""
-        near = [said for said, there, _ in self._written if np.hypot(*(spot - there)) < NEAR * self._pixel]
-        if text.removesuffix(" rad/s") in [said.removesuffix(" rad/s") for said in near]:
-            return
-        look = {"fontsize": 8.5, "color": "0.25", "path_effects": [withStroke(linewidth=2, foreground="white")]}
-        x, y = self._axes.transData.inverted().transform(spot)
-        note = self._axes.annotate(text, (x, y), (0, 0), textcoords="offset points", ha="center", va="center", **look)
-        half = np.array(note.get_window_extent().size) / 2
-        offsets = self._offsets(half, outward)
-        for offset, lines in [*((d, self._lines) for d in offsets), *((d, self._lines[2:]) for d in offsets)]:
-            box = Bbox(np.array([spot + offset - half, spot + offset + half]))
-            if self._is_free(box, lines):  # at last on the axes through zero, which are the first two lines
-                note.set_position(tuple(offset / self._pixel))
-                self._written.append((text, spot, box))
-                return
-        note.remove()
+    response: FrequencyResponse
+    label: str
+    color: str
+    style: str
+    checksum: str
+    pair: tuple[str, str]
 
-    def _offsets(self, half: NDArray, outward: NDArray) -> list[NDArray]:
-        """Return places around a point for the middle of a text of half the size `half` (2,), outward ones first."""
-        angles = np.radians(np.arange(0, 360, 30))
-        directions = np.column_stack([np.cos(angles), np.sin(angles)])
-        directions = directions[np.argsort(-directions @ outward, kind="stable")]
-        return [d * (MARKER_SIZE * self._pixel + np.min(half / np.maximum(np.abs(d), 1e-9))) for d in directions]
+    @property
+    def measured(self) -> bool:
+        """True for points, False for a curve."""
+        return self.style in MARKERS
 
-    def _is_free(self, box: Bbox, lines: Sequence[Path]) -> bool:
-        wide, near, frame = box.padded(self._pixel * MARKER_SIZE / 2), box.padded(self._pixel), self._axes.bbox
-        within = np.all(box.min >= frame.min) and np.all(box.max <= frame.max)
-        covers = np.any(np.all((self._points > wide.min) & (self._points < wide.max), axis=1))
-        crossed = any(path.intersects_bbox(near, filled=False) for path in lines)
-        return bool(within and not covers and not crossed) and not any(near.overlaps(b) for *_, b in self._written)
+    @property
+    def look(self) -> dict[str, Any]:
+        """What matplotlib wants to know."""
+        look = {"color": self.color, "label": self.label}
+        if self.measured:
+            small = min(1.0, (CROWD / len(self.response)) ** 0.5)  # as much ink as a crowd's
+            edge = {"markeredgecolor": "white", "markeredgewidth": 0.5 if small == 1 else 0.0}
+            size = {"markersize": max(2.0, small * MARKER_SIZE), "zorder": 3 if small == 1 else 1.5}
+            return {**look, "linestyle": "none", "marker": self.style, **edge, **size}
+        return {**look, "linestyle": self.style, "marker": "" if len(self.response) > 1 else "+", "linewidth": 1.8}
+
+    @property
+    def key(self) -> Line2D:
+        """The key of a legend."""
+        size = {"markersize": MARKER_SIZE} if self.measured else {}
+        return Line2D([], [], **{**self.look, **size})
+
+
+def ratio(series: Sequence[Series]) -> str:
+    """Return output/input in symbols, e.g. θ/u, or P(jω) where they are not the same for all."""
+    inputs, outputs = ({one.pair[k] for one in series} - {""} for k in (0, 1))
+    return f"{symbol(*outputs)}/{symbol(*inputs)}" if len(outputs) == len(inputs) == 1 else "P(jω)"
+
+
+def finish(axes: Axes, xlabel: str, ylabel: str) -> None:
+    """Label the axes and give them the grid and the spines of every diagram."""
+    axes.set_xlabel(xlabel, fontsize=11)
+    axes.set_ylabel(ylabel, fontsize=11)
+    axes.tick_params(labelsize=10)
+    axes.grid(True, color="0.9", linewidth=0.8)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def legend(figure: Figure | SubFigure, series: Sequence[Series]) -> None:
+    """Draw a legend of all data, then of the curves, one entry per fit with all its colors."""
+    entries: dict[str, dict[str, Line2D]] = {}
+    for one in sorted(series, key=lambda one: not one.measured):
+        entries.setdefault(one.label, {})[one.color + one.style] = one.key
+    legend_below(figure, {label: tuple(keys.values()) for label, keys in entries.items()})
+
+
+def legend_below(figure: Figure | SubFigure, entries: Mapping[str, tuple[Line2D, ...]]) -> None:
+    """Draw a legend below everything, where it covers no data, with the keys of one label side by side."""
+    figure.legend(
+        handles=[*entries.values()],
+        labels=[*entries],
+        handler_map={tuple: HandlerTuple(ndivide=None, pad=0.4)},
+        handlelength=max(2.0, 1.2 * max(map(len, entries.values()))),
+        loc="outside lower center",
+        ncols=max(1, min(len(entries), int(figure.bbox.width / figure.dpi * 11 / (max(map(len, entries)) + 6)))),
+        fontsize=10,
+        frameon=False,
+    )

@@ -2,34 +2,35 @@
 
 import io
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.legend_handler import HandlerTuple
-from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullFormatter
 from numpy.typing import NDArray
 
 from greybox.answer import Fit
 from greybox.frequency_response import FrequencyResponse
-from greybox.page import MARKER_SIZE, Room, plain, symbol
+from greybox.nyquist import draw_nyquist, grid, number_points, panels
+from greybox.page import CROWD, MARKERS, Series, finish, legend, legend_below, plain, ratio
 
 # Okabe and Ito's colors, which readers with a color vision deficiency can tell apart; yellow is too pale for lines.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 DARK, GRAYS = "#222222", ("#222222", "#777777", "#AAAAAA")
-MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 STYLES = ("-", "--", "-.", ":")
 SAME_CURVE = 1e-2  # relative distance below which two curves of one fit are the same line on paper
-MANY = 12  # points of one data set that are all annotated
 LOG_SPAN = 30.0  # costs that span more than this are drawn on a log scale
+
+_Phase = tuple[NDArray[np.float64], NDArray[np.float64]]  # sorted omega (n,) in rad/s, phase (n,) in degrees
 
 
 def plot_nyquist(*fits: Fit | FrequencyResponse, labels: Sequence[str] = ()) -> Figure:
     """Draw the Nyquist diagram: measured points, numbered by their frequency in rad/s, and the fitted curves.
+
+    Input-output pairs whose magnitudes differ by more than a factor of 5 have one panel each. A curve that leaves so
+    far that the data would be a dot is cut off, and the title says so.
 
     Parameters
     ----------
@@ -42,18 +43,20 @@ def plot_nyquist(*fits: Fit | FrequencyResponse, labels: Sequence[str] = ()) -> 
     The figure is not known to pyplot: show it as the last line of a notebook cell or save it with ``savefig``.
     """
     series = _collect(fits, labels)
-    figure = _page(6.4, 5.8)
-    axes = _draw_nyquist(figure, series, _title(fits))
-    _number_points(figure, axes, series)
+    rows, columns = grid(len(panels(series)))
+    figure = _page(1.8 + 4.6 * columns, 1.2 + 4.6 * rows)
+    number_points(figure, draw_nyquist(figure, series, _title(fits)), series)
     return figure
 
 
 def plot_bode(*fits: Fit | FrequencyResponse, labels: Sequence[str] = ()) -> Figure:
     """Draw the Bode diagram: magnitude in dB and unwrapped phase in degrees over omega in rad/s.
 
-    Curves are unwrapped along omega and every measured phase is moved by multiples of 360° next to its curve. Where
-    the data have a variance, error bars show one standard deviation of one component, sqrt(variance / 2), in magnitude
-    (downwards 20 dB at most) and phase. Where they have a coherence, a third diagram shows it.
+    Curves are unwrapped along omega and every measured phase is moved by multiples of 360° next to its curve, unless
+    the curve is far off: then the data are unwrapped by themselves. For each input-output pair the first curve begins
+    within (-180°, 180°] and the others are moved next to it as a whole. Where the data have a variance, error bars show
+    one standard deviation of one component, sqrt(variance / 2), in magnitude (20 dB at most) and phase. Where they have
+    a coherence, a third diagram shows it.
 
     The arguments are those of `plot_nyquist`. The figure's axes are magnitude, phase and, where known, coherence.
     """
@@ -77,14 +80,16 @@ def plot_starts(fit: Fit) -> Figure:
 def plot(fit: Fit) -> Figure:
     """Draw the Nyquist diagram, the starts and the Bode diagram of a fit into one figure."""
     series = _collect((fit,), ())
-    figure = _page(12.4, 8.6)
+    rows, columns = grid(len(panels(series)))
+    width, height = 2.8 + 3.4 * columns, 1.8 + 3.4 * rows  # of the Nyquist diagram, inches
+    figure = _page(width + 6.2, height + 3.4)
     figure.suptitle(_title((fit,)), fontsize=13)
-    left, right = figure.subfigures(1, 2, wspace=0.03, squeeze=False)[0]
-    top, bottom = left.subfigures(2, 1, height_ratios=(3, 2), squeeze=False)[:, 0]
-    axes = _draw_nyquist(top, series, "Nyquist diagram")
+    left, right = figure.subfigures(1, 2, wspace=0.03, width_ratios=(width, 6.2), squeeze=False)[0]
+    top, bottom = left.subfigures(2, 1, height_ratios=(height, 3.4), squeeze=False)[:, 0]
+    drawn = draw_nyquist(top, series, "Nyquist diagram")
     _draw_bode(right, series, "Bode diagram")
     _draw_starts(bottom, fit)
-    _number_points(figure, axes, series)
+    number_points(figure, drawn, series)
     return figure
 
 
@@ -101,31 +106,7 @@ def _page(width: float, height: float) -> Figure:
     return _Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08))
 
 
-@dataclass(frozen=True, eq=False)
-class _Series:
-    """Measured points (of the style of a marker) or a curve (of the style of a line), and the data it belongs to."""
-
-    response: FrequencyResponse
-    label: str
-    color: str
-    style: str
-    checksum: str
-
-    @property
-    def measured(self) -> bool:
-        return self.style in MARKERS
-
-    @property
-    def look(self) -> dict[str, Any]:
-        """What matplotlib wants to know."""
-        look = {"color": self.color, "label": self.label}
-        if self.measured:
-            edge = {"markeredgecolor": "white", "markeredgewidth": 0.5, "markersize": MARKER_SIZE}
-            return {**look, "linestyle": "none", "marker": self.style, "zorder": 3, **edge}
-        return {**look, "linestyle": self.style, "marker": "" if len(self.response) > 1 else "+", "linewidth": 1.8}
-
-
-def _collect(items: Sequence[Fit | FrequencyResponse], labels: Sequence[str]) -> list[_Series]:
+def _collect(items: Sequence[Fit | FrequencyResponse], labels: Sequence[str]) -> list[Series]:
     """Sort what is given into curves and then points; data that come twice count once."""
     _check(items, labels)
     names = [plain(label) for label in labels or _labels(items)]
@@ -134,6 +115,7 @@ def _collect(items: Sequence[Fit | FrequencyResponse], labels: Sequence[str]) ->
     colors = COLORS if len(places) > 1 else (DARK,)
     curves = [_distinct(_curves(item)) for item in items]
     shared = any(isinstance(k, Fit) and 0 < len(found) < len(k.parts) for k, found in zip(items, curves, strict=True))
+    pairs = _pairs(items)
     series = []
     for i, found in enumerate(curves):
         for checksum, curve in found:
@@ -141,10 +123,29 @@ def _collect(items: Sequence[Fit | FrequencyResponse], labels: Sequence[str]) ->
             if len(places) > 1 and checksum in places and not shared:  # like its data
                 palette, k = COLORS, places.index(checksum)
             color = palette[k % len(palette)]
-            series.append(_Series(curve, names[i], color, STYLES[i % len(STYLES)], checksum))
+            series.append(Series(curve, names[i], color, STYLES[i % len(STYLES)], checksum, _pair(curve, pairs)))
     for k, (checksum, (data, label)) in enumerate(measured.items()):
-        series.append(_Series(data, label, colors[k % len(colors)], MARKERS[k % len(MARKERS)], checksum))
+        look = colors[k % len(colors)], MARKERS[k % len(MARKERS)]
+        series.append(Series(data, label, *look, checksum, pairs.get(checksum) or _pair(data, pairs)))
     return series
+
+
+def _pairs(items: Sequence[Fit | FrequencyResponse]) -> dict[str, tuple[str, str]]:
+    """Return the names of input and output by checksum; the names that data leave out are those of their curve."""
+    known = {}
+    for part in [part for item in items if isinstance(item, Fit) for part in item.parts]:
+        stated = part.curve or part.data
+        known[part.data.checksum] = (stated.input, stated.output)
+    for item in [item for item in items if isinstance(item, FrequencyResponse)]:
+        known.setdefault(item.checksum, (item.input, item.output))
+    return {checksum: pair for checksum, pair in known.items() if all(pair)}
+
+
+def _pair(response: FrequencyResponse, known: Mapping[str, tuple[str, str]]) -> tuple[str, str]:
+    """Return the names of input and output; where one is left out, those of the only known pair that fits."""
+    stated = response.input, response.output
+    fitting = {pair for pair in known.values() if all(a in ("", b) for a, b in zip(stated, pair, strict=True))}
+    return fitting.pop() if len(fitting) == 1 else stated
 
 
 def _check(items: Sequence[Fit | FrequencyResponse], labels: Sequence[str]) -> None:
@@ -167,10 +168,14 @@ def _data(item: Fit | FrequencyResponse, name: str) -> list[tuple[FrequencyRespo
 def _curves(item: Fit | FrequencyResponse) -> list[tuple[str, FrequencyResponse]]:
     """Return the curves of an item, along omega, each with the checksum of the data that it was fitted to."""
     if isinstance(item, Fit):
-        return [(part.data.checksum, part.curve) for part in item.parts if part.curve is not None]
-    order = np.argsort(item.omega)
-    curve = replace(item, omega=item.omega[order], response=item.response[order])
-    return [("", curve)] if item.source == "model" else []
+        return [(part.data.checksum, _sorted(part.curve)) for part in item.parts if part.curve is not None]
+    return [("", _sorted(item))] if item.source == "model" else []
+
+
+def _sorted(curve: FrequencyResponse) -> FrequencyResponse:
+    """Return a curve in the order of its frequencies."""
+    order = np.argsort(curve.omega)
+    return replace(curve, omega=curve.omega[order], response=curve.response[order])
 
 
 def _distinct(curves: list[tuple[str, FrequencyResponse]]) -> list[tuple[str, FrequencyResponse]]:
@@ -183,6 +188,8 @@ def _distinct(curves: list[tuple[str, FrequencyResponse]]) -> list[tuple[str, Fr
 
 
 def _lies_on(curve: FrequencyResponse, other: FrequencyResponse) -> bool:
+    if (curve.input, curve.output) != (other.input, other.output):
+        return False
     inside = (curve.omega >= 0.999 * other.omega.min()) & (curve.omega <= 1.001 * other.omega.max())
     there = _interpolated(curve.omega, other.omega, other.response)
     return bool(np.all(inside & (np.abs(curve.response - there) <= SAME_CURVE * np.abs(there))))
@@ -215,93 +222,27 @@ def _joined(names: Iterable[str]) -> str:
     return ", ".join(dict.fromkeys(names))
 
 
-def _ratio(series: Sequence[_Series]) -> str:
-    """Return output/input in symbols, e.g. θ/u, or P(jω) where they are not the same for all."""
-    outputs = {one.response.output for one in series} - {""}
-    inputs = {one.response.input for one in series} - {""}
-    return f"{symbol(*outputs)}/{symbol(*inputs)}" if len(outputs) == len(inputs) == 1 else "P(jω)"
-
-
-def _draw_nyquist(figure: Figure | SubFigure, series: Sequence[_Series], title: str) -> Axes:
-    axes = figure.subplots()
-    axes.axhline(0, color="0.6", linewidth=0.8, zorder=1)
-    axes.axvline(0, color="0.6", linewidth=0.8, zorder=1)
-    for one in series:
-        axes.plot(one.response.alpha, one.response.beta, **one.look)
-    axes.margins(0.12)
-    axes.set_aspect("equal", adjustable="datalim")
-    _finish(axes, f"Real part of {_ratio(series)}", f"Imaginary part of {_ratio(series)}")
-    axes.set_title(title, fontsize=12)
-    _legend(figure, series)
-    return axes
-
-
-def _finish(axes: Axes, xlabel: str, ylabel: str) -> None:
-    axes.set_xlabel(xlabel, fontsize=11)
-    axes.set_ylabel(ylabel, fontsize=11)
-    axes.tick_params(labelsize=10)
-    axes.grid(True, color="0.9", linewidth=0.8)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-
-
-def _legend(figure: Figure | SubFigure, series: Sequence[_Series]) -> None:
-    """Draw a legend of all data, then of the curves, one entry per fit with all its colors."""
-    entries: dict[str, dict[str, Line2D]] = {}
-    for one in sorted(series, key=lambda one: not one.measured):
-        entries.setdefault(one.label, {})[one.color + one.style] = Line2D([], [], **one.look)
-    _legend_below(figure, {label: tuple(keys.values()) for label, keys in entries.items()})
-
-
-def _legend_below(figure: Figure | SubFigure, entries: Mapping[str, tuple[Line2D, ...]]) -> None:
-    """Draw a legend below everything, where it covers no data, with the keys of one label side by side."""
-    figure.legend(
-        handles=[*entries.values()],
-        labels=[*entries],
-        handler_map={tuple: HandlerTuple(ndivide=None, pad=0.4)},
-        handlelength=max(2.0, 1.2 * max(map(len, entries.values()))),
-        loc="outside lower center",
-        ncols=max(1, min(len(entries), int(figure.bbox.width / figure.dpi * 11 / (max(map(len, entries)) + 6)))),
-        fontsize=10,
-        frameon=False,
-    )
-
-
-def _number_points(figure: Figure, axes: Axes, series: Sequence[_Series]) -> None:
-    """Write the frequencies beside the points of a Nyquist diagram, wherever there is room for one."""
-    figure.draw_without_rendering()  # lays the axes out, so that places on the page are known
-    measured = [one.response for one in series if one.measured]
-    places = [axes.transData.transform(np.column_stack([data.alpha, data.beta])) for data in measured]
-    room = Room(axes, [np.zeros((0, 2)), *places])
-    for data, place in zip(measured, places, strict=True):
-        order = np.argsort(data.omega)
-        omega, spots = data.omega[order], place[order]
-        chosen = np.unique(np.linspace(0, len(omega) - 1, min(len(omega), MANY)).round().astype(int)).tolist()
-        for k in [*chosen[:1], *chosen[:0:-1]]:  # the ends first
-            unit = " rad/s" if k == 0 and data is measured[0] else ""
-            room.write(f"{omega[k]:.3g}{unit}", spots[k], spots[k] - spots[max(0, k - 1) : k + 2].mean(axis=0))
-
-
-def _draw_bode(figure: Figure | SubFigure, series: Sequence[_Series], title: str) -> None:
+def _draw_bode(figure: Figure | SubFigure, series: Sequence[Series], title: str) -> None:
     coherent = any(one.response.coherence is not None for one in series)
     ratios = (3, 3, 1.6) if coherent else (3, 3)
     axes = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
-    for one in series:
-        _draw_bode_series(axes, one, _phase_beside(one, series))
-    labels = (f"Magnitude of {_ratio(series)}, dB", f"Phase of {_ratio(series)}, °", "Coherence γ²")
+    for one, phase in zip(series, _phases(series), strict=True):
+        _draw_bode_series(axes, one, phase)
+    labels = (f"Magnitude of {ratio(series)}, dB", f"Phase of {ratio(series)}, °", "Coherence γ²")
     for ax, label in zip(axes, labels, strict=False):
-        _finish(ax, "", label)
-    wide = np.ptp(axes[1].get_ylim()) > 60
-    axes[1].yaxis.set_major_locator(MaxNLocator(7, steps=[1, 1.5, 3, 4.5, 9, 10] if wide else [1, 2, 5, 10]))
+        finish(ax, "", label)
+    span = float(np.ptp(axes[1].get_ylim()))
+    step = next((step for step in (15, 30, 45, 90, 180, 360) if span <= 7 * step), 720 * np.ceil(span / 5040))
+    axes[1].yaxis.set_major_locator(MultipleLocator(step) if span > 60 else MaxNLocator(7, steps=[1, 2, 5, 10]))
     if coherent:
         axes[2].set_ylim(0, 1.05)
     _frequency_axis(axes[-1], np.concatenate([one.response.omega for one in series]))
     axes[0].set_title(title, fontsize=12)
     figure.align_ylabels(axes)
-    _legend(figure, series)
+    legend(figure, series)
 
 
-def _draw_bode_series(axes: Sequence[Axes], one: _Series, phase: NDArray[np.float64]) -> None:
+def _draw_bode_series(axes: Sequence[Axes], one: Series, phase: NDArray[np.float64]) -> None:
     """Draw magnitude, `phase` (n,) in degrees, and what is known of coherence and variance."""
     response, size = one.response, np.abs(one.response.response)
     decibel = 20 * np.log10(np.where(size > 0, size, np.nan))
@@ -311,42 +252,68 @@ def _draw_bode_series(axes: Sequence[Axes], one: _Series, phase: NDArray[np.floa
         axes[2].plot(response.omega, response.coherence, **one.look)
     if response.variance is not None:
         relative = np.sqrt(response.variance / 2) / np.maximum(size, 1e-300)
-        down, up = -20 * np.log10(1 - np.minimum(relative, 0.9)), 20 * np.log10(1 + np.minimum(relative, 1e6))
-        look = {"fmt": "none", "ecolor": one.color, "elinewidth": 1.0, "capsize": 2.0, "alpha": 0.7}
+        down, up = -20 * np.log10(1 - np.minimum(relative, 0.9)), 20 * np.log10(1 + np.minimum(relative, 9.0))
+        few = len(response) < CROWD
+        look = {"fmt": "none", "ecolor": one.color, "zorder": 2 if few else 1.2, "capsize": 2.0 if few else 0.0}
+        look |= {"elinewidth": 1.0, "alpha": 0.7 if few else 0.3}
         axes[0].errorbar(response.omega, decibel, [down, up], **look)
         axes[1].errorbar(response.omega, phase, np.degrees(np.minimum(relative, np.pi)), **look)
 
 
-def _phase_beside(one: _Series, series: Sequence[_Series]) -> NDArray[np.float64]:
-    """Return the phase (n,) in degrees: a curve's unwrapped along omega, a point's next to the nearest curve."""
-    curves = [k for k in series if not k.measured] or [one]
-    omega, guide = _unwrapped(min(curves, key=lambda curve: _distance(one, curve)) if one.measured else one)
-    first = _interpolated(omega, *_unwrapped(series[0]))
-    guide = guide + 360 * np.round(np.mean(first - guide) / 360)  # as a whole, next to the first
-    phase = np.degrees(np.angle(one.response.response))
-    return phase + 360 * np.round((_interpolated(one.response.omega, omega, guide) - phase) / 360)
+def _phases(series: Sequence[Series]) -> list[NDArray[np.float64]]:
+    """Return the phase (n,) of each series in degrees, within each input-output pair next to each other."""
+    first: dict[tuple[str, str], _Phase] = {}
+    guides: dict[Series, _Phase] = {}
+    for one in series:  # curves come first
+        own = _unwrapped(one.response)
+        near = [curve for curve in guides if curve.pair == one.pair and not curve.measured]
+        if one.measured and near:
+            beside = guides[min(near, key=lambda curve: _distance(one, curve))]
+            guides[one] = beside if _is_guide(beside, one.response) else _moved(own, beside)
+        else:
+            guides[one] = _moved(own, first.setdefault(one.pair, own))
+    return [_wrapped_to(guides[one], one.response) for one in series]
 
 
-def _distance(one: _Series, curve: _Series) -> float:
+def _unwrapped(response: FrequencyResponse) -> _Phase:
+    """Return the sorted omega (n,) and the phase (n,) in degrees, unwrapped along it from within (-180°, 180°]."""
+    order = np.argsort(response.omega)
+    phase = np.degrees(np.unwrap(np.angle(response.response[order])))
+    return response.omega[order], phase + 360 * (phase[0] <= -180)
+
+
+def _moved(own: _Phase, beside: _Phase) -> _Phase:
+    """Move a phase as a whole by multiples of 360° next to another, over the frequencies that both have."""
+    low = max(own[0][0], beside[0][0])
+    common = np.geomspace(low, max(low, min(own[0][-1], beside[0][-1])), 100)  # dense spots of a grid count no more
+    return own[0], own[1] + 360 * np.round(np.mean(_interpolated(common, *beside) - _interpolated(common, *own)) / 360)
+
+
+def _wrapped_to(guide: _Phase, response: FrequencyResponse) -> NDArray[np.float64]:
+    """Return the phase (n,) in degrees, each within half a turn of the guide."""
+    phase = np.degrees(np.angle(response.response))
+    return phase + 360 * np.round((_interpolated(response.omega, *guide) - phase) / 360)
+
+
+def _is_guide(guide: _Phase, response: FrequencyResponse) -> bool:
+    """Return whether most points lie within a quarter of a turn of the guide."""
+    return bool(np.median(np.abs(_wrapped_to(guide, response) - _interpolated(response.omega, *guide))) <= 90)
+
+
+def _distance(one: Series, curve: Series) -> float:
     """Return how far points lie from a curve, relative and on average; 0 for the one that was fitted to them."""
     if one.checksum == curve.checksum:
         return 0.0
-    order = np.argsort(curve.response.omega)
-    there = _interpolated(one.response.omega, curve.response.omega[order], curve.response.response[order])
+    there = _interpolated(one.response.omega, curve.response.omega, curve.response.response)
     return float(np.mean(np.abs(one.response.response - there) / np.maximum(np.abs(there), 1e-300)))
-
-
-def _unwrapped(one: _Series) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the sorted omega (n,) and the phase (n,) in degrees, unwrapped along it."""
-    order = np.argsort(one.response.omega)
-    return one.response.omega[order], np.degrees(np.unwrap(np.angle(one.response.response[order])))
 
 
 def _frequency_axis(axes: Axes, omega: NDArray[np.float64]) -> None:
     """Make the horizontal axis logarithmic, with 1, 2 and 5 of every decade written out where there is room."""
     low, high = omega.min(), omega.max()
     axes.set(xlabel="ω, rad/s", xscale="log", xlim=(low / 1.15, high * 1.15))
-    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high / low < 1e3 else (1,)))
+    few = MaxNLocator(6, steps=[1, 2, 2.5, 5, 10])
+    axes.xaxis.set_major_locator(few if high / low < 5 else LogLocator(subs=(1, 2, 5) if high / low < 1e3 else (1,)))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
 
@@ -357,12 +324,12 @@ def _draw_starts(figure: Figure | SubFigure, fit: Fit) -> None:
     _draw_minima(axes, fit, costs)
     _draw_failed(axes, len(costs), len(fit.runs) - len(costs))
     _scale_costs(axes, [cost for cost, _ in costs])
-    _finish(axes, "Runs, sorted by cost", "Cost")
+    finish(axes, "Runs, sorted by cost", "Cost")
     axes.set_xlim(0, len(fit.runs) + 1)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     said = f"{fit.agreeing} of {len(fit.runs)} starts agree on the best minimum"
     axes.set_title(said if fit.converged else f"none of {len(fit.runs)} starts converged", fontsize=12)
-    _legend_below(figure, {str(line.get_label()): (line,) for line in axes.get_lines()})
+    legend_below(figure, {str(line.get_label()): (line,) for line in axes.get_lines()})
 
 
 def _draw_minima(axes: Axes, fit: Fit, costs: Sequence[tuple[float, int]]) -> None:
@@ -371,7 +338,8 @@ def _draw_minima(axes: Axes, fit: Fit, costs: Sequence[tuple[float, int]]) -> No
     named, others = fit.minima[: len(COLORS)], fit.minima[len(COLORS) :]
     groups = [(f"minimum {k}: {len(m.runs)} × cost {m.cost:.5g}", m.runs) for k, m in enumerate(named, 1)]
     rest = tuple(index for minimum in others for index in minimum.runs)
-    groups += [(f"{len(others)} more: {len(rest)} ×", rest)] if rest else []
+    runs, minima = "run" if len(rest) == 1 else "runs", "minimum" if len(others) == 1 else "minima"
+    groups += [(f"{len(rest)} {runs} in {len(others)} further {minima}", rest)] if rest else []
     for (label, members), color, marker in zip(groups, (*COLORS, GRAYS[1]), MARKERS, strict=False):
         x, y = zip(*(places[index] for index in members), strict=True)
         axes.plot(x, y, color=color, marker=marker, markersize=4.5, linestyle="none", label=label)

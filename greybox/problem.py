@@ -3,8 +3,10 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Protocol, Self, runtime_checkable
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,8 @@ from greybox.frequency_response import FrequencyResponse
 from greybox.linear import delay_order, pick_signals
 from greybox.model import Model, Names, StateSpace, merge, require_known
 from greybox.parameter import Parameter
+from greybox.response_file import read_response
+from greybox.trace import require_no_nan, traced
 
 
 @runtime_checkable
@@ -42,7 +46,7 @@ class Problem:
     ----------
     model : Model
         The structure; an ODE is linearized at its operating point.
-    data : FrequencyResponse
+    data : FrequencyResponse, or the path of a file of one
         Meets the model by the names of its input and output.
     criterion : Criterion, optional
         `RelativeError` (4.26) by default.
@@ -73,7 +77,7 @@ class Problem:
     """
 
     model: Model
-    data: FrequencyResponse
+    data: FrequencyResponse  # or, when it is made, the path of a file
     criterion: Criterion = None  # type: ignore[assignment]
     fixed: Mapping[str, "float | Estimated"] | Estimated = field(default_factory=dict)
     free: Sequence[str] = ()
@@ -88,7 +92,9 @@ class Problem:
     def __post_init__(self) -> None:
         """Fill in the defaults and check that everything fits together."""
         _require(self.model, Model, "model", "an instance such as Tilt(), not the class")
-        _require(self.data, FrequencyResponse, "data", "a FrequencyResponse")
+        if isinstance(self.data, (str, Path)):
+            object.__setattr__(self, "data", read_response(self.data))
+        _require(self.data, FrequencyResponse, "data", "a FrequencyResponse or the name of a file of one")
         if self.criterion is None:
             object.__setattr__(self, "criterion", RelativeError())
         _require(self.criterion, Criterion, "criterion", "a criterion such as RelativeError()")
@@ -196,6 +202,17 @@ class Problem:
             _require_number(_call(constraint, p, f"constraints[{k}]"), f"constraints[{k}]")
         for name, function in self.model.derived.items():
             _require_number(_call(function, p, f"derived[{name!r}] of {self.model.label}"), f"derived[{name!r}]")
+        self._trace_functions(start)
+
+    def _trace_functions(self, names: Sequence[str]) -> None:
+        """Try the same with expressions, where `if`, `max` and `math.exp` fail."""
+        symbols = {name: ca.SX.sym(name) for name in names}
+        p = self.local_values(symbols)
+        named = {f"tied[{name!r}]": lambda _, name=name: p[name] for name in self.tied}
+        named |= {f"constraints[{k}]": constraint for k, constraint in enumerate(self.constraints)}
+        named |= {f"derived[{name!r}] of {self.model.label}": f for name, f in self.model.derived.items()}
+        for what, function in named.items():
+            require_no_nan(what, ca.SX(traced(what, function, p)))
 
     @property
     def _own(self) -> dict[str, Parameter]:
@@ -305,7 +322,7 @@ def _call(function: Callable[[Any], Any], p: Names, what: str) -> Any:
     if not callable(function):
         raise TypeError(f"{what} is {function!r:.60}: give a function such as lambda p: 2 * p.{next(iter(p), 'a')}.")
     try:
-        return function(p)
+        return traced(what, function, p)
     except (AttributeError, KeyError, ArithmeticError) as error:
         raise ValueError(f"{what}: {error}") from error
 

@@ -38,7 +38,7 @@ def quantities(
     rows = np.vstack([np.eye(len(nlp.names)), gradients])
     errors = propagate(accuracy, rows)
     bare = [_parameter(nlp, accuracy, name, estimate[name]) for name in nlp.names]
-    bare += [_line(formula, float(value)) for formula, value in zip(formulas, values, strict=True)]
+    bare += [_line(formula, float(value), accuracy) for formula, value in zip(formulas, values, strict=True)]
     lines = [
         replace(line, standard_error=float(error), dof=float(dof))
         for line, error, dof in zip(bare, errors, degrees(accuracy, rows), strict=True)
@@ -52,8 +52,9 @@ def _product(rows: NDArray[np.float64], accuracy: Accuracy) -> NDArray[np.float6
     return rows @ accuracy.covariance @ rows.T
 
 
-def _line(formula: Formula, value: float) -> Quantity:
-    return Quantity(formula.name, value, math.nan, formula.kind, formula.unit, formula.about)
+def _line(formula: Formula, value: float, accuracy: Accuracy) -> Quantity:
+    hit = formula.kind == "tied" and any(text.endswith(f"of the tied {formula.name}") for text in accuracy.active)
+    return Quantity(formula.name, value, math.nan, formula.kind, formula.unit, formula.about, at_bound=hit)
 
 
 def _parameter(nlp: Nlp, accuracy: Accuracy, name: str, value: float) -> Quantity:

@@ -52,7 +52,8 @@ class Multistart:
     @property
     def failures(self) -> str:
         """The statuses of the runs that did not converge, with counts."""
-        counts = Counter(run.status for run in self.runs if not run.converged)
+        named = (f"{r.status} ({r.reason})" if r.reason else r.status for r in self.runs if not r.converged)
+        counts = Counter(named)
         return ", ".join(f"{count} × {status}" for status, count in counts.most_common())
 
 

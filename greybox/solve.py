@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from greybox.nlp import Nlp
 
 CONVERGED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+INVALID = "Invalid_Number_Detected"
 SMOOTHING = 1e-8  # under the root of |e|²; 1e-14 takes about twice the time and moves the cost by 6e-5 at most
 POLISH = (1e-10, 1e-11, 1e-12, 1e-13)  # of the last runs, one from the other; a kink allows no less at once
 
@@ -37,6 +38,8 @@ class Run:
         True when IPOPT reports a solution and the cost is finite.
     iterations : int
     seconds : float
+    reason : str
+        Why it did not converge, as far as the model tells: where its response is not finite.
     """
 
     index: int
@@ -47,6 +50,7 @@ class Run:
     converged: bool
     iterations: int
     seconds: float
+    reason: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +68,7 @@ class Solver:
 
     def __init__(self, nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({})) -> None:
         self._nlp = nlp
+        self._options = options
         self._stages = [_ipopt(e, options) for e in (nlp.first, nlp.expressions) if e is not None]
         scale = nlp.scaling.to_solver
         self._bounds = {
@@ -72,6 +77,10 @@ class Solver:
             "lbg": np.zeros(nlp.constraint.numel_out()),
             "ubg": np.full(nlp.constraint.numel_out(), np.inf),
         }
+
+    def polishing(self) -> "Solver":
+        """Return a solver for the last runs, which takes the little that a kink leaves to gain for a solution."""
+        return Solver(self._nlp, {"acceptable_tol": 1e-4, "acceptable_iter": 3, **self._options})
 
     def run(self, start: NDArray[np.float64], smoothing: float = SMOOTHING) -> Outcome:
         """Solve from `start` (p,)."""

@@ -20,6 +20,9 @@ class Starts(ABC):
     def draw(self, parameters: Mapping[str, Parameter]) -> NDArray[np.float64]:
         """Return the starts, (number, p), for the free parameters in their order."""
 
+    @abstractmethod
+    def __str__(self) -> str: ...
+
 
 class _Random(Starts):
     """Points in the unit cube, stretched to the start boxes; evenly in the logarithm where a parameter asks for it."""
@@ -37,6 +40,9 @@ class _Random(Starts):
             value = getattr(self, name)
             if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < least:
                 raise ValueError(f"{name} of starts is {value!r}: give a whole number of at least {least}.")
+
+    def __str__(self) -> str:
+        return f"{self.number} by {type(self).__name__}, seed {self.seed}"
 
     def draw(self, parameters: Mapping[str, Parameter]) -> NDArray[np.float64]:
         """Return the starts, (number, p)."""
@@ -94,52 +100,71 @@ class Listed(Starts):
 
     points: Sequence[Mapping[str, float]] = field(default=({},))
 
+    def __str__(self) -> str:
+        return f"{len(self.points)} listed"
+
     def draw(self, parameters: Mapping[str, Parameter]) -> NDArray[np.float64]:
-        """Return the listed points, moved into the bounds, (number, p)."""
+        """Return the listed points, (number, p)."""
         if not self.points:
             raise ValueError("the list of starts is empty: give at least one, Listed([{}]) for the declared one.")
         for point in self.points:
             for name, value in point.items():
-                if not isinstance(value, (int, float, np.number)):
+                if not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
                     raise ValueError(f"a listed start gives {name!r} the value {value!r}: give a finite number.")
                 if name not in parameters:
                     raise ValueError(
                         f"a listed start names {name!r}, which is not free; free are {', '.join(parameters)}."
                     )
-                if not math.isfinite(value):
-                    raise ValueError(f"a listed start gives {name!r} the value {value}: give a finite number.")
-        rows = [[point.get(name, p.start) for name, p in parameters.items()] for point in self.points]
-        low, high = np.array([p.bounds for p in parameters.values()]).T
-        return np.clip(np.array(rows, dtype=float), low, high)
+                low, high = parameters[name].bounds
+                if not low <= value <= high:
+                    raise ValueError(
+                        f"a listed start gives {name!r} the value {value:g}, outside its bounds ({low:g}, {high:g}): "
+                        "move the start or widen the bounds."
+                    )
+        return np.array([[point.get(name, p.start) for name, p in parameters.items()] for point in self.points], float)
 
 
 @dataclass(frozen=True)
 class Chained(Starts):
-    """The starts of several rules, one after the other."""
+    """The starts of several rules, one after the other; `seed` is that of the first that has one."""
 
     rules: tuple[Starts, ...]
+
+    def __post_init__(self) -> None:
+        """Take over the seed."""
+        object.__setattr__(self, "seed", next((rule.seed for rule in self.rules if rule.seed is not None), None))
+
+    def __str__(self) -> str:
+        return " + ".join(map(str, self.rules))
 
     def draw(self, parameters: Mapping[str, Parameter]) -> NDArray[np.float64]:
         """Return the points of every rule, (sum of numbers, p)."""
         return np.vstack([rule.draw(parameters) for rule in self.rules])
 
 
-def as_starts(starts: "int | Starts | Sequence[Mapping[str, float] | Starts]", seed: int) -> Starts:
+def as_starts(starts: "int | Starts | Sequence[Mapping[str, float] | Starts]", seed: int | None = None) -> Starts:
     """Read what a user gives: a number of Sobol points, a rule, or a list of points and rules.
 
     Raises
     ------
     TypeError
         For anything else.
+    ValueError
+        For a seed beside a rule, which has its own.
     """
+    if isinstance(starts, (int, np.integer)) and not isinstance(starts, bool):
+        return Sobol(int(starts), 0 if seed is None else seed)
+    if seed is not None:
+        raise ValueError(
+            f"seed = {seed} goes with a number of starts: give it to the rule, e.g. Sobol(200, seed={seed})."
+        )
     if isinstance(starts, Starts):
         return starts
-    if isinstance(starts, (int, np.integer)) and not isinstance(starts, bool):
-        return Sobol(int(starts), seed)
     if isinstance(starts, Sequence) and not isinstance(starts, str):
-        rules = [item if isinstance(item, Starts) else Listed((item,)) for item in starts]
-        if rules and all(isinstance(item, (Mapping, Starts)) for item in starts):
-            return Chained(tuple(rules))
+        if starts and all(isinstance(item, Mapping) for item in starts):
+            return Listed(tuple(item for item in starts if isinstance(item, Mapping)))
+        if starts and all(isinstance(item, (Mapping, Starts)) for item in starts):
+            return Chained(tuple(item if isinstance(item, Starts) else Listed((item,)) for item in starts))
     raise TypeError(
         f"starts is {starts!r:.80}: give a number, a rule such as LatinHypercube(200), or a list of {{name: value}}."
     )

@@ -8,13 +8,13 @@ Layout, version 1
 ``/quantities``  one row per parameter and derived quantity: ``name, value, standard_error, kind, unit, about, bounds,
                  at_bound, dof``.
 ``/covariance``  ``names`` (k,) and ``values`` (k, k).
-``/runs``        one row per start: ``start`` and ``estimate`` (r, p), ``cost, status, converged, iterations, seconds``,
-                 ``minimum`` (the row of ``/minima``, -1 for none); attribute ``free`` names the p columns.
+``/runs``        one row per start: ``start`` and ``estimate`` (r, p), ``cost, status, reason, converged, iterations,
+                 seconds``, ``minimum`` (the row of ``/minima``, -1 for none); attribute ``free`` names the p columns.
 ``/minima``      ``cost`` (m,), ``estimate`` (m, p), ``variants`` (m,), best first.
-``/parts/0 ...`` one group per problem in the sum: attributes ``name, criterion, rule, delay, weight, label, equation,
-                 checksum, pade_error`` and, as JSON, ``model, at, rename, tied, constraints``; groups ``data`` and
-                 ``curve`` (``omega, alpha, beta`` and, if known, ``coherence, variance, dof``) and the fitted
-                 ``response_alpha, response_beta`` at the data's frequencies.
+``/parts/0 ...`` one group per problem in the sum: attributes ``name, criterion, rule, condition, delay, weight, label,
+                 equation, checksum, pade_error`` and, as JSON, ``model, at, rename, tied, constraints``; groups
+                 ``data`` and ``curve`` (``omega, alpha, beta`` and, if known, ``coherence, variance, dof``) and the
+                 fitted ``response_alpha, response_beta`` at the data's frequencies.
 
 The file is sealed, see `greybox.sealed`. NaN means "not known". Nothing in a file is executed when it is loaded.
 """
@@ -36,6 +36,7 @@ from greybox.solve import Run
 
 KIND = "fit"
 LAYOUT = 1
+_PART_TEXTS = ("name", "criterion", "rule", "condition", "delay", "label", "equation")
 
 
 def save(fit: Fit, path: str | Path) -> None:
@@ -88,7 +89,8 @@ def _write(file: Node, fit: Fit) -> None:
 
 def _write_runs(file: Node, fit: Fit) -> None:
     group = file.create_group("runs")
-    _texts(group, "status", [run.status for run in fit.runs])
+    for column in ("status", "reason"):
+        _texts(group, column, [getattr(run, column) for run in fit.runs])
     for column in ("start", "estimate", "cost", "converged", "iterations", "seconds"):
         group[column] = np.array([getattr(run, column) for run in fit.runs])
     _attributes(group, free=json.dumps(fit.free))
@@ -103,8 +105,8 @@ def _write_runs(file: Node, fit: Fit) -> None:
 
 
 def _write_part(group: Node, part: FittedPart) -> None:
-    texts = ("name", "criterion", "rule", "delay", "weight", "label", "equation")
-    _attributes(group, checksum=part.data.checksum, **{name: getattr(part, name) for name in texts})
+    texts = {name: getattr(part, name) for name in _PART_TEXTS}
+    _attributes(group, checksum=part.data.checksum, weight=part.weight, **texts)
     _attributes(group, pade_error=math.nan if part.pade_error is None else part.pade_error)
     for name in ("model", "at", "rename", "tied"):
         _attributes(group, **{name: json.dumps(dict(getattr(part, name)))})
@@ -155,7 +157,7 @@ def _read_quantities(group: Node) -> tuple[Quantity, ...]:
 
 
 def _read_runs(group: Node) -> tuple[Run, ...]:
-    rows = _rows(group, ("status",), ("start", "estimate", "cost", "converged", "iterations", "seconds"))
+    rows = _rows(group, ("status", "reason"), ("start", "estimate", "cost", "converged", "iterations", "seconds"))
     return tuple(
         Run(
             index=k,
@@ -163,6 +165,7 @@ def _read_runs(group: Node) -> tuple[Run, ...]:
             estimate=row["estimate"],
             cost=float(row["cost"]),
             status=row["status"],
+            reason=row["reason"],
             converged=bool(row["converged"]),
             iterations=int(row["iterations"]),
             seconds=float(row["seconds"]),
@@ -194,7 +197,7 @@ def _read_part(group: Node) -> FittedPart:
         raise KeyError(f"the data of part {attributes['name']!r} do not match their checksum")
     error = float(attributes["pade_error"])
     return FittedPart(
-        **{name: str(attributes[name]) for name in ("name", "criterion", "rule", "delay", "label", "equation")},
+        **{name: str(attributes[name]) for name in _PART_TEXTS},
         **{name: json.loads(attributes[name]) for name in ("model", "at", "rename", "tied")},
         constraints=tuple(json.loads(attributes["constraints"])),
         weight=float(attributes["weight"]),

@@ -11,6 +11,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 g = 9.8065  # m/s², the paper's value, below (4.24)
 
@@ -189,6 +190,20 @@ class Rational:
             raise ValueError("only exp(-s T) with a T that does not depend on s has a rational form with a delay.")
         return Rational([1.0], delay=-self.numerator[0] / self.denominator[0] if len(self.numerator) == 2 else 0.0)
 
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """Roots of a numeric denominator, rad/s."""
+        return np.roots([float(c) for c in self.denominator]).astype(complex)
+
+    @property
+    def zeros(self) -> NDArray[np.complex128]:
+        """Roots of a numeric numerator, rad/s."""
+        return np.roots([float(c) for c in self.numerator]).astype(complex)
+
+    def __str__(self) -> str:
+        delay = "" if not _is_casadi(self.delay) and self.delay == 0 else f" exp(-{self.delay} s)"
+        return f"({_written(self.numerator)}) / ({_written(self.denominator)}){delay}"
+
     def __call__(self, s: Any) -> Any:
         """Evaluate at `s`, numbers or `Complex`."""
         return _horner(self.numerator, s) / _horner(self.denominator, s) * exp(-s * self.delay)
@@ -302,6 +317,16 @@ def _equal(a: Any, b: Any) -> bool:
     if _is_casadi(a) or _is_casadi(b):
         return ca.is_equal(ca.SX(a), ca.SX(b), 8)
     return bool(a == b)
+
+
+def _written(polynomial: Sequence[Any]) -> str:
+    """Write a polynomial in s, e.g. ``2 s² + 0.3 s + 1``."""
+    terms = []
+    for power, c in zip(reversed(range(len(polynomial))), polynomial, strict=True):
+        if not _is_zero(c) or len(polynomial) == 1:
+            size = str(c) if _is_casadi(c) else f"{c:.6g}"
+            terms.append(size + ("", " s")[power > 0] + "".join("⁰¹²³⁴⁵⁶⁷⁸⁹"[int(d)] for d in str(power) if power > 1))
+    return " + ".join(terms).replace("+ -", "- ")
 
 
 def _trim(polynomial: Sequence[Any]) -> list[Any]:

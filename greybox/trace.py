@@ -1,6 +1,7 @@
 """Reading a user's formula with CasADi expressions, and saying in a sentence where that cannot be done."""
 
 import re
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -34,7 +35,9 @@ def traced(owner: str, formula: Callable[..., Any], *arguments: Any) -> Any:
         With the cure, where CasADi or Python refuses the formula.
     """
     try:
-        return formula(*arguments)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FutureWarning)  # CasADi's long notice about numpy functions, which do work
+            return formula(*arguments)
     except (RuntimeError, NotImplementedError, TypeError) as error:
         reason = re.sub(r"^\.\.\./casadi\S+ ", "", str(error).strip().partition("\n")[0])
         raise ValueError(f"{owner} cannot be compiled ({reason.rstrip('.')}): {_CURE}") from error

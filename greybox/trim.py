@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.model import Names, StateSpace, require_known
+from greybox.parameter import Parameter
 from greybox.trace import column, derivative_function, parameter_names, traced, traced_derivative
 
 _TOLERANCE = 1e-9  # of the derivative at a trim, relative to the size of its terms
@@ -68,14 +69,15 @@ def _is_always_equilibrium(model: StateSpace, point: Sequence[float]) -> bool:
     derivative = derivative_function(model)
     random = np.random.default_rng(0)
     for _ in range(8):
-        trial = [_some_value(p, random) for p in model.parameters.values()]
+        trial = [some_value(p, random) for p in model.parameters.values()]
         value = np.asarray(derivative(point, trial))
         if not np.all(np.abs(value) < 1e-12):
             return False
     return True
 
 
-def _some_value(parameter: Any, random: np.random.Generator) -> float:
+def some_value(parameter: Parameter, random: np.random.Generator) -> float:
+    """Draw a value from a start box, or from what is within 1000 of the start."""
     low, high = np.clip(parameter.box, parameter.start - 1e3, parameter.start + 1e3)
     return float(random.uniform(low, high))
 

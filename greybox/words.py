@@ -25,6 +25,7 @@ def warnings(nlp: Nlp, search: Multistart, accuracy: Accuracy, pade_errors: list
         *_unknown_constants(nlp, accuracy),
         *_size(nlp),
         *_bounds(nlp, search.minima[0], accuracy),
+        *(f"{limit} holds with equality: the errors take it as exact." for limit in accuracy.active),
         *_agreement(search),
         *_variants(search, accuracy),
         *_pade(nlp, pade_errors),
@@ -45,7 +46,7 @@ def pade_error(part: Problem, values: dict[str, float]) -> float | None:
 
 
 def _undetermined(accuracy: Accuracy) -> Iterator[str]:
-    for combination in accuracy.combinations:
+    for combination in sorted(accuracy.combinations, key=lambda c: -c.index):
         names = _listed(combination.names)
         if math.isinf(combination.index) and len(combination.names) == 1:
             yield f"{names} is not determined: it does not change the response at these data at all; fix it."

@@ -60,7 +60,7 @@ def test_cost_refuses_an_unknown_name():
 
 
 def test_a_problem_without_unknowns_is_refused():
-    with pytest.raises(ValueError, match=r"every parameter of 'made' is fixed: free one, e\.g\. free=\('K',\)"):
+    with pytest.raises(ValueError, match=r"no parameter of 'made' is free: free one, e\.g\. free=\('K',\)"):
         gb.fit(gb.Problem(LagLagDelay(), NOISY, fixed=TWO_LAGS))
 
 

@@ -132,7 +132,7 @@ def test_an_overlay_draws_shared_data_once(draw, pitch):
     assert legend(figure) == ["pitch", "published", "refitted"]
 
 
-def test_overlaid_fits_without_labels_are_told_apart(pitch, two_points, failed):
+def test_overlaid_fits_without_labels_are_told_apart(pitch):
     other = replace(pitch, name="pitch again")
     assert legend(plotting.plot_nyquist(pitch, other)) == ["pitch", "fit of pitch", "fit of pitch again"]
     assert legend(plotting.plot_nyquist(pitch, pitch)) == ["pitch", "fit 1", "fit 2"]
@@ -168,6 +168,107 @@ def test_phase_is_unwrapped_and_points_lie_next_to_their_curve(sweep):
     assert np.ptp(degrees) > 360
     there = np.interp(np.log(data.get_xdata()), np.log(line.get_xdata()), degrees)
     np.testing.assert_allclose(data.get_ydata(), there, atol=2)
+
+
+def test_each_pair_has_a_panel_when_one_would_vanish_beside_another(rotors, pitch):
+    joint = replace(rotors, parts=(*rotors.parts, *pitch.parts))
+    for draw in (plotting.plot_nyquist, plotting.plot):
+        first, second = draw(joint).axes[:2]
+        assert [line.get_label() for line in points(first)] == [f"rotor {k}" for k in (1, 2, 3, 4)]
+        assert [line.get_label() for line in points(second)] == ["pitch"]
+        assert (len(curves(first)), len(curves(second))) == (1, 1)
+        assert (first.get_xlabel(), second.get_xlabel()) == ("Real part of Ω/u", "Real part of θ/u")
+        assert numbers(second)
+    assert len(plotting.plot_bode(joint).axes) == 2
+
+
+@pytest.mark.parametrize(("factor", "count"), [(4, 1), (1 / 4, 1), (6, 2), (1 / 6, 2), (1e-9, 2)])
+def test_pairs_of_like_size_share_a_panel(factor, count):
+    one = gb.FrequencyResponse([1.0, 2.0], [1, 1j], "u", "theta")
+    other = gb.FrequencyResponse([1.0, 2.0], [factor, 1j * factor], "u", "phi")
+    assert len(plotting.plot_nyquist(one, other).axes) == count
+    assert len(plotting.plot_nyquist(one, replace(other, output="theta")).axes) == 1
+
+
+def test_data_without_names_belong_to_the_pair_of_the_only_curve(sweep):
+    data = replace(sweep, response=sweep.response / 100, input="", output="")
+    assert len(plotting.plot_nyquist(gb.frequency_response(Tilt(), sweep.omega, TRUTH), data).axes) == 1
+
+
+def test_a_curve_far_off_leaves_the_data_visible(pitch):
+    (part,) = pitch.parts
+    off = replace(part, curve=replace(part.curve, response=-1e3 * part.curve.response))
+    (axes,) = plotting.plot_nyquist(replace(pitch, parts=(off,))).axes
+    assert all(axes.viewLim.contains(*spot) for spot in points(axes)[0].get_xydata())
+    assert np.ptp(axes.get_ylim()) < 5 * np.abs(part.data.response).max()
+    assert "cut off: curves reach a magnitude of" in axes.get_title()
+    assert "cut off" not in plotting.plot_nyquist(pitch).axes[0].get_title()
+
+
+def test_phases_of_each_pair_begin_within_half_a_turn(rotors, pitch):
+    joint = replace(rotors, parts=(*pitch.parts, *rotors.parts))
+    axes = plotting.plot_bode(joint).axes[1]
+    assert [-180 < line.get_ydata()[0] <= 180 for line in curves(axes)] == [True, True]
+    for line in points(axes):
+        low, high = (-180, 0) if line.get_label().startswith("rotor") else (60, 200)
+        assert np.all((low < line.get_ydata()) & (line.get_ydata() < high))
+
+
+def test_whole_curves_are_moved_together_within_their_pair_only():
+    omega = np.geomspace(1, 10, 50)
+    first = gb.FrequencyResponse(omega, np.exp(1j * np.radians(170 - 5 * omega)), "u", "y", source="model", name="a")
+    second = replace(first, response=first.response * np.exp(0.5j), name="b")
+    third = replace(first, response=np.full(50, np.exp(-1j * np.radians(100))), output="z", name="c")
+    one, other, apart = curves(plotting.plot_bode(first, second, third).axes[1])
+    np.testing.assert_allclose(apart.get_ydata(), -100)
+    np.testing.assert_allclose(one.get_ydata(), 170 - 5 * omega)
+    np.testing.assert_allclose(other.get_ydata() - one.get_ydata(), np.degrees(0.5))
+
+
+def test_phases_that_no_curve_guides_are_unwrapped_by_themselves():
+    omega = np.geomspace(1, 10, 60)
+    data = gb.FrequencyResponse(omega, np.exp(-1j * np.radians(60 + 40 * omega)), "u", "y")
+    off = replace(data, response=np.ones(60), source="model", name="off")
+    (line,) = points(plotting.plot_bode(off, data).axes[1])
+    np.testing.assert_allclose(np.diff(line.get_ydata()), -40 * np.diff(omega))
+
+
+def test_a_refined_resonance_is_drawn_whole_and_counts_as_the_same_curve(rotors):
+    def oscillator(omega):
+        return gb.FrequencyResponse(omega, 3 / (25 - omega**2 + 0.02j * omega), "u", "y", source="model", name="o")
+
+    dense = 5 + 0.5 * np.sinh(np.linspace(-6, 6, 1500)) / np.sinh(6)
+    fine = oscillator(np.union1d(np.geomspace(0.5, 50, 500), dense))
+    finer = oscillator(np.union1d(np.geomspace(1, 20, 400), dense))
+    parts = [replace(part, curve=curve) for part, curve in zip(rotors.parts, (finer, fine), strict=False)]
+    (axes,) = plotting.plot_nyquist(replace(rotors, parts=tuple(parts))).axes
+    (line,) = curves(axes)
+    np.testing.assert_array_equal(line.get_xdata(), fine.alpha)
+    steps = np.diff(axes.transData.transform(line.get_xydata()), axis=0)
+    assert np.hypot(*steps.T).max() < 15  # pixels
+    phase = curves(plotting.plot_bode(fine).axes[1])[0].get_ydata()
+    assert -180 <= phase.min() < phase.max() <= 0
+
+
+def test_many_points_are_small_and_below_the_curve(sweep):
+    omega = np.geomspace(0.5, 200, 3000)
+    exact = gb.frequency_response(Tilt(), omega, TRUTH)
+    data = gb.FrequencyResponse(omega, exact.response * 1e-9, "u", "theta", variance=np.full(3000, 1e-20))
+    for draw in (plotting.plot_nyquist, plotting.plot_bode):
+        figure = draw(data, replace(exact, response=exact.response * 1e-9))
+        axes = figure.axes[0]
+        (cloud,), (line,) = points(axes), curves(axes)
+        assert len(cloud.get_xdata()) == 3000
+        assert cloud.get_markersize() < points(draw(sweep).axes[0])[0].get_markersize()
+        assert cloud.get_zorder() < line.get_zorder()
+        assert figure.legends[0].get_lines()[0].get_markersize() > cloud.get_markersize()
+
+
+@pytest.mark.parametrize("omega", [[3.0], [3.0, 4.2], [0.01, 2000.0]])
+def test_every_frequency_axis_has_numbers(omega):
+    figure = plotting.plot_bode(gb.FrequencyResponse(omega, np.ones(len(omega))))
+    (low, high), ticks = figure.axes[-1].get_xlim(), figure.axes[-1].xaxis.get_majorticklocs()
+    assert np.sum((low <= ticks) & (ticks <= high)) >= 2
 
 
 def test_a_wrong_sign_stays_within_half_a_turn_of_the_curve(rotors):
@@ -224,8 +325,10 @@ def test_starts_is_logarithmic_when_costs_span_decades(pitch):
 def test_more_minima_than_colors_share_one_gray(pitch):
     each = tuple(replace(pitch.minima[0], runs=(run.index,)) for run in pitch.runs)
     figure = plotting.plot_starts(replace(pitch, minima=each))
-    assert legend(figure)[-1] == "2 more: 2 ×"
+    assert legend(figure)[-1] == "2 runs in 2 further minima"
     assert sum(len(line.get_xdata()) for line in points(figure.axes[0])) == 8
+    figure = plotting.plot_starts(replace(pitch, minima=each[:7], runs=pitch.runs[:7]))
+    assert legend(figure)[-1] == "1 run in 1 further minimum"
 
 
 def test_a_fit_that_did_not_converge_shows_its_data_and_says_so(failed):
@@ -251,8 +354,7 @@ def test_a_loaded_fit_needs_no_model(pitch):
 
 
 def test_one_frequency_and_odd_names_are_drawn():
-    name = "_50 % of $u$ and $x"
-    data = gb.FrequencyResponse([2.0], [0.0], input="RATE.POut", output="Omega_1", name=name)
+    data = gb.FrequencyResponse([2.0], [0.0], input="RATE.POut", output="Omega_1", name="_50 % of $u$ and $x")
     curve = gb.frequency_response(Rotor(), [2.0])
     for draw in (plotting.plot_nyquist, plotting.plot_bode):
         draw(data, curve).draw_without_rendering()

@@ -336,3 +336,15 @@ def test_an_earlier_value_without_standard_error_is_not_taken_as_exact():
     found = fit(gb.Problem(Tilt(), DATA, fixed={"T_rotor": unknown, "T_delay": 0.008}))
     assert np.isnan(found.standard_error["T_rotor"])
     assert np.isnan(found.standard_error["a4"])
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".h5"])
+def test_a_file_of_a_response_is_data_too(tmp_path, suffix):
+    path = tmp_path / f"rotor{suffix}"
+    data = measured(Rotor(), ROTOR_OMEGA, ROTOR)
+    gb.write_response(data, path)
+    problem = gb.Problem(Rotor(), path)
+    assert np.array_equal(problem.data.response, data.response)
+    assert np.array_equal(gb.Problem(Rotor(), str(path)).data.omega, data.omega)
+    with pytest.raises(FileNotFoundError, match=r"there is no file .*none"):
+        gb.Problem(Rotor(), tmp_path / f"none{suffix}")

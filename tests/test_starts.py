@@ -49,13 +49,27 @@ def test_latin_hypercube_has_one_point_in_every_layer(n):
         assert_array_equal(np.sort(np.floor(values * n).astype(int)), np.arange(n))
 
 
-def test_listed_points_keep_the_declared_start_where_they_are_silent_and_are_moved_into_the_bounds():
-    points = gb.Listed([{}, {"a": 4.0}, {"a": 99.0, "c": 1e-9}]).draw(BOXES)
-    assert_array_equal(points, [[0, 1, 1], [4, 1, 1], [5, 1, 1e-4]])
+def test_listed_points_keep_the_declared_start_where_they_are_silent():
+    points = gb.Listed([{}, {"a": 4.0}]).draw(BOXES)
+    assert_array_equal(points, [[0, 1, 1], [4, 1, 1]])
+
+
+def test_a_listed_point_outside_its_bounds_is_refused():
+    with pytest.raises(
+        ValueError, match=r"gives 'a' the value 99, outside its bounds \(-?\d+, 5\): move the start or widen"
+    ):
+        gb.Listed([{"a": 99.0}]).draw(BOXES)
+
+
+def test_a_rule_has_its_own_seed_and_says_so():
+    assert str(as_starts([{"a": 2.0}, gb.Uniform(3, seed=9)])) == "1 listed + 3 by Uniform, seed 9"
+    assert as_starts([{"a": 2.0}, gb.Uniform(3, seed=9)]).seed == 9
+    with pytest.raises(ValueError, match=r"seed = 4 goes with a number of starts: give it to the rule"):
+        as_starts(gb.Uniform(3, seed=9), seed=4)
 
 
 def test_a_list_mixes_points_and_rules_in_its_order():
-    points = as_starts([{"a": 2.0}, gb.Uniform(3, seed=9), {}], seed=0).draw(BOXES)
+    points = as_starts([{"a": 2.0}, gb.Uniform(3, seed=9), {}]).draw(BOXES)
     assert_array_equal(points[0], [2, 1, 1])
     assert_array_equal(points[1:4], gb.Uniform(3, seed=9).draw(BOXES))
     assert_array_equal(points[4], [0, 1, 1])

@@ -1,0 +1,104 @@
+"""Solving (s I - A) x = b by elimination, in numbers or in expressions.
+
+Expressions cannot be pivoted as they go. A pivot is zero not only at a pole but wherever a leading sub-block of A has
+an eigenvalue at s, as the undamped position and velocity inside a damped system do. So the order of elimination is
+chosen beforehand: the first one that agrees with a pivoted solution in numbers, at sample values of the parameters. The
+characteristic polynomial would need no pivots, but loses all digits when eigenvalues differ by a few decades.
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import islice, permutations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+ACCURATE = 1e-10  # relative error of the solution at which an order is good enough
+ORDERS = 200  # orders to try
+
+
+def solve(A: Sequence[Sequence[Any]], b: Sequence[Any], s: Any, order: Sequence[int]) -> list[Any]:
+    """Solve (s I - A) x = b; None in A stands for an entry that is always zero."""
+    n = len(b)
+    rows: list[dict[int, Any]] = [{k: -a for k, a in enumerate(row) if a is not None} for row in A]
+    for i in range(n):
+        rows[i][i] = s + rows[i][i] if i in rows[i] else s
+    right = list(b)
+    for position, i in enumerate(order):
+        for j in order[position + 1 :]:
+            if i not in rows[j]:
+                continue
+            factor = rows[j].pop(i) / rows[i][i]
+            for k in order[position + 1 :]:
+                if k in rows[i]:
+                    change = factor * rows[i][k]
+                    rows[j][k] = rows[j][k] - change if k in rows[j] else -change
+            right[j] = right[j] - factor * right[i]
+    x: list[Any] = [0.0] * n
+    for position, i in reversed(list(enumerate(order))):
+        for k in order[position + 1 :]:
+            if k in rows[i]:
+                right[i] = right[i] - rows[i][k] * x[k]
+        x[i] = right[i] / rows[i][i]
+    return x
+
+
+def elimination_order(
+    samples: NDArray[np.float64], b: NDArray[np.float64], zero: NDArray[np.bool_], omega: NDArray[np.float64]
+) -> tuple[int, ...]:
+    """Return the order in which to eliminate.
+
+    Parameters
+    ----------
+    samples : (m, n, n) array
+        A at sample values of the parameters.
+    b : (m, n) array
+        The right-hand side there.
+    zero : (n, n) array of bool
+        Entries of A that are always zero.
+    omega : (k,) array, rad/s
+        Where the solution is needed, s = jω.
+    """
+    m, n, _ = samples.shape
+    if n < 2:
+        return tuple(range(n))
+    s = 1j * omega[None, :]
+    entries = [[None if zero[i, k] else samples[:, i, k, None] for k in range(n)] for i in range(n)]
+    right = [np.broadcast_to(b[:, i, None], (m, omega.size)).astype(complex) for i in range(n)]
+    pencil = s[..., None, None] * np.eye(n) - samples[:, None]
+    with np.errstate(all="ignore"):
+        exact = solve_pencils(pencil, np.stack(right, axis=-1))
+        size = np.abs(exact).max(axis=-1, keepdims=True)
+        best, least = tuple(range(n)), np.inf
+        for order in _orders(n):
+            found = np.stack([v + 0 * s for v in solve(entries, right, s, order)], axis=-1)
+            error = np.max(np.nan_to_num(np.abs(found - exact) / size, nan=1e300), where=np.isfinite(size), initial=0.0)
+            if error < least:
+                best, least = order, error
+            if least < ACCURATE:
+                break
+    return best
+
+
+def _orders(n: int) -> Iterator[tuple[int, ...]]:
+    """Yield all orders of a small system, and otherwise some, the natural one first."""
+    if n <= 5:
+        yield from islice(permutations(range(n)), ORDERS)
+        return
+    yield tuple(range(n))
+    yield tuple(range(n))[::-1]
+    random = np.random.default_rng(0)
+    for _ in range(ORDERS - 2):
+        yield tuple(int(i) for i in random.permutation(n))
+
+
+def solve_pencils(pencil: NDArray[np.complex128], right: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Solve (..., n, n) x = (..., n) with pivoting; NaN where the matrix is singular, at a pole."""
+    try:
+        return np.linalg.solve(pencil, right[..., None])[..., 0]
+    except np.linalg.LinAlgError:
+        exact = np.full(right.shape, np.nan, dtype=complex)
+        for index in np.ndindex(right.shape[:-1]):
+            if np.linalg.matrix_rank(pencil[index]) == right.shape[-1]:
+                exact[index] = np.linalg.solve(pencil[index], right[index])
+        return exact
