@@ -33,7 +33,6 @@ from greybox.starts import LatinHypercube as LatinHypercube
 from greybox.starts import Listed as Listed
 from greybox.starts import Sobol as Sobol
 from greybox.starts import Uniform as Uniform
-from greybox.symbolic import Rational as Rational
 from greybox.symbolic import arccos as arccos
 from greybox.symbolic import arcsin as arcsin
 from greybox.symbolic import arctan as arctan
