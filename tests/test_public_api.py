@@ -8,11 +8,11 @@ import sys
 import greybox as gb
 
 PUBLIC = """
-Fit FrequencyResponse LatinHypercube LinearSystem Listed Record Recording MagnitudePhase MaximumLikelihood Model Parameter Problem
-RelativeError Sobol SquaredRelativeError StateSpace TransferFunction Uniform
-arccos arcsin arctan arctan2 cos exp g log maximum minimum sign sin sqrt tan tanh where
-cost feedback fit frequency_response horizontal_velocity levy linearize load order_path plot plot_bode plot_nyquist plot_starts prepare rational
-read_response save write_response
+Fit FrequencyResponse LatinHypercube LinearSystem Listed MagnitudePhase MaximumLikelihood Model Parameter Problem
+Record Recording RelativeError Sobol SquaredRelativeError StateSpace TransferFunction Uniform
+arccos arcsin arctan arctan2 cos cost exp feedback fit frequency_response g horizontal_velocity levy linearize load
+log maximum minimum order_path plot plot_bode plot_nyquist plot_starts prepare rational read_response save sign sin
+sqrt tan tanh where write_response
 """.split()
 
 
