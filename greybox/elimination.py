@@ -92,7 +92,7 @@ def _orders(n: int) -> Iterator[tuple[int, ...]]:
         yield tuple(int(i) for i in random.permutation(n))
 
 
-def solve_pencils(pencil: NDArray[np.complex128], right: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def solve_pencils(pencil: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
     """Solve (..., n, n) x = (..., n) with pivoting; NaN where the matrix is singular, at a pole."""
     try:
         return np.linalg.solve(pencil, right[..., None])[..., 0]

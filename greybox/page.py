@@ -1,5 +1,6 @@
 """What stands on a page: points and curves, the frame around them, legends, and names as symbols."""
 
+import io
 import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,14 +8,30 @@ from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 
 from greybox.frequency_response import FrequencyResponse
 
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito: told apart by all eyes
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 MARKER_SIZE = 5.5  # points
 CROWD = 100  # points of one data set from which on they shrink and lie below the curves
+
+
+class _Figure(Figure):
+    """A figure that a notebook shows although pyplot, which would teach it to, was never imported."""
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        self.savefig(buffer, format="png", dpi=100)
+        return buffer.getvalue()
+
+
+def page(width: float, height: float) -> Figure:
+    """Return an empty figure of this size in inches."""
+    return _Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08))
 
 
 def plain(text: str) -> str:

@@ -1,23 +1,20 @@
 """Figures of a fit: Nyquist diagram, Bode diagram, and the costs that the starts reached."""
 
-import io
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullFormatter
 from numpy.typing import NDArray
 
 from greybox.answer import Fit
 from greybox.frequency_response import FrequencyResponse
 from greybox.nyquist import draw_nyquist, grid, number_points, panels
-from greybox.page import CROWD, MARKERS, Series, finish, legend, legend_below, plain, ratio
+from greybox.page import COLORS, CROWD, MARKERS, Series, finish, legend, legend_below, page, plain, ratio
 
 # Okabe and Ito's colors, which readers with a color vision deficiency can tell apart; yellow is too pale for lines.
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 DARK, GRAYS = "#222222", ("#222222", "#777777", "#AAAAAA")
 STYLES = ("-", "--", "-.", ":")
 SAME_CURVE = 1e-2  # relative distance below which two curves of one fit are the same line on paper
@@ -44,7 +41,7 @@ def plot_nyquist(*fits: Fit | FrequencyResponse, labels: Sequence[str] = ()) -> 
     """
     series = _collect(fits, labels)
     rows, columns = grid(len(panels(series)))
-    figure = _page(1.8 + 4.6 * columns, 1.2 + 4.6 * rows)
+    figure = page(1.8 + 4.6 * columns, 1.2 + 4.6 * rows)
     number_points(figure, draw_nyquist(figure, series, _title(fits)), series)
     return figure
 
@@ -61,7 +58,7 @@ def plot_bode(*fits: Fit | FrequencyResponse, labels: Sequence[str] = ()) -> Fig
     The arguments are those of `plot_nyquist`. The figure's axes are magnitude, phase and, where known, coherence.
     """
     series = _collect(fits, labels)
-    figure = _page(6.4, 7.0 if any(one.response.coherence is not None for one in series) else 5.8)
+    figure = page(6.4, 7.0 if any(one.response.coherence is not None for one in series) else 5.8)
     _draw_bode(figure, series, _title(fits))
     return figure
 
@@ -72,7 +69,7 @@ def plot_starts(fit: Fit) -> Figure:
     Failed runs are crosses at the right; their cost means nothing and is not shown. The scale is logarithmic where the
     costs span decades.
     """
-    figure = _page(6.4, 4.0)
+    figure = page(6.4, 4.0)
     _draw_starts(figure, fit)
     return figure
 
@@ -82,7 +79,7 @@ def plot(fit: Fit) -> Figure:
     series = _collect((fit,), ())
     rows, columns = grid(len(panels(series)))
     width, height = 2.8 + 3.4 * columns, 1.8 + 3.4 * rows  # of the Nyquist diagram, inches
-    figure = _page(width + 6.2, height + 3.4)
+    figure = page(width + 6.2, height + 3.4)
     figure.suptitle(_title((fit,)), fontsize=13)
     left, right = figure.subfigures(1, 2, wspace=0.03, width_ratios=(width, 6.2), squeeze=False)[0]
     top, bottom = left.subfigures(2, 1, height_ratios=(height, 3.4), squeeze=False)[:, 0]
@@ -91,19 +88,6 @@ def plot(fit: Fit) -> Figure:
     _draw_starts(bottom, fit)
     number_points(figure, drawn, series)
     return figure
-
-
-class _Figure(Figure):
-    """A figure that a notebook shows although pyplot, which would teach it to, was never imported."""
-
-    def _repr_png_(self) -> bytes:
-        buffer = io.BytesIO()
-        self.savefig(buffer, format="png", dpi=100)
-        return buffer.getvalue()
-
-
-def _page(width: float, height: float) -> Figure:
-    return _Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08))
 
 
 def _collect(items: Sequence[Fit | FrequencyResponse], labels: Sequence[str]) -> list[Series]:

@@ -1,7 +1,7 @@
 """What is to be fitted: a model, data and a criterion, with fixed, tied and renamed parameters. Problems add."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol, Self, runtime_checkable
@@ -204,7 +204,7 @@ class Problem:
             _require_number(_call(function, p, f"derived[{name!r}] of {self.model.label}"), f"derived[{name!r}]")
         self._trace_functions(start)
 
-    def _trace_functions(self, names: Sequence[str]) -> None:
+    def _trace_functions(self, names: Iterable[str]) -> None:
         """Try the same with expressions, where `if`, `max` and `math.exp` fail."""
         symbols = {name: ca.SX.sym(name) for name in names}
         p = self.local_values(symbols)

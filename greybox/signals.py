@@ -231,7 +231,8 @@ def _low_passed(time: Array, values: Array, step: float, rate: float) -> tuple[A
     nyquist = 0.5 / step
     taps, beta = kaiserord(80.0, (STOP - PASS) * rate / nyquist)
     taps = min(taps | 1, 2 * ((samples.size - 1) // 2) + 1)  # odd, and no longer than the reflection can feed
-    kernel = firwin(taps, (PASS + STOP) / 2 * rate, window=("kaiser", beta), fs=2 * nyquist)
+    window: Any = ("kaiser", beta)
+    kernel = firwin(taps, (PASS + STOP) / 2 * rate, window=window, fs=2 * nyquist)
     half = taps // 2
     padded = np.pad(samples, half, mode="reflect", reflect_type="odd")
     return uniform, oaconvolve(padded, kernel, mode="valid")
