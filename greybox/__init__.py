@@ -8,7 +8,15 @@ from greybox.criterion import MagnitudePhase as MagnitudePhase
 from greybox.criterion import MaximumLikelihood as MaximumLikelihood
 from greybox.criterion import RelativeError as RelativeError
 from greybox.criterion import SquaredRelativeError as SquaredRelativeError
+from greybox.excitation import Excitation as Excitation
+from greybox.excitation import ardupilot_script as ardupilot_script
+from greybox.excitation import sine_schedule as sine_schedule
+from greybox.excitation import sweep as sweep
+from greybox.excitation import systemid_parameters as systemid_parameters
+from greybox.excitation import write_excitation as write_excitation
 from greybox.fit import fit as fit
+from greybox.fourier import demodulate as demodulate
+from greybox.fourier import finite_frequency as finite_frequency
 from greybox.frequency_response import FrequencyResponse as FrequencyResponse
 from greybox.levy import levy as levy
 from greybox.levy import order_path as order_path
@@ -20,15 +28,23 @@ from greybox.model import Model as Model
 from greybox.model import StateSpace as StateSpace
 from greybox.model import TransferFunction as TransferFunction
 from greybox.model import feedback as feedback
+from greybox.multisine import multisine as multisine
 from greybox.nlp import cost as cost
 from greybox.parameter import Parameter as Parameter
 from greybox.problem import Problem as Problem
+from greybox.quality import check as check
+from greybox.readers import read as read
 from greybox.record import Record as Record
 from greybox.record import Recording as Recording
 from greybox.response_file import read_response as read_response
 from greybox.response_file import write_response as write_response
+from greybox.segments import Segment as Segment
+from greybox.segments import find_segments as find_segments
+from greybox.segments import segment_table as segment_table
 from greybox.signals import horizontal_velocity as horizontal_velocity
 from greybox.signals import prepare as prepare
+from greybox.spectra import periodic_response as periodic_response
+from greybox.spectra import spectral_response as spectral_response
 from greybox.starts import LatinHypercube as LatinHypercube
 from greybox.starts import Listed as Listed
 from greybox.starts import Sobol as Sobol
@@ -59,7 +75,9 @@ _ON_FIRST_USE = {
     "plot": "plotting",
     "plot_bode": "plotting",
     "plot_nyquist": "plotting",
+    "plot_recording": "traces",
     "plot_starts": "plotting",
+    "plot_traces": "traces",
 }
 
 

@@ -1,4 +1,4 @@
-"""The command line: `greybox list`, `greybox fit`."""
+"""The command line."""
 
 import argparse
 import contextlib
@@ -11,18 +11,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NoReturn
 
 from greybox.answer import Fit
 from greybox.criterion import CRITERIA, Criterion
 from greybox.fit import fit
-from greybox.model import Model, equation
+from greybox.list_command import Answer, list_shelf
+from greybox.log_commands import add_inspect_options, add_response_options, inspect, response
 from greybox.nlp import AnyProblem
 from greybox.problem import Problem, Sum
-from greybox.response_file import read_response
-from greybox.shelf import find_model, find_problem, models_of, shipped, shipped_module
-from greybox.table import number, text_table
+from greybox.response_file import HDF5, read_response, write_response
+from greybox.shelf import find_model, find_problem
 
 USABLE, FAILED, BAD_INPUT = 0, 1, 2
 FIGURES = (".png", ".pdf", ".svg")
@@ -76,6 +75,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"greybox {version('greybox-id')}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     _add_list(commands)
+    _add_inspect(commands)
+    _add_response(commands)
     _add_fit(commands)
     return parser
 
@@ -86,7 +87,26 @@ def _add_list(commands: Any) -> None:
         "name", nargs="?", metavar="NAME", help="show one whole: a problem, or a model such as tilt:Tilt"
     )
     _add_common(parser)
-    parser.set_defaults(command=_list)
+    parser.set_defaults(command=list_shelf)
+
+
+def _add_inspect(commands: Any) -> None:
+    parser = commands.add_parser("inspect", help="what a log holds, which tests it has, what is wrong with it")
+    add_inspect_options(parser)
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw setpoints, angles and tests into this file")
+    parser.add_argument("--force", action="store_true", help="overwrite files that exist")
+    _add_common(parser)
+    parser.set_defaults(command=_inspect)
+
+
+def _add_response(commands: Any) -> None:
+    parser = commands.add_parser("response", help="a log to a measured frequency response", allow_abbrev=False)
+    add_response_options(parser)
+    parser.add_argument("--out", type=Path, metavar="FILE", help="save the response to this .csv or .h5 file")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw Bode and coherence into this png, pdf or svg")
+    parser.add_argument("--force", action="store_true", help="overwrite files that exist")
+    _add_common(parser)
+    parser.set_defaults(command=_response)
 
 
 def _add_fit(commands: Any) -> None:
@@ -128,11 +148,44 @@ def _whole(text: str) -> int:
     return int(text)
 
 
-def _fit(options: argparse.Namespace) -> tuple[dict[str, Any], str, int]:
-    for path in (options.out, options.plot):
-        _require_writable(path, options.force)
-    if options.plot is not None and options.plot.suffix.lower() not in FIGURES:
-        raise UsageError(f"--plot {options.plot} is no known kind of figure: end it in {', '.join(FIGURES)}.")
+def _inspect(options: argparse.Namespace) -> Answer:
+    _require_figure(options.plot, options.force)
+    (answer, text, status), draw = inspect(options)
+    return answer, "\n".join([text, *_drawn(draw, options.plot)]), status
+
+
+def _response(options: argparse.Namespace) -> Answer:
+    _require_figure(options.plot, options.force)
+    _require_writable(options.out, options.force)
+    if options.out is not None and options.out.suffix.lower() not in (".csv", *HDF5):
+        raise UsageError(f"--out {options.out} is no known kind of file: end it in .csv or .h5.")
+    (answer, text, status), measured, draw = response(options)
+    notes = []
+    if measured is None:
+        print(f"greybox: {answer['error']}", file=sys.stderr)
+        return answer, text, status
+    if options.out is not None:
+        write_response(measured, options.out)
+        notes.append(f"saved {options.out}")
+    return answer, "\n".join([text, *notes, *_drawn(draw, options.plot)]), status
+
+
+def _require_figure(path: Path | None, force: bool) -> None:
+    _require_writable(path, force)
+    if path is not None and path.suffix.lower() not in FIGURES:
+        raise UsageError(f"--plot {path} is no known kind of figure: end it in {', '.join(FIGURES)}.")
+
+
+def _drawn(draw: Any, path: Path | None) -> list[str]:
+    if path is None:
+        return []
+    draw().savefig(path, dpi=150)
+    return [f"drew {path}"]
+
+
+def _fit(options: argparse.Namespace) -> Answer:
+    _require_writable(options.out, options.force)
+    _require_figure(options.plot, options.force)
     problem, settings = _stated_problem(options)
     for name in ("starts", "seed"):
         if getattr(options, name) is not None:
@@ -269,72 +322,10 @@ def _all_known(values: Any) -> dict[str, float | None]:
     return {name: _known(value) for name, value in values.items()}
 
 
-def _list(options: argparse.Namespace) -> tuple[dict[str, Any], str, int]:
-    if options.name is not None:
-        return _show(options.name)
-    problems = [(name, _doc(shipped_module("problems", name))) for name in shipped("problems")]
-    models = [
-        (f"{name}:{model.__name__}", equation(model))
-        for name in shipped("models")
-        for model in models_of(shipped_module("models", name))
-    ]
-    tables = [
-        text_table([title, "what it is"], [[name, _first(doc)] for name, doc in rows], (0, 1))
-        for title, rows in (("problem", problems), ("model", models))
-    ]
-    titles = dict.fromkeys(
-        re.split(r", (?=[(]|section|below)", _source(doc))[0] for _, doc in (*problems, *models) if _source(doc)
-    )
-    sources = "\n".join(f"Source: {title}" for title in titles)
-    last = "`greybox list NAME` shows one whole, with its equation."
-    answer = {
-        kind: [{"name": name, "summary": _first(doc), "source": _source(doc), "about": doc} for name, doc in rows]
-        for kind, rows in (("problems", problems), ("models", models))
-    }
-    return answer, "\n\n".join([*tables, sources, last]), USABLE
-
-
-def _show(name: str) -> tuple[dict[str, Any], str, int]:
-    if ":" in name or name.endswith(".py"):
-        model = find_model(name)
-        return {"name": name, "about": equation(model), **_parameters(model)}, _model_text(model), USABLE
-    module = shipped_module("problems", name)
-    problem, _ = find_problem(name)
-    parts = "\n\n".join(dict.fromkeys(_model_text(part.model) for part in problem.parts))
-    return {"name": name, "about": _doc(module)}, f"{name}\n\n{_doc(module)}\n\n{parts}", USABLE
-
-
-def _parameters(model: Model) -> dict[str, Any]:
-    rows = [{"name": n, "start": p.start, "unit": p.unit, "about": p.about} for n, p in model.parameters.items()]
-    return {"parameters": rows, "inputs": list(model.input_names), "outputs": list(model.output_names)}
-
-
-def _model_text(model: Model) -> str:
-    rows = [
-        [name, number(p.start), f"[{p.bounds[0]:g}, {p.bounds[1]:g}]", p.unit, "fixed" if p.fixed else "", p.about]
-        for name, p in model.parameters.items()
-    ]
-    table = text_table(["parameter", "start", "bounds", "unit", "", "meaning"], rows, (0, 3, 4, 5))
-    signals = f"{', '.join(model.input_names)} -> {', '.join(model.output_names)}"
-    return f"{model.label}: {signals}\n\n{equation(model)}\n\n{table}"
-
-
-def _doc(module: ModuleType) -> str:
-    return (module.__doc__ or "").strip()
-
-
-def _first(doc: str) -> str:
-    return doc.partition("\n\n")[0].replace("\n", " ")
-
-
-def _source(doc: str) -> str:
-    match = re.search(r"Source: (.+?)(?:\.\s|\.$|\n\n|$)", doc, re.DOTALL)
-    return " ".join(match[1].split()) if match else ""
-
-
 def _explain(error: Exception, arguments: Sequence[str]) -> tuple[str, int]:
     """Turn an exception into one sentence and an exit status; an error in a user's own file names file and line."""
-    sentence = " ".join(str(error).split()) or type(error).__name__
+    said = error.args[0] if isinstance(error, KeyError) and error.args else error  # str() of it would add quotes
+    sentence = " ".join(str(said).split()) or type(error).__name__
     if isinstance(error, UsageError):
         return sentence, BAD_INPUT
     own = {str(Path(m[1]).resolve()): m[1] for word in arguments if (m := re.match(r"(.+\.py)(?:$|[:(])", word))}

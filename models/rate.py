@@ -38,6 +38,26 @@ class BasicAngle(BasicRate):
         return super().response(s, p) / s
 
 
+class DampedAngle(gb.TransferFunction):
+    r"""Angle from the control by rotor lag, inertia and damping of the rate, (2.6) with one more term.
+
+    $$P_\phi(s) = \frac{K_\phi}{s (s + a) (T_\Omega s + 1)} e^{-s T_{delay}}$$
+
+    Air that damps the rotation, but no torque from the translation, as in many simulators.
+
+    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.6).
+    """
+
+    input, output = "u", "theta"
+    K_phi = gb.Parameter(100.0, bounds=(1, 2000), unit="1/s²", about="angular acceleration per control")
+    a = gb.Parameter(1.0, bounds=(0, 5), unit="1/s", about="damping of the rate")
+    T_rotor = gb.Parameter(0.05, bounds=(0.001, 0.2), unit="s", about="rotor time constant T_Ω")
+    T_delay = gb.Parameter(0.005, bounds=(0, 0.05), unit="s", about="controller and ESC delay")
+
+    def response(self, s, p):
+        return p.K_phi / (s * (s + p.a) * (p.T_rotor * s + 1)) * gb.exp(-s * p.T_delay)
+
+
 class DampedRate(gb.TransferFunction):
     r"""Roll rate from the roll control with one real and two complex poles, (2.7).
 

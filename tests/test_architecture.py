@@ -12,11 +12,11 @@ ROOT = Path(__file__).parents[1]
 # A file may import only files listed above it.
 ORDER = """
 table parameter record frequency_response sealed response_file
-signals
+readers signals segments fourier spectra excitation multisine quality
 symbolic model trace trim elimination linear criterion problem
 nlp levy starts solve result multistart
 accuracy words reference answer quantities store fit
-page nyquist plotting shelf cli __main__
+page nyquist plotting traces shelf list_command log_commands cli __main__
 """.split()
 
 SOURCES = sorted(path for folder in ("greybox", "models", "problems") for path in (ROOT / folder).rglob("*.py"))

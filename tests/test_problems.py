@@ -59,7 +59,7 @@ def responses(data):
 @every
 def test_the_docstring_names_table_equation_flight_and_source(name):
     first, _, rest = MODULES[name].__doc__.partition("\n")
-    assert re.search(r"Tables? \d\.\d", first)
+    assert name.startswith("sitl") or re.search(r"Tables? \d\.\d", first)
     assert re.search(r"\(\d\.\d+\)", first)
     assert first.endswith(".")
     assert first.count(". ") == 0
@@ -94,7 +94,7 @@ def test_published_is_source_values_and_cost(name):
 
 def test_the_problems_of_the_paper_are_all_there():
     wanted = {"(3.18)", "(3.19)", "(3.20)", "(4.22)", "(4.27)", "(4.28)", "(4.31)", "(4.35)"}
-    assert {module.published["source"] for module in PUBLISHED.values()} == wanted
+    assert {module.published["source"] for module in PUBLISHED.values()} >= wanted
 
 
 # --- data
@@ -190,3 +190,12 @@ def test_a_free_unit_of_the_hidden_yaw_state_is_reported():
     assert "a1" in text
     assert "K_nu" in text
     assert np.isnan(fit.standard_error["K_nu"])
+
+
+def test_the_simulated_flight_gives_its_own_physics_back():
+    """From the log to the fit: each parameter within 2.5 standard errors, gain 1 %, lag 2 ms, delay 1 ms."""
+    module = MODULES["sitl_pitch"]
+    fit = gb.fit(module.problem(), starts=20, progress=False)
+    truth, near = module.published["values"], {"K_phi": 0.91, "a": 1.0, "T_rotor": 0.002, "T_delay": 0.001}
+    for name, value in truth.items():
+        assert abs(fit.estimate[name] - value) < min(2.5 * fit.standard_error[name], near[name])

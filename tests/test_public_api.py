@@ -8,11 +8,13 @@ import sys
 import greybox as gb
 
 PUBLIC = """
-Fit FrequencyResponse LatinHypercube LinearSystem Listed MagnitudePhase MaximumLikelihood Model Parameter Problem
-Record Recording RelativeError Sobol SquaredRelativeError StateSpace TransferFunction Uniform
-arccos arcsin arctan arctan2 cos cost exp feedback fit frequency_response g horizontal_velocity levy linearize load
-log maximum minimum order_path plot plot_bode plot_nyquist plot_starts prepare rational read_response save sign sin
-sqrt tan tanh where write_response
+Excitation Fit FrequencyResponse LatinHypercube LinearSystem Listed MagnitudePhase MaximumLikelihood Model Parameter
+Problem Record Recording RelativeError Segment Sobol SquaredRelativeError StateSpace TransferFunction Uniform
+arccos arcsin arctan arctan2 ardupilot_script check cos cost demodulate exp feedback find_segments finite_frequency
+fit frequency_response g horizontal_velocity levy linearize load log maximum minimum multisine order_path
+periodic_response plot plot_bode plot_nyquist plot_recording plot_starts plot_traces prepare rational read
+read_response save segment_table sign sin sine_schedule spectral_response sqrt sweep systemid_parameters tan tanh
+where write_excitation write_response
 """.split()
 
 

@@ -1,0 +1,239 @@
+"""Where the messages of a DataFlash log lie: a walk over the file that survives damage.
+
+pymavlink has such a walk, compiled, but it ends the whole Python process at the first message of an unknown type or
+length, and prints a line for every byte that it skips. This one is about as fast, silent, and counts what it skips.
+The table of format letters is pymavlink's.
+"""
+
+import mmap
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pymavlink.DFReader import FORMAT_TO_STRUCT
+
+HEAD = b"\xa3\x95"  # before every message, then the type's number
+FMT, FMT_LENGTH = 0x80, 89  # the message that describes the others: type, length, name, format, columns
+STRIDE = 256  # messages that are first tried at once; doubled while all is well
+PIECE = 2**22  # bytes
+FMT_BODY = struct.Struct("<BB4s16s64s")
+
+
+Bytes = bytes | mmap.mmap
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How the messages of one type are laid out: name, length in bytes with the header, one format letter a column."""
+
+    kind: int
+    name: str
+    length: int
+    format: str
+    columns: tuple[str, ...]
+
+    @property
+    def dtype(self) -> np.dtype:
+        """The body as a packed numpy type, little-endian."""
+        letters = [FORMAT_TO_STRUCT[letter][0] for letter in self.format]
+        return np.dtype([(f"f{i}", _numpy_type(letters[i])) for i in range(len(letters))])
+
+    def scale(self, column: int) -> float | None:
+        """Return the divisor that the letter implies (centi for c, C, e, E; 1e7 for L), None without one."""
+        multiplier = FORMAT_TO_STRUCT[self.format[column]][1]
+        return None if multiplier is None else 1 / multiplier
+
+
+FMT_LAYOUT = Layout(FMT, "FMT", FMT_LENGTH, "BBnNZ", ("Type", "Length", "Name", "Format", "Columns"))
+
+
+@dataclass(frozen=True, eq=False)
+class Index:
+    """Offsets of all sound messages, in the order of the file, and what was wrong.
+
+    Attributes
+    ----------
+    layouts : tuple of Layout
+        Every description met; one type may be described twice in different words.
+    offsets : (n,) array
+        Where each message starts, bytes.
+    which : (n,) array
+        Its layout, as an index.
+    skipped, places, first : int
+        Bytes that belong to no message, in how many places, and where the first is.
+    cut : str
+        Name of a last message that is not complete.
+    """
+
+    layouts: tuple[Layout, ...]
+    offsets: NDArray[np.int64]
+    which: NDArray[np.uint16]
+    skipped: int
+    places: int
+    first: int
+    cut: str
+
+    def of(self, layout: int) -> NDArray[np.intp]:
+        """Numbers of the messages of one layout, in the order of the file."""
+        return np.flatnonzero(self.which == layout)
+
+
+class _Walk:
+    """State of the walk: the descriptions so far, and the messages found."""
+
+    def __init__(self, data: Bytes) -> None:
+        self.data = data
+        self.raw = np.frombuffer(data, dtype=np.uint8)
+        self.layouts = [FMT_LAYOUT]
+        self.lengths = np.zeros(256, dtype=np.int64)
+        self.current = np.zeros(256, dtype=np.uint16)
+        self.lengths[FMT] = FMT_LENGTH
+        self.offsets: list[NDArray[np.int64]] = []
+        self.which: list[NDArray[np.uint16]] = []
+        self.skipped = self.places = 0
+        self.first = -1
+        self.cut = ""
+
+    def run(self) -> Index:
+        """Go from message to message: in strides where the next header is where it should be, singly elsewhere."""
+        heads, at, last = _heads(self.raw), 0, len(self.data) - 3
+        while at <= last:
+            at = self._stride(at, heads)
+            if at <= last:
+                at = self._step(at)
+        offsets = np.concatenate([np.empty(0, dtype=np.int64), *self.offsets])
+        which = np.concatenate([np.empty(0, dtype=np.uint16), *self.which])
+        return Index(tuple(self.layouts), offsets, which, self.skipped, self.places, self.first, self.cut)
+
+    def _stride(self, at: int, heads: NDArray[np.int64]) -> int:
+        """Take messages that follow each other exactly, up to the next description; return where to go on."""
+        here, size = int(np.searchsorted(heads, at)), STRIDE
+        while here + 1 < heads.size and heads[here] == at:
+            starts = heads[here : here + size + 1]
+            kinds = self.raw[starts[:-1] + 2]
+            good = (starts[:-1] + self.lengths[kinds] == starts[1:]) & (kinds != FMT)
+            number = good.size if good.all() else int(good.argmin())
+            self._take(starts[:number], self.current[kinds[:number]])
+            here, at = here + number, int(starts[number])
+            if number < good.size:
+                break
+            size *= 2
+        return at
+
+    def _step(self, at: int) -> int:
+        """Take the message at `at`, if it is one, and return where to go on."""
+        head = self.data[at : at + 3]
+        length = int(self.lengths[head[2]]) if head[:2] == HEAD else 0
+        if not length:
+            return self._recover(at)
+        if at + length > len(self.data):
+            self.cut = self.layouts[self.current[head[2]]].name
+            return len(self.data)
+        if head[2] == FMT:
+            self._define(at)
+        self._take(np.array([at]), self.current[head[2] : head[2] + 1])
+        return at + length
+
+    def _take(self, offsets: NDArray[np.int64], which: NDArray[np.uint16]) -> None:
+        if offsets.size:
+            self.offsets.append(offsets)
+            self.which.append(which.copy())
+
+    def _drop_last(self) -> None:
+        """Forget the message taken last."""
+        self.offsets[-1], self.which[-1] = self.offsets[-1][:-1], self.which[-1][:-1]
+        if not self.offsets[-1].size:
+            self.offsets.pop()
+            self.which.pop()
+
+    def _define(self, at: int) -> None:
+        layout = _layout(self.data[at + 3 : at + FMT_LENGTH])
+        if layout is None or layout.kind == FMT or len(self.layouts) == 0xFFFF:
+            return
+        if layout not in self.layouts:
+            self.layouts.append(layout)
+        self.lengths[layout.kind] = layout.length
+        self.current[layout.kind] = self.layouts.index(layout)
+
+    def _recover(self, at: int) -> int:
+        """Return where to go on after bytes that start no known message; the message before may be a torn one."""
+        start = at
+        if self.offsets:
+            before = int(self.offsets[-1][-1])
+            inside = self._next_sound(before + 3, at)
+            if inside >= 0:
+                self._drop_last()
+                self._skip(before, inside)
+                return inside
+        found = self._next_sound(at + 1, len(self.data))
+        end = len(self.data) if found < 0 else found
+        if found >= 0 or not _is_padding(self.data[at : at + 4096]):
+            self._skip(start, end)
+        return end
+
+    def _next_sound(self, start: int, end: int) -> int:
+        """Return the first header in start..end of a known type whose message another one, or the end, follows."""
+        data, size = self.data, len(self.data)
+        at = data.find(HEAD, start, min(end + 2, size))
+        while at >= 0:
+            length = int(self.lengths[data[at + 2]]) if at + 2 < size else 0
+            if length and (at + length >= size or data[at + length : at + length + 2] == HEAD[: size - at - length]):
+                return at
+            at = data.find(HEAD, at + 1, min(end + 2, size))
+        return -1
+
+    def _skip(self, start: int, end: int) -> None:
+        self.first = start if self.first < 0 else self.first
+        self.skipped += end - start
+        self.places += 1
+
+
+def index(data: Bytes) -> Index:
+    """Find every message in `data`."""
+    return _Walk(data).run()
+
+
+def sound(kind: int, name: str, length: int, letters: str, columns: tuple[str, ...]) -> Layout | None:
+    """Return the layout if it can be true: known letters, a name, as many columns, and the length that they need."""
+    if not (name.isascii() and name.replace("_", "").isalnum() and all(c in FORMAT_TO_STRUCT for c in letters)):
+        return None
+    layout = Layout(kind, name, length, letters, columns)
+    fits = len(columns) == len(letters) == len(set(columns)) and layout.dtype.itemsize + 3 == length
+    return layout if fits else None
+
+
+def _layout(body: bytes) -> Layout | None:
+    kind, length, name, letters, columns = FMT_BODY.unpack(body)
+    listed = tuple(column for column in text(columns).split(",") if column)
+    return sound(kind, text(name), length, text(letters), listed)
+
+
+def text(raw: bytes) -> str:
+    """Return a text field up to its first zero byte, decoded as pymavlink does."""
+    raw = raw.partition(b"\0")[0]
+    try:
+        return raw.decode("utf-8")
+    except UnicodeDecodeError:
+        return raw.decode("iso-8859-1")
+
+
+def _heads(raw: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Return every place with the two bytes of a header and room for a third, in pieces that spare the memory."""
+    found = []
+    for start in range(0, raw.size - 2, PIECE):
+        piece = raw[start : min(start + PIECE, raw.size - 2) + 1]
+        at = np.flatnonzero(piece[:-1] == HEAD[0])
+        found.append(at[piece[at + 1] == HEAD[1]] + start)
+    return np.concatenate([np.empty(0, dtype=np.int64), *found])
+
+
+def _is_padding(raw: bytes) -> bool:
+    return not raw.strip(b"\0") or not raw.strip(b"\xff")
+
+
+def _numpy_type(letter: str) -> str:
+    """Translate a letter of `struct` to numpy."""
+    return (
+        f"S{letter[:-1]}" if letter.endswith("s") else np.dtype(letter if letter != "e" else "f2").newbyteorder("<").str
+    )

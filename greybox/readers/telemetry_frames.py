@@ -1,0 +1,139 @@
+"""Where the packets of a telemetry log lie, and their fields in bulk: 8 bytes of reception time before each packet.
+
+What the packets mean (names, types, units, checksums) is pymavlink's table of MAVLink messages.
+"""
+
+import mmap
+import re
+from array import array
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+STAMP = 8  # bytes of time before a packet: µs since 1970, big-endian
+MARK = re.compile(b"[\xfd\xfe]")  # the first byte of a packet of MAVLink 2 or 1
+SIGNED, SIGNATURE = 1, 13  # flag and length of a signed packet
+TYPES = {
+    **{f"{sign}int{bits}_t": f"<{sign or 'i'}{bits // 8}" for sign in ("", "u") for bits in (8, 16, 32, 64)},
+    "float": "<f4",
+    "double": "<f8",
+    "char": "S",
+}
+KINDS: Mapping[int, Any] = mavlink.mavlink_map
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """All sound packets in the order of the file, and what was wrong.
+
+    Attributes
+    ----------
+    kinds, senders, starts, lengths : (n,) array
+        Message number, 256 · system + component, and where the payload lies, bytes.
+    received : (n,) array, s
+        Reception time, from the middle of the log.
+    skipped, places : int
+        Bytes that belong to no packet, in how many places.
+    unknown : int
+        Packets of kinds that pymavlink does not know.
+    """
+
+    kinds: NDArray[np.int64]
+    senders: NDArray[np.int64]
+    starts: NDArray[np.int64]
+    lengths: NDArray[np.int64]
+    received: NDArray[np.float64]
+    skipped: int
+    places: int
+    unknown: int
+
+
+def walk(data: mmap.mmap) -> Frames:
+    """Find every packet in `data` whose checksum is right."""
+    fields = array("q")
+    at, size, skipped, places, unknown = 0, len(data), 0, 0, 0
+    while at + STAMP < size:
+        frame = _frame(data, at + STAMP)
+        if frame is None:
+            found = _next_sound(data, at + STAMP + 1) - STAMP
+            skipped, places, at = skipped + found - at, places + 1, found
+            continue
+        kind, sender, start, length, end = frame
+        if kind in KINDS:
+            fields.extend((kind, sender, start, length, int.from_bytes(data[at : at + STAMP], "big") & 2**63 - 1))
+        else:
+            unknown += 1
+        at = end
+    kinds, senders, starts, lengths, stamps = np.array(fields, dtype=np.int64).reshape(-1, 5).T
+    middle = np.int64(np.median(stamps)) if stamps.size else 0  # 53 bits would not hold µs since 1970 in s
+    return Frames(kinds, senders, starts, lengths, (stamps - middle) / 1e6, skipped, places, unknown)
+
+
+def _frame(data: mmap.mmap, at: int) -> tuple[int, int, int, int, int] | None:
+    """Return kind, sender, payload start and length, and end of the packet at `at`; None if there is no sound one."""
+    head = data[at : at + 10]
+    if len(head) < 8:
+        return None
+    if head[0] == 0xFE:
+        kind, sender, start, tail = head[5], head[3] << 8 | head[4], at + 6, 2
+    elif head[0] == 0xFD and len(head) == 10 and head[2] in (0, SIGNED):
+        kind = int.from_bytes(head[7:10], "little")
+        sender, start, tail = head[5] << 8 | head[6], at + 10, 2 + SIGNATURE * head[2]
+    else:
+        return None
+    stop = start + head[1]
+    if stop + tail > len(data):
+        return None
+    if kind in KINDS:
+        crc = mavlink.x25crc(data[at + 1 : stop] + bytes((KINDS[kind].crc_extra,))).crc
+        sound = crc == data[stop] | data[stop + 1] << 8
+    else:
+        sound = _starts(data, stop + tail + STAMP)  # the checksum of an unknown kind cannot be checked
+    return (kind, sender, start, head[1], stop + tail) if sound else None
+
+
+def _starts(data: mmap.mmap, at: int) -> bool:
+    return at - STAMP == len(data) or data[at : at + 1] in (b"\xfd", b"\xfe")
+
+
+def _next_sound(data: mmap.mmap, at: int) -> int:
+    """Return where the next packet of a known kind with a right checksum starts; the end and a stamp without one."""
+    for mark in MARK.finditer(data, at):
+        frame = _frame(data, mark.start())
+        if frame and frame[0] in KINDS:
+            return mark.start()
+    return len(data) + STAMP
+
+
+@cache
+def layout(kind: int) -> np.dtype:
+    """Return the payload of one kind as a packed numpy type, with the fields in the order of the wire."""
+    known = KINDS[kind]
+    types = dict(zip(known.fieldnames, known.fieldtypes, strict=True))
+    fields = []
+    for name, count in zip(known.ordered_fieldnames, known.array_lengths, strict=True):
+        code = TYPES[types[name]]
+        if code == "S":
+            fields.append((name, f"S{count or 1}"))
+        else:
+            fields.append((name, code, (count,)) if count else (name, code))
+    return np.dtype(fields)
+
+
+def payloads(data: mmap.mmap, frames: Frames, kind: int) -> NDArray[Any]:
+    """Return the packets of one kind as a structured array; what a packet leaves out at its end is zero."""
+    chosen = frames.kinds == kind
+    starts, lengths = frames.starts[chosen], frames.lengths[chosen]
+    dtype = layout(kind)
+    rows = np.zeros((starts.size, dtype.itemsize), dtype=np.uint8)
+    raw = np.frombuffer(data, dtype=np.uint8)
+    for length in np.unique(lengths):
+        same, width = lengths == length, min(int(length), dtype.itemsize)
+        if width:
+            rows[same, :width] = np.lib.stride_tricks.sliding_window_view(raw, width)[starts[same]]
+    return rows.view(dtype)[:, 0]
