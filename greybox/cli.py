@@ -104,6 +104,9 @@ def _add_response(commands: Any) -> None:
     add_response_options(parser)
     parser.add_argument("--out", type=Path, metavar="FILE", help="save the response to this .csv or .h5 file")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw Bode and coherence into this png, pdf or svg")
+    parser.add_argument(
+        "--traces", type=Path, metavar="FILE", help="draw control, output and setpoint of the first test"
+    )
     parser.add_argument("--force", action="store_true", help="overwrite files that exist")
     _add_common(parser)
     parser.set_defaults(command=_response)
@@ -159,7 +162,8 @@ def _response(options: argparse.Namespace) -> Answer:
     _require_writable(options.out, options.force)
     if options.out is not None and options.out.suffix.lower() not in (".csv", *HDF5):
         raise UsageError(f"--out {options.out} is no known kind of file: end it in .csv or .h5.")
-    (answer, text, status), measured, draw = response(options)
+    _require_figure(options.traces, options.force)
+    (answer, text, status), measured, (draw, traces) = response(options)
     notes = []
     if measured is None:
         print(f"greybox: {answer['error']}", file=sys.stderr)
@@ -167,7 +171,7 @@ def _response(options: argparse.Namespace) -> Answer:
     if options.out is not None:
         write_response(measured, options.out)
         notes.append(f"saved {options.out}")
-    return answer, "\n".join([text, *notes, *_drawn(draw, options.plot)]), status
+    return answer, "\n".join([text, *notes, *_drawn(draw, options.plot), *_drawn(traces, options.traces)]), status
 
 
 def _require_figure(path: Path | None, force: bool) -> None:

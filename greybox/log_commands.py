@@ -76,7 +76,10 @@ def inspect(options: argparse.Namespace) -> tuple[Answer, Any]:
 
 
 def response(options: argparse.Namespace) -> tuple[Answer, FrequencyResponse | None, Any]:
-    """Measure the response in a log; return the answer, the response (None if refused) and a function that draws it."""
+    """Measure the response in a log.
+
+    Returns the answer, the response (None if refused), and functions that draw it and the traces of the first test.
+    """
     recording = read(options.log)
     segments = _chosen(_segments(recording, options), options)
     names = {"input": _named(options.input), "output": _named(options.output)}
@@ -84,6 +87,8 @@ def response(options: argparse.Namespace) -> tuple[Answer, FrequencyResponse | N
     instrument = options.instrument or _injected(recording, segments)
     if instrument:
         signals["instrument"] = instrument
+    if options.setpoint:
+        signals["setpoint"] = options.setpoint
     sines = [segment for segment in segments if segment.usable and segment.kind == "sine"]
     used = sines or [segment for segment in segments if segment.usable]
     start, end = (min(s.start for s in used), max(s.end for s in used)) if used else (-math.inf, math.inf)
@@ -98,7 +103,7 @@ def response(options: argparse.Namespace) -> tuple[Answer, FrequencyResponse | N
     answer = _response_json(recording, measured, segments, quality)
     if not quality.usable:
         answer["error"] = " ".join(quality.refusals)
-        return (answer, text, 1), None, None
+        return (answer, text, 1), None, (None, None)
 
     def draw() -> Any:
         from greybox.plotting import plot_bode  # noqa: PLC0415  (imports matplotlib)
@@ -106,7 +111,12 @@ def response(options: argparse.Namespace) -> tuple[Answer, FrequencyResponse | N
         assert measured is not None
         return plot_bode(measured)
 
-    return (answer, text, 0), measured, draw
+    def traces() -> Any:
+        from greybox.traces import plot_traces  # noqa: PLC0415  (imports matplotlib)
+
+        return plot_traces(record, used[0] if used else None)
+
+    return (answer, text, 0), measured, (draw, traces)
 
 
 def _measured(

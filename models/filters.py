@@ -22,13 +22,19 @@ class LowPass(gb.TransferFunction):
         Where the magnitude has fallen to 0.71 with the default damping.
     damping : float
         ζ; by default that of Butterworth.
+    rate : float, Hz, optional
+        Sampling rate of a digital filter, the bilinear transform of the above with the cutoff kept, as ArduPilot's
+        LowPassFilter2p. Its rational reading needs a Padé approximation.
     """
 
     input, output = "raw", "filtered"
     omega_c = gb.Parameter(126.0, bounds=(0.1, 10000), unit="rad/s", about="cutoff ω_c of the filter", fixed=True)
     zeta = gb.Parameter(0.5**0.5, bounds=(0.01, 10), unit="1", about="damping ζ of the filter", fixed=True)
 
-    def __init__(self, cutoff=20.0, damping=0.5**0.5):
+    def __init__(self, cutoff=20.0, damping=0.5**0.5, rate=None):
+        if rate is not None and not cutoff < rate / 2:
+            raise ValueError(f"cutoff {cutoff} Hz is not below half the sampling rate {rate} Hz: lower it.")
+        self.rate = rate
         declared = type(self).parameters
         self.parameters = {
             "omega_c": replace(declared["omega_c"], start=2 * pi * cutoff),
@@ -36,4 +42,8 @@ class LowPass(gb.TransferFunction):
         }
 
     def response(self, s, p):
-        return p.omega_c**2 / (s**2 + 2 * p.zeta * p.omega_c * s + p.omega_c**2)
+        omega_c, derivative = p.omega_c, s
+        if self.rate is not None:
+            back = gb.exp(-s / self.rate)  # one sample earlier
+            omega_c, derivative = gb.tan(p.omega_c / (2 * self.rate)), (1 - back) / (1 + back)
+        return omega_c**2 / (derivative**2 + 2 * p.zeta * omega_c * derivative + omega_c**2)

@@ -68,7 +68,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     """
     path, messages = Path(path), bare(messages)
     raw = path.read_bytes()
-    lines = Lines(raw.decode("utf-8", "replace").replace("\r", "\n"))
+    lines = Lines(raw.decode("utf-8-sig", "replace").replace("\r", "\n"))
     damaged: dict[str, int] = {}
     tables = UnitTables(_messages(lines, name, Units({}, ""), damaged) for name in TABLES if name in lines.layouts)
     groups = [
