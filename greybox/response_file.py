@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from greybox.frequency_response import FrequencyResponse
+from greybox.table import is_number
 
 COLUMNS = ("omega_rad_s", "alpha", "beta", "coherence", "variance", "dof")
 EXTRAS = COLUMNS[3:]
@@ -133,13 +134,5 @@ def _numbers(
     try:
         return [float(cell) for cell in cells.values()]
     except ValueError:
-        bad = next(name for name, cell in cells.items() if not _is_number(cell))
+        bad = next(name for name, cell in cells.items() if not is_number(cell))
         raise ValueError(f"{path}, line {line}: {bad} is {cells[bad]!r}, which is not a number.") from None
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True

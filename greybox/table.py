@@ -35,3 +35,12 @@ def with_error(value: float, error: float) -> tuple[str, str]:
         return f"{value:.{max(2, 2 + math.floor(math.log10(max(abs(value) / error, 1))))}g}", f"{error:.2g}"
     places = max(decimals, 0)
     return f"{round(value, decimals):.{places}f}", f"{round(error, decimals):.{places}f}"
+
+
+def is_number(cell: str) -> bool:
+    """Tell whether a cell of a table is a number."""
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

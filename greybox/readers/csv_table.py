@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from greybox.readers.columns import SECONDS, Heading, heading, seconds, table
 from greybox.readers.logged import on_one_clock, records
 from greybox.record import Recording
+from greybox.table import is_number
 
 
 def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
@@ -76,7 +77,7 @@ def _decode(raw: bytes) -> str:
 def _headings(cells: Sequence[str], line: str, path: Path) -> list[Heading]:
     headings = [heading(cell) for cell in cells]
     names = [h.name for h in headings if h.name]
-    if not names or all(_is_number(name) for name in names):
+    if not names or all(is_number(name) for name in names):
         raise ValueError(f"{path} has no header line: its first line, {line[:60]!r}, must name the columns.")
     twice = [name for name in names if names.count(name) > 1]
     if twice:
@@ -136,18 +137,10 @@ def _numbers(cells: Sequence[str], separator: str) -> NDArray[np.float64] | None
     if separator != ",":
         cleaned = [cell.replace(",", ".") for cell in cleaned]
     filled = [cell for cell in cleaned if cell]
-    numeric = sum(map(_is_number, filled))
+    numeric = sum(map(is_number, filled))
     if not filled or numeric < len(filled) / 2:
         return None
-    return np.array([float(cell) if _is_number(cell) else np.nan for cell in cleaned])
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+    return np.array([float(cell) if is_number(cell) else np.nan for cell in cleaned])
 
 
 def _time_first(
