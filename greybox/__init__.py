@@ -38,10 +38,11 @@ from greybox.record import Record as Record
 from greybox.record import Recording as Recording
 from greybox.response_file import read_response as read_response
 from greybox.response_file import write_response as write_response
-from greybox.segments import Segment as Segment
+from greybox.segment import Segment as Segment
+from greybox.segment import segment_table as segment_table
 from greybox.segments import find_segments as find_segments
-from greybox.segments import segment_table as segment_table
 from greybox.signals import horizontal_velocity as horizontal_velocity
+from greybox.signals import negative as negative
 from greybox.signals import prepare as prepare
 from greybox.spectra import periodic_response as periodic_response
 from greybox.spectra import spectral_response as spectral_response

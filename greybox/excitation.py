@@ -207,7 +207,7 @@ def write_excitation(excitation: Excitation, path: str | Path) -> None:
     """Write time in s and the signals to a CSV file, which appears complete or not at all."""
     header = [
         "time_s",
-        *(f"{n}_{u.replace('/', '_')}" if (u := excitation.units[n]) else n for n in excitation.signals),
+        *(f"{n} [{u}]" if (u := excitation.units[n]) else n for n in excitation.signals),
     ]
     rows = zip(excitation.time, *excitation.signals.values(), strict=True)
     lines = [",".join(header), *(",".join(repr(float(v)) for v in row) for row in rows)]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from greybox.frequency_response import FrequencyResponse
 from greybox.record import Record
-from greybox.segments import Segment
+from greybox.segment import Segment
 from greybox.table import number, text_table
 
 Array = NDArray[np.float64]

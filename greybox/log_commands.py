@@ -8,17 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from greybox.fourier import finite_frequency
+from greybox.fourier import METHODS, finite_frequency
 from greybox.frequency_response import FrequencyResponse
-from greybox.quality import Quality, check
+from greybox.quality import Finding, Quality, check, jitter
 from greybox.readers import read
 from greybox.record import Record, Recording
-from greybox.segments import Segment, find_segments, segment_table
+from greybox.segment import Segment, segment_table
+from greybox.segments import find_segments
 from greybox.signals import prepare
-from greybox.spectra import spectral_response
+from greybox.spectra import periodic_response, spectral_response
 from greybox.table import number, text_table
 
 Answer = tuple[dict[str, Any], str, int]
+INSTRUMENT, SETPOINT = "instrument", "setpoint"
 
 
 def add_inspect_options(parser: argparse.ArgumentParser) -> None:
@@ -37,7 +39,9 @@ def add_response_options(parser: argparse.ArgumentParser) -> None:
     add("--rate", type=float, metavar="HZ", help="common sampling rate (default: that of the slowest signal)")
     add("--axis", help="use only the tests of this axis")
     add("--tests", metavar="1,3-5", help="use only these tests, numbered as `greybox inspect` does")
-    add("--settle", type=float, default=2.0, metavar="PERIODS", help="of a sine to wait for the transient (default: 2)")
+    add("--settle", type=float, default=2.0, metavar="SECONDS", help="of a sine, for its transient (default: 2)")
+    add("--period", type=float, metavar="SECONDS", help="of a multisine: its lines are used exactly, without windows")
+    add("--whole", action="store_true", help="use the whole log where no test is found (open loop only)")
     add("--method", default="least-squares", help="least-squares or quadrature, for sines (default: least-squares)")
     add("--points", type=int, default=40, help="frequencies of a sweep's estimate (default: 40)")
     _add_test_options(parser)
@@ -80,27 +84,31 @@ def response(options: argparse.Namespace) -> tuple[Answer, FrequencyResponse | N
 
     Returns the answer, the response (None if refused), and functions that draw it and the traces of the first test.
     """
+    _require_sound(options)
     recording = read(options.log)
-    segments = _chosen(_segments(recording, options), options)
-    names = {"input": _named(options.input), "output": _named(options.output)}
-    signals = dict(names.values())
-    instrument = options.instrument or _injected(recording, segments)
-    if instrument:
-        signals["instrument"] = instrument
-    if options.setpoint:
-        signals["setpoint"] = options.setpoint
-    sines = [segment for segment in segments if segment.usable and segment.kind == "sine"]
-    used = sines or [segment for segment in segments if segment.usable]
+    found = [] if options.period else _chosen(_segments(recording, options), options)
+    usable = [segment for segment in found if segment.usable]
+    sines = [segment for segment in usable if segment.kind == "sine"]
+    used = sines or usable
+    if not used and not found and not (options.whole or options.period or options.instrument):
+        raise ValueError("no test was found: name --setpoint, --announced or --instrument, or ask for the --whole log.")
+    _require_one_axis(used)
+    signals, (u, y) = _signals(options, recording, sines, used)
     start, end = (min(s.start for s in used), max(s.end for s in used)) if used else (-math.inf, math.inf)
     record = prepare(recording, signals, options.rate, start=start, end=end)
-    u, y = names["input"][0], names["output"][0]
-    quality = check(record, None, segments, input=u, output=y)
+    judged = used or found
+    quality = _with_jitter(check(record, None, judged, input=u, output=y), recording, options)
     measured, detail = None, ""
     if quality.usable:
-        measured, detail = _measured(record, sines, used, u, y, options, "instrument" if instrument else None)
-        quality = check(record, measured, segments, input=u, output=y)
-    text = "\n\n".join(part for part in (segment_table(segments) if segments else "", detail, str(quality)) if part)
-    answer = _response_json(recording, measured, segments, quality)
+        try:
+            measured, detail = _measured(record, sines, used, u, y, options)
+            quality = _with_jitter(check(record, measured, judged, input=u, output=y), recording, options)
+        except ValueError as error:
+            refused = Finding("response", "refusal", math.nan, " ".join(str(error).split()))
+            quality = Quality((refused, *quality.findings))
+    parts = (segment_table(found) if found else "", detail, str(quality), "\n".join(recording.findings))
+    text = "\n\n".join(part for part in parts if part)
+    answer = _response_json(recording, measured, found, quality)
     if not quality.usable:
         answer["error"] = " ".join(quality.refusals)
         return (answer, text, 1), None, (None, None)
@@ -126,14 +134,61 @@ def _measured(
     u: str,
     y: str,
     options: argparse.Namespace,
-    instrument: str | None,
 ) -> tuple[FrequencyResponse, str]:
     if sines:
-        found = finite_frequency(record, sines, input=u, output=y, settle=options.settle, method=options.method)
-        return found.response, str(found)
+        setpoint = SETPOINT if SETPOINT in record.signals else ""
+        how: dict[str, Any] = {"setpoint": setpoint, "settle": options.settle, "method": options.method}
+        found = finite_frequency(record, sines, input=u, output=y, **how)
+        return found.response, "\n".join([str(found), *found.findings])
+    instrument = next((name for name in (INSTRUMENT, SETPOINT) if name in record.signals), None)
     pieces = [record.between(s.start, s.end) for s in used] or [record]
-    measured = spectral_response(pieces, u, y, instrument=instrument, points=options.points)
-    return measured, str(measured)
+    if options.period:
+        measured = periodic_response(pieces, options.period, u, y, instrument=instrument, name=record.name)
+    else:
+        measured = spectral_response(pieces, u, y, instrument=instrument, points=options.points, name=record.name)
+    direct = "" if instrument else "\ndirect estimate: in a closed loop name the injected signal, --instrument."
+    return measured, str(measured) + direct
+
+
+def _require_sound(options: argparse.Namespace) -> None:
+    for name, value in (("settle", options.settle), ("period", options.period)):
+        if value is not None and not (math.isfinite(value) and value >= 0):
+            raise ValueError(f"--{name} {value} must be a number of seconds of at least 0.")
+    if options.method not in METHODS:
+        raise ValueError(f"--method {options.method!r} is not known: use {' or '.join(METHODS)}.")
+    if not 2 <= options.points <= 10_000:
+        raise ValueError(f"--points {options.points} must lie between 2 and 10000.")
+
+
+def _require_one_axis(used: Sequence[Segment]) -> None:
+    axes = list(dict.fromkeys(segment.axis for segment in used))
+    if len(axes) > 1:
+        raise ValueError(f"the tests are of several axes ({', '.join(axes)}): choose one, --axis {axes[0]!r}.")
+
+
+def _signals(
+    options: argparse.Namespace, recording: Recording, sines: Sequence[Segment], used: Sequence[Segment]
+) -> tuple[dict[str, str], tuple[str, str]]:
+    """Return what to prepare by name, and the names of input and output."""
+    (u, control), (y, output) = _named(options.input), _named(options.output)
+    if u == y or control == output:
+        raise ValueError(f"--input {options.input} and --output {options.output} are one signal or have one name.")
+    for name in (u, y):
+        if name in (INSTRUMENT, SETPOINT):
+            raise ValueError(
+                f"the name {name!r} has a meaning of its own here: call the signal otherwise, NAME=SIGNAL."
+            )
+    signals = {u: control, y: output}
+    instrument = options.instrument or ("" if sines else _injected(recording, used))
+    signals |= {INSTRUMENT: instrument} if instrument else {}
+    signals |= {SETPOINT: options.setpoint} if options.setpoint else {}
+    return signals, (u, y)
+
+
+def _with_jitter(quality: Quality, recording: Recording, options: argparse.Namespace) -> Quality:
+    """Add what only the log's own time stamps tell."""
+    raw, _ = recording.locate(_named(options.output)[1])
+    return Quality((*quality.findings, *jitter(raw)), quality.bands)
 
 
 def _segments(recording: Recording, options: argparse.Namespace) -> tuple[Segment, ...]:
@@ -163,10 +218,13 @@ def _numbers(text: str, count: int) -> list[int]:
         match = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
         if not match:
             raise ValueError(f"--tests {text!r} is not understood: write numbers and ranges, e.g. 1,3-5.")
-        result += range(int(match[1]), int(match[2] or match[1]) + 1)
-    outside = [k for k in result if not 1 <= k <= count]
-    if outside:
-        raise ValueError(f"there is no test {outside[0]}; the log has {count}.")
+        first, last = int(match[1]), int(match[2] or match[1])
+        outside = [k for k in (first, last) if not 1 <= k <= count]
+        if outside:
+            raise ValueError(f"there is no test {outside[0]}; the log has {count}.")
+        if first > last:
+            raise ValueError(f"--tests {part.strip()!r} runs backwards: write {last}-{first}.")
+        result += range(first, last + 1)
     return result
 
 
@@ -246,6 +304,7 @@ def _response_json(
         **columns,
         "segments": [_segment(segment) for segment in segments],
         "usable": quality.usable,
+        "log_findings": list(recording.findings),
         "findings": [{"about": f.about, "severity": f.severity, "text": f.text} for f in quality.findings],
     }
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.frequency_response import FrequencyResponse
 from greybox.record import GAP, Record
-from greybox.segments import Segment
+from greybox.segment import Segment
 from greybox.table import number, text_table
 
 Severity = Literal["note", "warning", "refusal"]
@@ -105,9 +105,10 @@ def check(
         For a signal that the record does not hold.
     """
     findings = [
+        *_filters(record, (input, output)),
         *_gaps(record),
-        *_jitter(record),
-        *_saturation(record, input, limits),
+        *jitter(record),
+        *_saturation(_excited(record, segments), input, limits),
         *_amplitude(record, (input, output)),
         *_segments(segments),
         *_spread(response, segments),
@@ -120,6 +121,13 @@ def check(
     return Quality(tuple(sorted(findings, key=lambda f: rank[f.severity])), bands)
 
 
+def _filters(record: Record, names: Sequence[str]) -> Iterator[Finding]:
+    for name in names:
+        for known in record.filters.get(name, ()):
+            text = f"{name} was logged behind a {known.cutoff:g} Hz low-pass filter: fit the plant times that filter"
+            yield Finding("filters", "note", known.cutoff, f"{text}, greybox.models.filters.LowPass.")
+
+
 def _gaps(record: Record) -> Iterator[Finding]:
     steps = np.diff(record.time)
     wide = steps[steps > GAP * record.step]
@@ -130,13 +138,23 @@ def _gaps(record: Record) -> Iterator[Finding]:
         yield Finding("gaps", severity, float(share), f"{text}: nothing is interpolated across them.")
 
 
-def _jitter(record: Record) -> Iterator[Finding]:
+def jitter(record: Record) -> Iterator[Finding]:
+    """Judge how steadily a message was logged."""
     steps = np.diff(record.time)
     steady = steps[steps <= GAP * record.step]
     jitter = float(np.std(steady) / record.step) if steady.size else 0.0
     if jitter > 0.1:
         text = f"the sampling interval varies by {100 * jitter:.0f} %: use time stamps, as prepare does, not the rows."
         yield Finding("jitter", "note", jitter, text)
+
+
+def _excited(record: Record, segments: Sequence[Segment]) -> Record:
+    """Return the samples within usable segments, where there are such."""
+    inside = np.zeros(len(record), dtype=bool)
+    for segment in segments:
+        if segment.usable:
+            inside |= (record.time >= segment.start) & (record.time <= segment.end)
+    return record.rows(np.flatnonzero(inside)) if inside.any() else record
 
 
 def _saturation(record: Record, name: str, limits: tuple[float, float] | None) -> Iterator[Finding]:
@@ -183,6 +201,9 @@ def _highest_lowest(response: FrequencyResponse | None, segments: Sequence[Segme
 
 def _spread(response: FrequencyResponse | None, segments: Sequence[Segment]) -> Iterator[Finding]:
     high, low = _highest_lowest(response, segments)
+    if math.isnan(high):
+        text = "no test segment and no response was given: whether anything was excited has not been judged."
+        yield Finding("spread", "note", math.nan, text)
     if response is not None:
         single = len(response) == 1
     else:
@@ -230,6 +251,11 @@ def _precision(response: FrequencyResponse | None) -> Iterator[Finding]:
     if response is None:
         return
     if response.coherence is not None:
+        weak = response.omega[response.coherence < 0.6]
+        if 0 < weak.size < len(response):
+            places = ", ".join(f"{omega:.3g}" for omega in weak[:5]) + (" ..." if weak.size > 5 else "")
+            text = f"the coherence is below 0.6 at {places} rad/s: leave them out, their errors are understated."
+            yield Finding("coherence", "warning", float(weak.size), text)
         coherence = float(np.median(response.coherence))
         if coherence < 0.6:
             text = (

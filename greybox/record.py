@@ -99,7 +99,7 @@ class Record:
     def pieces(self) -> tuple["Record", ...]:
         """The stretches between gaps, each a record of its own."""
         cuts = np.flatnonzero(np.diff(self.time) > GAP * self.step) + 1
-        return tuple(self._rows(rows) for rows in np.split(np.arange(len(self)), cuts))
+        return tuple(self.rows(rows) for rows in np.split(np.arange(len(self)), cuts))
 
     def between(self, start: float, end: float) -> "Record":
         """Return the samples with start <= time <= end, s on the record's own clock."""
@@ -109,14 +109,15 @@ class Record:
                 f"the record has no sample from {start:g} to {end:g} s; "
                 f"it runs from {self.time[0]:g} to {self.time[-1]:g} s."
             )
-        return self._rows(rows)
+        return self.rows(rows)
 
     def with_signals(self, units: Mapping[str, str] | None = None, **signals: ArrayLike) -> "Record":
         """Return the record with signals added or replaced."""
         new = {name: np.asarray(values, dtype=float) for name, values in signals.items()}
         return replace(self, signals={**self.signals, **new}, units={**self.units, **(units or {})}, checksum="")
 
-    def _rows(self, rows: NDArray[np.integer]) -> "Record":
+    def rows(self, rows: NDArray[np.integer]) -> "Record":
+        """Return the samples of these indices, (m,)."""
         signals = {name: values[rows] for name, values in self.signals.items()}
         return replace(self, time=self.time[rows], signals=signals)
 

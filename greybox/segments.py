@@ -2,89 +2,31 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greybox.record import Record, Recording
-from greybox.table import number, text_table
+from greybox.segment import Segment
 
 Array = NDArray[np.float64]
 ANNOUNCED = {"segment": "Seg", "axis": "Ax", "omega": "W", "amplitude": "Eta", "offset": "Th0"}
-SETPOINTS = ("ATT.DesRoll", "ATT.DesPitch", "ATT.DesYaw", "r")  # looked through when no setpoint is named
+SETPOINTS = (
+    "ATT.DesRoll",
+    "ATT.DesPitch",
+    "ATT.DesYaw",
+    "r",
+    "setpoint",
+    "reference",
+)  # looked through when no setpoint is named
 DELAY = 1.0  # s, SYSTEM_ID_DELAY: the waveform starts this long after the mode (ArduCopter/mode_systemid.cpp)
 AXES = (  # SID_AXIS of ArduCopter, from 1
     "input roll,input pitch,input yaw,recovery roll,recovery pitch,recovery yaw,rate roll,rate pitch,rate yaw,"
     "mixer roll,mixer pitch,mixer yaw,mixer thrust,measured lateral position,measured longitudinal position,"
     "measured lateral velocity,measured longitudinal velocity,input lateral velocity,input longitudinal velocity"
 ).split(",")
-
-
-@dataclass(frozen=True)
-class Segment:
-    """One excited stretch of an experiment.
-
-    Parameters
-    ----------
-    start, end : float, s
-        On the record's clock.
-    kind : "sine", "sweep" or "multisine"
-    axis : str
-        As the log says it, or the setpoint's name.
-    omega : float, rad/s
-        Frequency of a sine; NaN otherwise.
-    band : (low, high), rad/s
-        Frequencies covered; for a sine both are `omega`.
-    amplitude, offset : float
-        Of the excitation and its operating point, in `unit` (as the log has it); NaN if not known.
-    source : str
-        How it was found: "SIDS", the announcing message, or "setpoint ...".
-    usable : bool
-        False for a test that cannot be used; `findings` (tuple of str) says why.
-
-    Raises
-    ------
-    ValueError
-        If end is not after start, or the kind is none of the three.
-    """
-
-    start: float
-    end: float
-    kind: str = "sine"
-    axis: str = ""
-    omega: float = math.nan
-    band: tuple[float, float] = (math.nan, math.nan)
-    amplitude: float = math.nan
-    offset: float = math.nan
-    unit: str = ""
-    source: str = ""
-    usable: bool = True
-    findings: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Check the values; a sine's band is its frequency."""
-        if not self.end > self.start:
-            raise ValueError(f"the segment ends at {self.end:g} s, not after its start at {self.start:g} s.")
-        if self.kind not in ("sine", "sweep", "multisine"):
-            raise ValueError(f"the kind of a segment is {self.kind!r}: it must be 'sine', 'sweep' or 'multisine'.")
-        if self.kind == "sine" and math.isnan(self.band[0]):
-            object.__setattr__(self, "band", (self.omega, self.omega))
-
-    @property
-    def duration(self) -> float:
-        """From start to end, s."""
-        return self.end - self.start
-
-    @property
-    def periods(self) -> float:
-        """Duration in periods of the lowest frequency."""
-        return self.duration * self.band[0] / (2 * math.pi)
-
-    def refused(self, *findings: str) -> "Segment":
-        """Return the segment with more findings, not usable."""
-        return replace(self, usable=False, findings=(*self.findings, *findings))
 
 
 def find_segments(
@@ -120,23 +62,10 @@ def find_segments(
     if message or (fields and isinstance(data, Record)):
         found += _announced(data, message, fields)
     if not found:
-        names = setpoint.split() if isinstance(setpoint, str) else setpoint
+        names = [setpoint] if isinstance(setpoint, str) and setpoint else setpoint
         found = [s for name in names or _there(data) for s in _in_setpoint(data, name)]
     found = _flag_early_ends([_checked(s, data) for s in found])
     return tuple(sorted(found, key=lambda s: (s.start, s.axis)))
-
-
-def segment_table(segments: Sequence[Segment]) -> str:
-    """Return the segments as a table for a terminal, with what was found under it."""
-    header = ("", "start s", "end s", "kind", "axis", "rad/s", "periods", "amplitude", "offset", "usable", "source")
-    rows = []
-    for k, s in enumerate(segments, start=1):
-        band = number(s.omega) if s.kind == "sine" else f"{number(s.band[0], 3)} to {number(s.band[1], 3)}"
-        times = (f"{s.start:.2f}", f"{s.end:.2f}", s.kind, s.axis, band, number(s.periods, 3))
-        sizes = (f"{number(s.amplitude, 3)} {s.unit}".rstrip(), number(round(s.offset, 9), 3))
-        rows.append((str(k), *times, *sizes, "yes" if s.usable else "no", s.source))
-    notes = [f"{k}: {text}" for k, s in enumerate(segments, start=1) for text in s.findings]
-    return "\n".join([text_table(header, rows, left=(3, 4, 10)), *notes]) if rows else "no excited segment was found"
 
 
 def _system_identification(data: Recording | Record) -> list[Segment]:
@@ -252,7 +181,9 @@ def _there(data: Recording | Record) -> list[str]:
     """Return those of the usual setpoints that the data have."""
     if isinstance(data, Record):
         return [name for name in SETPOINTS if name in data.signals]
-    return [n for n in SETPOINTS if "." in n and n[:3] in data and n[4:] in data[n[:3]].signals]
+    fields = {f"{key}.{name}" for key, record in data.items() for name in record.signals}
+    table = set(next(iter(data.values())).signals) if len(data) == 1 else set()  # its columns go by their bare names
+    return [name for name in SETPOINTS if name in fields | table]
 
 
 def _in_setpoint(data: Recording | Record, name: str) -> list[Segment]:

@@ -150,7 +150,7 @@ def prepare(
         source=recording.source,
         checksum=recording.checksum,
         metadata=recording.metadata,
-        filters={n: f for n, names in needed.items() if (f := _known_filters(recording.metadata, names))},
+        filters={n: f for n, names in needed.items() if (f := _known_filters(recording, names))},
         findings=tuple(text for source in sources.values() for text in source.findings),
     )
     return record if detrend == "none" else _detrended(record, detrend)
@@ -183,12 +183,19 @@ def _source(recording: Recording, signal: str) -> _Source:
 
 
 def _grid(sources: Mapping[str, _Source], rate: float | None, start: float, end: float) -> Array:
+    if math.isnan(start) or math.isnan(end):
+        raise ValueError(f"start {start} and end {end} must be numbers of seconds on the log's clock.")
     first = max(start, *(source.time[0] for source in sources.values()))
     last = min(end, *(source.time[-1] for source in sources.values()))
     if rate is None:
         rate = 1 / max(source.step for source in sources.values())
     if not (math.isfinite(rate) and rate > 0):
         raise ValueError(f"rate {rate} must be a finite number of Hz above 0.")
+    fastest = 1 / min(source.step for source in sources.values())
+    if rate > 10 * fastest:
+        raise ValueError(
+            f"rate {rate:g} Hz is more than ten times that of the fastest signal, {fastest:.4g} Hz: lower it."
+        )
     count = math.floor((last - first) * rate + 1e-6) + 1
     if count < 2:
         spans = "; ".join(f"{n} from {s.time[0]:.1f} to {s.time[-1]:.1f} s" for n, s in sources.items())
@@ -260,9 +267,13 @@ def _detrended(record: Record, how: str) -> Record:
     )
 
 
-def _known_filters(metadata: Mapping[str, Any], names: Sequence[str]) -> tuple[SecondOrderLowPass, ...]:
-    """Return the gyro low-pass that ArduPilot applies to its rates before it logs them."""
-    cutoff = metadata.get("parameters", {}).get("INS_GYRO_FILTER")
+def _known_filters(recording: Recording, names: Sequence[str]) -> tuple[Any, ...]:
+    """Return the filters that the record knows of, or the gyro low-pass that ArduPilot applies before it logs rates."""
+    for name in names:
+        record, field = recording.locate(name)
+        if field in record.filters:
+            return record.filters[field]
+    cutoff = recording.metadata.get("parameters", {}).get("INS_GYRO_FILTER")
     rates = {
         "RATE": ("R", "P", "Y"),
         "IMU": ("GyrX", "GyrY", "GyrZ"),

@@ -6,8 +6,7 @@ input under the d-th derivative of the window, c_1 = j dP/dω, c_2 = -½ d²P/d�
 most of the bias of short windows (in time what the local polynomial method is in frequency: Pintelon and Schoukens,
 System Identification, 2nd ed., chapter 7). Without them the direct estimate is H1 = S_uy / S_uu = ΣU*Y / ΣU*U, and the
 joint input-output estimate with an instrument r from outside the loop is S_ry / S_ru = ΣR*Y / ΣR*U. Noise that is fed
-back into U biases the first and leaves the second alone (Tischler and Remple, Aircraft and Rotorcraft System
-Identification, 2nd ed.).
+back into U biases the first and leaves the second alone (Tischler and Remple, 2nd ed., section 5.7).
 
 With regressors X and instruments Z the estimate is the first row a of A = (ZᴴX)⁻¹Zᴴ, applied to Y. With noise V that is
 stationary and whose spectrum is flat over the width of a window, E V_k V_l* = S_v C_kl, where C holds the correlations
@@ -34,6 +33,7 @@ JITTER = 0.05  # of a step, which a uniform time base may deviate
 PERIODS = 2  # a window holds so many periods at least: half the width of the Hann window's main lobe
 LENGTHS, LONGEST, SHORTEST = 5, 3, 24  # window lengths, usually five with CIFER, as parts of the longest stretch
 ORDER = 2  # leakage terms
+COHERENT = 0.6  # below, a point of the automatic grid is left out: Tischler and Remple, section 5.5
 LEAST_DOF = 3  # of an estimate that is used
 WORST = 1e6  # condition of the equations
 SAMPLES = 8  # in a window, at least
@@ -122,11 +122,11 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     if not 0 <= overlap < 1:
         raise ValueError(f"overlap is {overlap:g}: it must be at least 0 and below 1.")
     grid = _grid(stretches, lengths, points) if omega is None else _checked(omega, lengths[0])
-    per_length = [
-        _estimates(_windowed(stretches, length, overlap, grid, order=ORDER), grid * length) for length in lengths
-    ]
+    per_length = [_estimates(_windowed(stretches, t, overlap, grid, order=ORDER), grid * t) for t in lengths]
     combined = [_combine(row) for row in zip(*per_length, strict=True)]
-    return _response(grid, combined, (input, output, name), stretches)
+    response = _response(grid, combined, (input, output, name), stretches)
+    good = response.coherence >= COHERENT  # type: ignore[operator]
+    return response.where(good) if omega is None and good.any() else response
 
 
 def periodic_response(

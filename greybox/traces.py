@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from greybox.page import COLORS, page, plain
 from greybox.record import Record, Recording
-from greybox.segments import Segment
+from greybox.segment import Segment
 
 PAIRS = (("ATT.DesRoll", "ATT.Roll"), ("ATT.DesPitch", "ATT.Pitch"), ("ATT.DesYaw", "ATT.Yaw"))
 MOST = 4000  # points of a line: more cannot be told apart on paper

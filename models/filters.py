@@ -11,8 +11,8 @@ class LowPass(gb.TransferFunction):
 
     $$F(s) = \frac{\omega_c^2}{s^2 + 2 \zeta \omega_c s + \omega_c^2}$$
 
-    A model of a signal that was logged behind the filter is ``plant * LowPass(20.0)``; what `prepare` found out about a
-    record, `record.filters["q"]`, gives the cutoff.
+    A model of a signal q that was logged behind the filter is ``plant * LowPass(20.0, signal="q")``; what `prepare`
+    found out about a record, `record.filters["q"]`, gives the cutoff.
 
     Source: S. Butterworth, On the theory of filter amplifiers, Wireless Engineer 7 (1930) 536-541.
 
@@ -25,16 +25,20 @@ class LowPass(gb.TransferFunction):
     rate : float, Hz, optional
         Sampling rate of a digital filter, the bilinear transform of the above with the cutoff kept, as ArduPilot's
         LowPassFilter2p. Its rational reading needs a Padé approximation.
+    signal : str, optional
+        Name of the filtered signal, under which the data know it: ``plant * LowPass(20.0, signal="q")``.
     """
 
     input, output = "raw", "filtered"
     omega_c = gb.Parameter(126.0, bounds=(0.1, 10000), unit="rad/s", about="cutoff ω_c of the filter", fixed=True)
     zeta = gb.Parameter(0.5**0.5, bounds=(0.01, 10), unit="1", about="damping ζ of the filter", fixed=True)
 
-    def __init__(self, cutoff=20.0, damping=0.5**0.5, rate=None):
+    def __init__(self, cutoff=20.0, damping=0.5**0.5, rate=None, signal=""):
         if rate is not None and not cutoff < rate / 2:
             raise ValueError(f"cutoff {cutoff} Hz is not below half the sampling rate {rate} Hz: lower it.")
         self.rate = rate
+        if signal:
+            self.input, self.output = f"{signal}_raw", signal
         declared = type(self).parameters
         self.parameters = {
             "omega_c": replace(declared["omega_c"], start=2 * pi * cutoff),

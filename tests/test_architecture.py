@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 # A file may import only files listed above it.
 ORDER = """
 table parameter record frequency_response sealed response_file
-readers signals segments fourier spectra excitation multisine quality
+readers signals segment segments fourier spectra excitation multisine quality
 symbolic model trace trim elimination linear criterion problem
 nlp levy starts solve result multistart
 accuracy words reference answer quantities store fit

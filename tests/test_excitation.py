@@ -117,7 +117,7 @@ def test_csv_comes_back_exactly(tmp_path):
     write_excitation(made, tmp_path / "sweep.csv")
     with (tmp_path / "sweep.csv").open() as file:
         header, *rows = csv.reader(file)
-    assert header == ["time_s", "u_rad_s"]
+    assert header == ["time_s", "u [rad/s]"]
     np.testing.assert_array_equal(np.array(rows, float).T, [made.time, made["u"]])
     assert [path.name for path in tmp_path.iterdir()] == ["sweep.csv"]
 

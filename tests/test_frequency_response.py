@@ -234,3 +234,13 @@ def test_a_file_that_is_no_text_is_refused(tmp_path):
 def test_a_missing_file_is_refused(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"nothing\.csv"):
         gb.read_response(tmp_path / "nothing.csv")
+
+
+def test_some_points_are_kept_with_all_that_belongs_to_them():
+    omega = np.array([1.0, 2.0, 4.0])
+    full = gb.FrequencyResponse(omega, omega + 1j, coherence=[0.9, 0.5, 0.8], variance=[1.0, 2.0, 3.0], name="a")
+    kept = full.where(full.coherence > 0.6)
+    assert kept.omega.tolist() == [1.0, 4.0]
+    assert kept.variance.tolist() == [1.0, 3.0]
+    assert kept.name == "a"
+    assert kept.dof is None

@@ -83,10 +83,34 @@ def sweep_table(path, noise=0.0):
     np.savetxt(path, np.c_[time, u, y], delimiter=",", header="time,u,y", comments="")
 
 
+def closed_loop_table(path, setpoint):
+    """A lag in a feedback loop that follows `setpoint(t)`, with sensor noise, as a table time, r, u, y."""
+    step, y, x = 0.01, 0.0, 0.0
+    rows = []
+    for t, noise in zip(np.arange(0, 80, step), np.random.default_rng(1).normal(0, 1e-3, 8000), strict=True):
+        r, y = setpoint(t), x + noise
+        u = 4 * (r - y)
+        rows.append((t, r, u, y))
+        x += step * (u - x) / 0.5
+    np.savetxt(path, rows, delimiter=",", header="time,r,u,y", comments="")
+
+
+@pytest.mark.parametrize("setpoint", [lambda t: 0.1 * np.sin(0.05 * t), lambda t: 1e-5 * np.sin(3 * t)])
+def test_what_cannot_identify_anything_is_refused(capsys, tmp_path, setpoint):
+    """Excited at 0.05 rad/s only, or with the amplitude of the sensor's noise."""
+    closed_loop_table(tmp_path / "flight.csv", setpoint)
+    status, out, _ = run(capsys, "response", tmp_path / "flight.csv", "--input", "u", "--output", "y", "--json")
+    assert status in (1, 2)
+    assert json.loads(out)["error"]
+
+
 def test_a_table_of_a_sweep_gives_its_response(capsys, tmp_path):
     sweep_table(tmp_path / "sweep.csv")
     command = ["response", tmp_path / "sweep.csv", "--input", "u", "--output", "y", "--json"]
     status, out, _ = run(capsys, *command)
+    assert status == 2
+    assert "or ask for the --whole log" in json.loads(out)["error"]
+    status, out, _ = run(capsys, *command, "--whole")
     answer = json.loads(out)
     omega = np.array(answer["omega"])
     inner = (omega > 1.5) & (omega < 20)
@@ -106,6 +130,13 @@ def test_a_table_of_a_sweep_gives_its_response(capsys, tmp_path):
         (["response", LOG, "--input", "RATE.POot", "--output", "ATT.Pitch"], "no signal 'POot'"),
         (["response", LOG, *PITCH, "--tests", "11"], "there is no test 11; the log has 10"),
         (["response", LOG, *PITCH, "--tests", "a"], "write numbers and ranges"),
+        (["response", LOG, *PITCH, "--tests", "5-3"], "runs backwards"),
+        (["response", LOG, *PITCH, "--tests", "1-99999999999"], "there is no test 99999999999"),
+        (["response", LOG, *PITCH, "--points", "0"], "--points 0"),
+        (["response", LOG, *PITCH, "--settle", "nan"], "--settle nan"),
+        (["response", LOG, *PITCH, "--rate", "1e9"], "more than ten times"),
+        (["response", LOG, "--input", "x=RATE.POut", "--output", "x=ATT.Pitch"], "have one name"),
+        (["response", LOG, "--input", "RATE.POut", "--output", "y=RATE.POut"], "are one signal"),
         (["response", LOG, *PITCH, "--axis", "roll"], "no test has the axis 'roll'"),
         (["response", LOG, *PITCH, "--method", "magic"], "'magic'"),
         (["response", LOG, *PITCH, "--rate", "0"], "rate 0"),

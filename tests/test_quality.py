@@ -6,7 +6,7 @@ import pytest
 import greybox as gb
 from greybox.quality import check
 from greybox.record import Record
-from greybox.segments import Segment
+from greybox.segment import Segment
 
 RANDOM = np.random.default_rng(3)
 

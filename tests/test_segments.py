@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from greybox.record import Record, Recording
-from greybox.segments import Segment, find_segments, segment_table, steady_runs
+from greybox.segment import Segment, segment_table
+from greybox.segments import find_segments, steady_runs
 
 STEP = 1 / 100  # s
 

@@ -170,3 +170,30 @@ def test_bad_input_is_a_sentence(options, error, words):
     log = recording(RATE=(time, {"POut": wave(time)}, {}))
     with pytest.raises(error, match=words):
         gb.prepare(log, **{"signals": {"u": "RATE.POut"}, "rate": 50, **options})
+
+
+def test_what_was_logged_behind_a_filter_is_fitted_with_it_and_said():
+    from greybox.models.filters import LowPass
+    from greybox.models.rate import YawRateLag
+
+    omega = np.geomspace(1, 100, 20)
+    plant = YawRateLag()
+    behind = plant * LowPass(20.0, signal="r")
+    truth = {"K_2": 12.0, "T_2": 0.3, "T_delay": 0.01}
+    data = gb.frequency_response(behind, omega, truth)
+    assert data.output == "r"
+    fit = gb.fit(gb.Problem(behind, data), starts=10, progress=False)
+    assert {name: fit.estimate[name] for name in truth} == pytest.approx(truth, rel=1e-5)
+
+
+def test_known_filters_survive_a_second_preparation_and_are_noted():
+    time = stamps(100, 20)
+    log = recording(
+        {"parameters": {"INS_GYRO_FILTER": 20.0}},
+        RATE=(time, {"P": wave(time), "POut": wave(time, 2.0)}, {"P": "deg/s"}),
+    )
+    first = gb.prepare(log, {"u": "RATE.POut", "q": "RATE.P"}, rate=50)
+    again = gb.prepare(first, {"u": "u", "q2": "q"}, rate=50)
+    assert again.filters == {"q2": (SecondOrderLowPass(20.0),)}
+    (note,) = [f for f in gb.check(first, output="q").findings if f.about == "filters"]
+    assert "20 Hz low-pass" in note.text

@@ -6,7 +6,7 @@ import pytest
 
 import greybox as gb
 from greybox.record import Record, Recording
-from greybox.segments import Segment
+from greybox.segment import Segment
 
 mpl.use("Agg")
 TIME = np.arange(0, 100, 0.0025)

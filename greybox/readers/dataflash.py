@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from greybox.readers import ardupilot
 from greybox.readers.dataflash_index import Index, Layout, index, text
-from greybox.readers.dataflash_units import Units, UnitTables
+from greybox.readers.dataflash_units import Units, UnitTables, with_usual_units
 from greybox.readers.logged import Messages, bare, merged, on_one_clock, records
 from greybox.record import Recording
 
@@ -62,6 +62,7 @@ def recording(
     findings: Sequence[str],
 ) -> Recording:
     """Make a recording of the messages of an ArduPilot log, binary or text; those not asked for serve the metadata."""
+    groups, assumed = with_usual_units(list(groups))
     groups, doubles = merged(groups)
     groups, restarts = on_one_clock(groups)
     wanted = [g for g in groups if g.name not in ABOUT and (messages is None or g.name in messages)]
@@ -70,7 +71,7 @@ def recording(
     if not made and not about:
         raise ValueError(f"{path} holds no ArduPilot message that can be read; copy it from the vehicle again.")
     missing = _missing({g.name for g in groups}, messages)
-    return Recording(made, path.name, checksum, about, (*findings, *doubles, *restarts, *missing, *problems))
+    return Recording(made, path.name, checksum, about, (*findings, *doubles, *restarts, *missing, *problems, *assumed))
 
 
 def _groups(data: mmap.mmap, found: Index, messages: Collection[str] | None) -> list[Messages]:

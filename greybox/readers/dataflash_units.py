@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 from pymavlink.DFReader import MULT_TO_PREFIX
@@ -12,6 +13,17 @@ from greybox.readers.logged import Messages
 
 INSTANCE = "#"  # the letter of a column that counts instances
 INSTANCES = ("I", "C", "Inst", "Instance")  # what such a second column is called in logs without FMTU
+
+
+_ANGLES = dict.fromkeys("DesRoll Roll DesPitch Pitch DesYaw Yaw ErrRP ErrYaw".split(), "deg")
+_VELOCITY = dict.fromkeys(("VN", "VE", "VD"), "m/s") | dict.fromkeys(("PN", "PE", "PD"), "m")
+USUAL = {
+    "ATT": _ANGLES,
+    "AHR2": _ANGLES,
+    "RATE": dict.fromkeys("RDes R PDes P YDes Y".split(), "deg/s"),
+    "IMU": dict.fromkeys("GyrX GyrY GyrZ".split(), "rad/s") | dict.fromkeys("AccX AccY AccZ".split(), "m/s²"),
+    **dict.fromkeys(("EKF1", "NKF1", "XKF1"), _ANGLES | _VELOCITY),
+}
 
 
 class Units(NamedTuple):
@@ -49,6 +61,16 @@ class UnitTables:
             scaled = label and i < len(scales) and layout.scale(i) is None
             columns[name] = _prefixed(label, self.multipliers.get(scales[i], 1.0)) if scaled else label
         return Units(columns, _instance(layout, units))
+
+
+def with_usual_units(groups: list[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
+    """Give the messages of a log without unit tables the units that ArduPilot has always used, and say so."""
+    if any(unit for group in groups for unit in group.units.values()):
+        return groups, ()
+    known = [group.name for group in groups if group.name in USUAL]
+    made = [replace(g, units={**g.units, **USUAL[g.name]}) if g.name in USUAL else g for g in groups]
+    names = ", ".join(dict.fromkeys(known))
+    return made, ((f"the log has no table of units: those usual for {names} are assumed.",) if known else ())
 
 
 def _prefixed(label: str, multiplier: float) -> str:

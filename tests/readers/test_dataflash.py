@@ -233,6 +233,9 @@ def test_around_a_damaged_place_everything_is_read(saved, at, length, filling):
     touched = sum(1 for part in log.parts if len(part)) * length // len(log.binary)
     assert sum(map(len, broken.values())) >= sum(map(len, whole.values())) - touched - 8
     for name, record in broken.items():
+        if name not in whole:  # a damaged number of an instance makes one message look like another sender's
+            assert len(record) <= 1
+            continue
         rows = np.searchsorted(whole[name].time, record.time)
         for field, values in record.signals.items():
             wrong = np.count_nonzero(values != whole[name][field][np.minimum(rows, len(whole[name]) - 1)])
