@@ -10,6 +10,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.atomic import write_text
 from greybox.record import Record
 
 Array = NDArray[np.float64]
@@ -211,10 +212,7 @@ def write_excitation(excitation: Excitation, path: str | Path) -> None:
     ]
     rows = zip(excitation.time, *excitation.signals.values(), strict=True)
     lines = [",".join(header), *(",".join(repr(float(v)) for v in row) for row in rows)]
-    path = Path(path)
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    temporary.replace(path)
+    write_text(Path(path), "\n".join(lines) + "\n")
 
 
 def ardupilot_script(excitation: Excitation, axis: str = "pitch", *, period_ms: int = 10, switch: int = 300) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from greybox.atomic import write_text
 from greybox.frequency_response import FrequencyResponse
 from greybox.table import is_number
 
@@ -89,9 +90,7 @@ def write_response(response: FrequencyResponse, path: str | Path) -> None:
     columns = {"omega_rad_s": response.omega, "alpha": response.alpha, "beta": response.beta}
     columns |= {c: getattr(response, c) for c in EXTRAS if getattr(response, c) is not None}
     rows = [",".join(columns), *(",".join(repr(float(v)) for v in row) for row in zip(*columns.values(), strict=True))]
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_text("\n".join(rows) + "\n", encoding="utf-8")
-    temporary.replace(path)
+    write_text(path, "\n".join(rows) + "\n")
 
 
 def write_group(group: Node, response: FrequencyResponse) -> None:

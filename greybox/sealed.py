@@ -6,7 +6,6 @@ before the HDF5 library, which may loop for ever on it, gets to see it.
 """
 
 import hashlib
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,20 +13,18 @@ from typing import Any
 
 import h5py
 
+from greybox.atomic import replacing
+
 Node = Any  # h5py types every item as "group, dataset or type", which is of no help
 BLOCK = 512
 
 
 def write_sealed(path: Path, kind: str, fill: Callable[[Node], None]) -> None:
     """Let `fill` write into a new HDF5 file, seal it, and put it in the place of `path`."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
+    with replacing(path) as temporary:
         with h5py.File(temporary, "w", userblock_size=BLOCK) as file:
             fill(file)
         seal(temporary, kind)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -62,17 +62,22 @@ class SecondOrderLowPass:
 
 
 def horizontal_velocity(
-    north: str = "XKF1.VN", east: str = "XKF1.VE", yaw: str = "ATT.Yaw", axis: Literal["forward", "right"] = "forward"
+    north: str = "XKF1.VN",
+    east: str = "XKF1.VE",
+    yaw: str = "ATT.Yaw",
+    axis: Literal["pitch", "roll", "forward", "right"] = "pitch",
 ) -> Derived:
-    """Return the velocity along the body's heading, for `prepare`, from north and east velocity and the yaw angle.
+    """Return the horizontal velocity along a body axis, for `prepare`, from north and east velocity and the yaw angle.
 
-    The paper's v grows with positive pitch (nose up), which accelerates backward: it is the negative of "forward".
+    "pitch" and "roll" are the paper's v, which grows with a positive tilt angle: a nose that goes up accelerates
+    backward, so that it is the negative of "forward"; a right side that goes down accelerates to the "right".
     """
-    if axis == "forward":
-        return Derived((north, east, yaw), lambda n, e, psi: n * np.cos(psi) + e * np.sin(psi), "m/s")
-    if axis == "right":
+    if axis in ("pitch", "forward"):
+        sign = -1 if axis == "pitch" else 1
+        return Derived((north, east, yaw), lambda n, e, psi: sign * (n * np.cos(psi) + e * np.sin(psi)), "m/s")
+    if axis in ("roll", "right"):
         return Derived((north, east, yaw), lambda n, e, psi: e * np.cos(psi) - n * np.sin(psi), "m/s")
-    raise ValueError(f"axis {axis!r} is not known: use 'forward' or 'right'.")
+    raise ValueError(f"axis {axis!r} is not known: use 'pitch', 'roll', 'forward' or 'right'.")
 
 
 def negative(of: str | Derived) -> Derived:

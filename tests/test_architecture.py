@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[1]
 
 # A file may import only files listed above it.
 ORDER = """
-table parameter record frequency_response sealed response_file
+table atomic parameter record frequency_response sealed response_file
 readers signals segment segments fourier spectra excitation multisine quality
 symbolic model trace trim elimination linear criterion problem
 nlp levy starts solve result multistart

@@ -97,12 +97,14 @@ def test_the_horizontal_velocity_is_turned_into_the_body(yaw, forward, right):
         XKF1=(time, {"VN": north * ones, "VE": east * ones}, {"VN": "m/s", "VE": "m/s"}),
         ATT=(time, {"Yaw": np.degrees(yaw) % 360 * ones}, {"Yaw": "deg"}),
     )
-    names = {"v": gb.horizontal_velocity(), "w": gb.horizontal_velocity(axis="right"), "back": negative("XKF1.VN")}
+    names = {"v": gb.horizontal_velocity(axis="forward"), "w": gb.horizontal_velocity(axis="right")}
+    names |= {"paper": gb.horizontal_velocity(), "back": negative("XKF1.VN")}
     record = gb.prepare(log, names, rate=50)
     assert record["v"] == pytest.approx(forward, abs=1e-9)
     assert record["w"] == pytest.approx(right, abs=1e-9)
     assert record["back"] == pytest.approx(-north, abs=1e-9)
-    assert record.units == {"v": "m/s", "w": "m/s", "back": "m/s"}
+    assert record["paper"] == pytest.approx(-forward, abs=1e-9)  # a positive pitch accelerates backward
+    assert set(record.units.values()) == {"m/s"}
 
 
 def test_cut_and_detrend():
