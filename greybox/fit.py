@@ -66,6 +66,8 @@ def fit(
     """
     if not isinstance(problem, Problem | Sum):
         raise TypeError(f"problem is {problem!r:.80}: give a Problem(model, data) or a sum of them.")
+    if not isinstance(solver_options, Mapping):
+        raise TypeError(f"solver_options is {solver_options!r:.60}: give IPOPT's options as {{name: value}}.")
     began = time.perf_counter()
     nlp = compile_problem(problem)
     parameters = problem.parameters

@@ -67,6 +67,11 @@ class Model(ABC):
         super().__init_subclass__(**kwargs)
         found: dict[str, Parameter] = {}
         for owner in reversed(cls.__mro__):
+            hidden = [n for n, value in vars(owner).items() if n in found and isinstance(value, (int, float))]
+            if hidden:
+                raise TypeError(
+                    f"{cls.__name__}.{hidden[0]} is a number where a Parameter was declared: use Parameter(...)."
+                )
             found |= {name: value for name, value in vars(owner).items() if isinstance(value, Parameter)}
         for taken in (Names, *(base for base in cls.__mro__[1:] if base.__module__ == __name__)):
             _require_usable(found, cls.__name__, taken)

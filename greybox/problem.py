@@ -133,6 +133,9 @@ class Problem:
             both = [name for name in a if name in b]
             if both:
                 raise ValueError(f"{both[0]!r} is both {first} and {second}: keep one of them.")
+        for old, new in self.rename.items():
+            if not isinstance(new, str) or not new:
+                raise TypeError(f"rename gives {old!r} the name {new!r}: give a text.")
         outside = [self.rename.get(name, name) for name in known]
         for name in outside:
             if outside.count(name) > 1:

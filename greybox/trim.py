@@ -49,7 +49,10 @@ def _as_function(model: StateSpace, p: ca.SX, point: Sequence[Any]) -> ca.Functi
 
 def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> ca.Function:
     assert model.trim is not None
-    given = dict(traced(f"{model.label}.trim", model.trim, Names(at, "at"), parameter_names(model, p)))
+    returned = traced(f"{model.label}.trim", model.trim, Names(at, "at"), parameter_names(model, p))
+    if not isinstance(returned, Mapping):
+        raise ValueError(f"{model.label}.trim returns {returned!r:.60}: return the other states and inputs by name.")
+    given = dict(returned)
     require_known(given, (*model.states, *model.inputs), "state or input", model.label)
     trim = _as_function(model, p, [{**given, **at}.get(n, 0.0) for n in (*model.states, *model.inputs)])
     start = [q.start for q in model.parameters.values()]

@@ -228,3 +228,9 @@ def test_criteria_agree_within_their_errors():
         for fit in (LAGS, *fits):
             assert abs(fit.estimate[name] - truth) < 4 * fit.standard_error[name]
             assert fit.standard_error[name] == pytest.approx(LAGS.standard_error[name], rel=0.5)
+
+
+@pytest.mark.parametrize("options", [[1], "tol"])
+def test_solver_options_of_another_kind_are_refused(options):
+    with pytest.raises(TypeError, match="give IPOPT's options as"):
+        gb.fit(gb.Problem(Lag(), LAGS.parts[0].data), starts=2, solver_options=options)

@@ -275,3 +275,14 @@ def test_a_fixed_and_a_free_rotor_do_not_connect():
     with pytest.raises(ValueError, match="'T_rotor' is fixed in one part and free in the other"):
         Rotor() * Tilt()
     assert list(merged_parameters([YawRate(), YawAngle()])) == list(YawRate().parameters)
+
+
+def test_a_number_in_the_place_of_a_declared_parameter_is_refused():
+    class Lag(gb.TransferFunction):
+        tau = gb.Parameter(0.1, bounds=(0.01, 1))
+
+        def response(self, s, p):
+            return 1 / (p.tau * s + 1)
+
+    with pytest.raises(TypeError, match=r"Slow\.tau is a number where a Parameter was declared"):
+        type("Slow", (Lag,), {"tau": 0.5})
