@@ -231,12 +231,15 @@ class MaximumLikelihood(Criterion):
     """Maximum likelihood for circular complex normal errors of given variance: Σ |P - P̂|² / E|P̂ - P|².
 
     Needs data with `variance`. Source: Pintelon and Schoukens, System Identification, 2nd ed., section 9.11. The
-    standard errors are those of the Fisher information, with the variances taken as known.
+    standard errors are those of the Fisher information, with the variances taken as known; where the residuals are
+    larger than the variances say, by χ² over its degrees of freedom, they are widened by the root of that ratio, the
+    scale factor of the Particle Data Group (Review of Particle Physics, introduction). Few degrees of freedom of the
+    variances themselves (`FrequencyResponse.dof`) are not accounted for.
     """
 
     rule: ClassVar[str] = "maximum likelihood, given variances"
     known_noise: ClassVar[bool] = True
-    condition: ClassVar[str] = "circular errors of the given variances, taken as known"
+    condition: ClassVar[str] = "circular errors of the given variances, or as much larger as the residuals are"
 
     def check(self, data: FrequencyResponse) -> None:
         """Raise ValueError without variances."""
@@ -259,8 +262,9 @@ class MaximumLikelihood(Criterion):
     def spread(
         self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
     ) -> tuple[float, NDArray[np.float64]]:
-        """Each component holds half of the variance."""
-        return 2.0, np.full(2 * len(data), 4 * 0.5)
+        """Each component holds half of the variance, or what the residuals say where that is more."""
+        ratio = float(np.mean(np.abs(model - data.response) ** 2 / _variance(data))) * correction**2
+        return 2.0, np.full(2 * len(data), 4 * 0.5 * max(ratio, 1.0))
 
 
 CRITERIA: tuple[Criterion, ...] = (

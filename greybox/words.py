@@ -145,7 +145,11 @@ def _misfit(part: Problem, nlp: Nlp, x: NDArray[np.float64]) -> Iterator[str]:
     if not 0.4 <= ratio <= 2.5:
         yield (
             f"the residuals of {part.name!r} are {ratio:.2g} times what the given variances say: "
-            + ("the model misses something or the variances are too small." if ratio > 1 else "they are too large.")
+            + (
+                "the model misses something or the variances are too small; the errors are widened by that."
+                if ratio > 1
+                else "they are too large."
+            )
         )
 
 
