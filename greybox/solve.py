@@ -66,10 +66,15 @@ class Outcome:
 class Solver:
     """IPOPT on one compiled problem, built once: the criterion that locates the minimum, if any, then its own."""
 
-    def __init__(self, nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({})) -> None:
+    def __init__(
+        self, nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({}), like: "Solver | None" = None
+    ) -> None:
+        """Build the solver; one `like` it lends its derivatives."""
         self._nlp = nlp
         self._options = options
-        self._stages = [_ipopt(e, options) for e in (nlp.first, nlp.expressions) if e is not None]
+        statements = [e for e in (nlp.first, nlp.expressions) if e is not None]
+        known = [_derivatives(stage) for stage in like._stages] if like else [{} for _ in statements]
+        self._stages = [_ipopt(e, options, given) for e, given in zip(statements, known, strict=True)]
         scale = nlp.scaling.to_solver
         self._bounds = {
             "lbx": scale(nlp.lower),
@@ -80,7 +85,7 @@ class Solver:
 
     def polishing(self) -> "Solver":
         """Return a solver for the last runs, which takes the little that a kink leaves to gain for a solution."""
-        return Solver(self._nlp, {"acceptable_tol": 1e-4, "acceptable_iter": 3, **self._options})
+        return Solver(self._nlp, {"acceptable_tol": 1e-4, "acceptable_iter": 3, **self._options}, like=self)
 
     def run(self, start: NDArray[np.float64], smoothing: float = SMOOTHING) -> Outcome:
         """Solve from `start` (p,)."""
@@ -96,10 +101,19 @@ class Solver:
         return Outcome(estimate, status, iterations, time.perf_counter() - began)
 
 
-def _ipopt(expressions: Mapping[str, Any], options: Mapping[str, Any]) -> ca.Function:
-    ipopt = {**_QUIET, **options}
+def _derivatives(solver: ca.Function) -> dict[str, ca.Function]:
+    """Return the derivatives that a solver has built, as options of another on the same problem."""
+    names = {"grad_f": "nlp_grad_f", "jac_g": "nlp_jac_g", "hess_lag": "nlp_hess_l"}
+    there = solver.get_function()
+    return {option: solver.get_function(name) for option, name in names.items() if name in there}
+
+
+def _ipopt(
+    expressions: Mapping[str, Any], options: Mapping[str, Any], derivatives: Mapping[str, ca.Function]
+) -> ca.Function:
+    settings = {**_settings({**_QUIET, **options}), **derivatives}
     try:
-        return ca.nlpsol("ipopt", "ipopt", dict(expressions), _settings(ipopt))
+        return ca.nlpsol("ipopt", "ipopt", dict(expressions), settings)
     except RuntimeError:
         for name, value in options.items():
             _check_option(name, value)
