@@ -18,6 +18,10 @@ COLLINEAR = 20.0  # collinearity index from which a combination is suspect, see 
 LOOSE = 0.5  # relative standard error from which a suspect combination is reported
 
 
+PartJacobian = tuple[Problem, NDArray[np.complex128], NDArray[np.float64]]
+"""A part with its response (n,) and the Jacobian (2n, k) of its residuals to all values."""
+
+
 @dataclass(frozen=True)
 class Combination:
     """Parameters that the data determine only together.
@@ -133,7 +137,7 @@ def assess(nlp: Nlp, x: NDArray[np.float64]) -> Accuracy:
         combinations=combinations,
         at_bound=at_bound,
         active=holding,
-        noise=_noise(nlp, x),
+        noise=_noise(parts),
     )
 
 
@@ -162,7 +166,7 @@ def propagate(accuracy: Accuracy, gradient: NDArray[np.float64]) -> NDArray[np.f
 
 
 def _corrected(
-    parts: Sequence[tuple[Problem, NDArray[np.complex128], NDArray[np.float64]]],
+    parts: Sequence[PartJacobian],
     shares: Sequence[_Share],
     basis: NDArray[np.float64],
 ) -> list[_Share]:
@@ -231,9 +235,7 @@ def _directions(
     return basis @ rows[:rank].T, np.hstack([basis @ rows[rank:].T, np.eye(p)[:, list(bounded)]])
 
 
-def _part_jacobians(
-    nlp: Nlp, x: NDArray[np.float64]
-) -> list[tuple[Problem, NDArray[np.complex128], NDArray[np.float64]]]:
+def _part_jacobians(nlp: Nlp, x: NDArray[np.float64]) -> list[PartJacobian]:
     """Return every part with its response (n,) and the Jacobian (2n, k) of its residuals to all values."""
     values = nlp.all_values(x)
     symbols: Any = ca.SX.sym("x", len(values)) if nlp.responses.is_a("SXFunction") else ca.MX.sym("x", len(values))
@@ -268,10 +270,9 @@ def _share(
     )
 
 
-def _noise(nlp: Nlp, x: NDArray[np.float64]) -> NDArray[np.float64]:
-    responses = nlp.split(nlp.response_rows(x[None])[0])
+def _noise(parts: Sequence[PartJacobian]) -> NDArray[np.float64]:
     noise = []
-    for response, part in zip(responses, nlp.problem.parts, strict=True):
+    for part, response, _ in parts:
         there = part.data.response != 0
         errors = np.abs(response[there] / part.data.response[there] - 1)
         noise.append(errors.mean() * math.sqrt(2 / math.pi) if errors.size else math.nan)

@@ -3,7 +3,6 @@
 import argparse
 import contextlib
 import json
-import math
 import re
 import sys
 import traceback
@@ -14,16 +13,17 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from greybox.answer import Fit
+from greybox.atomic import replacing
+from greybox.command import BAD_INPUT, FAILED, USABLE, Answer, known
 from greybox.criterion import CRITERIA, Criterion
 from greybox.fit import fit
-from greybox.list_command import Answer, list_shelf
+from greybox.list_command import list_shelf
 from greybox.log_commands import add_inspect_options, add_response_options, inspect, response
 from greybox.nlp import AnyProblem
 from greybox.problem import Problem, Sum
 from greybox.response_file import HDF5, read_response, write_response
 from greybox.shelf import find_model, find_problem
 
-USABLE, FAILED, BAD_INPUT = 0, 1, 2
 FIGURES = (".png", ".pdf", ".svg")
 
 
@@ -93,9 +93,7 @@ def _add_list(commands: Any) -> None:
 def _add_inspect(commands: Any) -> None:
     parser = commands.add_parser("inspect", help="what a log holds, which tests it has, what is wrong with it")
     add_inspect_options(parser)
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw setpoints, angles and tests into this file")
-    parser.add_argument("--force", action="store_true", help="overwrite files that exist")
-    _add_common(parser)
+    _add_common(parser, "setpoints, angles and tests")
     parser.set_defaults(command=_inspect)
 
 
@@ -103,12 +101,10 @@ def _add_response(commands: Any) -> None:
     parser = commands.add_parser("response", help="a log to a measured frequency response", allow_abbrev=False)
     add_response_options(parser)
     parser.add_argument("--out", type=Path, metavar="FILE", help="save the response to this .csv or .h5 file")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw Bode and coherence into this png, pdf or svg")
     parser.add_argument(
         "--traces", type=Path, metavar="FILE", help="draw control, output and setpoint of the first test"
     )
-    parser.add_argument("--force", action="store_true", help="overwrite files that exist")
-    _add_common(parser)
+    _add_common(parser, "Bode and coherence")
     parser.set_defaults(command=_response)
 
 
@@ -128,13 +124,15 @@ def _add_fit(commands: Any) -> None:
     add("--delay", help="exact or pade:n (default: the problem's)")
     add("--criterion", help=f"{', '.join(_criteria())} (default: the problem's)")
     add("--out", type=Path, metavar="FILE", help="save the result to this HDF5 file")
-    add("--plot", type=Path, metavar="FILE", help="draw Nyquist, Bode and starts into this png, pdf or svg")
-    add("--force", action="store_true", help="overwrite files that exist")
-    _add_common(parser)
+    _add_common(parser, "Nyquist, Bode and starts")
     parser.set_defaults(command=_fit)
 
 
-def _add_common(parser: argparse.ArgumentParser) -> None:
+def _add_common(parser: argparse.ArgumentParser, picture: str = "") -> None:
+    """Add what every command has, and `--plot` and `--force` where there is a picture to draw."""
+    if picture:
+        parser.add_argument("--plot", type=Path, metavar="FILE", help=f"draw {picture} into this png, pdf or svg")
+        parser.add_argument("--force", action="store_true", help="overwrite files that exist")
     parser.add_argument("--json", action="store_true", help="print one JSON object on standard output and nothing else")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
 
@@ -177,13 +175,14 @@ def _response(options: argparse.Namespace) -> Answer:
 def _require_figure(path: Path | None, force: bool) -> None:
     _require_writable(path, force)
     if path is not None and path.suffix.lower() not in FIGURES:
-        raise UsageError(f"--plot {path} is no known kind of figure: end it in {', '.join(FIGURES)}.")
+        raise UsageError(f"{path} is no known kind of figure: end it in {', '.join(FIGURES)}.")
 
 
 def _drawn(draw: Any, path: Path | None) -> list[str]:
     if path is None:
         return []
-    draw().savefig(path, dpi=150)
+    with replacing(path) as temporary:
+        draw().savefig(temporary, format=path.suffix[1:].lower(), dpi=150)
     return [f"drew {path}"]
 
 
@@ -202,11 +201,13 @@ def _fit(options: argparse.Namespace) -> Answer:
 
         save(result, options.out)
         notes.append(f"saved {options.out}")
-    if options.plot is not None:
+
+    def draw() -> Any:
         from greybox.plotting import plot  # noqa: PLC0415
 
-        plot(result).savefig(options.plot, dpi=150)
-        notes.append(f"drew {options.plot}")
+        return plot(result)
+
+    notes += _drawn(draw, options.plot)
     answer = _as_json(result)
     if not result.converged:
         answer["error"] = f"{result.status}."
@@ -283,7 +284,7 @@ def _criteria() -> dict[str, Criterion]:
     names = {}
     for item in CRITERIA:
         words = re.sub(r"(?<=[a-z])(?=[A-Z])", "-", type(item).__name__).lower()
-        names[words if getattr(item, "normalized", "measured") == "measured" else f"{words}:model"] = item
+        names[f"{words}:{item.variant}" if item.variant else words] = item
     return names
 
 
@@ -304,7 +305,7 @@ def _as_json(result: Fit) -> dict[str, Any]:
         "converged": sum(run.converged for run in result.runs),
         "agreeing": result.agreeing,
         "minima": len(result.minima),
-        "cost": _known(result.cost),
+        "cost": known(result.cost),
         "costs": _all_known(result.costs),
         "status": result.status,
         "estimate": _all_known(result.estimate),
@@ -318,12 +319,8 @@ def _as_json(result: Fit) -> dict[str, Any]:
     }
 
 
-def _known(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
 def _all_known(values: Any) -> dict[str, float | None]:
-    return {name: _known(value) for name, value in values.items()}
+    return {name: known(value) for name, value in values.items()}
 
 
 def _explain(error: Exception, arguments: Sequence[str]) -> tuple[str, int]:

@@ -48,13 +48,14 @@ class Criterion(ABC):
         return 0.0
 
     @property
+    def variant(self) -> str:
+        """What distinguishes it from the usual form of its rule; empty for the usual form."""
+        return ""
+
+    @property
     def description(self) -> str:
         """The rule in words."""
-        return (
-            self.rule
-            if getattr(self, "normalized", "measured") == "measured"
-            else f"{self.rule}, over the model's magnitude"
-        )
+        return f"{self.rule}, over the {self.variant}'s magnitude" if self.variant else self.rule
 
     def check(self, data: FrequencyResponse) -> None:
         """Raise ValueError when `data` do not hold what the criterion needs."""
@@ -93,6 +94,11 @@ class _Relative(Criterion):
 
     normalized: Literal["measured", "model"] = "measured"
     measured_bias: ClassVar[float]
+
+    @property
+    def variant(self) -> str:
+        """Which magnitude the errors are divided by, where it is not the paper's."""
+        return "" if self.normalized == "measured" else self.normalized
 
     @property
     def gain_bias(self) -> float:

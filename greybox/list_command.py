@@ -5,12 +5,10 @@ import re
 from types import ModuleType
 from typing import Any
 
+from greybox.command import USABLE, Answer
 from greybox.model import Model, equation
 from greybox.shelf import find_model, find_problem, models_of, shipped, shipped_module
 from greybox.table import number, text_table
-
-Answer = tuple[dict[str, Any], str, int]
-USABLE = 0
 
 
 def list_shelf(options: argparse.Namespace) -> Answer:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from greybox.command import FAILED, USABLE, Answer, known
 from greybox.fourier import METHODS, finite_frequency
 from greybox.frequency_response import FrequencyResponse
 from greybox.quality import Finding, Quality, check, jitter
@@ -19,7 +20,6 @@ from greybox.signals import prepare
 from greybox.spectra import periodic_response, spectral_response
 from greybox.table import number, text_table
 
-Answer = tuple[dict[str, Any], str, int]
 INSTRUMENT, SETPOINT = "instrument", "setpoint"
 
 
@@ -76,7 +76,7 @@ def inspect(options: argparse.Namespace) -> tuple[Answer, Any]:
 
         return plot_recording(recording, segments)
 
-    return (answer, "\n\n".join(text[:3]) + "\n" + "\n".join(text[3:]), 0), draw
+    return (answer, "\n\n".join(text[:3]) + "\n" + "\n".join(text[3:]), USABLE), draw
 
 
 def response(options: argparse.Namespace) -> tuple[Answer, FrequencyResponse | None, Any]:
@@ -96,7 +96,7 @@ def response(options: argparse.Namespace) -> tuple[Answer, FrequencyResponse | N
     signals, (u, y) = _signals(options, recording, sines, used)
     start, end = (min(s.start for s in used), max(s.end for s in used)) if used else (-math.inf, math.inf)
     record = prepare(recording, signals, options.rate, start=start, end=end)
-    judged = used or found
+    judged = [segment for segment in found if segment in used or not segment.usable]
     quality = _with_jitter(check(record, None, judged, input=u, output=y), recording, options)
     measured, detail = None, ""
     if quality.usable:
@@ -111,7 +111,7 @@ def response(options: argparse.Namespace) -> tuple[Answer, FrequencyResponse | N
     answer = _response_json(recording, measured, found, quality)
     if not quality.usable:
         answer["error"] = " ".join(quality.refusals)
-        return (answer, text, 1), None, (None, None)
+        return (answer, text, FAILED), None, (None, None)
 
     def draw() -> Any:
         from greybox.plotting import plot_bode  # noqa: PLC0415  (imports matplotlib)
@@ -124,7 +124,7 @@ def response(options: argparse.Namespace) -> tuple[Answer, FrequencyResponse | N
 
         return plot_traces(record, used[0] if used else None)
 
-    return (answer, text, 0), measured, (draw, traces)
+    return (answer, text, USABLE), measured, (draw, traces)
 
 
 def _measured(
@@ -273,7 +273,7 @@ def _message(name: str, record: Record) -> dict[str, Any]:
     return {
         "name": name,
         "samples": len(record),
-        "rate": _known(record.rate),
+        "rate": known(record.rate),
         "start": float(record.time[0]),
         "end": float(record.time[-1]),
         "signals": {signal: record.units.get(signal, "") for signal in record.signals},
@@ -283,8 +283,8 @@ def _message(name: str, record: Record) -> dict[str, Any]:
 def _segment(segment: Segment) -> dict[str, Any]:
     fields = ("start", "end", "kind", "axis", "omega", "amplitude", "offset", "unit", "source", "usable")
     values = {name: getattr(segment, name) for name in fields}
-    numbers = {name: _known(value) if isinstance(value, float) else value for name, value in values.items()}
-    return {**numbers, "band": [_known(edge) for edge in segment.band], "findings": list(segment.findings)}
+    numbers = {name: known(value) if isinstance(value, float) else value for name, value in values.items()}
+    return {**numbers, "band": [known(edge) for edge in segment.band], "findings": list(segment.findings)}
 
 
 def _response_json(
@@ -307,7 +307,3 @@ def _response_json(
         "log_findings": list(recording.findings),
         "findings": [{"about": f.about, "severity": f.severity, "text": f.text} for f in quality.findings],
     }
-
-
-def _known(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -16,7 +16,7 @@ readers signals segment segments fourier spectra excitation multisine quality
 symbolic model trace trim elimination linear criterion problem
 nlp levy starts solve result multistart
 accuracy words reference answer quantities store fit
-page nyquist plotting traces shelf list_command log_commands cli __main__
+page nyquist plotting traces shelf command list_command log_commands cli __main__
 """.split()
 
 SOURCES = sorted(path for folder in ("greybox", "models", "problems") for path in (ROOT / folder).rglob("*.py"))
