@@ -4,7 +4,6 @@ from importlib import import_module as _import_module
 from pathlib import Path as _Path
 
 from greybox.answer import Fit as Fit
-from greybox.controller import Controller as Controller
 from greybox.criterion import MagnitudePhase as MagnitudePhase
 from greybox.criterion import MaximumLikelihood as MaximumLikelihood
 from greybox.criterion import RelativeError as RelativeError
@@ -19,6 +18,7 @@ from greybox.fit import fit as fit
 from greybox.fourier import demodulate as demodulate
 from greybox.fourier import finite_frequency as finite_frequency
 from greybox.frequency_response import FrequencyResponse as FrequencyResponse
+from greybox.harmonic import harmonic_response as harmonic_response
 from greybox.levy import levy as levy
 from greybox.levy import order_path as order_path
 from greybox.linear import LinearSystem as LinearSystem
@@ -45,6 +45,7 @@ from greybox.segments import find_segments as find_segments
 from greybox.signals import horizontal_velocity as horizontal_velocity
 from greybox.signals import negative as negative
 from greybox.signals import prepare as prepare
+from greybox.sine import Sine as Sine
 from greybox.spectra import periodic_response as periodic_response
 from greybox.spectra import spectral_response as spectral_response
 from greybox.starts import LatinHypercube as LatinHypercube
@@ -67,7 +68,6 @@ from greybox.symbolic import sqrt as sqrt
 from greybox.symbolic import tan as tan
 from greybox.symbolic import tanh as tanh
 from greybox.symbolic import where as where
-from greybox.virtual_flight import virtual_flight as virtual_flight
 
 __version__ = "0.1.0"
 

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from greybox.frequency_response import FrequencyResponse
-from greybox.linear import frequency_response
+from greybox.harmonic import response_of_test
 from greybox.model import Model
 from greybox.reference import resolve
 from greybox.result import Minimum, Multistart
+from greybox.sine import Sine
 from greybox.solve import Run
 from greybox.table import number, text_table, with_error
 
@@ -70,6 +71,8 @@ class FittedPart:
         The model's reference (module, class, arguments), see `greybox.reference`.
     label, equation : str
         Name and docstring of the model.
+    sine : Sine or None
+        The sine of finite amplitude that the model was given; None where it was linearized.
     """
 
     name: str
@@ -89,6 +92,7 @@ class FittedPart:
     model: Mapping[str, Any]
     label: str
     equation: str
+    sine: Sine | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,10 +221,9 @@ class Fit:
         stated = self.parts[part]
         alive = model or (self.models[part] if self.models else resolve(dict(stated.model)))
         values = {name: self.estimate[stated.rename.get(name, name)] for name in alive.parameters}
-        data = stated.data
-        return frequency_response(
-            alive, omega, values, input=data.input, output=data.output, at=stated.at, delay=stated.delay
-        )
+        signals: Any = {"input": stated.data.input, "output": stated.data.output}
+        signals |= {"at": stated.at, "delay": stated.delay}
+        return response_of_test(alive, omega, values, stated.sine, stated.data.omega, **signals)
 
     def __str__(self) -> str:
         return _text(self)

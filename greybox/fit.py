@@ -18,7 +18,7 @@ from greybox.accuracy import Accuracy, assess
 from greybox.answer import Fit, FittedPart
 from greybox.criterion import CRITERIA, evaluate
 from greybox.frequency_response import FrequencyResponse
-from greybox.linear import frequency_response
+from greybox.harmonic import response_of_test
 from greybox.model import equation
 from greybox.multistart import multistart
 from greybox.nlp import AnyProblem, Nlp, compile_problem
@@ -146,7 +146,10 @@ def _part(part: Problem, values: dict[str, float], response: NDArray[np.complex1
     if np.all(np.isfinite(response)):
         signals = {"input": data.input, "output": data.output, "at": part.at, "delay": part.delay}
         with contextlib.suppress(ValueError):  # an undamped resonance exactly on the grid
-            curve = _curve(lambda omega: frequency_response(part.model, omega, values, **signals), data.omega)
+            curve = _curve(
+                lambda omega: response_of_test(part.model, omega, values, part.amplitude, data.omega, **signals),
+                data.omega,
+            )
     return FittedPart(
         name=part.name,
         criterion=repr(part.criterion),
@@ -165,6 +168,7 @@ def _part(part: Problem, values: dict[str, float], response: NDArray[np.complex1
         model=reference(part.model),
         label=part.model.label,
         equation=equation(part.model),
+        sine=part.amplitude,
     )
 
 

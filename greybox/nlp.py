@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.harmonic import harmonic_function
 from greybox.linear import delay_order, response_function
 from greybox.model import Names, require_known
 from greybox.parameter import Parameter
@@ -207,8 +208,10 @@ def _total(problem: AnyProblem, responses: list[Complex], smoothing: Any, locate
 
 def _response(part: Problem) -> ca.Function:
     data = part.data
-    pade = delay_order(part.delay)
-    return response_function(part.model, data.omega, input=data.input, output=data.output, at=part.at, pade=pade)
+    options: Any = {"input": data.input, "output": data.output, "at": part.at, "pade": delay_order(part.delay)}
+    if part.amplitude is not None:
+        return harmonic_function(part.model, data.omega, part.amplitude, **options)
+    return response_function(part.model, data.omega, **options)
 
 
 def _scaling(parameters: list[Parameter]) -> Scaling:

@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from greybox.criterion import Criterion, RelativeError
 from greybox.frequency_response import FrequencyResponse
+from greybox.harmonic import check_sine
 from greybox.linear import delay_order, pick_signals
 from greybox.model import Model, Names, StateSpace, merge, require_known
 from greybox.parameter import Parameter
 from greybox.response_file import read_response
+from greybox.sine import Sine, as_sine
 from greybox.trace import require_no_nan, traced
 
 
@@ -69,6 +71,8 @@ class Problem:
         Factor on this problem's cost in a sum.
     name : str
         A label; by default that of the data.
+    amplitude : ``{signal: amplitude}`` or Sine, optional
+        Compare with the response of an ODE to a sine of this amplitude, see `Sine`, instead of its linearization.
 
     Raises
     ------
@@ -88,6 +92,7 @@ class Problem:
     rename: Mapping[str, str] = field(default_factory=dict)
     weight: float = 1.0
     name: str = ""
+    amplitude: Sine = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         """Fill in the defaults and check that everything fits together."""
@@ -109,6 +114,7 @@ class Problem:
         pick_signals(self.model, self.data.input, self.data.output)
         self._check_names()
         self._check_operating_point()
+        self._check_amplitude()
         object.__setattr__(self, "_parameters", self._build_parameters())
         self._check_functions()
 
@@ -148,6 +154,15 @@ class Problem:
             require_known(self.at, (*self.model.states, *self.model.inputs), "state or input", self.model.label)
         elif self.at:
             raise ValueError(f"{self.model.label} has no operating point: leave out at={dict(self.at)}.")
+
+    def _check_amplitude(self) -> None:
+        if self.amplitude is None:
+            return
+        if not isinstance(self.data, FrequencyResponse):
+            raise ValueError("amplitude belongs to a frequency response and the data are none: leave it out.")
+        object.__setattr__(self, "amplitude", as_sine(self.amplitude))
+        input, _ = pick_signals(self.model, self.data.input, self.data.output)
+        check_sine(self.model, self.amplitude, input, self.data.omega)
 
     @property
     def given(self) -> Mapping[str, "float | Estimated"]:

@@ -12,9 +12,9 @@ Layout, version 1
                  seconds``, ``minimum`` (the row of ``/minima``, -1 for none); attribute ``free`` names the p columns.
 ``/minima``      ``cost`` (m,), ``estimate`` (m, p), ``variants`` (m,), best first.
 ``/parts/0 ...`` one group per problem in the sum: attributes ``name, criterion, rule, condition, delay, weight, label,
-                 equation, checksum, pade_error`` and, as JSON, ``model, at, rename, tied, constraints``; groups
-                 ``data`` and ``curve`` (``omega, alpha, beta`` and, if known, ``coherence, variance, dof``) and the
-                 fitted ``response_alpha, response_beta`` at the data's frequencies.
+                 equation, checksum, pade_error`` and, as JSON, ``model, at, rename, tied, constraints`` and, if any,
+                 ``sine``; groups ``data`` and ``curve`` (``omega, alpha, beta`` and, if known, ``coherence, variance,
+                 dof``) and the fitted ``response_alpha, response_beta`` at the data's frequencies.
 
 The file is sealed, see `greybox.sealed`. NaN means "not known". Nothing in a file is executed when it is loaded.
 """
@@ -32,6 +32,7 @@ from greybox.answer import Fit, FittedPart, Quantity
 from greybox.response_file import read_group, write_group
 from greybox.result import Minimum
 from greybox.sealed import Node, open_sealed, write_sealed
+from greybox.sine import Sine
 from greybox.solve import Run
 
 KIND = "fit"
@@ -111,6 +112,7 @@ def _write_part(group: Node, part: FittedPart) -> None:
     for name in ("model", "at", "rename", "tied"):
         _attributes(group, **{name: json.dumps(dict(getattr(part, name)))})
     _attributes(group, constraints=json.dumps(part.constraints))
+    _attributes(group, sine=None if part.sine is None else json.dumps(part.sine.plain))
     group["response_alpha"], group["response_beta"] = part.response.real, part.response.imag
     for name, response in (("data", part.data), ("curve", part.curve)):
         if response is not None:
@@ -200,6 +202,7 @@ def _read_part(group: Node) -> FittedPart:
         **{name: str(attributes[name]) for name in _PART_TEXTS},
         **{name: json.loads(attributes[name]) for name in ("model", "at", "rename", "tied")},
         constraints=tuple(json.loads(attributes["constraints"])),
+        sine=Sine(**json.loads(attributes["sine"])) if "sine" in attributes else None,
         weight=float(attributes["weight"]),
         pade_error=None if math.isnan(error) else error,
         data=data,

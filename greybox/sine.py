@@ -1,0 +1,101 @@
+"""The sine of a test: which signal it is that moves sinusoidally, and how far."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Sine:
+    """A sine test of finite amplitude: one signal is its mean plus ``amplitude * cos(omega t)``, and nothing else.
+
+    Parameters
+    ----------
+    signal : str
+        The input of the data, where it was the sine; or a state or an output, where a loop held it to a sine, as the
+        setpoint sines (3.14) do with the angle. All other signals then have harmonics.
+    amplitude : float or (n,) array, in the signal's unit
+        Half the distance from peak to peak; one for all frequencies or one for each.
+    harmonics : int
+        How many harmonics the other signals are given. Enough when more do not change the response; a kink, as in the
+        drag ``|v| v`` of a fast oscillation, is content with 3, a strong one with 5 to 9.
+
+    Raises
+    ------
+    ValueError
+        For an amplitude that is not finite and above 0, or no harmonics.
+    """
+
+    signal: str
+    amplitude: float | NDArray[np.float64]
+    harmonics: int = 3
+
+    def __post_init__(self) -> None:
+        """Check the values and make them read-only."""
+        if not isinstance(self.signal, str):
+            raise TypeError(f"the signal of a sine is {self.signal!r:.60}: give its name.")
+        try:
+            amplitude = np.array(self.amplitude, dtype=float)
+        except (TypeError, ValueError):
+            amplitude = np.array(np.nan)
+        if amplitude.ndim > 1 or not amplitude.size or not np.all(np.isfinite(amplitude) & (amplitude > 0)):
+            raise ValueError(
+                f"the amplitude of {self.signal!r} is {self.amplitude!r:.60}: give a finite number above 0, or one for "
+                "each frequency."
+            )
+        amplitude.setflags(write=False)
+        object.__setattr__(self, "amplitude", amplitude if amplitude.ndim else float(amplitude))
+        whole = isinstance(self.harmonics, (int, np.integer)) and not isinstance(self.harmonics, bool)
+        if not whole or not 1 <= self.harmonics <= 50:
+            raise ValueError(f"harmonics {self.harmonics!r} must be a whole number from 1 to 50.")
+
+    @property
+    def plain(self) -> dict[str, Any]:
+        """The fields as JSON takes them."""
+        amplitude = self.amplitude.tolist() if isinstance(self.amplitude, np.ndarray) else self.amplitude
+        return {"signal": self.signal, "amplitude": amplitude, "harmonics": int(self.harmonics)}
+
+    def amplitudes(self, omega: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the amplitude at every frequency, (n,).
+
+        Raises
+        ------
+        ValueError
+            If the lengths differ.
+        """
+        if np.ndim(self.amplitude) and np.size(self.amplitude) != omega.size:
+            raise ValueError(
+                f"the amplitude of {self.signal!r} has {np.size(self.amplitude)} values for {omega.size} frequencies: "
+                "give one for each, in the same order, or one number."
+            )
+        return np.broadcast_to(self.amplitude, omega.shape)
+
+    def between(self, measured: NDArray[np.float64], omega: NDArray[np.float64]) -> "Sine":
+        """Return the sine at other frequencies, its amplitude interpolated over the logarithm of the `measured`."""
+        if not np.ndim(self.amplitude):
+            return self
+        order = np.argsort(measured)
+        known = self.amplitudes(measured)[order]
+        return replace(self, amplitude=np.interp(np.log(omega), np.log(measured[order]), known))
+
+
+def as_sine(given: Any) -> Sine:
+    """Read what a user gives: a `Sine`, or ``{signal: amplitude}``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        For anything else.
+    """
+    if isinstance(given, Sine):
+        return given
+    if not isinstance(given, Mapping):
+        raise TypeError(f"amplitude is {given!r:.60}: give {{signal: amplitude}} or a Sine.")
+    if len(given) != 1:
+        raise ValueError(
+            f"amplitude names {', '.join(map(repr, given)) or 'nothing'}: give the one signal that is a sine."
+        )
+    return Sine(*next(iter(given.items())))
