@@ -4,6 +4,7 @@ from importlib import import_module as _import_module
 from pathlib import Path as _Path
 
 from greybox.answer import Fit as Fit
+from greybox.controller import Controller as Controller
 from greybox.criterion import MagnitudePhase as MagnitudePhase
 from greybox.criterion import MaximumLikelihood as MaximumLikelihood
 from greybox.criterion import RelativeError as RelativeError
@@ -68,6 +69,7 @@ from greybox.symbolic import sqrt as sqrt
 from greybox.symbolic import tan as tan
 from greybox.symbolic import tanh as tanh
 from greybox.symbolic import where as where
+from greybox.virtual_flight import virtual_flight as virtual_flight
 
 __version__ = "0.1.0"
 

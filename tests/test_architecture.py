@@ -13,7 +13,8 @@ ROOT = Path(__file__).parents[1]
 ORDER = """
 table atomic parameter record frequency_response sealed response_file
 readers signals segment segments fourier spectra excitation multisine quality
-symbolic model trace trim elimination linear dynamics criterion sine harmonic problem
+symbolic model trace controller trim elimination linear dynamics virtual_flight criterion
+sine harmonic problem
 nlp levy starts solve result multistart
 accuracy words reference answer quantities store fit
 page nyquist plotting traces shelf command list_command log_commands cli __main__
