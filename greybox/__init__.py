@@ -9,6 +9,8 @@ from greybox.criterion import MagnitudePhase as MagnitudePhase
 from greybox.criterion import MaximumLikelihood as MaximumLikelihood
 from greybox.criterion import RelativeError as RelativeError
 from greybox.criterion import SquaredRelativeError as SquaredRelativeError
+from greybox.equation_error import EquationError as EquationError
+from greybox.equation_error import equation_error as equation_error
 from greybox.excitation import Excitation as Excitation
 from greybox.excitation import ardupilot_script as ardupilot_script
 from greybox.excitation import sine_schedule as sine_schedule

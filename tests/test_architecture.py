@@ -16,6 +16,7 @@ readers signals segment segments fourier spectra excitation multisine quality
 symbolic model trace controller trim elimination linear dynamics virtual_flight criterion
 sine harmonic problem
 nlp levy starts solve result multistart
+smoothing equations regression regressors projection equation_error
 accuracy words reference answer quantities store fit
 page nyquist plotting traces shelf command list_command log_commands cli __main__
 """.split()
