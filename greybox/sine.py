@@ -38,7 +38,8 @@ class Sine:
         if not isinstance(self.signal, str):
             raise TypeError(f"the signal of a sine is {self.signal!r:.60}: give its name.")
         try:
-            amplitude = np.array(self.amplitude, dtype=float)
+            amplitude = np.array(self.amplitude)
+            amplitude = amplitude.astype(float) if amplitude.dtype.kind in "iuf" else np.array(np.nan)
         except (TypeError, ValueError):
             amplitude = np.array(np.nan)
         if amplitude.ndim > 1 or not amplitude.size or not np.all(np.isfinite(amplitude) & (amplitude > 0)):
