@@ -22,6 +22,8 @@ from greybox.fourier import demodulate as demodulate
 from greybox.fourier import finite_frequency as finite_frequency
 from greybox.frequency_response import FrequencyResponse as FrequencyResponse
 from greybox.harmonic import harmonic_response as harmonic_response
+from greybox.integrator import Rosenbrock as Rosenbrock
+from greybox.integrator import RungeKutta as RungeKutta
 from greybox.levy import levy as levy
 from greybox.levy import order_path as order_path
 from greybox.linear import LinearSystem as LinearSystem
@@ -34,6 +36,8 @@ from greybox.model import TransferFunction as TransferFunction
 from greybox.model import feedback as feedback
 from greybox.multisine import multisine as multisine
 from greybox.nlp import cost as cost
+from greybox.output_error import OutputError as OutputError
+from greybox.output_error import PredictionError as PredictionError
 from greybox.parameter import Parameter as Parameter
 from greybox.problem import Problem as Problem
 from greybox.quality import check as check
@@ -71,6 +75,7 @@ from greybox.symbolic import sqrt as sqrt
 from greybox.symbolic import tan as tan
 from greybox.symbolic import tanh as tanh
 from greybox.symbolic import where as where
+from greybox.transcription.multiple_shooting import MultipleShooting as MultipleShooting
 from greybox.virtual_flight import virtual_flight as virtual_flight
 
 __version__ = "0.1.0"

@@ -1,7 +1,7 @@
 """How well the data determine the estimate: covariance right for the criterion, and combinations left undetermined."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,8 +9,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.nlp import Nlp
+from greybox.criterion import Criterion
+from greybox.gauss_newton import Profile
+from greybox.nlp import Nlp, Scaling
 from greybox.problem import Estimated, Problem
+from greybox.record_accuracy import information
+from greybox.record_part import RecordPart
 
 DEAD = 1e-7  # singular value of the unit-column Jacobian below which a combination is not determined at all
 BLIND = 1e-5  # share of an invisible direction from which a quantity has no standard error
@@ -18,8 +22,25 @@ COLLINEAR = 20.0  # collinearity index from which a combination is suspect, see 
 LOOSE = 0.5  # relative standard error from which a suspect combination is reported
 
 
-PartJacobian = tuple[Problem, NDArray[np.complex128], NDArray[np.float64]]
-"""A part with its response (n,) and the Jacobian (2n, k) of its residuals to all values."""
+@dataclass(frozen=True, eq=False)
+class PartJacobian:
+    """A part with the Jacobian (rows, k) of its residuals to all values, or a triangular factor of it.
+
+    Attributes
+    ----------
+    numbers : int
+        Real numbers in the data, less those that nuisance unknowns use up.
+    spread : function of a correction
+        Returns bread (a factor on JᵀJ) and meat (k, k), for noise larger by the correction; see `Criterion.spread`.
+    noise : float
+        Standard deviation of one component of the relative error; NaN for a record.
+    """
+
+    part: Problem
+    jacobian: NDArray[np.float64]
+    numbers: int
+    spread: Callable[[float], tuple[float, NDArray[np.float64]]]
+    noise: float
 
 
 @dataclass(frozen=True)
@@ -83,7 +104,7 @@ class Accuracy:
 
 @dataclass(frozen=True, eq=False)
 class _Share:
-    """What one part tells of the unknowns: bread (p, k) against all values, meat (p, p), weighted Jacobian (2n, p)."""
+    """What one part tells of the unknowns: bread (p, k) against all values, meat (p, p), weighted Jacobian (n, p)."""
 
     bread: NDArray[np.float64]
     meat: NDArray[np.float64]
@@ -91,16 +112,16 @@ class _Share:
     dof: float
 
 
-def assess(nlp: Nlp, x: NDArray[np.float64]) -> Accuracy:
-    """Return the accuracy of the estimate `x` (p,).
+def assess(nlp: Nlp, x: NDArray[np.float64], profile: Profile | None = None) -> Accuracy:
+    """Return the accuracy of the estimate `x` (p,); with records, `profile` has their states there.
 
     The covariance is that of an M-estimator under the noise condition of each part's criterion; parameters at a bound
     are taken as fixed there, and active constraints hold. Fixed values that come from an earlier fit widen it:
     C + S Σ Sᵀ with S the derivative of the estimate with respect to them.
     """
     p, k = len(nlp.free), len(nlp.names)
-    parts = _part_jacobians(nlp, x)
-    shares = [_share(*part, p=p, correction=1.0, dof=math.inf) for part in parts]
+    parts = [*_part_jacobians(nlp, x), *_record_jacobians(nlp, x, profile)]
+    shares = [_share(part, p=p, correction=1.0, dof=math.inf) for part in parts]
     jacobian = np.vstack([share.jacobian for share in shares])
     at_bound = _at_bound(nlp, x)
     active, holding = _active_constraints(nlp, x)
@@ -109,7 +130,7 @@ def assess(nlp: Nlp, x: NDArray[np.float64]) -> Accuracy:
     size = np.where(np.isfinite(length) & (length > 0), 1 / np.where(length > 0, length, 1.0), 1.0)
     unit = np.nan_to_num(jacobian * size)
     seen, blind = _directions(unit, active * size, [nlp.free.index(name) for name in at_bound])
-    dof = len(jacobian) - seen.shape[1]
+    dof = sum(part.numbers for part in parts) - seen.shape[1]
     covariance, contributions = np.full((k, k), np.nan), ()
     size = np.concatenate([size, np.ones(k - p)])
     blind = np.vstack([blind, np.zeros((k - p, blind.shape[1]))])
@@ -137,7 +158,7 @@ def assess(nlp: Nlp, x: NDArray[np.float64]) -> Accuracy:
         combinations=combinations,
         at_bound=at_bound,
         active=holding,
-        noise=_noise(parts),
+        noise=np.array([{id(p.part): p.noise for p in parts}[id(part)] for part in nlp.problem.parts]),
     )
 
 
@@ -177,10 +198,10 @@ def _corrected(
     inverse, _ = _inverse(shares, basis)
     p = len(inverse)
     paid = [float(np.trace(inverse @ share.bread[:, :p])) for share in shares]
-    numbers = [len(share.jacobian) for share in shares]
+    numbers = [part.numbers for part in parts]
     left = [max(n - q, 0.5) for n, q in zip(numbers, paid, strict=True)]
     return [
-        _share(*part, p=p, correction=math.sqrt(n / m), dof=math.inf if part[0].criterion.known_noise else m)
+        _share(part, p=p, correction=math.sqrt(max(n, m) / m), dof=math.inf if part.part.criterion.known_noise else m)
         for part, n, m in zip(parts, numbers, left, strict=True)
     ]
 
@@ -236,7 +257,9 @@ def _directions(
 
 
 def _part_jacobians(nlp: Nlp, x: NDArray[np.float64]) -> list[PartJacobian]:
-    """Return every part with its response (n,) and the Jacobian (2n, k) of its residuals to all values."""
+    """Return what every frequency response tells of all values."""
+    if not nlp.responding:
+        return []
     values = nlp.all_values(x)
     symbols: Any = ca.SX.sym("x", len(values)) if nlp.responses.is_a("SXFunction") else ca.MX.sym("x", len(values))
     derivative = ca.Function("derivative", [symbols], [ca.jacobian(nlp.responses(symbols), symbols)])
@@ -245,38 +268,70 @@ def _part_jacobians(nlp: Nlp, x: NDArray[np.float64]) -> list[PartJacobian]:
     responses = nlp.split(nlp.response_rows(x[None])[0])
     sensitivities = nlp.split(stacked[:half] + 1j * stacked[half:])
     return [
-        (part, response, part.criterion.jacobian(response, sensitivity, part.data))
-        for part, response, sensitivity in zip(nlp.problem.parts, responses, sensitivities, strict=True)
+        _of_response(part, response, sensitivity)
+        for part, response, sensitivity in zip(nlp.responding, responses, sensitivities, strict=True)
     ]
 
 
-def _share(
-    part: Problem,
-    response: NDArray[np.complex128],
-    jacobian: NDArray[np.float64],
-    *,
-    p: int,
-    correction: float,
-    dof: float,
-) -> _Share:
+def _of_response(part: Problem, response: NDArray[np.complex128], sensitivity: NDArray[np.complex128]) -> PartJacobian:
+    criterion, data = part.criterion, part.data
+    assert isinstance(criterion, Criterion)
+    jacobian = criterion.jacobian(response, sensitivity, data)
+
+    def spread(correction: float) -> tuple[float, NDArray[np.float64]]:
+        bread, meat = criterion.spread(response, data, correction)
+        return bread, jacobian.T @ (meat[:, None] * jacobian)
+
+    there = data.response != 0
+    errors = np.abs(response[there] / data.response[there] - 1)
+    noise = float(errors.mean()) * math.sqrt(2 / math.pi) if errors.size else math.nan
+    return PartJacobian(part, jacobian, len(jacobian), spread, noise)
+
+
+def _record_jacobians(nlp: Nlp, x: NDArray[np.float64], profile: Profile | None) -> list[PartJacobian]:
+    """Return what every record tells of all values; of constants, only of those that an earlier fit gives."""
+    if profile is None:
+        return []
+    columns = [k for k, name in enumerate(nlp.names) if k < len(nlp.free) or name in nlp.problem.known]
+    values, result = nlp.all_values(x), []
+    for k, record in enumerate(nlp.records):
+        if len(columns) > len(nlp.free):
+            point = ca.SX.sym("x", len(columns))
+            named: dict[str, Any] = dict(zip(nlp.names, values.tolist(), strict=True))
+            named |= {nlp.names[c]: point[i] for i, c in enumerate(columns)}
+            record = RecordPart(record.part, named, point, record.method)  # noqa: PLW2901
+            place, slope = record.place(values[columns]), np.ones(len(columns))
+        else:
+            place, slope = profile.places[k], _solver_slope(nlp.scaling, x)
+        found = information(record, profile.nodes[k], place, profile.products[k])
+        jacobian = np.zeros((len(found.jacobian), len(values)))
+        jacobian[:, columns] = found.jacobian * slope
+        meat = np.zeros((len(values), len(values)))
+        meat[np.ix_(columns, columns)] = found.meat * slope * slope[:, None]
+        spread = _record_spread(meat)
+        result.append(PartJacobian(record.part, jacobian, found.numbers, spread, math.nan))
+    return result
+
+
+def _record_spread(meat: NDArray[np.float64]) -> Callable[[float], tuple[float, NDArray[np.float64]]]:
+    return lambda correction: (1.0, meat * correction**2)
+
+
+def _solver_slope(scaling: Scaling, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return dz/dx (p,) of the solver's variables."""
+    return 1 / np.where(scaling.logarithmic, x, scaling.factor)
+
+
+def _share(part: PartJacobian, *, p: int, correction: float, dof: float) -> _Share:
     """Return what a part tells of the `p` unknowns, its noise scaled by `correction`."""
-    scale, spread = part.criterion.spread(response, part.data, correction)
-    free = jacobian[:, :p]
+    scale, meat = part.spread(correction)
+    free, weight = part.jacobian[:, :p], part.part.weight
     return _Share(
-        bread=part.weight * scale * free.T @ jacobian,
-        meat=part.weight**2 * free.T @ (spread[:, None] * free),
-        jacobian=math.sqrt(part.weight * min(scale, 1e12)) * free,
+        bread=weight * scale * free.T @ part.jacobian,
+        meat=weight**2 * meat[:p, :p],
+        jacobian=math.sqrt(weight * min(scale, 1e12)) * free,
         dof=dof,
     )
-
-
-def _noise(parts: Sequence[PartJacobian]) -> NDArray[np.float64]:
-    noise = []
-    for part, response, _ in parts:
-        there = part.data.response != 0
-        errors = np.abs(response[there] / part.data.response[there] - 1)
-        noise.append(errors.mean() * math.sqrt(2 / math.pi) if errors.size else math.nan)
-    return np.array(noise)
 
 
 def _at_bound(nlp: Nlp, x: NDArray[np.float64]) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from greybox.frequency_response import FrequencyResponse
 from greybox.harmonic import response_of_test
 from greybox.model import Model
+from greybox.record import Record
 from greybox.reference import resolve
 from greybox.result import Minimum, Multistart
 from greybox.sine import Sine
@@ -45,34 +46,24 @@ class Quantity:
     dof: float = math.inf
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class FittedPart:
-    """One problem of the sum, with its data and the fitted response, in plain values.
+    """One problem of the sum with its data, in plain values: a `FittedResponse` or a `FittedRecord`.
 
     Attributes
     ----------
     name, criterion, rule, delay : str
     condition : str
         What the errors of the data must be like for the standard errors to hold.
-    data : FrequencyResponse
-    response : (n,) complex array
-        The fitted model at the data's frequencies; NaN when no start converged.
-    curve : FrequencyResponse or None
-        The fitted model on a fine grid over the band, for figures.
     weight : float
-    at : mapping of name to float
     rename : mapping of name to name
         From the model's parameter names to those of the estimate.
     tied, constraints : mapping of name to str, tuple of str
         Their source text, for the record.
-    pade_error : float or None
-        Largest phase error of the Padé approximation over the band, degrees; None with exact delay.
     model : mapping
         The model's reference (module, class, arguments), see `greybox.reference`.
     label, equation : str
         Name and docstring of the model.
-    sine : Sine or None
-        The sine of finite amplitude that the model was given; None where it was linearized.
     """
 
     name: str
@@ -80,19 +71,79 @@ class FittedPart:
     rule: str
     condition: str
     delay: str
-    data: FrequencyResponse
-    response: NDArray[np.complex128]
-    curve: FrequencyResponse | None
+    data: FrequencyResponse | Record
     weight: float
-    at: Mapping[str, float]
     rename: Mapping[str, str]
     tied: Mapping[str, str]
     constraints: tuple[str, ...]
-    pade_error: float | None
     model: Mapping[str, Any]
     label: str
     equation: str
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FittedResponse(FittedPart):
+    """A frequency response with the fitted one.
+
+    Attributes
+    ----------
+    response : (n,) complex array
+        The fitted model at the data's frequencies; NaN when no start converged.
+    curve : FrequencyResponse or None
+        The fitted model on a fine grid over the band, for figures.
+    at : mapping of name to float
+    pade_error : float or None
+        Largest phase error of the Padé approximation over the band, degrees; None with exact delay.
+    sine : Sine or None
+        The sine of finite amplitude that the model was given; None where it was linearized.
+    """
+
+    data: FrequencyResponse
+    response: NDArray[np.complex128]
+    curve: FrequencyResponse | None
+    at: Mapping[str, float]
+    pade_error: float | None
     sine: Sine | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FittedRecord(FittedPart):
+    """A record with the fitted outputs.
+
+    Attributes
+    ----------
+    data : Record
+        The signals that the fit used.
+    simulated : Record
+        The fitted outputs at the same times; NaN where none was compared (gaps, the past of a delay) or no start
+        converged.
+    outputs : tuple of str
+    noise : (k, k) array
+        Covariance of the residuals of the outputs, given or estimated.
+    initial : mapping of state to (stretches,) array
+        The states at the first sample of every gapless stretch.
+    method : str
+        Transcription and integrator, with what they chose.
+    """
+
+    data: Record
+    simulated: Record
+    outputs: tuple[str, ...]
+    noise: NDArray[np.float64]
+    initial: Mapping[str, NDArray[np.float64]]
+    method: str
+
+    def residual(self, output: str) -> NDArray[np.float64]:
+        """Return measured less fitted values of an output, (n,)."""
+        return self.data[output] - self.simulated[output]
+
+    def fit_percent(self, output: str) -> float:
+        """Return 100 (1 - |residual| / |measured - mean|), the normalized root mean square of MATLAB's `compare`."""
+        error = self.residual(output)
+        there = np.isfinite(error)
+        values = self.data[output][there]
+        spread = float(np.linalg.norm(values - values.mean())) if there.any() else 0.0
+        return 100 * (1 - float(np.linalg.norm(error[there])) / spread) if spread > 0 else math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +170,7 @@ class Fit:
     """
 
     name: str
-    parts: tuple[FittedPart, ...]
+    parts: tuple[FittedResponse | FittedRecord, ...]
     quantities: tuple[Quantity, ...]
     free: tuple[str, ...]
     names: tuple[str, ...]
@@ -135,6 +186,16 @@ class Fit:
     seconds: float
     versions: Mapping[str, str]
     models: tuple[Model, ...] | None = field(default=None, repr=False)
+
+    @property
+    def responses(self) -> tuple[FittedResponse, ...]:
+        """The parts whose data are frequency responses."""
+        return tuple(part for part in self.parts if isinstance(part, FittedResponse))
+
+    @property
+    def records(self) -> tuple[FittedRecord, ...]:
+        """The parts whose data are records."""
+        return tuple(part for part in self.parts if isinstance(part, FittedRecord))
 
     @property
     def converged(self) -> bool:
@@ -219,6 +280,11 @@ class Fit:
             If the model cannot be imported; the sentence says what is missing.
         """
         stated = self.parts[part]
+        if not isinstance(stated, FittedResponse):
+            raise ValueError(
+                f"part {part} of the fit is a record: use gb.frequency_response(model, omega, fit.estimate), or "
+                "gb.simulate for time histories."
+            )
         alive = model or (self.models[part] if self.models else resolve(dict(stated.model)))
         values = {name: self.estimate[stated.rename.get(name, name)] for name in alive.parameters}
         signals: Any = {"input": stated.data.input, "output": stated.data.output}
@@ -240,9 +306,9 @@ def _text(fit: Fit) -> str:
         f"  starts     {converged} of {len(fit.runs)} converged; {fit.agreeing} agree on the best of "
         f"{minima} distinct {'minimum' if minima == 1 else 'minima'}",
         f"  cost       {fit.cost:.6g}  ({fit.criterion})",
-        f"  data       {sum(len(p.data) for p in fit.parts)} points in "
-        f"{len(fit.parts)} {'response' if len(fit.parts) == 1 else 'responses'}, delay {fit.delay}"
-        + "".join(_pade_text(p) for p in fit.parts if p.pade_error is not None),
+        f"  data       {_data_text(fit)}, delay {fit.delay}"
+        + "".join(_pade_text(p) for p in fit.responses if p.pade_error is not None),
+        *(f"  output     {_output_text(part, output)}" for part in fit.records for output in part.outputs),
         "",
     ]
     rows = []
@@ -262,7 +328,30 @@ def _text(fit: Fit) -> str:
     return "\n".join([*lines, f"  {fit.seconds:.2f} s; starts: {fit.starts}"])
 
 
-def _pade_text(part: FittedPart) -> str:
+def _data_text(fit: Fit) -> str:
+    texts = []
+    if fit.responses:
+        count = len(fit.responses)
+        texts.append(
+            f"{sum(len(p.data) for p in fit.responses)} points in {count} {'response' if count == 1 else 'responses'}"
+        )
+    if fit.records:
+        count = len(fit.records)
+        texts.append(
+            f"{sum(len(p.data) for p in fit.records)} samples in {count} {'record' if count == 1 else 'records'}"
+        )
+    return " and ".join(texts)
+
+
+def _output_text(part: FittedRecord, output: str) -> str:
+    error = part.residual(output)
+    size = float(np.sqrt(np.nanmean(error**2))) if np.isfinite(error).any() else math.nan
+    unit = part.data.units.get(output, "")
+    where = f" ({part.name})" if part.name else ""
+    return f"{output}{where}: residual {number(size)} {unit}".rstrip() + f", fit {part.fit_percent(output):.1f} %"
+
+
+def _pade_text(part: FittedResponse) -> str:
     return f"; Padé phase error up to {part.pade_error:.2g}° ({part.name})"
 
 

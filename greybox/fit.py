@@ -15,40 +15,46 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from greybox.accuracy import Accuracy, assess
-from greybox.answer import Fit, FittedPart
-from greybox.criterion import CRITERIA, evaluate
+from greybox.answer import Fit, FittedResponse
+from greybox.criterion import CRITERIA, Criterion, evaluate
+from greybox.fitted_record import fitted_record, stated
 from greybox.frequency_response import FrequencyResponse
+from greybox.gauss_newton import GaussNewton
 from greybox.harmonic import response_of_test
-from greybox.model import equation
 from greybox.multistart import multistart
 from greybox.nlp import AnyProblem, Nlp, compile_problem
 from greybox.problem import Problem, Sum
 from greybox.quantities import quantities
-from greybox.reference import reference, source_text
 from greybox.result import Multistart
 from greybox.starts import Starts, as_starts
+from greybox.transcription.multiple_shooting import MultipleShooting
 from greybox.words import pade_error, warnings
 
+STARTS, RECORD_STARTS = 200, 20
 CURVE = 2000  # points from which a curve for figures is not refined further
 
 
 def fit(
     problem: AnyProblem,
-    starts: int | Starts | Sequence[Mapping[str, float] | Starts] = 200,
+    starts: int | Starts | Sequence[Mapping[str, float] | Starts] | None = None,
     seed: int | None = None,
     *,
+    method: MultipleShooting | None = None,
     solver_options: Mapping[str, Any] = MappingProxyType({}),
     progress: bool | Callable[[int, int], None] = True,
 ) -> Fit:
-    """Fit a problem by IPOPT from many starts.
+    """Fit a problem from many starts: by IPOPT, or, where data are records, by Gauss-Newton steps.
 
     Parameters
     ----------
     problem : Problem or a sum of problems
     starts : int, Starts, or list
-        A number of Sobol points (default), a rule such as `LatinHypercube(200)`, or a list of ``{name: value}``.
+        A number of Sobol points, a rule such as `LatinHypercube(200)`, or a list of ``{name: value}``; by default 200
+        Sobol points, 20 where data are records.
     seed : int, optional
         Of the Sobol points, 0 by default; a rule has its own. More starts of one seed begin with the same points.
+    method : MultipleShooting, SingleShooting or Collocation, optional
+        How records are transcribed and solved; `MultipleShooting()` by default.
     solver_options : mapping
         Options of IPOPT, e.g. ``{"max_iter": 100, "tol": 1e-9}``.
     progress : bool or function
@@ -69,9 +75,9 @@ def fit(
     if not isinstance(solver_options, Mapping):
         raise TypeError(f"solver_options is {solver_options!r:.60}: give IPOPT's options as {{name: value}}.")
     began = time.perf_counter()
-    nlp = compile_problem(problem)
+    nlp = compile_problem(problem, method)
     parameters = problem.parameters
-    rule = as_starts(starts, seed)
+    rule = as_starts(starts if starts is not None else RECORD_STARTS if nlp.records else STARTS, seed)
     points = rule.draw({name: parameters[name] for name in nlp.free})
     if callable(progress):
         search = multistart(nlp, points, solver_options, progress)
@@ -85,24 +91,30 @@ def assemble(nlp: Nlp, search: Multistart, *, seed: int | None, starts: str, beg
     """Turn what a multistart left into the answer; `began` is the clock reading when the work began."""
     problem = nlp.problem
     best = search.minima[0].estimate if search.minima else np.full(len(nlp.free), np.nan)
-    accuracy = assess(nlp, best) if search.minima else _nothing(nlp)
+    profile = GaussNewton(nlp).profile(best) if nlp.records and search.minima else None
+    accuracy = assess(nlp, best, profile) if search.minima else _nothing(nlp)
     estimate = dict(zip(nlp.names, nlp.all_values(best).tolist(), strict=True))
     local = [dict(part.local_values(estimate)) for part in problem.parts]
     errors = [
-        pade_error(part, values) if search.minima else None for part, values in zip(problem.parts, local, strict=True)
+        pade_error(part, values) if search.minima and part in nlp.responding else None
+        for part, values in zip(problem.parts, local, strict=True)
     ]
-    responses = nlp.split(nlp.response_rows(best[None])[0])
+    found = nlp.split(nlp.response_rows(best[None])[0]) if nlp.responding else []
+    responses = dict(zip(nlp.responding, found, strict=True))
     lines, names, covariance = quantities(nlp, accuracy, estimate)
     return Fit(
         name=problem.name,
-        parts=tuple(_part(*item) for item in zip(problem.parts, local, responses, errors, strict=True)),
+        parts=tuple(
+            _response(part, values, responses[part], error) if part in responses else fitted_record(nlp, part, profile)
+            for part, values, error in zip(problem.parts, local, errors, strict=True)
+        ),
         quantities=lines,
         free=nlp.free,
         names=names,
         covariance=covariance,
         dof=accuracy.dof,
         cost=search.minima[0].cost if search.minima else math.nan,
-        costs=_all_costs(problem, responses),
+        costs=_all_costs(nlp, responses),
         runs=search.runs,
         minima=search.minima,
         warnings=warnings(nlp, search, accuracy, errors) if search.minima else (),
@@ -140,8 +152,11 @@ def _nothing(nlp: Nlp) -> Accuracy:
     )
 
 
-def _part(part: Problem, values: dict[str, float], response: NDArray[np.complex128], error: float | None) -> FittedPart:
+def _response(
+    part: Problem, values: dict[str, float], response: NDArray[np.complex128], error: float | None
+) -> FittedResponse:
     data = part.data
+    assert isinstance(data, FrequencyResponse)
     curve = None
     if np.all(np.isfinite(response)):
         signals = {"input": data.input, "output": data.output, "at": part.at, "delay": part.delay}
@@ -150,24 +165,13 @@ def _part(part: Problem, values: dict[str, float], response: NDArray[np.complex1
                 lambda omega: response_of_test(part.model, omega, values, part.amplitude, data.omega, **signals),
                 data.omega,
             )
-    return FittedPart(
-        name=part.name,
-        criterion=repr(part.criterion),
-        rule=part.criterion.description,
-        condition=part.criterion.condition,
-        delay=part.delay,
+    return FittedResponse(
+        **stated(part),
         data=data,
         response=response,
         curve=curve,
-        weight=part.weight,
         at={name: float(value) for name, value in part.at.items()},
-        rename=dict(part.rename),
-        tied={name: source_text(tie) for name, tie in part.tied.items()},
-        constraints=tuple(source_text(constraint) for constraint in part.constraints),
         pade_error=error,
-        model=reference(part.model),
-        label=part.model.label,
-        equation=equation(part.model),
         sine=part.amplitude,
     )
 
@@ -189,11 +193,10 @@ def _curve(
     return curve
 
 
-def _all_costs(problem: AnyProblem, responses: list[NDArray[np.complex128]]) -> dict[str, float]:
+def _all_costs(nlp: Nlp, responses: Mapping[Problem, NDArray[np.complex128]]) -> dict[str, float]:
+    if nlp.records:
+        return {}
     return {
-        criterion.description: sum(
-            part.weight * evaluate(criterion, response, part.data)
-            for part, response in zip(problem.parts, responses, strict=True)
-        )
+        criterion.description: sum(part.weight * evaluate(criterion, responses[part], part.data) for part in responses)
         for criterion in CRITERIA
     }

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.gauss_newton import GaussNewton
 from greybox.nlp import Nlp
 from greybox.result import Minimum, Multistart, find_minima
 from greybox.solve import CONVERGED, INVALID, POLISH, Outcome, Run, Solver
@@ -31,15 +32,15 @@ def multistart(
     Every run is kept. A run that fails is a result with its status; it is never ranked before one that converged.
     """
     began = time.perf_counter()
-    solver = Solver(nlp, solver_options)
+    solver = GaussNewton(nlp) if nlp.records else Solver(nlp, solver_options)
     outcomes = []
     for k, start in enumerate(starts):
         outcomes.append(solver.run(start))
         if progress is not None:
             progress(k + 1, len(starts))
     runs = _as_runs(nlp, starts, outcomes)
-    minima = find_minima(nlp, runs)
-    if minima and any(part.criterion.smoothed for part in nlp.problem.parts):
+    minima = find_minima(nlp, runs, [outcome.trace for outcome in outcomes])
+    if minima and isinstance(solver, Solver) and any(part.criterion.smoothed for part in nlp.problem.parts):
         last = solver.polishing()
         close = [m.cost <= (1 + CLOSE) * minima[0].cost for m in minima]
         minima = tuple(_polished(nlp, last, m) if near else m for m, near in zip(minima, close, strict=True))
@@ -48,7 +49,10 @@ def multistart(
 
 
 def _as_runs(nlp: Nlp, starts: NDArray[np.float64], outcomes: list[Outcome]) -> tuple[Run, ...]:
-    costs = nlp.costs(np.array([outcome.estimate for outcome in outcomes]))
+    if nlp.records:
+        costs = [outcome.cost for outcome in outcomes]
+    else:
+        costs = nlp.costs(np.array([outcome.estimate for outcome in outcomes])).tolist()
     reasons = _reasons(nlp, starts, outcomes)
     return tuple(
         Run(
@@ -57,7 +61,7 @@ def _as_runs(nlp: Nlp, starts: NDArray[np.float64], outcomes: list[Outcome]) -> 
             estimate=outcome.estimate,
             cost=float(cost),
             status=outcome.status,
-            converged=outcome.status in CONVERGED and math.isfinite(cost),
+            converged=outcome.converged and math.isfinite(cost),
             iterations=outcome.iterations,
             seconds=outcome.seconds,
             reason=reason,
@@ -70,7 +74,7 @@ def _reasons(nlp: Nlp, starts: NDArray[np.float64], outcomes: list[Outcome]) -> 
     """Say where the response is not finite, at the start or the end of every run that met an invalid number."""
     reasons = [""] * len(outcomes)
     failed = [k for k, outcome in enumerate(outcomes) if outcome.status == INVALID]
-    labels = [f"{omega:g} rad/s" for part in nlp.problem.parts for omega in part.data.omega]
+    labels = [f"{omega:g} rad/s" for part in nlp.responding for omega in part.data.omega]
     for points in (starts, np.array([outcome.estimate for outcome in outcomes])):
         if not failed:
             break

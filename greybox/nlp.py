@@ -9,12 +9,16 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.frequency_response import FrequencyResponse
 from greybox.harmonic import harmonic_function
 from greybox.linear import delay_order, response_function
 from greybox.model import Names, require_known
 from greybox.parameter import Parameter
 from greybox.problem import Problem, Sum
+from greybox.record import Record
+from greybox.record_part import RecordPart
 from greybox.symbolic import Complex
+from greybox.transcription.multiple_shooting import MultipleShooting
 
 AnyProblem = Problem | Sum
 
@@ -58,13 +62,15 @@ class Nlp:
     scaling : Scaling
         Between the unknowns and the solver's variables.
     expressions : dict
-        ``x, p, f, g`` as `casadi.nlpsol` takes them; p is the smoothing of the cost.
+        ``x, p, f, g`` as `casadi.nlpsol` takes them, of the frequency responses; p is the smoothing of the cost.
     first : dict or None
         The same with the criteria that locate the minimum, where they differ.
+    records : tuple of RecordPart
+        The parts whose data are records; `responding` are the others.
     cost : casadi.Function
-        (all values) -> the cost without smoothing, of every part, unweighted, stacked.
+        (all values) -> the cost without smoothing, of every frequency response, unweighted, stacked.
     responses : casadi.Function
-        (all values) -> real and imaginary parts of all responses, stacked: (2 N,).
+        (all values) -> real and imaginary parts of all frequency responses, stacked: (2 N,).
     constraint : casadi.Function
         (all values) -> what must be >= 0, stacked.
     limits : tuple of str
@@ -80,6 +86,7 @@ class Nlp:
     scaling: Scaling
     expressions: Mapping[str, Any]
     first: Mapping[str, Any] | None
+    records: tuple[RecordPart, ...]
     cost: ca.Function
     responses: ca.Function
     constraint: ca.Function
@@ -92,8 +99,13 @@ class Nlp:
 
     @property
     def weights(self) -> NDArray[np.float64]:
-        """The weight of every part."""
-        return np.array([part.weight for part in self.problem.parts])
+        """The weight of every frequency response."""
+        return np.array([part.weight for part in self.responding])
+
+    @property
+    def responding(self) -> tuple[Problem, ...]:
+        """The parts whose data are frequency responses."""
+        return tuple(part for part in self.problem.parts if isinstance(part.data, FrequencyResponse))
 
     def all_values(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Append the constants to unknowns x (..., p)."""
@@ -102,26 +114,26 @@ class Nlp:
         return np.concatenate([x, constants], axis=-1)
 
     def costs(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the cost without smoothing of every row of x (r, p): (r,)."""
+        """Return the cost without smoothing of the frequency responses, for every row of x (r, p): (r,)."""
         if not len(x):
             return np.zeros(0)
         parts = np.asarray(self.cost(self.all_values(x).T))
         return self.weights @ parts
 
     def response_rows(self, x: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """Return the responses of all parts, stacked, for every row of x (r, p): (r, N)."""
+        """Return all frequency responses, stacked, for every row of x (r, p): (r, N)."""
         values = np.asarray(self.responses(self.all_values(x).T)).T
         half = values.shape[1] // 2
         return values[:, :half] + 1j * values[:, half:]
 
     def split(self, stacked: NDArray[Any]) -> list[NDArray[Any]]:
-        """Cut an array whose first axis runs over the points of all parts into one array per part."""
-        ends = np.cumsum([len(part.data) for part in self.problem.parts])[:-1]
+        """Cut an array whose first axis runs over the points of all frequency responses into one array for each."""
+        ends = np.cumsum([len(part.data) for part in self.responding])[:-1]
         return np.split(stacked, ends)
 
 
-def compile_problem(problem: AnyProblem) -> Nlp:
-    """Build the CasADi expressions of a problem.
+def compile_problem(problem: AnyProblem, method: MultipleShooting | None = None) -> Nlp:
+    """Build the CasADi expressions of a problem; `method` is that of its records.
 
     Raises
     ------
@@ -134,7 +146,8 @@ def compile_problem(problem: AnyProblem) -> Nlp:
     if not free:
         cure = f"free one, e.g. free=({constants[0]!r},)" if constants else "there is nothing to estimate"
         raise ValueError(f"no parameter of {problem.name!r} is free: {cure}.")
-    models = [_response(part) for part in problem.parts]
+    responding = [part for part in problem.parts if isinstance(part.data, FrequencyResponse)]
+    models = [_response(part) for part in responding]
     # A trim that is found by Newton's method exists as MX only; everything else is faster as SX.
     kind: Any = ca.SX if all(f.is_a("SXFunction") for f in models) else ca.MX
     scaling = _scaling([parameters[name] for name in free])
@@ -143,19 +156,23 @@ def compile_problem(problem: AnyProblem) -> Nlp:
     def trace(values: list[Any]) -> tuple[list[Complex], dict[str, Any]]:
         """Return the response of every part and the limits by label, for values in the order free, constants."""
         local = [part.local_values(dict(zip((*free, *constants), values, strict=True))) for part in problem.parts]
-        responses = [Complex(*f(ca.vertcat(*p.values()))) for f, p in zip(models, local, strict=True)]
+        there = [p for part, p in zip(problem.parts, local, strict=True) if part in responding]
+        responses = [Complex(*f(ca.vertcat(*p.values()))) for f, p in zip(models, there, strict=True)]
         limits = [item for part, p in zip(problem.parts, local, strict=True) for item in _limits(part, p).items()]
         return responses, dict(limits)
 
     x = kind.sym("x", len(free) + len(constants))
     responses, limits = trace(ca.vertsplit(x))
-    costs = [part.criterion.cost(r, part.data) for part, r in zip(problem.parts, responses, strict=True)]
-    stacked = ca.vertcat(*[r.re for r in responses], *[r.im for r in responses])
+    costs = [part.criterion.cost(r, part.data) for part, r in zip(responding, responses, strict=True)]
+    stacked = ca.vertcat(kind(0, 1), *[r.re for r in responses], *[r.im for r in responses])
 
     z, smoothing = kind.sym("z", len(free)), kind.sym("smoothing")
     scaled, scaled_limits = trace([*scaling.expressions(z), *constant_values])
     statement = {"x": z, "p": smoothing, "g": ca.vertcat(kind(0, 1), *scaled_limits.values())}
-    locating = any(part.criterion.first is not None for part in problem.parts)
+    locating = any(part.criterion.first is not None for part in responding)
+    point = ca.SX.sym("z", len(free))
+    named = dict(zip((*free, *constants), [*scaling.expressions(point), *constant_values], strict=True))
+    records = [part for part in problem.parts if isinstance(part.data, Record)]
     return Nlp(
         problem=problem,
         free=free,
@@ -164,9 +181,10 @@ def compile_problem(problem: AnyProblem) -> Nlp:
         lower=np.array([parameters[name].bounds[0] for name in free]),
         upper=np.array([parameters[name].bounds[1] for name in free]),
         scaling=scaling,
-        expressions=statement | {"f": _total(problem, scaled, smoothing, locate=False)},
-        first=statement | {"f": _total(problem, scaled, smoothing, locate=True)} if locating else None,
-        cost=ca.Function("cost", [x], [ca.vertcat(*costs)]),
+        expressions=statement | {"f": kind(_total(responding, scaled, smoothing, locate=False))},
+        first=statement | {"f": kind(_total(responding, scaled, smoothing, locate=True))} if locating else None,
+        records=tuple(RecordPart(part, named, point, method or MultipleShooting()) for part in records),
+        cost=ca.Function("cost", [x], [ca.vertcat(kind(0, 1), *costs)]),
         responses=ca.Function("responses", [x], [stacked]),
         constraint=ca.Function("constraint", [x], [ca.vertcat(kind(0, 1), *limits.values())]),
         limits=tuple(limits),
@@ -198,9 +216,9 @@ def cost(problem: AnyProblem, values: Mapping[str, float]) -> float:
     return float(nlp.weights @ np.asarray(nlp.cost(point)).ravel())
 
 
-def _total(problem: AnyProblem, responses: list[Complex], smoothing: Any, locate: bool) -> Any:
+def _total(parts: list[Problem], responses: list[Complex], smoothing: Any, locate: bool) -> Any:
     total: Any = 0.0
-    for part, response in zip(problem.parts, responses, strict=True):
+    for part, response in zip(parts, responses, strict=True):
         criterion = (part.criterion.first if locate else None) or part.criterion
         total = total + part.weight * criterion.cost(response, part.data, smoothing)
     return total

@@ -15,7 +15,9 @@ from greybox.frequency_response import FrequencyResponse
 from greybox.harmonic import check_sine
 from greybox.linear import delay_order, pick_signals
 from greybox.model import Model, Names, StateSpace, merge, require_known
+from greybox.output_error import OutputError, TimeCriterion
 from greybox.parameter import Parameter
+from greybox.record import Record
 from greybox.response_file import read_response
 from greybox.sine import Sine, as_sine
 from greybox.trace import require_no_nan, traced
@@ -47,11 +49,12 @@ class Problem:
     Parameters
     ----------
     model : Model
-        The structure; an ODE is linearized at its operating point.
-    data : FrequencyResponse, or the path of a file of one
-        Meets the model by the names of its input and output.
-    criterion : Criterion, optional
-        `RelativeError` (4.26) by default.
+        The structure; for a frequency response an ODE is linearized at its operating point, for a record a transfer
+        function is realized as states.
+    data : FrequencyResponse, the path of a file of one, or Record
+        Meets the model by the names of its inputs and outputs. Outputs that a record does not hold are not compared.
+    criterion : Criterion or TimeCriterion, optional
+        `RelativeError` (4.26) by default for a response, `OutputError` for a record.
     fixed : mapping of name to value, or a Fit
         Parameters held constant. A `Fit`, whole or as the value of a name, gives its estimate and its covariance, which
         then widens the standard errors here.
@@ -64,7 +67,8 @@ class Problem:
     delay : "exact" or "pade:n"
         How delays are evaluated.
     at : mapping of name to value
-        The operating point of an ODE: some states and inputs, the rest follows from ``derivative = 0``.
+        The operating point of an ODE, for a frequency response: some states and inputs, the rest follows from
+        ``derivative = 0``.
     rename : mapping of name to name
         Names under which parameters are known outside, so that added problems share or do not share them.
     weight : float
@@ -81,8 +85,8 @@ class Problem:
     """
 
     model: Model
-    data: FrequencyResponse  # or, when it is made, the path of a file
-    criterion: Criterion = None  # type: ignore[assignment]
+    data: FrequencyResponse | Record  # or, when it is made, the path of a file
+    criterion: Criterion | TimeCriterion = None  # type: ignore[assignment]
     fixed: Mapping[str, "float | Estimated"] | Estimated = field(default_factory=dict)
     free: Sequence[str] = ()
     tied: Mapping[str, Callable[[Any], Any]] = field(default_factory=dict)
@@ -99,27 +103,51 @@ class Problem:
         _require(self.model, Model, "model", "an instance such as Tilt(), not the class")
         if isinstance(self.data, (str, Path)):
             object.__setattr__(self, "data", read_response(self.data))
-        _require(self.data, FrequencyResponse, "data", "a FrequencyResponse or the name of a file of one")
+        _require(
+            self.data, FrequencyResponse | Record, "data", "a FrequencyResponse, the name of a file of one, or a Record"
+        )
+        kind, usual = (TimeCriterion, OutputError()) if isinstance(self.data, Record) else (Criterion, RelativeError())
         if self.criterion is None:
-            object.__setattr__(self, "criterion", RelativeError())
-        _require(self.criterion, Criterion, "criterion", "a criterion such as RelativeError()")
+            object.__setattr__(self, "criterion", usual)
+        what = "record" if isinstance(self.data, Record) else "frequency response"
+        _require(self.criterion, kind, "criterion", f"a criterion such as {type(usual).__name__}(), for a {what}")
         if isinstance(self.free, str):
             object.__setattr__(self, "free", (self.free,))
         if not self.name:
             object.__setattr__(self, "name", self.data.name or self.model.label)
         if not isinstance(self.weight, (int, float, np.number)) or not (math.isfinite(self.weight) and self.weight > 0):
             raise ValueError(f"weight {self.weight!r} must be a finite number above 0.")
-        self.criterion.check(self.data)
         delay_order(self.delay)
-        pick_signals(self.model, self.data.input, self.data.output)
+        self._check_signals()
         self._check_names()
         self._check_operating_point()
         self._check_amplitude()
         object.__setattr__(self, "_parameters", self._build_parameters())
         self._check_functions()
 
+    def _check_signals(self) -> None:
+        added: Mapping[str, Parameter] = {}
+        if isinstance(self.data, Record) and isinstance(self.criterion, TimeCriterion):
+            self.criterion.compared(self.model, self.data)
+            added = self.criterion.parameters(self.model, self.data)
+            both = [name for name in added if name in self.model.parameters]
+            if both:
+                raise ValueError(
+                    f"{self.model.label} declares {both[0]!r}, which is also the name of an unknown of the criterion: "
+                    "rename it in the model."
+                )
+        elif isinstance(self.data, FrequencyResponse) and isinstance(self.criterion, Criterion):
+            self.criterion.check(self.data)
+            pick_signals(self.model, self.data.input, self.data.output)
+        object.__setattr__(self, "_declared", {**self.model.parameters, **added})
+
+    @property
+    def declared(self) -> Mapping[str, Parameter]:
+        """The parameters of the model, and after them those that the criterion adds."""
+        return self.__dict__["_declared"]
+
     def _check_names(self) -> None:
-        label, known = self.model.label, self.model.parameters
+        label, known = self.model.label, self.declared
         for what, names in (
             ("fixed", self.given),
             ("free", self.free),
@@ -150,6 +178,11 @@ class Problem:
                 )
 
     def _check_operating_point(self) -> None:
+        if isinstance(self.data, Record) and self.at:
+            raise ValueError(
+                f"at={dict(self.at)} is the operating point of a frequency response and this is a record: "
+                "leave it out; known initial states go into OutputError(initial=...)."
+            )
         if isinstance(self.model, StateSpace):
             require_known(self.at, (*self.model.states, *self.model.inputs), "state or input", self.model.label)
         elif self.at:
@@ -171,9 +204,7 @@ class Problem:
             return self.fixed
         if not isinstance(self.fixed, Estimated):
             raise TypeError(f"fixed is {self.fixed!r:.60}: give {{name: value}} or a Fit.")
-        shared = {
-            name: self.fixed for name in self.model.parameters if self.rename.get(name, name) in self.fixed.estimate
-        }
+        shared = {name: self.fixed for name in self.declared if self.rename.get(name, name) in self.fixed.estimate}
         if not shared:
             raise ValueError(
                 f"the Fit given as fixed has {', '.join(self.fixed.estimate)}, of which {self.model.label} has none; "
@@ -183,7 +214,7 @@ class Problem:
 
     def _build_parameters(self) -> dict[str, Parameter]:
         result = {}
-        for local, parameter in self.model.parameters.items():
+        for local, parameter in self.declared.items():
             if local in self.tied:
                 continue
             result[local] = self._as_stated(local, parameter)
@@ -237,6 +268,14 @@ class Problem:
         return self.__dict__["_parameters"]
 
     @property
+    def numbers(self) -> int:
+        """How many real numbers the data hold that are compared."""
+        if isinstance(self.data, Record):
+            outputs = [name for name in self.model.output_names if name in self.data.signals]
+            return sum(int(np.isfinite(self.data[name]).sum()) for name in outputs)
+        return 2 * len(self.data)
+
+    @property
     def parts(self) -> tuple["Problem", ...]:
         """The problems in this sum: itself."""
         return (self,)
@@ -256,7 +295,7 @@ class Problem:
         local = {name: values[self.rename.get(name, name)] for name in self._own}
         for name, tie in self.tied.items():
             local[name] = _call(tie, Names(local, f"the problem {self.name!r}, at this tie,"), f"tied[{name!r}]")
-        return Names({name: local[name] for name in self.model.parameters}, self.model.label)
+        return Names({name: local[name] for name in self.declared}, self.model.label)
 
     def __add__(self, other: Any) -> "Sum":
         return _add(self, other)

@@ -11,6 +11,7 @@ from greybox.nlp import Nlp
 from greybox.solve import Run
 
 SAME_COST = 1e-4  # relative; the smoothing moves costs by up to 6e-5
+SAME_LIKELIHOOD = 1e-2  # of negative log-likelihoods: a tenth of a standard error is 5e-3
 SAME_RESPONSE = 1e-2  # root mean square of |P_a - P_b| / |P_b| over the data
 
 
@@ -57,25 +58,31 @@ class Multistart:
         return ", ".join(f"{count} × {status}" for status, count in counts.most_common())
 
 
-def find_minima(nlp: Nlp, runs: Sequence[Run]) -> tuple[Minimum, ...]:
+def find_minima(
+    nlp: Nlp, runs: Sequence[Run], traces: Sequence[NDArray[np.float64] | None] = ()
+) -> tuple[Minimum, ...]:
     """Group the converged runs by cost and model response, best first.
 
-    Two runs are at one minimum when their costs and their responses agree, whatever the parameters.
+    Two runs are at one minimum when their costs and their responses agree, whatever the parameters. Runs in time bring
+    their responses as `traces`, in the order of `runs`.
     """
     order = sorted((run for run in runs if run.converged), key=lambda run: run.cost)
     if not order:
         return ()
-    responses = nlp.response_rows(np.array([run.estimate for run in order]))
+    if nlp.records:
+        responses = np.array([traces[run.index] for run in order])
+    else:
+        responses = nlp.response_rows(np.array([run.estimate for run in order]))
     costs = np.array([run.cost for run in order])
-    floor = 1e-12 * np.abs(responses).max() + 1e-150
-    least = 1e-3 * sum(len(part.data) for part in nlp.problem.parts)
+    # What is simulated in time comes in units of the signals' spread.
+    floor = 1.0 if nlp.records else 1e-12 * np.abs(responses).max() + 1e-150
     ungrouped = np.ones(len(order), dtype=bool)
     minima = []
     while ungrouped.any():
         k = int(np.argmax(ungrouped))
         relative = (responses - responses[k]) / np.maximum(np.abs(responses[k]), floor)
         away = np.sqrt(np.mean(np.abs(relative) ** 2, axis=1))
-        near = ungrouped & (costs - costs[k] <= SAME_COST * max(costs[k], least)) & (away <= SAME_RESPONSE)
+        near = ungrouped & (costs - costs[k] <= same_cost(nlp, costs[k])) & (away <= SAME_RESPONSE)
         near[k] = True
         ungrouped &= ~near
         members = [order[i] for i in np.flatnonzero(near)]
@@ -83,6 +90,13 @@ def find_minima(nlp: Nlp, runs: Sequence[Run]) -> tuple[Minimum, ...]:
             Minimum(order[k].cost, order[k].estimate, tuple(run.index for run in members), _variants(nlp, members))
         )
     return tuple(minima)
+
+
+def same_cost(nlp: Nlp, cost: float) -> float:
+    """Return the difference of two costs up to which they count as the same."""
+    if nlp.records:
+        return SAME_LIKELIHOOD + 1e-7 * abs(cost)
+    return SAME_COST * max(cost, 1e-3 * sum(len(part.data) for part in nlp.responding))
 
 
 def _variants(nlp: Nlp, members: Sequence[Run]) -> int:

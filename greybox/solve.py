@@ -1,5 +1,6 @@
 """One IPOPT run."""
 
+import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -55,12 +56,18 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What the solver leaves of one run, before the cost is evaluated without smoothing."""
+    """What a solver leaves of one run; IPOPT's cost is evaluated later, without smoothing and for all runs at once.
+
+    `trace` (t,) tells runs in time apart: simulated outputs in units of the spread of the measured ones.
+    """
 
     estimate: NDArray[np.float64]
     status: str
     iterations: int
     seconds: float
+    converged: bool
+    cost: float = math.nan
+    trace: NDArray[np.float64] | None = None
 
 
 class Solver:
@@ -98,7 +105,7 @@ class Solver:
             iterations, status = iterations + int(stats["iter_count"]), stats["return_status"]
         estimate = self._nlp.scaling.to_parameters(np.asarray(z).ravel())
         estimate = np.clip(estimate, self._nlp.lower, self._nlp.upper)
-        return Outcome(estimate, status, iterations, time.perf_counter() - began)
+        return Outcome(estimate, status, iterations, time.perf_counter() - began, status in CONVERGED)
 
 
 def _derivatives(solver: ca.Function) -> dict[str, ca.Function]:

@@ -28,7 +28,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from greybox.answer import Fit, FittedPart, Quantity
+from greybox.answer import Fit, FittedResponse, Quantity
 from greybox.response_file import read_group, write_group
 from greybox.result import Minimum
 from greybox.sealed import Node, open_sealed, write_sealed
@@ -105,7 +105,7 @@ def _write_runs(file: Node, fit: Fit) -> None:
     minima["estimate"] = np.array([m.estimate for m in fit.minima]).reshape(len(fit.minima), len(fit.free))
 
 
-def _write_part(group: Node, part: FittedPart) -> None:
+def _write_part(group: Node, part: FittedResponse) -> None:
     texts = {name: getattr(part, name) for name in _PART_TEXTS}
     _attributes(group, checksum=part.data.checksum, weight=part.weight, **texts)
     _attributes(group, pade_error=math.nan if part.pade_error is None else part.pade_error)
@@ -192,13 +192,13 @@ def _read_minima(file: Node, runs: tuple[Run, ...]) -> tuple[Minimum, ...]:
     return tuple(result)
 
 
-def _read_part(group: Node) -> FittedPart:
+def _read_part(group: Node) -> FittedResponse:
     attributes = group.attrs
     data = read_group(group["data"])
     if data.checksum != attributes["checksum"]:
         raise KeyError(f"the data of part {attributes['name']!r} do not match their checksum")
     error = float(attributes["pade_error"])
-    return FittedPart(
+    return FittedResponse(
         **{name: str(attributes[name]) for name in _PART_TEXTS},
         **{name: json.loads(attributes[name]) for name in ("model", "at", "rename", "tied")},
         constraints=tuple(json.loads(attributes["constraints"])),

@@ -15,6 +15,7 @@ from greybox.result import Minimum, Multistart
 PHASE_LIMIT = 1.0  # degrees of Padé error over the fitted band
 FEW = 0.1  # share of agreeing starts below which the minimum is in doubt
 NEAR = 0.01  # relative distance of costs below which a second minimum is a rival
+CLOSE = 3.0  # negative log-likelihood: twenty times less likely
 NOISY = 0.1  # relative noise from which the bias of the measured normalization shows
 
 
@@ -26,7 +27,7 @@ def warnings(nlp: Nlp, search: Multistart, accuracy: Accuracy, pade_errors: list
         *_size(nlp),
         *_bounds(nlp, search.minima[0], accuracy),
         *(f"{limit} holds with equality: the errors take it as exact." for limit in accuracy.active),
-        *_agreement(search),
+        *_agreement(nlp, search),
         *_variants(search, accuracy),
         *_pade(nlp, pade_errors),
         *_noise(nlp, search.minima[0], accuracy),
@@ -74,7 +75,7 @@ def _unknown_constants(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
 
 
 def _size(nlp: Nlp) -> Iterator[str]:
-    numbers, unknowns = 2 * sum(len(part.data) for part in nlp.problem.parts), len(nlp.free)
+    numbers, unknowns = sum(part.numbers for part in nlp.problem.parts), len(nlp.free)
     if numbers <= unknowns:
         yield f"{numbers} real numbers of data for {unknowns} unknowns leave nothing to judge the errors by: add data."
 
@@ -90,7 +91,7 @@ def _bounds(nlp: Nlp, best: Minimum, accuracy: Accuracy) -> Iterator[str]:
         )
 
 
-def _agreement(search: Multistart) -> Iterator[str]:
+def _agreement(nlp: Nlp, search: Multistart) -> Iterator[str]:
     runs, best = search.runs, search.minima[0]
     agreeing = len(best.runs)
     if len(runs) == 1:
@@ -101,6 +102,12 @@ def _agreement(search: Multistart) -> Iterator[str]:
         )
     if search.converged < 0.5 * len(runs):
         yield f"only {search.converged} of {len(runs)} runs converged ({search.failures})."
+    if nlp.records:
+        rivals = [m for m in search.minima[1:] if m.cost <= best.cost + CLOSE]
+        if rivals:
+            excess = rivals[0].cost - best.cost
+            yield f"another minimum with a different response is only exp({excess:.2g}) times less likely."
+        return
     rivals = [m for m in search.minima[1:] if 0 < m.cost <= best.cost * (1 + NEAR)]
     if rivals:
         excess = 100 * (rivals[0].cost / best.cost - 1)
@@ -135,12 +142,12 @@ def _noise(nlp: Nlp, best: Minimum, accuracy: Accuracy) -> Iterator[str]:
                 f"is about {100 * abs(bias):.0f} % too {'low' if bias < 0 else 'high'}; "
                 f"compare with normalized='{other}', which errs to the other side."
             )
-        if part.criterion.known_noise:
+        if part in nlp.responding and part.criterion.known_noise:
             yield from _misfit(part, nlp, best.estimate)
 
 
 def _misfit(part: Problem, nlp: Nlp, x: NDArray[np.float64]) -> Iterator[str]:
-    position = nlp.problem.parts.index(part)
+    position = nlp.responding.index(part)
     ratio = float(np.asarray(nlp.cost(nlp.all_values(x)))[position, 0]) / max(len(part.data) - len(nlp.free) / 2, 0.5)
     if not 0.4 <= ratio <= 2.5:
         yield (

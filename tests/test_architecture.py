@@ -14,10 +14,11 @@ ORDER = """
 table atomic parameter record frequency_response sealed response_file
 readers signals segment segments fourier spectra excitation multisine quality
 symbolic model trace controller trim elimination linear dynamics virtual_flight criterion
-sine harmonic problem
-nlp levy starts solve result multistart
+sine harmonic output_error problem
+integrator transcription experiment noise shooting chain record_part
+nlp levy starts solve small_qp gauss_newton result multistart
 smoothing equations regression regressors projection equation_error
-accuracy words reference answer quantities store fit
+residuals record_accuracy accuracy words reference answer fitted_record quantities store fit
 page nyquist plotting traces shelf command list_command log_commands cli __main__
 """.split()
 

@@ -1,0 +1,178 @@
+"""A record as the estimators in time see it: gapless stretches of samples, cut into segments of equal length.
+
+Every sample carries its input over the coming step as three neighboring samples (windows) of the measured input, from
+which `input_over_step` makes mean and slope of the delayed input: polynomials of the fraction of the delay, so that
+the cost is continuously differentiable in a delay that is estimated, for interpolated inputs.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.record import Record
+
+Array = NDArray[np.float64]
+JITTER = 0.05  # of a step: irregular sampling up to which a stretch counts as uniform
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Uniform samples without a gap: inputs (m, n), outputs (k, n) with NaN where missing, step in s.
+
+    `first` is the index of its first sample in the record.
+    """
+
+    inputs: Array
+    outputs: Array
+    first: int
+    step: float
+
+    def __len__(self) -> int:
+        return self.inputs.shape[1]
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """All stretches of a record, samples one after the other, in segments of `segment` samples.
+
+    The last segment of a stretch is filled up with samples without outputs. `first` (s,) tells which segments begin a
+    stretch, `coupled` (s,) which are followed by another of the same stretch.
+    """
+
+    stretches: tuple[Stretch, ...]
+    outputs: tuple[str, ...]
+    segment: int
+
+    @property
+    def counts(self) -> list[int]:
+        """Number of segments of every stretch."""
+        return [math.ceil(len(stretch) / self.segment) for stretch in self.stretches]
+
+    @property
+    def segments(self) -> int:
+        """Number of segments."""
+        return sum(self.counts)
+
+    @property
+    def first(self) -> NDArray[np.bool_]:
+        """Which segments begin a stretch."""
+        return np.concatenate([np.arange(count) == 0 for count in self.counts])
+
+    @property
+    def coupled(self) -> NDArray[np.bool_]:
+        """Which segments are followed by another of the same stretch."""
+        return np.concatenate([np.arange(count) < count - 1 for count in self.counts])
+
+    def padded(self, values: list[Array], fill: float) -> Array:
+        """Join one array (r, n) per stretch, every stretch filled up to whole segments: (r, samples)."""
+        joined = []
+        for value, count in zip(values, self.counts, strict=True):
+            rest = count * self.segment - value.shape[1]
+            joined.append(np.pad(value, ((0, 0), (0, rest)), constant_values=fill))
+        return np.concatenate(joined, axis=1)
+
+    def unpadded(self, values: Array) -> list[Array]:
+        """Cut (r, samples) into the samples of every stretch."""
+        ends = np.cumsum([count * self.segment for count in self.counts])[:-1]
+        parts = np.split(values, ends, axis=-1)
+        return [part[..., : len(stretch)] for part, stretch in zip(parts, self.stretches, strict=True)]
+
+    @property
+    def measured(self) -> Array:
+        """Measured outputs (k, samples), NaN where there is none."""
+        return self.padded([stretch.outputs for stretch in self.stretches], np.nan)
+
+    @property
+    def steps(self) -> Array:
+        """The step of every sample, (1, samples), s."""
+        return np.repeat([s.step for s in self.stretches], [c * self.segment for c in self.counts])[None]
+
+    def windows(self, delays: Array) -> tuple[Array, Array]:
+        """Return the whole samples of the delays (m, samples), and the inputs around them (3 m, samples).
+
+        Before its first sample an input is taken to have had that value, after its last one to keep it.
+        """
+        whole, around = [], []
+        for stretch in self.stretches:
+            shift = np.floor(delays / stretch.step + 1e-9)
+            shift = np.clip(shift, -len(stretch), len(stretch))
+            at = np.arange(len(stretch)) - shift[:, None].astype(int)
+            places = np.clip(at[:, None, :] + np.array([-1, 0, 1])[:, None], 0, len(stretch) - 1)
+            values = np.take_along_axis(stretch.inputs[:, None, :], places.astype(int), axis=2)
+            around.append(values.reshape(-1, len(stretch)))
+            whole.append(np.broadcast_to(shift[:, None], (len(shift), len(stretch))))
+        return self.padded(whole, 0.0), self.padded(around, 0.0)
+
+
+def experiment(
+    record: Record, inputs: tuple[str, ...], outputs: tuple[str, ...], *, lead: float, segment: int, complete: bool
+) -> Experiment:
+    """Cut a record into stretches and these into segments.
+
+    The first `lead` seconds of a stretch give the delayed inputs their past and are not compared. With `complete`, a
+    sample counts only where all outputs are there.
+
+    Raises
+    ------
+    ValueError
+        If the record is too short, not uniformly sampled, or an input never moves.
+    """
+    names = ", ".join(inputs)
+    if inputs and all(_is_constant(record[name]) for name in inputs):
+        raise ValueError(f"the inputs of the record never move ({names}): nothing can be estimated from it.")
+    stretches, before = [], 0
+    for piece in record.pieces:
+        u = np.array([piece[name] for name in inputs]).reshape(len(inputs), len(piece))
+        y = np.array([piece[name] for name in outputs])
+        y = np.where(np.all(np.isfinite(y), axis=0), y, np.nan) if complete else y
+        whole = np.all(np.isfinite(u), axis=0)
+        for rows in np.split(np.arange(len(piece)), np.flatnonzero(np.diff(whole.astype(int))) + 1):
+            if whole[rows[0]] and rows.size > 1:
+                stretches.append(_stretch(piece.time[rows], u[:, rows], y[:, rows], before + int(rows[0]), lead))
+        before += len(piece)
+    usable = tuple(s for s in stretches if np.isfinite(s.outputs).any() and len(s) > 2)
+    if not usable:
+        longest = max((len(s) * s.step for s in stretches), default=0.0)
+        raise ValueError(
+            f"the record {record.name!r} has no usable stretch: its longest without a gap lasts {longest:.3g} s, of "
+            f"which the longest delay in the bounds takes {lead:.3g} s; give a longer record or a smaller upper bound."
+        )
+    return Experiment(usable, outputs, segment)
+
+
+def _is_constant(values: Array) -> bool:
+    there = values[np.isfinite(values)]
+    return there.size == 0 or there.min() == there.max()
+
+
+def _stretch(time: Array, inputs: Array, outputs: Array, first: int, lead: float) -> Stretch:
+    step = float((time[-1] - time[0]) / (time.size - 1))
+    off = np.abs(time - time[0] - step * np.arange(time.size)).max() / step
+    if off > 1 or np.abs(np.diff(time) / step - 1).max() > JITTER + 1:
+        raise ValueError(
+            f"the samples near {time[0]:g} s are not uniform (off by {off:.2g} steps): "
+            "bring them to one rate first, gb.prepare(..., rate=...)."
+        )
+    masked = outputs.copy()
+    masked[:, : math.ceil(lead / step)] = np.nan
+    return Stretch(inputs, masked, first, step)
+
+
+def input_over_step(window: Any, fraction: Any, held: bool) -> tuple[Any, Any, Any]:
+    """Return mean and change over the coming step, and the value at the sample, of inputs delayed by a fraction.
+
+    `window` (3,) holds the samples before, at and after the delayed sample; `fraction` of a step is what the delay
+    exceeds whole samples by. Mean and change (the slope of the best line) match the moments of the delayed
+    input over the step.
+    """
+    a, b, c = window[0], window[1], window[2]
+    f, r = fraction, 1 - fraction
+    now = f * a + r * b
+    if held:
+        return now, 6 * f * r * (b - a), now
+    before, after = f**2 / 2, r**2 / 2
+    early, late = 2 * f**3 - 3 * f**2, 3 * r**2 - 2 * r**3
+    return before * a + (1 - before - after) * b + after * c, early * a - (early + late) * b + late * c, now

@@ -1,0 +1,74 @@
+"""The plain values that an answer keeps of a record and of what was asked of it."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.answer import FittedRecord
+from greybox.gauss_newton import Profile
+from greybox.model import equation
+from greybox.nlp import Nlp
+from greybox.problem import Problem
+from greybox.record import Record
+from greybox.record_part import RecordPart
+from greybox.reference import reference, source_text
+
+
+def stated(part: Problem) -> dict[str, Any]:
+    """Return what a fitted part says about its problem, whatever the data."""
+    return {
+        "name": part.name,
+        "criterion": repr(part.criterion),
+        "rule": part.criterion.description,
+        "condition": part.criterion.condition,
+        "delay": part.delay,
+        "weight": part.weight,
+        "rename": dict(part.rename),
+        "tied": {name: source_text(tie) for name, tie in part.tied.items()},
+        "constraints": tuple(source_text(constraint) for constraint in part.constraints),
+        "model": reference(part.model),
+        "label": part.model.label,
+        "equation": equation(part.model),
+    }
+
+
+def fitted_record(nlp: Nlp, part: Problem, profile: Profile | None) -> FittedRecord:
+    """Return the record of a problem with the outputs at the states of `profile`; NaN without one."""
+    k = next(i for i, record in enumerate(nlp.records) if record.part is part)
+    record = nlp.records[k]
+    nodes = profile.nodes[k] if profile else np.full((record.experiment.segments, record.states), np.nan)
+    outputs = _simulated(record, nodes, profile.places[k].q, profile.places[k].data) if profile else None
+    data = record.record
+    used = [*record.system.inputs, *record.outputs]
+    kept = Record(
+        data.time,
+        {name: data[name] for name in used},
+        units={name: data.units[name] for name in used if name in data.units},
+        name=data.name,
+        source=data.source,
+        checksum=data.checksum,
+    )
+    signals = {name: np.full(len(data), np.nan) for name in record.outputs}
+    if outputs is not None:
+        for stretch, values in zip(record.experiment.stretches, record.experiment.unpadded(outputs), strict=True):
+            rows = stretch.first + np.arange(len(stretch))
+            for name, row in zip(record.outputs, values, strict=True):
+                signals[name][rows] = row
+    count = len(record.outputs)
+    noise = record.noise.covariance(profile.products[k]) if profile else np.full((count, count), np.nan)
+    return FittedRecord(
+        **stated(part),
+        data=kept,
+        simulated=Record(data.time, signals, units=kept.units, name=part.model.label),
+        outputs=record.outputs,
+        noise=noise,
+        initial={name: nodes[record.first, i].copy() for i, name in enumerate(record.system.states)},
+        method=record.words,
+    )
+
+
+def _simulated(
+    record: RecordPart, nodes: NDArray[np.float64], q: NDArray[np.float64], data: Any
+) -> NDArray[np.float64]:
+    return record.shooting.simulate(nodes, q, data)[1]

@@ -1,0 +1,63 @@
+"""The covariance of the residuals in time: given, or estimated with the parameters by maximum likelihood."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.output_error import TimeCriterion
+
+Array = NDArray[np.float64]
+FLOOR = 1e-9  # of a signal's own spread: residuals below are rounding
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """How residual products (k, k), summed over `counts` (k,) samples, become a cost and weights.
+
+    The cost is the negative logarithm of the likelihood of normal errors. With an estimated covariance it is that of
+    the concentrated likelihood, n/2 log det R + constant, R the covariance of the residuals.
+    """
+
+    counts: NDArray[np.integer]
+    spread: Array
+    known: Array | None
+    full: bool
+
+    def covariance(self, products: Array) -> Array:
+        """Return the covariance (k, k) that goes with these products."""
+        if self.known is not None:
+            return np.diag(self.known**2)
+        floor = (FLOOR * self.spread) ** 2
+        count = np.maximum(self.counts, 1)
+        if not self.full:
+            return np.diag(np.maximum(np.diag(products) / count, floor))
+        return products / count.max() + np.diag(floor)
+
+    def cost(self, products: Array) -> float:
+        """Return the negative log-likelihood; infinite where the products are not finite."""
+        if not np.all(np.isfinite(products)):
+            return math.inf
+        covariance = self.covariance(products)
+        if self.full and self.known is None:
+            logarithm = float(np.linalg.slogdet(covariance)[1]) * self.counts.max() / 2
+            return logarithm + self.counts.sum() / 2 * (math.log(2 * math.pi) + 1)
+        variance = np.diag(covariance)
+        squares = np.diag(products) / variance if self.known is not None else self.counts
+        return float(0.5 * np.sum(squares + self.counts * np.log(2 * math.pi * variance)))
+
+    def weight(self, products: Array) -> Array:
+        """Return W (k, k) with WᵀW the inverse of the covariance."""
+        return np.linalg.inv(np.linalg.cholesky(self.covariance(products)))
+
+
+def noise_of(criterion: TimeCriterion, outputs: tuple[str, ...], measured: Array) -> Noise:
+    """Read the criterion's option for the outputs (k, samples) that are compared."""
+    present = np.isfinite(measured)
+    spread = np.array([np.std(row[there]) for row, there in zip(measured, present, strict=True)])
+    known = None
+    if isinstance(criterion.noise, Mapping):
+        known = np.array([float(criterion.noise[name]) for name in outputs])
+    return Noise(present.sum(axis=1), np.where(spread > 0, spread, 1.0), known, criterion.noise == "full")

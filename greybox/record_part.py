@@ -1,0 +1,267 @@
+"""A problem whose data are a record, compiled for Gauss-Newton steps: node states eliminated, parameters left."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.chain import solve_chain
+from greybox.dynamics import Dynamics, dynamics
+from greybox.experiment import Experiment, experiment
+from greybox.integrator import Integrator
+from greybox.linear import delay_order
+from greybox.noise import Noise, noise_of
+from greybox.output_error import TimeCriterion
+from greybox.problem import Problem
+from greybox.record import Record
+from greybox.shooting import Blocks, SampleStep, Shooting, sample_step
+from greybox.transcription.multiple_shooting import MultipleShooting
+
+Array = NDArray[np.float64]
+RIDGE = 1e-10  # on node states relative to their curvature: what no output shows keeps its value
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """The part at one point of the solver: parameters q, their slope by the point, data, known initial states.
+
+    Attributes
+    ----------
+    q : (declared,) array
+    slope : (active, p) array
+    data : casadi.DM
+    initial, initial_slope : (n,) and (n, p) arrays
+        Known initial states; NaN where a state is unknown.
+    """
+
+    q: Array
+    slope: Array
+    data: Any
+    initial: Array
+    initial_slope: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Reduced:
+    """The Gauss-Newton system of a part with its nodes eliminated: they move by `step` + `follow` · dz.
+
+    Attributes
+    ----------
+    hessian, gradient : (p, p) and (p,) arrays
+    step, follow : (s, n) and (s, n, p) arrays
+    force, force_follow : (s, n) and (s, n, p) arrays
+        Multipliers of the continuity, likewise.
+    """
+
+    hessian: Array
+    gradient: Array
+    step: Array
+    follow: Array
+    force: Array
+    force_follow: Array
+
+
+class RecordPart:
+    """One record of a problem, with all functions that the estimators need."""
+
+    def __init__(self, part: Problem, expressions: Mapping[str, Any], z: ca.SX, method: MultipleShooting) -> None:
+        """Compile for the point z, of which `expressions` gives every parameter of the problem by outside name."""
+        assert isinstance(part.data, Record)
+        assert isinstance(part.criterion, TimeCriterion)
+        self.part, self.method = part, method
+        self.record: Record = part.data
+        self.criterion: TimeCriterion = part.criterion
+        self.system: Dynamics = dynamics(part.model, delay_order(part.delay))
+        self.outputs = self.criterion.compared(part.model, part.data)
+        self._locate(part, expressions, z)
+        substeps, segment = _chosen(part, self.system, method)
+        self.experiment: Experiment = experiment(
+            self.record,
+            self.system.inputs,
+            self.outputs,
+            lead=_longest_delay(part, self.system),
+            segment=segment,
+            complete=self.criterion.noise == "full",
+        )
+        self.substeps = substeps
+        self.step: SampleStep = self._step(method.integrator, substeps)
+        self.shooting = Shooting(self.step, self.experiment, self.active, method.compile)
+        self.noise: Noise = noise_of(self.criterion, self.outputs, self.experiment.measured)
+        self.first, self.coupled = self.experiment.first, self.experiment.coupled
+
+    def _step(self, integrator: Integrator, substeps: int) -> SampleStep:
+        return sample_step(self.system, self.criterion, self.outputs, tuple(self.part.declared), integrator, substeps)
+
+    def _locate(self, part: Problem, expressions: Mapping[str, Any], z: ca.SX) -> None:
+        local = part.local_values(expressions)
+        q = ca.vertcat(ca.SX(0, 1), *local.values())
+        slope = ca.jacobian(q, z)
+        self.active = np.array([i for i in range(q.numel()) if slope[i, :].nnz()], dtype=int)
+        p = q[: len(self.system.parameters)]
+        known = self.criterion.initial
+        given = [known.get(name, math.nan) for name in self.system.states]
+        initial = ca.vertcat(ca.SX(0, 1), *[value(local) if callable(value) else value for value in given])
+        self.known_states = np.array([name in known for name in self.system.states], dtype=bool)
+        self._at = ca.Function(
+            "locate",
+            [z],
+            [
+                q,
+                ca.densify(slope[self.active.tolist(), :]),
+                self.system.delay(p),
+                initial,
+                ca.densify(ca.jacobian(initial, z)),
+            ],
+        )
+
+    @property
+    def words(self) -> str:
+        """The method with what it chose."""
+        scheme = type(self.method.integrator).__name__
+        return f"multiple shooting, {self.experiment.segment} samples a segment, {scheme} {self.substeps} a sample"
+
+    @property
+    def states(self) -> int:
+        """Number of states."""
+        return len(self.system.states)
+
+    @property
+    def unknown_initial(self) -> int:
+        """Number of unknown initial states, of all stretches."""
+        return int(self.first.sum()) * int((~self.known_states).sum())
+
+    def place(self, z: Array) -> Place:
+        """Return the part at the point z (p,)."""
+        q, slope, delay, initial, by = (value.full() for value in self._at(z))
+        return Place(q.ravel(), slope, self.shooting.data(delay.ravel()), initial.ravel(), by)
+
+    def pinned(self, nodes: Array, place: Place) -> Array:
+        """Return the nodes with the known initial states in them."""
+        if not self.known_states.any():
+            return nodes
+        nodes = nodes.copy()
+        rows = np.ix_(self.first, self.known_states)
+        nodes[rows] = place.initial[self.known_states]
+        return nodes
+
+    def gaps(self, end: Array, nodes: Array) -> Array:
+        """Return by what the segments miss the next node, (s, n)."""
+        result = np.zeros_like(end)
+        result[:-1] = end[:-1] - nodes[1:]
+        result[~self.coupled] = 0
+        return result
+
+    def linearize(self, nodes: Array, place: Place, weight: Array) -> Blocks:
+        """Return the blocks with derivatives by z, known initial states eliminated."""
+        blocks = self.shooting.blocks(nodes, place.q, weight, place.data)
+        n, T = self.states, place.slope
+        H, g = blocks.hessian, blocks.gradient
+        mixed, own = H[:, :n, n:] @ T, T.T @ H[:, n:, n:] @ T
+        hessian = np.concatenate(
+            [
+                np.concatenate([H[:, :n, :n], mixed], axis=2),
+                np.concatenate([mixed.transpose(0, 2, 1), own], axis=2),
+            ],
+            axis=1,
+        )
+        gradient = np.concatenate([g[:, :n], g[:, n:] @ T], axis=1)
+        changed = Blocks(blocks.end, blocks.to_state, blocks.to_parameters @ T, hessian, gradient)
+        return self._without_known(changed, place) if self.known_states.any() else changed
+
+    def _without_known(self, b: Blocks, place: Place) -> Blocks:
+        """Let known initial states follow the parameters: x = x' + (dx/dz) dz, of which x' does not move."""
+        n, p = self.states, b.gradient.shape[1] - self.states
+        follow = np.where(self.known_states[:, None], place.initial_slope, 0.0)
+        change = np.eye(n + p)
+        change[:n, n:] = follow
+        H, g, A, B = b.hessian.copy(), b.gradient.copy(), b.to_state.copy(), b.to_parameters.copy()
+        at = np.flatnonzero(self.first)
+        H[at], g[at] = change.T @ H[at] @ change, g[at] @ change
+        B[at] = B[at] + A[at] @ follow
+        for i in np.flatnonzero(self.known_states):
+            H[at, i, :] = 0
+            H[at, :, i] = 0
+            H[at, i, i] = 1
+            g[at, i] = 0
+            A[at, :, i] = 0
+        return Blocks(b.end, A, B, H, g)
+
+    def reduce(self, blocks: Blocks, gaps: Array, soft: Array, frozen: bool = False) -> Reduced:
+        """Eliminate the nodes; `soft` (n,) is the variance by which continuity may be missed, `frozen` leaves z out."""
+        n = self.states
+        H, g, B = blocks.hessian, blocks.gradient, blocks.to_parameters
+        p = 0 if frozen else g.shape[1] - n
+        corner, mixed = H[:, :n, :n], H[:, :n, n : n + p]
+        ridge = RIDGE * np.mean(corner.diagonal(axis1=1, axis2=2), axis=0) + 1e-300
+        right = np.concatenate([-g[:, :n, None], -mixed], axis=2)
+        continuity = np.concatenate([-gaps[:, :, None], -B[:, :, :p]], axis=2)
+        x, force = solve_chain(corner + np.diag(ridge), blocks.to_state, self.coupled, right, continuity, soft)
+        B = np.where(self.coupled[:, None, None], B[:, :, :p], 0.0)
+        hessian = H[:, n : n + p, n : n + p].sum(axis=0)
+        hessian = hessian + np.tensordot(mixed, x[:, :, 1:], ((0, 1), (0, 1)))
+        hessian = hessian + np.tensordot(B, force[:, :, 1:], ((0, 1), (0, 1)))
+        gradient = g[:, n : n + p].sum(axis=0) + np.tensordot(mixed, x[:, :, 0], ((0, 1), (0, 1)))
+        gradient = gradient + np.tensordot(B, force[:, :, 0], ((0, 1), (0, 1)))
+        follow = x[:, :, 1:]
+        return Reduced((hessian + hessian.T) / 2, gradient, x[:, :, 0], follow, force[:, :, 0], force[:, :, 1:])
+
+    def moved(self, nodes: Array, reduced: Reduced, dz: Array, length: float) -> Array:
+        """Return the nodes after a step `dz` (p,), of which `length` is taken."""
+        return nodes + length * (reduced.step + reduced.follow @ dz)
+
+
+def _chosen(part: Problem, system: Dynamics, method: MultipleShooting) -> tuple[int, int]:
+    """Return substeps and samples per segment: what the method says, or what the poles over the start box ask for."""
+    assert isinstance(part.data, Record)
+    step = part.data.step
+    if method.integrator.substeps is not None and method.segment is not None:
+        return method.integrator.substeps, method.segment
+    poles = _poles(part, system)
+    fastest = float(np.quantile(np.abs(poles).max(axis=1), 0.75)) if poles.size else 0.0
+    growth = float(np.quantile(poles.real.max(axis=1), 0.75)) if poles.size else 0.0
+    substeps = method.integrator.substeps or int(np.clip(math.ceil(fastest * step / method.integrator.reach), 1, 20))
+    segment = method.segment or int(np.clip(2 / max(growth * step, 1e-12), 5, 10))
+    return substeps, segment
+
+
+def _poles(part: Problem, system: Dynamics) -> NDArray[np.complex128]:
+    """Return the poles (points, n) at rest, over points of the start box."""
+    n, m = len(system.states), len(system.inputs)
+    if not n:
+        return np.zeros((0, 0), dtype=complex)
+    x, u, p = ca.SX.sym("x", n), ca.SX.sym("u", m), ca.SX.sym("p", len(system.parameters))
+    jacobian = ca.Function("A", [x, u, p], [ca.densify(ca.jacobian(system.derivative(x, u, p), x))])
+    random = np.random.default_rng(0)
+    found = []
+    for k in range(33):
+        outside = {name: p.start if k == 0 else _drawn(p, random) for name, p in part.parameters.items()}
+        q = list(part.local_values(outside).values())[: len(system.parameters)]
+        matrix = jacobian(np.full(n, 1e-3), np.zeros(m), q).full()
+        if np.all(np.isfinite(matrix)):
+            found.append(np.linalg.eigvals(matrix))
+    return np.array(found)
+
+
+def _drawn(parameter: Any, random: np.random.Generator) -> float:
+    if parameter.fixed:
+        return parameter.start
+    low, high = np.clip(parameter.box, parameter.start - 1e6, parameter.start + 1e6)
+    if parameter.scale == "log":
+        return float(np.exp(random.uniform(math.log(low), math.log(high))))
+    return float(random.uniform(low, high))
+
+
+def _longest_delay(part: Problem, system: Dynamics) -> float:
+    """Return the longest delay within the bounds, s; what is unbounded counts with its start."""
+    if not system.delayed:
+        return 0.0
+    values: dict[str, float] = {}
+    for name, p in part.parameters.items():
+        high = p.bounds[1] if math.isfinite(p.bounds[1]) else max(p.box[1], p.start)
+        values[name] = p.start if p.fixed or not math.isfinite(high) else high
+    q = list(part.local_values(values).values())[: len(system.parameters)]
+    return float(np.max(system.delay(q).full(), initial=0.0))

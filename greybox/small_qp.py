@@ -1,0 +1,49 @@
+"""A small convex quadratic program, as every Gauss-Newton step has one for its parameters."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+FLOOR = 1e-13  # of the largest eigenvalue of the scaled Hessian: flatter directions do not move
+
+
+def solve_small_qp(hessian: Array, gradient: Array, normals: Array, limits: Array) -> Array:
+    """Minimize d·H·d/2 + g·d subject to normals·d >= limits, for H (p, p) positive semidefinite: (p,).
+
+    By the least distance problem as nonnegative least squares. Source: Lawson and Hanson (1974), Solving Least Squares
+    Problems, chapter 23. Where the limits contradict one another, the step that ignores them is returned.
+    """
+    from scipy.optimize import nnls  # noqa: PLC0415  (takes a fifth of a second to import)
+
+    p = len(gradient)
+    if p == 0:
+        return np.zeros(0)
+    diagonal = np.diag(hessian)
+    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    values, vectors = np.linalg.eigh(hessian * scale * scale[:, None])
+    seen = values > FLOOR * max(values.max(), 0.0)
+    roots = np.where(seen, np.sqrt(np.where(seen, values, 1.0)), 1.0)
+    # d = map · (y + free), y the unknown of the least distance problem.
+    mapping = scale[:, None] * vectors / roots
+    free = np.where(seen, -(mapping.T @ gradient), 0.0)
+    step = mapping @ free
+    missed = normals @ step < limits
+    if not missed.any():
+        return step
+    rows, wanted = normals @ mapping, limits - normals @ step
+    size = np.linalg.norm(rows, axis=1)
+    size = np.where(size > 0, size, 1.0)
+    rows, wanted = rows / size[:, None], wanted / size
+    reach = max(float(np.abs(wanted).max()), 1e-300)
+    system = np.vstack([rows.T, wanted / reach])
+    target = np.zeros(p + 1)
+    target[p] = 1.0
+    weights, _ = nnls(system, target, maxiter=50 * system.shape[1])
+    residual = system @ weights - target
+    if residual[p] > -1e-12:
+        return step
+    active = weights > 0
+    nearest = np.linalg.lstsq(rows[active], wanted[active])[0]  # the same once more without the loss of digits
+    if np.any(rows @ nearest < wanted - 1e-9 * reach):
+        nearest = -residual[:p] / residual[p] * reach
+    return mapping @ (free + nearest)
