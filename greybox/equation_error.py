@@ -21,7 +21,7 @@ from greybox.model import Model, TransferFunction, require_known
 from greybox.parameter import Parameter
 from greybox.projection import Projection, project
 from greybox.record import Record
-from greybox.regressors import Regressors, regressors
+from greybox.regressors import Regressors, memory, regressors
 from greybox.smoothing import regular
 from greybox.table import number, text_table, with_error
 
@@ -153,7 +153,13 @@ def equation_error(
     the derivative of a known state (``theta' = q``), or when it follows from a stable linear equation that known
     signals drive (a rotor lag), which is then solved. Equations with other states are left out. All terms of an
     equation pass the same low-pass filter, so that what smoothing takes from one side it takes from the other. Inputs
-    are interpolated between samples by cubic splines; a transfer function can be used when it has one pole only.
+    are interpolated between samples by cubic splines, so that a control that is held shows half a period more delay. A
+    transfer function can be used when it has one pole only.
+
+    Noise in the states biases the estimate; `EquationError.bias` says how far, but not what a controller adds that
+    feeds the noise back to an input. An equation with a state that is solved from its own target (`nu` from `r` in
+    `greybox.models.yaw.YawStates`) may at high noise explain the target by itself: its parameters then run to their
+    bounds.
 
     Parameters
     ----------
@@ -192,6 +198,11 @@ def equation_error(
     band = None if cutoff is None else 2 * math.pi * cutoff
     data = regressors(equations, names, record, start, latest, band=band)
     found = project(data, unknown, start)
+    if memory(equations, names, found.vector) > 1.1 * memory(equations, names, start):
+        settled = regressors(equations, names, record, found.vector, latest, data.cutoffs, band)
+        if settled.blocks(found.vector):  # else the record is too short to leave out more
+            data, start = settled, found.vector
+            found = project(data, unknown, start)
     bias = _bias(data, found, record, start, latest, band)
     return _answer(f"{model.label}, {record.name or 'record'}", data, found, bias, parameters, resting)
 

@@ -9,6 +9,9 @@ import numpy as np
 
 from greybox.dynamics import Dynamics
 
+Way = tuple[str, ca.SX, Literal["signal", "derivative"]]
+"""A source, the row of the model that it equals, and whether it is a signal or the derivative of a state."""
+
 TRIALS = 20  # random points at which a row must be affine
 
 
@@ -156,8 +159,8 @@ class _Analysis:
             pass
 
     def _one_more(self) -> bool:
-        outputs = [(n, self.h[k], "signal") for k, n in enumerate(self.model.outputs) if n in self.signals]
-        known = [(n, self.f[self.model.states.index(n)], "derivative") for n in self.states]
+        outputs: list[Way] = [(n, self.h[k], "signal") for k, n in enumerate(self.model.outputs) if n in self.signals]
+        known: list[Way] = [(n, self.f[self.model.states.index(n)], "derivative") for n in self.states]
         for source, row, how in (*outputs, *known):
             for k, name in enumerate(self.model.states):
                 if self._unknown(row) != {name} or self._inputs(row) or self._own_parameters(row):

@@ -53,6 +53,11 @@ class Projection:
     unknowns: Array = field(repr=False)
     weights: Array = field(repr=False)
 
+    @property
+    def vector(self) -> Array:
+        """All free parameters, those that enter linearly at their start."""
+        return self.search.vector(self.point)
+
     def step(self, data: Regressors) -> Array:
         """Return the Gauss-Newton step (k,) that other data of the same equations ask for from here."""
         search = self.search.on(data)
@@ -104,12 +109,16 @@ class _Search:
     def blocks(self, point: Array) -> list[Block]:
         """Return the regressions at the nonlinear values `point`, in their own units."""
         if point.tobytes() not in self.last:
-            p = self.start.copy()
-            for name, value in zip(self.nonlinear, point, strict=True):
-                p[self.data.equations.free.index(name)] = value
             self.last.clear()
-            self.last[point.tobytes()] = self.data.blocks(p)
+            self.last[point.tobytes()] = self.data.blocks(self.vector(point))
         return self.last[point.tobytes()]
+
+    def vector(self, point: Array) -> Array:
+        """Return all free parameters, the linear ones at their start."""
+        p = self.start.copy()
+        for name, value in zip(self.nonlinear, point, strict=True):
+            p[self.data.equations.free.index(name)] = value
+        return p
 
     def full(self, point: Array, unknowns: Array) -> list[Block]:
         """Return the regressions with the slopes to the nonlinear unknowns behind the others, by differences."""

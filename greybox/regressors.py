@@ -182,7 +182,7 @@ def regressors(
     splines = _splines(time, inputs, equations.delayed)
     bands = [SHARE * min((used[s] for s in e.signals), default=math.inf) for e in equations.equations]
     bands = [b if band is None else min(b, band) for b in bands]
-    lateness = max(latest, default=0.0) + _memory(equations, names, p)
+    lateness = max(latest, default=0.0) + memory(equations, names, p)
     return Regressors(
         equations, names, time, states, derivatives, inputs, outputs, used, noise, tuple(bands), lateness, splines
     )
@@ -214,7 +214,7 @@ def _derivative(time: Array, values: Array) -> Array:
     return result
 
 
-def _memory(equations: Equations, names: tuple[tuple[str, ...], tuple[str, ...]], p: Array) -> float:
+def memory(equations: Equations, names: tuple[tuple[str, ...], tuple[str, ...]], p: Array) -> float:
     """Return how long simulated states remember where they began, s."""
     if not equations.simulated_names:
         return 0.0

@@ -222,9 +222,8 @@ def _sines(values: Array, step: float) -> tuple[Array, Array]:
 
     n = len(values)
     inside = (values - np.linspace(values[0], values[-1], n))[1:-1]
-    return np.asarray(dst(inside, type=1, norm="ortho", axis=0), dtype=float), np.pi * np.arange(1, n - 1) / (
-        (n - 1) * step
-    )
+    omega = np.arange(1, n - 1, dtype=np.float64) * (math.pi / ((n - 1) * step))
+    return np.asarray(dst(inside, type=1, norm="ortho", axis=0), dtype=np.float64), omega
 
 
 def _weight(omega: Array, cutoff: float) -> Array:
