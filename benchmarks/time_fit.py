@@ -280,7 +280,7 @@ def growth(bench: Bench, cases: Sequence[str], sizes: Sequence[int], rounds: int
     agreed = True
     times: dict[str, dict[int, float]] = {case: {} for case in cases}
     for samples in sizes:
-        found = speed(bench, cases, samples, rounds if samples < SIZES[-1] else 1)
+        found = speed(bench, cases, samples, min(rounds, {SIZES[1]: 2, SIZES[2]: 1}.get(samples, rounds)))
         agreed &= same_minimum(bench, found, samples)
         for case, answers in found.items():
             times[case][samples] = statistics.median(answer["seconds"] for answer in answers)
