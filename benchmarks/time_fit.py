@@ -89,7 +89,7 @@ def greybox_case(flight: Flight, options: dict[str, Any]) -> dict[str, Any]:
     problem = gb.Problem(FastTilt(), record, criterion=gb.OutputError(noise=NOISE, inputs="held"))
     method = gb.MultipleShooting(segment=SEGMENT, **({"compile": True} if options.get("compile") else {}))
     one = [dict(zip(NAMES, START.tolist(), strict=True))]
-    fit = gb.fit(problem, starts=options.get("starts") or one, seed=0, method=method, progress=False)
+    fit = gb.fit(problem, starts=options.get("starts") or one, method=method, progress=False)
     seconds = time.perf_counter() - began
     return {
         "seconds": seconds,
