@@ -1,0 +1,31 @@
+"""Pitch angle in hover at the amplitude of the test sines, with quadratic drag: Table 3.1 and (4.23).
+
+Flown: as in `pitch_hover`.
+
+Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 4.2.
+
+Linearized in hover, (4.23) has no drag, and C_x does not show. At the amplitude of the setpoint sines (3.14) it does:
+C_x = 0.25 ± 0.12 1/m, and the cost falls to 0.493 from 0.558 without drag, where the linear drag of (4.24) with a
+free a5 gets to 0.513. The paper prints the amplitude of 3° for the test at 5° only; that in hover is taken to be the
+same. The data see the product of C_x and the amplitude, so C_x is as wrong as that is.
+
+One harmonic is enough: three change C_x by 0.1 % and the cost by 0.0005.
+"""
+
+import math
+
+import greybox as gb
+from greybox.models.tilt import NonlinearTilt
+from greybox.problems import pitch_hover
+
+minimum = 0.492796  # 293 of 300 starts
+settings = {"starts": 100, "seed": 0}
+
+
+def data():
+    return pitch_hover.data()
+
+
+def problem():
+    sine = gb.Sine("theta", math.radians(3), harmonics=1)
+    return gb.Problem(NonlinearTilt(), data(), amplitude=sine, name="pitch hover, finite amplitude")
