@@ -54,7 +54,7 @@ def costs(starts=50):
 
 def comparison(starts=50):
     """Return the same as text: how far one set of parameters explains both tables."""
-    rows = list(costs(starts).items())
-    rows.append(("both", tuple(sum(pair) for pair in zip(*(pair for _, pair in rows), strict=True))))
-    cells = [[name, number(alone), number(joint), f"{joint / alone:.1f}"] for name, (alone, joint) in rows]
+    found = costs(starts)
+    found["both"] = (sum(alone for alone, _ in found.values()), sum(joint for _, joint in found.values()))
+    cells = [[name, number(alone), number(joint), f"{joint / alone:.1f}"] for name, (alone, joint) in found.items()]
     return text_table(["table", "cost alone", "cost jointly", "ratio"], cells, left=(0,))

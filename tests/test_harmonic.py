@@ -312,6 +312,12 @@ def test_a_transfer_function_has_no_amplitude():
         respond({"theta": 0.1}, Tilt())
 
 
+def test_a_record_has_no_amplitude():
+    record = gb.Record(np.arange(5) / 10, {"u": np.zeros(5), "theta": np.zeros(5)})
+    with pytest.raises(ValueError, match="amplitude belongs to a frequency response"):
+        gb.Problem(NonlinearTilt(), record, amplitude={"theta": 0.1})
+
+
 def test_a_signal_that_the_input_does_not_drive_is_said():
     class Apart(NonlinearTilt):
         states = ("v", "q", "theta", "rotor", "alone")

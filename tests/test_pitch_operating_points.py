@@ -31,7 +31,7 @@ def test_together_they_cost_what_the_docstring_says(costs):
 
 
 def test_the_comparison_prints_both_tables(costs, monkeypatch):
-    monkeypatch.setattr(pitch_operating_points, "costs", lambda starts: costs)
+    monkeypatch.setattr(pitch_operating_points, "costs", lambda starts: dict(costs))
     text = pitch_operating_points.comparison()
     assert [line.split()[-1] for line in text.splitlines()[-3:]] == ["8.5", "2.1", "5.0"]
 
