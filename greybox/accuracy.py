@@ -88,6 +88,8 @@ class Accuracy:
         Constraints, and bounds of tied parameters, that hold with equality.
     noise : (parts,) array
         The standard deviation of one component of the relative error, of every part.
+    white : (p, p) array or None
+        The covariance of the free parameters if the cost were the likelihood of white errors: the inverse bread.
     """
 
     names: tuple[str, ...]
@@ -100,6 +102,7 @@ class Accuracy:
     at_bound: tuple[str, ...]
     active: tuple[str, ...]
     noise: NDArray[np.float64]
+    white: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +134,7 @@ def assess(nlp: Nlp, x: NDArray[np.float64], profile: Profile | None = None) -> 
     unit = np.nan_to_num(jacobian * size)
     seen, blind = _directions(unit, active * size, [nlp.free.index(name) for name in at_bound])
     dof = sum(part.numbers for part in parts) - seen.shape[1]
-    covariance, contributions = np.full((k, k), np.nan), ()
+    covariance, contributions, inverse = np.full((k, k), np.nan), (), None
     size = np.concatenate([size, np.ones(k - p)])
     blind = np.vstack([blind, np.zeros((k - p, blind.shape[1]))])
     if dof > 0 and all(np.all(np.isfinite(share.bread)) for share in shares):
@@ -147,18 +150,18 @@ def assess(nlp: Nlp, x: NDArray[np.float64], profile: Profile | None = None) -> 
         for c in _combinations(unit, active * size[:p], nlp.free, at_bound)
         if math.isinf(c.index) or _is_loose(c, nlp, covariance, x)
     )
-    known_noise = all(part.criterion.known_noise for part in nlp.problem.parts)
     return Accuracy(
         names=nlp.names,
         covariance=covariance,
         blind=blind,
         size=size,
-        dof=math.inf if known_noise else float(max(dof, 0)),
+        dof=math.inf if all(part.criterion.known_noise for part in nlp.problem.parts) else float(max(dof, 0)),
         shares=contributions,
         combinations=combinations,
         at_bound=at_bound,
         active=holding,
         noise=np.array([{id(p.part): p.noise for p in parts}[id(part)] for part in nlp.problem.parts]),
+        white=inverse,
     )
 
 

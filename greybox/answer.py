@@ -124,6 +124,14 @@ class FittedRecord(FittedPart):
         The states at the first sample of every gapless stretch.
     method : str
         Transcription and integrator, with what they chose.
+    inputs : "linear" or "held"
+        How the inputs ran between their samples.
+    biases : tuple of str
+        Signals whose constant error was estimated, as the parameter ``<name>_bias``.
+    gains : tuple of (state, output)
+        Of the innovations, as parameters ``K_<state>_<output>``; empty for output error.
+    nuisances : int
+        Initial states, and variances and covariances of the noise, that were estimated along.
     """
 
     data: Record
@@ -132,6 +140,10 @@ class FittedRecord(FittedPart):
     noise: NDArray[np.float64]
     initial: Mapping[str, NDArray[np.float64]]
     method: str
+    inputs: Literal["linear", "held"] = "linear"
+    biases: tuple[str, ...] = ()
+    gains: tuple[tuple[str, str], ...] = ()
+    nuisances: int = 0
 
     def residual(self, output: str) -> NDArray[np.float64]:
         """Return measured less fitted values of an output, (n,)."""
@@ -167,6 +179,8 @@ class Fit:
         The criterion minimized, without smoothing; NaN when no start converged.
     costs : mapping of str to float
         The value of every criterion at the estimate; NaN where the data do not hold what it needs.
+    white : (p, p) array or None
+        What the covariance of the free parameters would be if the cost were the likelihood of white errors.
     """
 
     name: str
@@ -186,6 +200,7 @@ class Fit:
     seconds: float
     versions: Mapping[str, str]
     models: tuple[Model, ...] | None = field(default=None, repr=False)
+    white: NDArray[np.float64] | None = field(default=None, repr=False)
 
     @property
     def responses(self) -> tuple[FittedResponse, ...]:

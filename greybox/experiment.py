@@ -123,16 +123,7 @@ def experiment(
     names = ", ".join(inputs)
     if inputs and all(_is_constant(record[name]) for name in inputs):
         raise ValueError(f"the inputs of the record never move ({names}): nothing can be estimated from it.")
-    stretches, before = [], 0
-    for piece in record.pieces:
-        u = np.array([piece[name] for name in inputs]).reshape(len(inputs), len(piece))
-        y = np.array([piece[name] for name in outputs])
-        y = np.where(np.all(np.isfinite(y), axis=0), y, np.nan) if complete else y
-        whole = np.all(np.isfinite(u), axis=0)
-        for rows in np.split(np.arange(len(piece)), np.flatnonzero(np.diff(whole.astype(int))) + 1):
-            if whole[rows[0]] and rows.size > 1:
-                stretches.append(_stretch(piece.time[rows], u[:, rows], y[:, rows], before + int(rows[0]), lead))
-        before += len(piece)
+    stretches = gapless(record, inputs, outputs, lead=lead, complete=complete)
     usable = tuple(s for s in stretches if np.isfinite(s.outputs).any() and len(s) > 2)
     if not usable:
         longest = max((len(s) * s.step for s in stretches), default=0.0)
@@ -141,6 +132,29 @@ def experiment(
             f"which the longest delay in the bounds takes {lead:.3g} s; give a longer record or a smaller upper bound."
         )
     return Experiment(usable, outputs, segment)
+
+
+def gapless(
+    record: Record, inputs: tuple[str, ...], outputs: tuple[str, ...], *, lead: float = 0.0, complete: bool = False
+) -> list[Stretch]:
+    """Return the stretches of a record in which all inputs are there; outputs of the first `lead` seconds are left out.
+
+    Raises
+    ------
+    ValueError
+        If a stretch is not uniformly sampled.
+    """
+    stretches, before = [], 0
+    for piece in record.pieces:
+        u = np.array([piece[name] for name in inputs]).reshape(len(inputs), len(piece))
+        y = np.array([piece[name] for name in outputs]).reshape(len(outputs), len(piece))
+        y = np.where(np.all(np.isfinite(y), axis=0), y, np.nan) if complete else y
+        whole = np.all(np.isfinite(u), axis=0)
+        for rows in np.split(np.arange(len(piece)), np.flatnonzero(np.diff(whole.astype(int))) + 1):
+            if whole[rows[0]] and rows.size > 1:
+                stretches.append(_stretch(piece.time[rows], u[:, rows], y[:, rows], before + int(rows[0]), lead))
+        before += len(piece)
+    return stretches
 
 
 def _is_constant(values: Array) -> bool:

@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from greybox.accuracy import Accuracy, assess
 from greybox.answer import Fit, FittedResponse
-from greybox.criterion import CRITERIA, Criterion, evaluate
+from greybox.criterion import CRITERIA, evaluate
 from greybox.fitted_record import fitted_record, stated
 from greybox.frequency_response import FrequencyResponse
 from greybox.gauss_newton import GaussNewton
@@ -128,6 +128,7 @@ def assemble(nlp: Nlp, search: Multistart, *, seed: int | None, starts: str, beg
             "python": platform.python_version(),
         },
         models=tuple(part.model for part in problem.parts),
+        white=accuracy.white,
     )
 
 

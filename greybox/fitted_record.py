@@ -9,6 +9,7 @@ from greybox.answer import FittedRecord
 from greybox.gauss_newton import Profile
 from greybox.model import equation
 from greybox.nlp import Nlp
+from greybox.output_error import PredictionError
 from greybox.problem import Problem
 from greybox.record import Record
 from greybox.record_part import RecordPart
@@ -65,7 +66,24 @@ def fitted_record(nlp: Nlp, part: Problem, profile: Profile | None) -> FittedRec
         noise=noise,
         initial={name: nodes[record.first, i].copy() for i, name in enumerate(record.system.states)},
         method=record.words,
+        inputs=part.criterion.inputs,
+        biases=tuple(part.criterion.biases),
+        gains=_gains(part, record),
+        nuisances=record.unknown_initial + _noise_unknowns(record),
     )
+
+
+def _gains(part: Problem, record: RecordPart) -> tuple[tuple[str, str], ...]:
+    if not isinstance(part.criterion, PredictionError):
+        return ()
+    return tuple(part.criterion.gains(part.model, record.outputs))
+
+
+def _noise_unknowns(record: RecordPart) -> int:
+    count = len(record.outputs)
+    if record.noise.known is not None:
+        return 0
+    return count * (count + 1) // 2 if record.noise.full else count
 
 
 def _simulated(
