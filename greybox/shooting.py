@@ -78,7 +78,7 @@ def sample_step(
     rows = [system.outputs.index(name) for name in outputs]
     simulated = system.output(x, now, p)[rows] + ca.vertcat(*[bias.get(name, 0) for name in outputs])
     residual = present * (measured - simulated)
-    corrected = x
+    corrected = ca.SX(x)  # a copy: assignment to its entries below would change the symbol
     if isinstance(criterion, PredictionError):
         for state in system.states:
             for j, output in enumerate(outputs):
