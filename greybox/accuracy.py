@@ -306,7 +306,7 @@ def _record_jacobians(nlp: Nlp, x: NDArray[np.float64], profile: Profile | None)
             place, slope = record.place(values[columns]), np.ones(len(columns))
         else:
             place, slope = profile.places[k], _solver_slope(nlp.scaling, x)
-        found = information(record, profile.nodes[k], place, profile.products[k])
+        found = information(record, profile.paths[k], place)
         jacobian = np.zeros((len(found.jacobian), len(values)))
         jacobian[:, columns] = found.jacobian * slope
         meat = np.zeros((len(values), len(values)))

@@ -1,7 +1,8 @@
 """The linear algebra of multiple shooting: segments that hand their end state to the next one."""
 
-from typing import Any
+from functools import lru_cache
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,8 +15,8 @@ def solve_chain(
     """Solve the Karush-Kuhn-Tucker system of a chain of s segments with n states for r right-hand sides.
 
     H_j x_j + A_jᵀ λ_j - λ_(j-1) = stationarity_j and A_j x_j - x_(j+1) - P λ_j = continuity_j, with λ_j = 0 where
-    segment j is not `coupled` to the next. P = diag(soft) is zero for exact continuity. The unknowns in the order
-    x_0, λ_0, x_1, λ_1 ... make a band, which LAPACK factorizes with pivoting in a time linear in s.
+    segment j is not `coupled` to the next. P = diag(soft) is zero for exact continuity. Sparse QR in the
+    order x_0, λ_0, x_1, λ_1 ... takes a time linear in s.
 
     Parameters
     ----------
@@ -34,34 +35,64 @@ def solve_chain(
     numpy.linalg.LinAlgError
         If the system is singular.
     """
-    from scipy.linalg.lapack import dgbsv  # noqa: PLC0415  (takes a fifth of a second to import)
-
     s, n, r = stationarity.shape
     if n == 0:
         return np.zeros((s, 0, r)), np.zeros((s, 0, r))
-    width = 2 * n - 1
-    band = np.zeros((3 * width + 1, 2 * n * s), order="F")
-    center = 2 * width
-    on, link = coupled[:, None], -coupled[:-1].astype(float)
-    places = 2 * n * np.arange(s)
-
-    def fill(row: int, column: int, values: Any, blocks: slice = slice(None)) -> None:
-        """Put the entries of one place of the blocks, whose columns begin at `places`."""
-        band[center + row - column, places[blocks] + column] = values
-
-    transition = transition * on[..., None]
-    for i in range(n):
-        for k in range(n):
-            fill(i, k, hessian[:, i, k])
-            fill(n + i, k, transition[:, i, k])
-            fill(i, n + k, transition[:, k, i])
-        fill(n + i, n + i, np.where(coupled, -soft[i], 1.0))
-        if s > 1:
-            band[center + (n + i) - (2 * n + i), places[1:] + i] = link  # -x_(j+1) in the continuity of j
-            band[center + (2 * n + i) - (n + i), places[:-1] + n + i] = link  # -λ_j in the stationarity of j+1
-    right = np.concatenate([stationarity, np.where(on[..., None], continuity, 0.0)], axis=1).reshape(2 * n * s, r)
-    _, _, solution, info = dgbsv(width, width, band, right, overwrite_ab=1)
-    if info != 0 or not np.all(np.isfinite(solution)):
+    on = coupled[:, None, None]
+    transition = np.where(on, transition, 0.0)
+    link = np.where(coupled, -1.0, 0.0)
+    # Column by column: of x_k the row of λ before, H and A; of λ_k the rows of A, itself, and x after.
+    states = np.zeros((s, n, 2 * n + 1))
+    states[1:, :, 0] = link[:-1, None]
+    states[:, :, 1 : n + 1] = hessian.transpose(0, 2, 1)
+    states[:, :, n + 1 :] = transition.transpose(0, 2, 1)
+    forces = np.zeros((s, n, n + 2))
+    forces[:, :, :n] = transition
+    forces[:, :, n] = np.where(coupled[:, None], -soft, 1.0)
+    forces[:, :, n + 1] = link[:, None]
+    values = np.concatenate([states.reshape(s, -1), forces.reshape(s, -1)], axis=1).ravel()
+    right = np.concatenate([stationarity, np.where(on, continuity, 0.0)], axis=1).reshape(2 * n * s, r)
+    solver = _solver(s, n, r)
+    solution = solver(values[solver.inside], np.ascontiguousarray(right.T)).T
+    if not np.all(np.isfinite(solution)):
         raise np.linalg.LinAlgError("the segments do not determine their states.")
-    solution = np.asarray(solution).reshape(s, 2 * n, r)
+    solution = np.ascontiguousarray(solution).reshape(s, 2 * n, r)
     return solution[:, :n], solution[:, n:]
+
+
+class _Solver:
+    """Sparse QR for one pattern. `inside` tells which entries of the uniform blocks lie in the matrix."""
+
+    def __init__(self, s: int, n: int, r: int) -> None:
+        """Analyze the pattern of s blocks of n states, for r right-hand sides."""
+        local = np.arange(n)
+        of_states = np.concatenate([(local - n)[:, None], np.tile(np.arange(2 * n), (n, 1))], axis=1)
+        of_forces = np.concatenate([np.tile(local, (n, 1)), (n + local)[:, None], (2 * n + local)[:, None]], axis=1)
+        rows = np.concatenate([of_states.ravel(), of_forces.ravel()])
+        columns = np.concatenate([np.repeat(local, 2 * n + 1), np.repeat(n + local, n + 2)])
+        shift = 2 * n * np.arange(s)[:, None]
+        row, column = (rows + shift).ravel(), (columns + shift).ravel()
+        size = 2 * n * s
+        self.inside = (row >= 0) & (row < size)
+        starts = np.concatenate([[0], np.cumsum(np.bincount(column[self.inside], minlength=size))])
+        sparsity = ca.Sparsity(size, size, starts.tolist(), row[self.inside].tolist())
+        values, right = ca.MX.sym("values", sparsity.nnz()), ca.MX.sym("right", size, r)
+        solution = ca.solve(ca.MX(sparsity, values), right, "qr")
+        # A buffer hands over memory as it is; converting numpy arrays to CasADi's takes longer than the solution.
+        self._function = ca.Function("chain", [values, right], [solution])
+        self._buffer, self._evaluate = self._function.buffer()
+        self._shape = (r, size)
+
+    def __call__(self, values: Array, right: Array) -> Array:
+        """Return the solution (r, size) for the entries of the matrix and right-hand sides (r, size)."""
+        result = np.empty(self._shape)
+        self._buffer.set_arg(0, memoryview(values))
+        self._buffer.set_arg(1, memoryview(right))
+        self._buffer.set_res(0, memoryview(result))
+        self._evaluate()
+        return result
+
+
+@lru_cache(maxsize=8)
+def _solver(s: int, n: int, r: int) -> _Solver:
+    return _Solver(s, n, r)

@@ -66,6 +66,22 @@ class Experiment:
         """Which segments are followed by another of the same stretch."""
         return np.concatenate([np.arange(count) < count - 1 for count in self.counts])
 
+    def thinned(self, samples: int, pieces: int = 5) -> "Experiment":
+        """Return some stretches of about so many samples in all, evenly over these; all of them where they are few."""
+        total = sum(len(stretch) for stretch in self.stretches)
+        if total <= samples:
+            return self
+        kept = []
+        for stretch in self.stretches:
+            count = max(math.ceil(pieces * len(stretch) / total), 1)
+            length = min(max(samples // (count * len(self.stretches)), 2 * self.segment), len(stretch) // count)
+            for start in np.linspace(0, len(stretch) - length, count).astype(int):
+                some = slice(start, start + length)
+                kept.append(
+                    Stretch(stretch.inputs[:, some], stretch.outputs[:, some], stretch.first + start, stretch.step)
+                )
+        return Experiment(tuple(kept), self.outputs, self.segment)
+
     def padded(self, values: list[Array], fill: float) -> Array:
         """Join one array (r, n) per stretch, every stretch filled up to whole segments: (r, samples)."""
         joined = []

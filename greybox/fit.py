@@ -91,7 +91,7 @@ def assemble(nlp: Nlp, search: Multistart, *, seed: int | None, starts: str, beg
     """Turn what a multistart left into the answer; `began` is the clock reading when the work began."""
     problem = nlp.problem
     best = search.minima[0].estimate if search.minima else np.full(len(nlp.free), np.nan)
-    profile = GaussNewton(nlp).profile(best) if nlp.records and search.minima else None
+    profile = GaussNewton(nlp).profile(best, search.nodes) if nlp.records and search.minima else None
     accuracy = assess(nlp, best, profile) if search.minima else _nothing(nlp)
     estimate = dict(zip(nlp.names, nlp.all_values(best).tolist(), strict=True))
     local = [dict(part.local_values(estimate)) for part in problem.parts]

@@ -12,7 +12,7 @@ from greybox.nlp import Nlp
 from greybox.output_error import PredictionError
 from greybox.problem import Problem
 from greybox.record import Record
-from greybox.record_part import RecordPart
+from greybox.record_part import Path, Place, RecordPart
 from greybox.reference import reference, source_text
 
 
@@ -38,8 +38,8 @@ def fitted_record(nlp: Nlp, part: Problem, profile: Profile | None) -> FittedRec
     """Return the record of a problem with the outputs at the states of `profile`; NaN without one."""
     k = next(i for i, record in enumerate(nlp.records) if record.part is part)
     record = nlp.records[k]
-    nodes = profile.nodes[k] if profile else np.full((record.experiment.segments, record.states), np.nan)
-    outputs = _simulated(record, nodes, profile.places[k].q, profile.places[k].data) if profile else None
+    nodes = profile.paths[k].nodes if profile else np.full((record.experiment.segments, record.states), np.nan)
+    outputs = _simulated(record, profile.paths[k], profile.places[k]) if profile else None
     data = record.record
     used = [*record.system.inputs, *record.outputs]
     kept = Record(
@@ -57,7 +57,7 @@ def fitted_record(nlp: Nlp, part: Problem, profile: Profile | None) -> FittedRec
             for name, row in zip(record.outputs, values, strict=True):
                 signals[name][rows] = row
     count = len(record.outputs)
-    noise = record.noise.covariance(profile.products[k]) if profile else np.full((count, count), np.nan)
+    noise = record.noise.covariance(profile.paths[k].products) if profile else np.full((count, count), np.nan)
     return FittedRecord(
         **stated(part),
         data=kept,
@@ -86,7 +86,5 @@ def _noise_unknowns(record: RecordPart) -> int:
     return count * (count + 1) // 2 if record.noise.full else count
 
 
-def _simulated(
-    record: RecordPart, nodes: NDArray[np.float64], q: NDArray[np.float64], data: Any
-) -> NDArray[np.float64]:
-    return record.shooting.simulate(nodes, q, data)[1]
+def _simulated(record: RecordPart, path: Path, place: Place) -> NDArray[np.float64]:
+    return record.shooting.in_order(record.shooting.outputs(path.states, place.q, place.data))

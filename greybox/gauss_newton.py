@@ -3,63 +3,87 @@
 Every iteration linearizes all records at their nodes, eliminates the nodes and solves a small quadratic program for the
 parameters, within bounds and constraints. Far from the answer continuity is not demanded but weighted (the nodes stay
 close to the data, so that an unstable or wrong model does not run away), and then more and more until it holds exactly.
+Of a long record, some stretches lead to the neighborhood of the answer before all of it is used.
 """
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from greybox.nlp import Nlp
-from greybox.record_part import Place, RecordPart, Reduced
+from greybox.record_part import Path, Place, RecordPart, Reduced
+from greybox.shooting import Blocks
 from greybox.small_qp import solve_small_qp
 from greybox.solve import SMOOTHING, Outcome
 
 Array = NDArray[np.float64]
-SMOOTH = 0.1  # of a signal's spread: output error taken for the first estimate of the states
+SPREAD = 0.1  # of a signal's spread: the output error assumed until continuity holds
 STAGES = 4  # in which continuity is tightened, each by TIGHTEN in the standard deviation that it may be missed by
 TIGHTEN = 0.1
-LOOSE = 1.0  # first standard deviation of continuity, relative to the size of the states
-SETTLED = 0.1  # predicted relative decrease below which the next stage begins
+LOOSE = 3.0  # first standard deviation of continuity, relative to the size of the states
+SETTLED = 0.1  # relative: how well a step must keep its promise for the next stage to begin
 ITERATIONS = 100
-TOLERANCE = 1e-8  # predicted decrease, in units of the cost, or 1e-3 of it relative to the cost
+TOLERANCE = 1e-8  # predicted decrease of the cost, absolute, or 1e-3 of it relative
+LONG = 20000  # samples from which some stretches go before the whole record
 
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """Where an iteration stands: point z, nodes of every record, and what follows from them."""
+    """Where an iteration stands: point z, and place and path of every record."""
 
     z: Array
-    nodes: tuple[Array, ...]
     places: tuple[Place, ...]
-    gaps: tuple[Array, ...]
-    products: tuple[Array, ...]
-    finite: bool
+    paths: tuple[Path, ...]
+
+    @property
+    def finite(self) -> bool:
+        """True when nothing diverged."""
+        return all(path.finite for path in self.paths)
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """The best node states (s, n) of every record at given parameters, with the sums of residual products (k, k)."""
+    """The best states of every record at given parameters: those of the smallest cost with exact continuity."""
 
-    nodes: tuple[Array, ...]
     places: tuple[Place, ...]
-    products: tuple[Array, ...]
+    paths: tuple[Path, ...]
     cost: float
     converged: bool
+
+
+@dataclass(eq=False)
+class _Progress:
+    """What an iteration hands to the next: stage (-1: states alone), damping, multipliers, last predicted decrease."""
+
+    soft: list[Array]
+    force: list[Array]
+    stage: int = -1
+    damping: float = 0.0
+    last: float = math.nan
+
+    @property
+    def exact(self) -> bool:
+        """True when continuity is demanded."""
+        return self.stage >= STAGES
+
+    @property
+    def softness(self) -> list[Array]:
+        """The variances by which continuity may be missed now."""
+        return [np.zeros_like(s) if self.exact else s * TIGHTEN ** (2 * max(self.stage, 0)) for s in self.soft]
 
 
 class GaussNewton:
     """The solver of one compiled problem that has records."""
 
-    def __init__(self, nlp: Nlp) -> None:
-        """Build what every run shares."""
+    def __init__(self, nlp: Nlp, records: tuple[RecordPart, ...] | None = None) -> None:
+        """Build what every run shares; `records` stand in for those of the problem."""
         self._nlp = nlp
-        self._records: tuple[RecordPart, ...] = nlp.records
+        self._records: tuple[RecordPart, ...] = records or nlp.records
         self._weights = [part.part.weight for part in self._records]
         self._low, self._high = nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper)
         z, s = nlp.expressions["x"], nlp.expressions["p"]
@@ -67,136 +91,153 @@ class GaussNewton:
         self._smooth = ca.Function("f", [z, s], [f])
         self._curvature = ca.Function("curvature", [z, s], [*reversed(ca.hessian(f, z))])
         self._limits = ca.Function("limits", [z], [g, ca.densify(ca.jacobian(g, z))])
+        samples = sum(part.experiment.measured.shape[1] for part in self._records)
+        thinned = tuple(part.thinned(LONG // 2) for part in self._records) if samples > LONG else None
+        self._coarse = GaussNewton(nlp, thinned) if thinned and records is None else None
 
     def run(self, start: Array) -> Outcome:
         """Solve from the parameters `start` (p,)."""
         began = time.perf_counter()
         z = np.clip(self._nlp.scaling.to_solver(start), self._low, self._high)
+        iterations = 0
+        if self._coarse is not None:
+            first = self._coarse.run(start)
+            z, iterations = self._nlp.scaling.to_solver(first.estimate), first.iterations
         try:
-            point, status, iterations = self._descend(z, frozen=False)
+            point, status, last = self._descend(z, frozen=False, near=self._coarse is not None)
         except np.linalg.LinAlgError:
-            return Outcome(start, "singular", 0, time.perf_counter() - began, False, math.inf)
+            return Outcome(start, "singular", iterations, time.perf_counter() - began, False, math.inf)
         estimate = np.clip(self._nlp.scaling.to_parameters(point.z), self._nlp.lower, self._nlp.upper)
         cost = self._cost(point, smoothing=0.0)
         converged = status == "converged" and math.isfinite(cost)
-        return Outcome(estimate, status, iterations, time.perf_counter() - began, converged, cost, self._trace(point))
+        nodes = tuple(path.nodes for path in point.paths)
+        seconds = time.perf_counter() - began
+        return Outcome(estimate, status, iterations + last, seconds, converged, cost, self._trace(point), nodes)
 
-    def profile(self, x: Array) -> Profile:
-        """Return the best states at the parameters x (p,): those of the smallest cost with exact continuity."""
+    def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
+        """Return the best states at the parameters x (p,); `nodes`, if given, are known to be the best."""
         z = self._nlp.scaling.to_solver(x)
-        try:
-            point, status, _ = self._descend(z, frozen=True)
-        except np.linalg.LinAlgError:
-            nothing = tuple(np.full((part.experiment.segments, part.states), np.nan) for part in self._records)
-            point, status = self._point(z, nothing), "singular"
-        cost = self._cost(point, smoothing=0.0)
-        return Profile(point.nodes, point.places, point.products, cost, status == "converged")
+        status = "converged"
+        if nodes is not None:
+            point = self._point(z, nodes)
+        else:
+            try:
+                point, status, _ = self._descend(z, frozen=True)
+            except np.linalg.LinAlgError:
+                point, status = self._point(z, self._rest(math.nan)), "singular"
+        return Profile(point.places, point.paths, self._cost(point, smoothing=0.0), status == "converged")
+
+    def _rest(self, value: float) -> list[Array]:
+        return [np.full((part.experiment.segments, part.states), value) for part in self._records]
 
     def _trace(self, point: _Point) -> Array:
-        """Return simulated outputs in units of their residuals, thinned, by which runs are told apart."""
+        """Return simulated outputs in units of the measured ones' spread, thinned, by which runs are told apart."""
         rows = []
-        for part, nodes, place in zip(self._records, point.nodes, point.places, strict=True):
-            _, outputs = part.shooting.simulate(nodes, place.q, place.data)
-            thinned = outputs[:, :: max(outputs.shape[1] // 500, 1)]
-            rows.append((thinned / part.noise.spread[:, None]).ravel())
-        return np.concatenate(rows) if rows else np.zeros(0)
+        for part, path, place in zip(self._records, point.paths, point.places, strict=True):
+            step = max(place.data.shape[1] // 500, 1)
+            outputs = part.shooting.outputs(path.states[:, ::step], place.q, place.data[:, ::step])
+            rows.append((outputs / part.noise.spread[:, None]).ravel())
+        return np.concatenate(rows)
 
     def _point(self, z: Array, nodes: Sequence[Array]) -> _Point:
         places = tuple(part.place(z) for part in self._records)
-        pinned = tuple(part.pinned(n, place) for part, n, place in zip(self._records, nodes, places, strict=True))
-        ends, products = [], []
-        for part, n, place in zip(self._records, pinned, places, strict=True):
-            end, product = part.shooting.ends(n, place.q, place.data)
-            ends.append(part.gaps(end, n))
-            products.append(product)
-        finite = all(np.all(np.isfinite(v)) for v in (*ends, *products))
-        return _Point(z, pinned, places, tuple(ends), tuple(products), finite)
+        paths = tuple(part.path(n, place) for part, n, place in zip(self._records, nodes, places, strict=True))
+        return _Point(z, places, paths)
 
     def _cost(self, point: _Point, smoothing: float) -> float:
         if not point.finite:
             return math.inf
         costs = (
-            weight * part.noise.cost(products)
-            for weight, part, products in zip(self._weights, self._records, point.products, strict=True)
+            weight * part.noise.cost(path.products)
+            for weight, part, path in zip(self._weights, self._records, point.paths, strict=True)
         )
         return float(sum(costs)) + float(self._smooth(point.z, smoothing))
 
-    def _descend(self, z: Array, frozen: bool) -> tuple[_Point, str, int]:
-        """Iterate from z and states of zero; with `frozen` the states alone."""
-        point = self._point(z, [np.zeros((part.experiment.segments, part.states)) for part in self._records])
+    def _descend(self, z: Array, frozen: bool, near: bool = False) -> tuple[_Point, str, int]:
+        """Iterate from z and states of zero; with `frozen` the states alone; `near` where z is close to the answer."""
+        point = self._point(z, self._rest(0.0))
         if not point.finite:
             return point, "not finite at the start", 0
-        first = [np.diag(1 / (SMOOTH * part.noise.spread)) for part in self._records]
-        soft = [LOOSE**2 * self._state_variance(part, point, k, first[k]) for k, part in enumerate(self._records)]
-        stage, damping, force, hold = 0, 0.0, [np.zeros(part.states) for part in self._records], 3
+        assumed = [np.diag(1 / (SPREAD * part.noise.spread)) for part in self._records]
+        at = self._begun(point, assumed)
         for iteration in range(ITERATIONS):
-            exact = stage >= STAGES
-            weights = (
-                [part.noise.weight(products) for part, products in zip(self._records, point.products, strict=True)]
-                if exact
-                else first
-            )
-            softness = [np.zeros_like(s) if exact else s * TIGHTEN ** (2 * stage) for s in soft]
-            still = frozen or hold > 0
-            reduced, dz, predicted = self._step(point, weights, softness, damping, still)
+            exact, still = at.exact, frozen or at.stage < 0
+            weights = self._noise_weights(point) if exact else assumed
+            softness = at.softness
+            reduced, dz, predicted = self._step(point, weights, softness, at.damping, still)
             if exact:
-                force = [np.maximum(f, 1.2 * _largest(r, dz)) for f, r in zip(force, reduced, strict=True)]
-            merit = self._merit(weights, softness, force, exact)
-            before, length = merit(point), 1.0
-            trial = self._moved(point, reduced, dz, length, still)
-            while not merit(trial) <= before + 1e-10 * max(1.0, abs(before)) and length > 1e-7:
-                length /= 2
-                trial = self._moved(point, reduced, dz, length, still)
-            if length <= 1e-7:
-                if not exact:
-                    stage, hold = (stage, hold - 1) if hold > 0 else (stage + 1, 0)
-                    continue
-                return point, "converged" if predicted <= 1e3 * self._tolerance(before) else "stalled", iteration
-            damping = _next_damping(damping, length)
-            point = trial
-            settled = length == 1.0 and predicted <= SETTLED * abs(before)
+                at.force = [np.maximum(f, 1.2 * _largest(r, dz)) for f, r in zip(at.force, reduced, strict=True)]
+            merit = self._merit(weights, softness, at.force, exact)
+            before = merit(point)
+            trial, length = self._search(point, reduced, dz, still, merit, before)
+            tolerance = TOLERANCE * max(1.0, 1e-3 * abs(before))
+            if trial is None and exact:
+                return point, "converged" if predicted <= 1e3 * tolerance else "stalled", iteration
+            gained = 0.0 if trial is None else before - merit(trial)
+            point = trial or point
+            at.damping = _next_damping(at.damping, length)
             if not exact:
-                if hold > 0:
-                    hold = 0 if settled else hold - 1
-                elif settled or frozen:
-                    stage += 1
-            elif (
-                length == 1.0
-                and predicted <= self._tolerance(before)
-                and self._missed(point, force) <= self._tolerance(before)
-            ):
-                return point, "converged", iteration + 1
+                kept = length == 1.0 and abs(gained - predicted) <= SETTLED * predicted
+                done = trial is None or frozen or kept or predicted <= SETTLED * abs(before)
+                at.stage = STAGES if done and near else at.stage + done
+            elif length == 1.0:
+                # Gauss-Newton converges linearly at worst: the next decrease follows from the last two.
+                following = predicted * predicted / at.last if predicted < at.last else predicted
+                if max(min(predicted, following), self._missed(point, at.force)) <= tolerance:
+                    return point, "converged", iteration + 1
+                at.last = predicted
         return point, "iterations exceeded", ITERATIONS
 
-    def _tolerance(self, cost: float) -> float:
-        return TOLERANCE * max(1.0, 1e-3 * abs(cost))
+    def _begun(self, point: _Point, weights: Sequence[Array]) -> _Progress:
+        variances = []
+        for k, part in enumerate(self._records):
+            # The variance by which states must change to change the outputs of a segment by their spread.
+            blocks = part.linearize(point.paths[k], point.places[k], weights[k])
+            seen = np.nan_to_num(np.mean(blocks.corner.diagonal(axis1=1, axis2=2), axis=0))
+            signal = part.experiment.segment * len(part.outputs) / SPREAD**2
+            variances.append(LOOSE**2 * signal / np.maximum(seen, 1e-300))
+        return _Progress(variances, [np.zeros(part.states) for part in self._records])
+
+    def _search(
+        self,
+        point: _Point,
+        reduced: Sequence[Reduced],
+        dz: Array,
+        still: bool,
+        merit: Callable[[_Point], float],
+        before: float,
+    ) -> tuple[_Point | None, float]:
+        """Halve the step until the merit does not grow; None where no step does."""
+        length = 1.0
+        while length > 1e-7:
+            trial = self._moved(point, reduced, dz, length, still)
+            if merit(trial) <= before + 1e-10 * max(1.0, abs(before)):
+                return trial, length
+            length /= 2
+        return None, 0.0
+
+    def _noise_weights(self, point: _Point) -> list[Array]:
+        return [part.noise.weight(path.products) for part, path in zip(self._records, point.paths, strict=True)]
 
     def _missed(self, point: _Point, force: Sequence[Array]) -> float:
-        return 1e-2 * sum(float((np.abs(gap) * f).sum()) for gap, f in zip(point.gaps, force, strict=True))
-
-    def _state_variance(self, part: RecordPart, point: _Point, k: int, weight: Array) -> Array:
-        """Return the variance (n,) by which states must change to change the outputs of a segment by their spread."""
-        blocks = part.linearize(point.nodes[k], point.places[k], weight)
-        seen = np.mean(blocks.hessian.diagonal(axis1=1, axis2=2)[:, : part.states], axis=0)
-        signal = part.experiment.segment * len(part.outputs) / SMOOTH**2
-        return signal / np.maximum(np.nan_to_num(seen), 1e-300)
+        return 1e-2 * sum(float((np.abs(p.gaps) * f).sum()) for p, f in zip(point.paths, force, strict=True))
 
     def _step(
         self, point: _Point, weights: Sequence[Array], soft: Sequence[Array], damping: float, still: bool
     ) -> tuple[list[Reduced], Array, float]:
         """Return the reduced systems, the step (p,) of z and the decrease that it promises."""
-        p = 0 if still else len(point.z)
-        reduced = []
+        p = len(point.z)
+        reduced, promise = [], 0.0
         hessian, gradient = np.zeros((p, p)), np.zeros(p)
-        promise = 0.0
         for k, part in enumerate(self._records):
-            blocks = part.linearize(point.nodes[k], point.places[k], weights[k])
-            r = part.reduce(blocks, point.gaps[k], soft[k], frozen=still)
+            gaps = point.paths[k].gaps
+            blocks = part.linearize(point.paths[k], point.places[k], weights[k])
+            r = part.reduce(blocks, point.places[k], gaps, soft[k])
             reduced.append(r)
             hessian, gradient = hessian + self._weights[k] * r.hessian, gradient + self._weights[k] * r.gradient
-            promise += self._weights[k] * _promise(blocks, r, part, point.gaps[k], soft[k])
+            promise += self._weights[k] * _promise(blocks, r, gaps, soft[k])
         if still:
-            return reduced, np.zeros(0), promise
+            return reduced, np.zeros(p), promise
         g, H = (value.full() for value in self._curvature(point.z, SMOOTHING))
         values, vectors = np.linalg.eigh((H + H.T) / 2)
         hessian, gradient = hessian + (vectors * np.abs(values)) @ vectors.T, gradient + g.ravel()
@@ -209,16 +250,21 @@ class GaussNewton:
         return reduced, dz, promise + float(-gradient @ dz - 0.5 * dz @ hessian @ dz)
 
     def _moved(self, point: _Point, reduced: Sequence[Reduced], dz: Array, length: float, still: bool) -> _Point:
-        nodes = [part.moved(n, r, dz, length) for part, n, r in zip(self._records, point.nodes, reduced, strict=True)]
+        nodes = [
+            part.moved(path.nodes, r, dz, length)
+            for part, path, r in zip(self._records, point.paths, reduced, strict=True)
+        ]
         z = point.z if still else np.clip(point.z + length * dz, self._low, self._high)
         return self._point(z, nodes)
 
-    def _merit(self, weights: Sequence[Array], soft: Sequence[Array], force: Sequence[Array], exact: bool) -> Any:
+    def _merit(
+        self, weights: Sequence[Array], soft: Sequence[Array], force: Sequence[Array], exact: bool
+    ) -> Callable[[_Point], float]:
         """Return what a step must not increase: the cost and the gaps, absolute where continuity is exact."""
 
         def exactly(point: _Point) -> float:
             gaps = sum(
-                w * float((np.abs(g) * f).sum()) for w, g, f in zip(self._weights, point.gaps, force, strict=True)
+                w * float((np.abs(p.gaps) * f).sum()) for w, p, f in zip(self._weights, point.paths, force, strict=True)
             )
             return self._cost(point, SMOOTHING) + gaps + self._violation(point.z)
 
@@ -226,8 +272,9 @@ class GaussNewton:
             if not point.finite:
                 return math.inf
             total = float(self._smooth(point.z, SMOOTHING)) + self._violation(point.z)
-            for k, (products, gaps) in enumerate(zip(point.products, point.gaps, strict=True)):
-                squares = float(np.trace(weights[k] @ products @ weights[k].T)) + float((gaps**2 / soft[k]).sum())
+            for k, path in enumerate(point.paths):
+                squares = float(np.trace(weights[k] @ path.products @ weights[k].T))
+                squares += float((path.gaps**2 / soft[k]).sum())
                 total += self._weights[k] * squares / 2
             return total
 
@@ -239,15 +286,14 @@ class GaussNewton:
 
 
 def _largest(reduced: Reduced, dz: Array) -> Array:
-    return np.abs(reduced.force + reduced.force_follow @ dz).max(axis=0, initial=0.0)
+    return np.abs(reduced.force + reduced.force_follow @ (reduced.slope @ dz)).max(axis=0, initial=0.0)
 
 
-def _promise(blocks: Any, reduced: Reduced, part: RecordPart, gaps: Array, soft: Array) -> float:
+def _promise(blocks: Blocks, reduced: Reduced, gaps: Array, soft: Array) -> float:
     """Return the decrease that the move of the nodes alone promises."""
-    n = part.states
-    g, H = blocks.gradient[:, :n], blocks.hessian[:, :n, :n]
     x = reduced.step
-    change = float((g * x).sum()) + 0.5 * float(np.einsum("si,sij,sj->", x, H, x))
+    curved = float((x * (blocks.corner @ x[:, :, None])[:, :, 0]).sum())
+    change = float((blocks.gradient * x).sum()) + 0.5 * curved
     if np.all(soft > 0):
         missed = soft * reduced.force
         change += 0.5 * float(((missed**2 - gaps**2) / soft).sum())

@@ -45,7 +45,8 @@ def multistart(
         close = [m.cost <= (1 + CLOSE) * minima[0].cost for m in minima]
         minima = tuple(_polished(nlp, last, m) if near else m for m, near in zip(minima, close, strict=True))
         minima = tuple(sorted(minima, key=lambda m: m.cost))
-    return Multistart(runs, minima, time.perf_counter() - began)
+    nodes = outcomes[minima[0].runs[0]].nodes if minima else None
+    return Multistart(runs, minima, time.perf_counter() - began, nodes)
 
 
 def _as_runs(nlp: Nlp, starts: NDArray[np.float64], outcomes: list[Outcome]) -> tuple[Run, ...]:

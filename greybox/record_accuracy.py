@@ -5,13 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.gauss_newton import Profile
 from greybox.output_error import PredictionError
-from greybox.record_part import Place, RecordPart
+from greybox.record_part import Path, Place, RecordPart
 from greybox.residuals import colored_information
 
 Array = NDArray[np.float64]
-CHUNK = 2000  # segments whose sensitivities are in memory at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,40 +31,29 @@ class Information:
     numbers: int
 
 
-def information(part: RecordPart, nodes: Array, place: Place, products: Array) -> Information:
-    """Return what the record tells at nodes that are the best ones."""
-    weight = part.noise.weight(products)
-    reduced = part.reduce(part.linearize(nodes, place, weight), np.zeros_like(nodes), np.zeros(part.states))
-    follow = reduced.follow.copy()
-    n, segment = part.states, part.experiment.segment
+def information(part: RecordPart, path: Path, place: Place) -> Information:
+    """Return what the record tells along a path that is the best one."""
+    weight = part.noise.weight(path.products)
+    blocks = part.linearize(path, place, weight)
+    reduced = part.reduce(blocks, place, np.zeros_like(path.nodes), np.zeros(part.states))
+    follow, n = reduced.follow.copy(), part.states
     if part.known_states.any():
         rows = np.ix_(part.first, part.known_states)
         follow[rows] = place.initial_slope[part.known_states]
-    slopes = []
-    for at in range(0, len(nodes), CHUNK):
-        some = slice(at, at + CHUNK)
-        data = place.data[:, at * segment : (at + len(nodes[some])) * segment]
-        raw = part.shooting.sensitivities(nodes[some], place.q, data)
-        by_node = np.repeat(follow[some], segment, axis=0)
-        slopes.append(raw[:, :, :n] @ by_node + raw[:, :, n:] @ place.slope)
-    slope = np.concatenate(slopes)
-    measured = part.experiment.measured
-    present = np.isfinite(measured)
-    _, outputs = part.shooting.simulate(nodes, place.q, place.data)
-    residual = np.where(present, np.nan_to_num(measured) - outputs, 0.0)
-    slope[~present.T] = 0
-    root = np.einsum("ij,njp->nip", weight, slope)
-    numbers = int(present.sum()) - part.unknown_initial
+    s, length, k = part.experiment.segments, part.experiment.segment, len(part.outputs)
+    slope = np.empty((s, length, k, place.slope.shape[1]))
+    for some in part.shooting.chunks(s):
+        _, J, _ = part.shooting.sensitivities(path.states, place.q, place.data, some)
+        slope[some] = -(J[..., :n] @ follow[some, None] + J[..., n:]) @ place.slope
+    slope = slope.reshape(s * length, k, -1)
+    residual = part.shooting.in_order(part.shooting.residuals(path.states, place.q, place.data))
+    root = weight @ slope
+    numbers = int(part.shooting.counts.sum()) - part.unknown_initial
     if isinstance(part.criterion, PredictionError):
-        meat = np.einsum("nip,niq->pq", root, root)
+        meat = np.tensordot(root, root, ((0, 1), (0, 1)))
     else:
-        weighted = np.einsum("ji,njp->nip", weight, root)
-        stretches = [np.moveaxis(w, -1, 0) for w in part.experiment.unpadded(np.moveaxis(weighted, 0, -1))]
+        weighted = np.moveaxis(weight.T @ root, 0, -1)
+        stretches = [np.moveaxis(w, -1, 0) for w in part.experiment.unpadded(weighted)]
         meat = colored_information(stretches, part.experiment.unpadded(residual))
     triangle = np.linalg.qr(root.reshape(-1, root.shape[2]), mode="r")
     return Information(triangle, meat, numbers)
-
-
-def profile_of(profile: Profile, k: int) -> tuple[Array, Place, Array]:
-    """Return nodes, place and residual products of the k-th record."""
-    return profile.nodes[k], profile.places[k], profile.products[k]

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,7 @@ from greybox.dynamics import Dynamics, dynamics
 from greybox.experiment import Experiment, experiment
 from greybox.integrator import Integrator
 from greybox.linear import delay_order
+from greybox.model import Names
 from greybox.noise import Noise, noise_of
 from greybox.output_error import TimeCriterion
 from greybox.problem import Problem
@@ -33,32 +35,50 @@ class Place:
     ----------
     q : (declared,) array
     slope : (active, p) array
-    data : casadi.DM
-    initial, initial_slope : (n,) and (n, p) arrays
-        Known initial states; NaN where a state is unknown.
+    data : (width, columns) array
+    initial, initial_slope : (n,) and (n, active) arrays
+        Known initial states and their derivatives by the active parameters; NaN where a state is unknown.
     """
 
     q: Array
     slope: Array
-    data: Any
+    data: Array
     initial: Array
     initial_slope: Array
 
 
 @dataclass(frozen=True, eq=False)
+class Path:
+    """What follows from nodes (s, n): states (n, columns), ends (s, n), gaps (s, n), residual products (k, k)."""
+
+    nodes: Array
+    states: Array
+    end: Array
+    gaps: Array
+    products: Array
+
+    @property
+    def finite(self) -> bool:
+        """True when nothing diverged."""
+        return bool(np.all(np.isfinite(self.gaps)) and np.all(np.isfinite(self.products)))
+
+
+@dataclass(frozen=True, eq=False)
 class Reduced:
-    """The Gauss-Newton system of a part with its nodes eliminated: they move by `step` + `follow` · dz.
+    """The Gauss-Newton system of a part without its nodes, which move by `step` + `follow` · dq, dq = `slope` · dz.
 
     Attributes
     ----------
     hessian, gradient : (p, p) and (p,) arrays
-    step, follow : (s, n) and (s, n, p) arrays
-    force, force_follow : (s, n) and (s, n, p) arrays
+    slope : (active, p) array
+    step, follow : (s, n) and (s, n, active) arrays
+    force, force_follow : (s, n) and (s, n, active) arrays
         Multipliers of the continuity, likewise.
     """
 
     hessian: Array
     gradient: Array
+    slope: Array
     step: Array
     follow: Array
     force: Array
@@ -97,32 +117,34 @@ class RecordPart:
         return sample_step(self.system, self.criterion, self.outputs, tuple(self.part.declared), integrator, substeps)
 
     def _locate(self, part: Problem, expressions: Mapping[str, Any], z: ca.SX) -> None:
-        local = part.local_values(expressions)
-        q = ca.vertcat(ca.SX(0, 1), *local.values())
+        q = ca.vertcat(ca.SX(0, 1), *part.local_values(expressions).values())
         slope = ca.jacobian(q, z)
         self.active = np.array([i for i in range(q.numel()) if slope[i, :].nnz()], dtype=int)
-        p = q[: len(self.system.parameters)]
-        known = self.criterion.initial
+        delay = self.system.delay(q[: len(self.system.parameters)])
+        active = self.active.tolist()
+        self._at = ca.Function("locate", [z], [q, ca.densify(slope[active, :]), ca.densify(delay)])
+        known, symbol = self.criterion.initial, ca.SX.sym("q", q.numel())
+        local = Names(dict(zip(part.declared, ca.vertsplit(symbol), strict=True)), part.model.label)
         given = [known.get(name, math.nan) for name in self.system.states]
-        initial = ca.vertcat(ca.SX(0, 1), *[value(local) if callable(value) else value for value in given])
         self.known_states = np.array([name in known for name in self.system.states], dtype=bool)
-        self._at = ca.Function(
-            "locate",
-            [z],
-            [
-                q,
-                ca.densify(slope[self.active.tolist(), :]),
-                self.system.delay(p),
-                initial,
-                ca.densify(ca.jacobian(initial, z)),
-            ],
-        )
+        initial = ca.vertcat(ca.SX(0, 1), *[_called(value, local) for value in given])
+        by = ca.densify(ca.jacobian(initial, symbol[active]))
+        self._initial = ca.Function("initial", [symbol], [initial, by])
 
     @property
     def words(self) -> str:
         """The method with what it chose."""
         scheme = type(self.method.integrator).__name__
         return f"multiple shooting, {self.experiment.segment} samples a segment, {scheme} {self.substeps} a sample"
+
+    def thinned(self, samples: int) -> "RecordPart":
+        """Return the same for some stretches, evenly over the record, of so many samples in all."""
+        result = copy(self)
+        result.experiment = self.experiment.thinned(samples)
+        result.shooting = self.shooting.on(result.experiment)
+        result.noise = noise_of(self.criterion, self.outputs, result.experiment.measured)
+        result.first, result.coupled = result.experiment.first, result.experiment.coupled
+        return result
 
     @property
     def states(self) -> int:
@@ -136,7 +158,8 @@ class RecordPart:
 
     def place(self, z: Array) -> Place:
         """Return the part at the point z (p,)."""
-        q, slope, delay, initial, by = (value.full() for value in self._at(z))
+        q, slope, delay = (value.full() for value in self._at(z))
+        initial, by = (value.full() for value in self._initial(q))
         return Place(q.ravel(), slope, self.shooting.data(delay.ravel()), initial.ravel(), by)
 
     def pinned(self, nodes: Array, place: Place) -> Array:
@@ -148,70 +171,68 @@ class RecordPart:
         nodes[rows] = place.initial[self.known_states]
         return nodes
 
-    def gaps(self, end: Array, nodes: Array) -> Array:
-        """Return by what the segments miss the next node, (s, n)."""
-        result = np.zeros_like(end)
-        result[:-1] = end[:-1] - nodes[1:]
-        result[~self.coupled] = 0
-        return result
+    def path(self, nodes: Array, place: Place) -> Path:
+        """Follow all segments from their nodes (s, n), known initial states put in."""
+        nodes = self.pinned(nodes, place)
+        states, end = self.shooting.paths(nodes, place.q, place.data)
+        gaps = np.zeros_like(end)
+        gaps[:-1] = end[:-1] - nodes[1:]
+        gaps[~self.coupled] = 0
+        residuals = self.shooting.residuals(states, place.q, place.data)
+        return Path(nodes, states, end, gaps, residuals @ residuals.T)
 
-    def linearize(self, nodes: Array, place: Place, weight: Array) -> Blocks:
-        """Return the blocks with derivatives by z, known initial states eliminated."""
-        blocks = self.shooting.blocks(nodes, place.q, weight, place.data)
-        n, T = self.states, place.slope
-        H, g = blocks.hessian, blocks.gradient
-        mixed, own = H[:, :n, n:] @ T, T.T @ H[:, n:, n:] @ T
-        hessian = np.concatenate(
-            [
-                np.concatenate([H[:, :n, :n], mixed], axis=2),
-                np.concatenate([mixed.transpose(0, 2, 1), own], axis=2),
-            ],
-            axis=1,
-        )
-        gradient = np.concatenate([g[:, :n], g[:, n:] @ T], axis=1)
-        changed = Blocks(blocks.end, blocks.to_state, blocks.to_parameters @ T, hessian, gradient)
-        return self._without_known(changed, place) if self.known_states.any() else changed
+    def linearize(self, path: Path, place: Place, weight: Array) -> Blocks:
+        """Return the blocks, known initial states eliminated."""
+        blocks = self.shooting.blocks(path.states, path.end, place.q, weight, place.data)
+        return self._without_known(blocks, place) if self.known_states.any() else blocks
 
     def _without_known(self, b: Blocks, place: Place) -> Blocks:
-        """Let known initial states follow the parameters: x = x' + (dx/dz) dz, of which x' does not move."""
-        n, p = self.states, b.gradient.shape[1] - self.states
+        """Let known initial states follow the parameters: x = x' + (dx/dq) dq, of which x' does not move."""
         follow = np.where(self.known_states[:, None], place.initial_slope, 0.0)
-        change = np.eye(n + p)
-        change[:n, n:] = follow
-        H, g, A, B = b.hessian.copy(), b.gradient.copy(), b.to_state.copy(), b.to_parameters.copy()
-        at = np.flatnonzero(self.first)
-        H[at], g[at] = change.T @ H[at] @ change, g[at] @ change
-        B[at] = B[at] + A[at] @ follow
-        for i in np.flatnonzero(self.known_states):
-            H[at, i, :] = 0
-            H[at, :, i] = 0
-            H[at, i, i] = 1
-            g[at, i] = 0
-            A[at, :, i] = 0
-        return Blocks(b.end, A, B, H, g)
+        corner, mixed, gradient = b.corner.copy(), b.mixed.copy(), b.gradient.copy()
+        to_state, to_parameters = b.to_state.copy(), b.to_parameters.copy()
+        own, slope = b.own.copy(), b.slope.copy()
+        for at in np.flatnonzero(self.first):
+            own += follow.T @ mixed[at] + mixed[at].T @ follow + follow.T @ corner[at] @ follow
+            slope += follow.T @ gradient[at]
+            mixed[at] += corner[at] @ follow
+            to_parameters[at] += to_state[at] @ follow
+            corner[at, self.known_states, :] = 0
+            corner[at, :, self.known_states] = 0
+            corner[at, self.known_states, self.known_states] = 1
+            mixed[at, self.known_states] = 0
+            gradient[at, self.known_states] = 0
+            to_state[at, :, self.known_states] = 0
+        return Blocks(b.end, to_state, to_parameters, corner, mixed, gradient, own, slope)
 
-    def reduce(self, blocks: Blocks, gaps: Array, soft: Array, frozen: bool = False) -> Reduced:
-        """Eliminate the nodes; `soft` (n,) is the variance by which continuity may be missed, `frozen` leaves z out."""
-        n = self.states
-        H, g, B = blocks.hessian, blocks.gradient, blocks.to_parameters
-        p = 0 if frozen else g.shape[1] - n
-        corner, mixed = H[:, :n, :n], H[:, :n, n : n + p]
-        ridge = RIDGE * np.mean(corner.diagonal(axis1=1, axis2=2), axis=0) + 1e-300
-        right = np.concatenate([-g[:, :n, None], -mixed], axis=2)
-        continuity = np.concatenate([-gaps[:, :, None], -B[:, :, :p]], axis=2)
-        x, force = solve_chain(corner + np.diag(ridge), blocks.to_state, self.coupled, right, continuity, soft)
-        B = np.where(self.coupled[:, None, None], B[:, :, :p], 0.0)
-        hessian = H[:, n : n + p, n : n + p].sum(axis=0)
-        hessian = hessian + np.tensordot(mixed, x[:, :, 1:], ((0, 1), (0, 1)))
-        hessian = hessian + np.tensordot(B, force[:, :, 1:], ((0, 1), (0, 1)))
-        gradient = g[:, n : n + p].sum(axis=0) + np.tensordot(mixed, x[:, :, 0], ((0, 1), (0, 1)))
-        gradient = gradient + np.tensordot(B, force[:, :, 0], ((0, 1), (0, 1)))
-        follow = x[:, :, 1:]
-        return Reduced((hessian + hessian.T) / 2, gradient, x[:, :, 0], follow, force[:, :, 0], force[:, :, 1:])
+    def reduce(self, blocks: Blocks, place: Place, gaps: Array, soft: Array) -> Reduced:
+        """Eliminate the nodes; `soft` (n,) is the variance by which continuity may be missed."""
+        mixed, B = blocks.mixed, blocks.to_parameters
+        ridge = RIDGE * np.mean(blocks.corner.diagonal(axis1=1, axis2=2), axis=0) + 1e-300
+        right = np.concatenate([-blocks.gradient[:, :, None], -mixed], axis=2)
+        continuity = np.concatenate([-gaps[:, :, None], -B], axis=2)
+        corner = blocks.corner + np.diag(ridge)
+        x, force = solve_chain(corner, blocks.to_state, self.coupled, right, continuity, soft)
+        linked = np.where(self.coupled[:, None, None], B, 0.0)
+        both = np.tensordot(mixed, x, ((0, 1), (0, 1))) + np.tensordot(linked, force, ((0, 1), (0, 1)))
+        hessian, gradient = blocks.own + both[:, 1:], blocks.slope + both[:, 0]
+        return Reduced(
+            hessian=place.slope.T @ ((hessian + hessian.T) / 2) @ place.slope,
+            gradient=place.slope.T @ gradient,
+            slope=place.slope,
+            step=x[:, :, 0],
+            follow=x[:, :, 1:],
+            force=force[:, :, 0],
+            force_follow=force[:, :, 1:],
+        )
 
     def moved(self, nodes: Array, reduced: Reduced, dz: Array, length: float) -> Array:
         """Return the nodes after a step `dz` (p,), of which `length` is taken."""
-        return nodes + length * (reduced.step + reduced.follow @ dz)
+        return nodes + length * (reduced.step + reduced.follow @ (reduced.slope @ dz))
+
+
+def _called(value: Any, local: Names) -> Any:
+    return value(local) if callable(value) else value
 
 
 def _chosen(part: Problem, system: Dynamics, method: MultipleShooting) -> tuple[int, int]:

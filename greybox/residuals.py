@@ -45,6 +45,31 @@ def autoregression(stretches: list[Array]) -> Array:
     return best
 
 
+def filtered(coefficients: Array, signal: Array) -> Array:
+    """Return Σ c_k x(t - k) along the first axis, zero before the first sample."""
+    if len(coefficients) == 1:
+        return coefficients[0] * signal
+    size = 1 << int(len(signal) + len(coefficients) - 1).bit_length()
+    shape = (-1,) + (1,) * (signal.ndim - 1)
+    spectrum = np.fft.rfft(signal, size, axis=0) * np.fft.rfft(coefficients, size).reshape(shape)
+    return np.fft.irfft(spectrum, size, axis=0)[: len(signal)]
+
+
+def inverse(coefficients: Array, longest: int = 5000) -> Array:
+    """Return the impulse response of 1 / (1 + Σ a_k q⁻ᵏ), until it has died away."""
+    order = len(coefficients) - 1
+    if order == 0:
+        return np.ones(1)
+    response = np.zeros(longest + order)
+    response[order] = 1.0
+    backward = coefficients[:0:-1]
+    for t in range(order + 1, longest + order):
+        response[t] = -backward @ response[t - order : t]
+        if t % 50 == 0 and np.abs(response[t - order + 1 : t + 1]).max() < 1e-9:
+            return response[order : t + 1]
+    return response[order:]
+
+
 def colored_information(weighted: list[Array], residuals: list[Array]) -> Array:
     """Return Σ J' Σ_e J (p, p) for sensitivities over noise covariance, and residuals with their own autocorrelation.
 
@@ -53,18 +78,17 @@ def colored_information(weighted: list[Array], residuals: list[Array]) -> Array:
     data, Journal of Guidance, Control, and Dynamics 20(1); here with an autoregression in place of the truncated
     autocorrelation, so that it is positive semidefinite.
     """
-    from scipy.signal import lfilter  # noqa: PLC0415  (takes a third of a second to import)
-
     k, p = weighted[0].shape[1:]
     models = [autoregression([e[j] for e in residuals]) for j in range(k)]
+    inverses = [inverse(a) for a in models]
     total = np.zeros((p, p))
-    white = np.concatenate([np.array([lfilter(models[j], [1.0], e[j]) for j in range(k)]) for e in residuals], axis=1)
+    white = np.concatenate([np.array([filtered(models[j], e[j]) for j in range(k)]) for e in residuals], axis=1)
     present = np.concatenate([e != 0 for e in residuals], axis=1)
     together = (present.astype(float) @ present.T).clip(1)
     covariance = np.where(present, white, 0.0) @ np.where(present, white, 0.0).T / together
     for J in weighted:
         # The transposed inverse of the whitening filter runs backward in time.
-        colored = [lfilter([1.0], models[j], J[::-1, j], axis=0) for j in range(k)]
+        colored = [filtered(inverses[j], J[::-1, j]) for j in range(k)]
         for i in range(k):
             for j in range(k):
                 total += covariance[i, j] * np.asarray(colored[i]).T @ np.asarray(colored[j])

@@ -39,11 +39,15 @@ class Minimum:
 
 @dataclass(frozen=True, eq=False)
 class Multistart:
-    """All runs of a problem, in the order of their starts, and its minima, best first."""
+    """All runs of a problem, in the order of their starts, and its minima, best first.
+
+    `nodes` are the best run's states at the beginning of every segment, (s, n) for each record.
+    """
 
     runs: tuple[Run, ...]
     minima: tuple[Minimum, ...]
     seconds: float
+    nodes: tuple[NDArray[np.float64], ...] | None = None
 
     @property
     def converged(self) -> int:

@@ -1,10 +1,13 @@
-"""One record compiled for multiple shooting: a step with its sensitivities, folded over segments, mapped over a record.
+"""One record compiled for multiple shooting: a step and its derivatives, evaluated for all segments at once.
 
 The data are cut into segments; the state at the beginning of each is an unknown, and continuity from one to the next a
 constraint (Bock 1983, Recent advances in parameter identification techniques for ODE). Here is what one evaluation
-gives: ends of the segments and residuals, or the blocks of the Gauss-Newton system.
+gives: paths, ends and residuals, or the blocks of the Gauss-Newton system.
+
+Columns run over segments, sample by sample: column i · s + j is sample i of segment j.
 """
 
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,23 +19,34 @@ from greybox.dynamics import Dynamics
 from greybox.experiment import Experiment, input_over_step
 from greybox.integrator import Integrator, step_function
 from greybox.output_error import PredictionError, TimeCriterion
+from greybox.tape import Columns
 
 Array = NDArray[np.float64]
+COLUMNS = 20000  # samples whose derivatives are in memory at once
 
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Linearization of one record at its node states (s, n) and parameters (q,): ends, their derivatives, and JᵀJ, Jᵀe.
+    """Linearization of one record at its node states (s, n) and q active parameters, of weighted residuals e.
 
-    Segments come first: `end` (s, n), `to_state` (s, n, n), `to_parameters` (s, n, q), `hessian` (s, v, v) and
-    `gradient` (s, v) with v = n + q, of the weighted squared residuals.
+    Attributes
+    ----------
+    end, to_state, to_parameters : (s, n), (s, n, n) and (s, n, q) arrays
+        Ends of the segments and their derivatives.
+    corner, mixed, gradient : (s, n, n), (s, n, q) and (s, n) arrays
+        JᵀJ of the node with itself and with the parameters, and Jᵀe, of every segment.
+    own, slope : (q, q) and (q,) arrays
+        JᵀJ and Jᵀe of the parameters, of all segments together.
     """
 
     end: Array
     to_state: Array
     to_parameters: Array
-    hessian: Array
+    corner: Array
+    mixed: Array
     gradient: Array
+    own: Array
+    slope: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,131 +111,131 @@ class Shooting:
     def __init__(
         self, step: SampleStep, experiment: Experiment, active: NDArray[np.integer], compiled: bool = False
     ) -> None:
-        self.experiment, self.active, self._compiled = experiment, active, compiled
-        self._step = step
+        self.experiment, self.active = experiment, active
         self.n, self.size = step.function.size1_in(0), step.function.size1_in(1)
         self.k = step.function.size1_out(1)
-        measured = experiment.measured
-        present = np.isfinite(measured)
-        self.counts = present.sum(axis=1)
-        self._fixed = np.vstack([np.nan_to_num(measured), present, experiment.steps])
-        self._data: ca.DM | None = None
-        self._whole: Any = None
-        self._functions: dict[str, ca.Function] = {}
+        self._read_experiment()
+        functions = _readings(step, active)
+        self._advance, self._output, self._derivatives = (Columns(function, shared=(1,)) for function in functions)
 
-    def data(self, delays: Array) -> ca.DM:
-        """Return the data of all samples, (width, samples), windows placed for these delays (m,)."""
+    def on(self, experiment: Experiment) -> "Shooting":
+        """Return the same functions on another cut of the record."""
+        result = copy(self)
+        result.experiment = experiment
+        result._read_experiment()
+        return result
+
+    def _read_experiment(self) -> None:
+        self._fixed = _by_sample(_present(self.experiment), self.experiment)
+        self.counts = (self._fixed[self.k : 2 * self.k] != 0).sum(axis=1)
+        self._data: Array | None = None
+        self._whole: Any = None
+
+    @property
+    def length(self) -> int:
+        """Samples a segment."""
+        return self.experiment.segment
+
+    def data(self, delays: Array) -> Array:
+        """Return the data of all samples, (width, columns), windows placed for these delays (m,)."""
         key = tuple(np.floor(np.asarray(delays)[:, None] / [s.step for s in self.experiment.stretches] + 1e-9).ravel())
         if self._data is None or key != self._whole:
-            whole, windows = self.experiment.windows(delays)
-            self._data = ca.DM(np.vstack([whole, windows, self._fixed]))
+            around = np.vstack(self.experiment.windows(delays))
+            self._data = np.vstack([_by_sample(around, self.experiment), self._fixed])
             self._whole = key
         return self._data
 
-    def ends(self, nodes: Array, q: Array, data: ca.DM) -> tuple[Array, Array]:
-        """Return the ends of the segments (s, n) and the sums of residual products (k, k)."""
-        function = self._function("ends", self._ends)
-        end, products = function(nodes.T, q, data)
-        return end.full().T, _symmetric(products.full().sum(axis=1)[None], self.k)[0]
+    def paths(self, nodes: Array, q: Array, data: Array) -> tuple[Array, Array]:
+        """Return the states at all samples (n, columns), and at the ends of the segments (s, n)."""
+        s = len(nodes)
+        x, states = nodes.T, np.empty((self.n, self.length * s))
+        for i in range(self.length if self.n else 0):
+            some = slice(i * s, (i + 1) * s)
+            states[:, some] = x
+            (x,) = self._advance(x, q, data[:, some])
+        return states, x.T
 
-    def blocks(self, nodes: Array, q: Array, weight: Array, data: ca.DM) -> Blocks:
-        """Linearize with the residuals multiplied by `weight` (k, k), a square root of the inverse covariance."""
-        function = self._function("blocks", self._blocks)
-        end, slope, products, gradient = (v.full().T for v in function(nodes.T, q, weight, data))
-        s, v = len(end), self.n + len(self.active)
-        slope = slope.reshape(s, v, self.n).transpose(0, 2, 1)
-        return Blocks(end, slope[:, :, : self.n], slope[:, :, self.n :], _symmetric(products, v), gradient)
+    def residuals(self, states: Array, q: Array, data: Array) -> Array:
+        """Return measured less simulated outputs (k, columns), zero where nothing was measured."""
+        return self._output(states, q, data)[0]
 
-    def simulate(self, nodes: Array, q: Array, data: ca.DM) -> tuple[Array, Array]:
+    def outputs(self, states: Array, q: Array, data: Array) -> Array:
+        """Return simulated outputs (k, columns)."""
+        return self._output(states, q, data)[1]
+
+    def blocks(self, states: Array, end: Array, q: Array, weight: Array, data: Array) -> Blocks:
+        """Linearize along the states, the residuals multiplied by `weight`, a square root of the inverse covariance."""
+        s, v, n = len(end), self.n + len(self.active), self.n
+        corner, mixed, gradient = np.empty((s, n, n)), np.empty((s, n, v - n)), np.empty((s, n))
+        transition, own, slope = np.empty((s, n, v)), np.zeros((v - n, v - n)), np.zeros(v - n)
+        for some in self.chunks(s):
+            part, J, e = self.sensitivities(states, q, data, some)
+            transition[some] = part
+            J, e = weight @ J, weight @ e[..., None]
+            J, e = J.reshape(len(J), -1, v), e.reshape(len(e), -1)
+            H, g = J.transpose(0, 2, 1) @ J, (e[:, None, :] @ J)[:, 0]
+            corner[some], mixed[some], gradient[some] = H[:, :n, :n], H[:, :n, n:], g[:, :n]
+            own, slope = own + H[:, n:, n:].sum(axis=0), slope + g[:, n:].sum(axis=0)
+        return Blocks(end, transition[:, :, :n], transition[:, :, n:], corner, mixed, gradient, own, slope)
+
+    def sensitivities(self, states: Array, q: Array, data: Array, some: slice) -> tuple[Array, Array, Array]:
+        """Return derivatives of the ends (c, n, v) and residuals (c, length, k, v), and the residuals (c, length, k).
+
+        Of the c segments `some`, by node and active parameters.
+        """
+        n, v, k, length = self.n, self.n + len(self.active), self.k, self.length
+        s = states.shape[1] // length if n else data.shape[1] // length
+        count = len(range(s)[some])
+
+        def chosen(values: Array) -> Array:
+            return values.reshape(len(values), length, s)[:, :, some].reshape(len(values), -1)
+
+        A, C, e = self._derivatives(chosen(states), q, chosen(data))
+        # CasADi stacks matrices column by column.
+        A = np.ascontiguousarray(A.reshape(v, n, length, count).transpose(2, 3, 1, 0))
+        C = np.ascontiguousarray(C.reshape(v, k, length, count).transpose(3, 2, 1, 0))
+        S = np.tile(np.eye(n, v), (count, 1, 1))
+        for i in range(length):
+            C[:, i] = np.concatenate([np.zeros((count, k, n)), C[:, i, :, n:]], axis=2) + C[:, i, :, :n] @ S
+            S = A[i, :, :, :n] @ S
+            S[:, :, n:] += A[i, :, :, n:]
+        return S, C, e.reshape(k, length, count).transpose(2, 1, 0)
+
+    def simulate(self, nodes: Array, q: Array, data: Array) -> tuple[Array, Array]:
         """Return states (n, samples) and simulated outputs (k, samples), every segment from its node."""
-        states, outputs = self._function("outputs", self._outputs)(nodes.T, q, data)
-        return states.full(), outputs.full()
+        states, _ = self.paths(nodes, q, data)
+        return self.in_order(states), self.in_order(self.outputs(states, q, data))
 
-    def sensitivities(self, nodes: Array, q: Array, data: ca.DM) -> Array:
-        """Return the derivatives of the simulated outputs by node and active parameters, (samples, k, v)."""
-        slopes = self._function("slopes", self._slopes)(nodes.T, q, data).full()
-        samples, v = slopes.shape[1], self.n + len(self.active)
-        return slopes.T.reshape(samples, v, self.k).transpose(0, 2, 1)
+    def in_order(self, values: Array) -> Array:
+        """Return columns (r, columns) in the order of the samples."""
+        s = self.experiment.segments
+        return values.reshape(len(values), self.length, s).transpose(0, 2, 1).reshape(len(values), -1)
 
-    def _function(self, name: str, build: Any) -> ca.Function:
-        if name not in self._functions:
-            self._functions[name] = build().map(self.experiment.segments)
-        return self._functions[name]
-
-    def _symbols(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        return ca.SX.sym("x", self.n), ca.SX.sym("q", self.size), ca.SX.sym("d", self._step.width)
-
-    def _ends(self) -> ca.Function:
-        """(node, q, data) -> end, upper triangle of the sum of residual products."""
-        x, q, d = self._symbols()
-        after, e, _ = self._step.function(x, q, d)
-        total = ca.SX.sym("total", self.k * (self.k + 1) // 2)
-        step = ca.Function("step", [ca.vertcat(x, total), q, d], [ca.vertcat(after, total + _upper(e @ e.T))])
-        node, Q, D = self._arguments()
-        last = step.fold(self.experiment.segment)(ca.vertcat(node, ca.MX.zeros(total.numel())), Q, D)
-        return ca.Function("ends", [node, Q, D], [last[: self.n], last[self.n :]])
-
-    def _blocks(self) -> ca.Function:
-        """(node, q, weight, data) -> end, its derivatives (n v), upper triangle of JᵀJ, Jᵀe."""
-        x, q, d = self._symbols()
-        n, v = self.n, self.n + len(self.active)
-        W = ca.SX.sym("W", self.k, self.k)
-        S = ca.SX.sym("S", n, v)
-        H, g = ca.SX.sym("H", v * (v + 1) // 2), ca.SX.sym("g", v)
-        after, e, _ = self._step.function(x, q, d)
-        free = ca.vertcat(x, q[self.active.tolist()])
-        A, E = ca.jacobian(after, free), W @ ca.jacobian(e, free)
-        S_next = A[:, :n] @ S + ca.horzcat(ca.SX(n, n), A[:, n:])
-        J = E[:, :n] @ S + ca.horzcat(ca.SX(self.k, n), E[:, n:])
-        state = ca.vertcat(x, ca.vec(S), H, g)
-        out = ca.vertcat(after, ca.vec(S_next), H + _upper(J.T @ J), g + J.T @ (W @ e))
-        step = ca.Function("step", [state, q, W, d], [out], {"cse": True})
-        node, Q, D = self._arguments()
-        weight = ca.MX.sym("W", self.k, self.k)
-        eye = ca.DM(np.eye(n, v))
-        begin = ca.vertcat(node, ca.vec(eye), ca.MX.zeros(H.numel() + v))
-        last = step.fold(self.experiment.segment)(begin, Q, weight, D)
-        ends = np.cumsum([n, n * v, H.numel(), v])
-        parts = ca.vertsplit(last, [0, *ends.tolist()])
-        return ca.Function("blocks", [node, Q, weight, D], parts)
-
-    def _outputs(self) -> ca.Function:
-        x, q, d = self._symbols()
-        after, _, y = self._step.function(x, q, d)
-        step = ca.Function("step", [x, q, d], [after, x, y])
-        node, Q, D = self._arguments()
-        _, states, outputs = step.mapaccum(self.experiment.segment)(node, Q, D)
-        return ca.Function("outputs", [node, Q, D], [states, outputs])
-
-    def _slopes(self) -> ca.Function:
-        x, q, d = self._symbols()
-        n, v = self.n, self.n + len(self.active)
-        S = ca.SX.sym("S", n, v)
-        after, _, y = self._step.function(x, q, d)
-        free = ca.vertcat(x, q[self.active.tolist()])
-        A, C = ca.jacobian(after, free), ca.jacobian(y, free)
-        S_next = A[:, :n] @ S + ca.horzcat(ca.SX(n, n), A[:, n:])
-        J = C[:, :n] @ S + ca.horzcat(ca.SX(self.k, n), C[:, n:])
-        step = ca.Function("step", [ca.vertcat(x, ca.vec(S)), q, d], [ca.vertcat(after, ca.vec(S_next)), ca.vec(J)])
-        node, Q, D = self._arguments()
-        _, slopes = step.mapaccum(self.experiment.segment)(ca.vertcat(node, ca.vec(ca.DM(np.eye(n, v)))), Q, D)
-        return ca.Function("slopes", [node, Q, D], [slopes])
-
-    def _arguments(self) -> tuple[ca.MX, ca.MX, ca.MX]:
-        width = self._step.width
-        return ca.MX.sym("node", self.n), ca.MX.sym("q", self.size), ca.MX.sym("d", width, self.experiment.segment)
+    def chunks(self, s: int) -> list[slice]:
+        """Return slices of s segments whose derivatives fit into memory together."""
+        size = max(COLUMNS // self.length, 1)
+        return [slice(at, min(at + size, s)) for at in range(0, s, size)]
 
 
-def _upper(matrix: ca.SX) -> ca.SX:
-    """Stack the upper triangle, row by row."""
-    v = matrix.size1()
-    return ca.vertcat(*[matrix[i, k] for i in range(v) for k in range(i, v)]) if v else ca.SX(0, 1)
+def _readings(step: SampleStep, active: NDArray[np.integer]) -> tuple[ca.Function, ca.Function, ca.Function]:
+    """Return the functions of (x, q, data): next state; residual and output; their derivatives by x and active."""
+    x, q, d = (ca.SX.sym(name, step.function.numel_in(k)) for k, name in enumerate("xqd"))
+    after, e, y = step.function(x, q, d)
+    free = ca.vertcat(x, q[active.tolist()])
+    slopes = [ca.densify(ca.jacobian(after, free)), ca.densify(ca.jacobian(e, free)), e]
+    return (
+        ca.Function("advance", [x, q, d], [after], {"cse": True}),
+        ca.Function("output", [x, q, d], [e, y], {"cse": True}),
+        ca.Function("derivatives", [x, q, d], slopes, {"cse": True}),
+    )
 
 
-def _symmetric(rows: Array, v: int) -> Array:
-    """Undo `_upper` for every row: (s, v (v + 1) / 2) to (s, v, v)."""
-    i, k = np.triu_indices(v)
-    result = np.empty((len(rows), v, v))
-    result[:, i, k] = rows
-    result[:, k, i] = rows
-    return result
+def _present(experiment: Experiment) -> Array:
+    measured = experiment.measured
+    return np.vstack([np.nan_to_num(measured), np.isfinite(measured), experiment.steps])
+
+
+def _by_sample(values: Array, experiment: Experiment) -> Array:
+    """Return (r, samples) as columns."""
+    s, length = experiment.segments, experiment.segment
+    return np.ascontiguousarray(values.reshape(len(values), s, length).transpose(0, 2, 1)).reshape(len(values), -1)

@@ -13,8 +13,6 @@ def solve_small_qp(hessian: Array, gradient: Array, normals: Array, limits: Arra
     By the least distance problem as nonnegative least squares. Source: Lawson and Hanson (1974), Solving Least Squares
     Problems, chapter 23. Where the limits contradict one another, the step that ignores them is returned.
     """
-    from scipy.optimize import nnls  # noqa: PLC0415  (takes a fifth of a second to import)
-
     p = len(gradient)
     if p == 0:
         return np.zeros(0)
@@ -30,6 +28,8 @@ def solve_small_qp(hessian: Array, gradient: Array, normals: Array, limits: Arra
     missed = normals @ step < limits
     if not missed.any():
         return step
+    from scipy.optimize import nnls  # noqa: PLC0415  (takes a fifth of a second to import)
+
     rows, wanted = normals @ mapping, limits - normals @ step
     size = np.linalg.norm(rows, axis=1)
     size = np.where(size > 0, size, 1.0)

@@ -58,7 +58,8 @@ class Run:
 class Outcome:
     """What a solver leaves of one run; IPOPT's cost is evaluated later, without smoothing and for all runs at once.
 
-    `trace` (t,) tells runs in time apart: simulated outputs in units of the spread of the measured ones.
+    `trace` (t,) tells runs in time apart: simulated outputs in units of the spread of the measured ones; `nodes` are
+    the states at the beginning of every segment, (s, n) for each record.
     """
 
     estimate: NDArray[np.float64]
@@ -68,6 +69,7 @@ class Outcome:
     converged: bool
     cost: float = math.nan
     trace: NDArray[np.float64] | None = None
+    nodes: tuple[NDArray[np.float64], ...] | None = None
 
 
 class Solver:
