@@ -39,6 +39,7 @@ from greybox.nlp import cost as cost
 from greybox.output_error import OutputError as OutputError
 from greybox.output_error import PredictionError as PredictionError
 from greybox.parameter import Parameter as Parameter
+from greybox.prediction import Prediction as Prediction
 from greybox.problem import Problem as Problem
 from greybox.quality import check as check
 from greybox.readers import read as read
@@ -52,6 +53,8 @@ from greybox.segments import find_segments as find_segments
 from greybox.signals import horizontal_velocity as horizontal_velocity
 from greybox.signals import negative as negative
 from greybox.signals import prepare as prepare
+from greybox.simulate import predict as predict
+from greybox.simulate import simulate as simulate
 from greybox.sine import Sine as Sine
 from greybox.spectra import periodic_response as periodic_response
 from greybox.spectra import spectral_response as spectral_response

@@ -1,0 +1,190 @@
+"""The state at the beginning of every window, from what was measured in its lead-in: all windows at once.
+
+Each is the maximum a posteriori estimate, by Gauss-Newton steps, under the noise of the outputs and a prior that the
+windows share. The prior's mean and spread of each state are those of all windows (empirical Bayes by expectation and
+maximization), so that a state which a short lead-in hardly shows stays where the record as a whole has it.
+Source: Jazwinski (1970), Stochastic Processes and Filtering Theory, section 5.3; Dempster, Laird and Rubin (1977),
+Maximum likelihood from incomplete data via the EM algorithm, Journal of the Royal Statistical Society B 39.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Simulate = Callable[[Array], Array]  # states (w, n) -> outputs (w, samples, k)
+Slopes = Callable[[Array], Array]  # states (w, n) -> their derivatives by the states (w, samples, k, n)
+ITERATIONS = 30
+SETTLED = 1e-3  # of a state's posterior standard deviation
+ADAPTING = 4  # iterations in which the prior, and a noise that is not known, still follow
+FEW = 10  # windows below which they say nothing of the spread of the states
+FIRST = 0.1  # of an output's spread: noise taken at first where none is known
+FLOOR = 1e-9  # of an output's spread: noise below is rounding
+HALVINGS = 20  # of a step
+WEAKEST = 1e-12  # of the information of the lead-in: precision of a prior
+
+
+@dataclass(frozen=True, eq=False)
+class LeadIn:
+    """States of all windows and what is known of them.
+
+    Attributes
+    ----------
+    states : (w, n) array
+        At the first sample of every lead-in.
+    covariance : (w, n, n) array
+        Of their errors, given the parameters.
+    noise : (k, k) array
+        Covariance of the outputs' errors, given or estimated from the lead-ins.
+    mean, precision : (n,) arrays
+        Of the prior.
+    """
+
+    states: Array
+    covariance: Array
+    noise: Array
+    mean: Array
+    precision: Array
+
+
+def estimate_states(
+    simulate: Simulate, slopes: Slopes, measured: Array, start: Array, noise: Array | None, spread: Array
+) -> LeadIn:
+    """Estimate the states (w, n) from `measured` (w, samples, k), NaN where missing, beginning at `start`.
+
+    `noise` (k, k) is None where it is to be estimated; `spread` (k,) is that of the outputs over the record.
+    """
+    known, w, n = noise is not None, *start.shape
+    R = noise if noise is not None else np.diag((FIRST * spread) ** 2)
+    R = R + np.diag((FLOOR * spread) ** 2)
+    x, mean, precision = start.copy(), start.mean(axis=0), np.zeros(n)
+    posterior = np.zeros((w, n, n))
+    e = _residual(measured, simulate(x))
+    for iteration in range(ITERATIONS):
+        S = slopes(x)
+        adapting = iteration < ADAPTING
+        if not known and 0 < iteration < ADAPTING:
+            R = _noise_of(e, S, posterior, R, spread)
+        H, b = _information(e, S, R)
+        if adapting:
+            mean, precision = _prior(H, np.einsum("wij,wj->wi", H, x) + b, mean, measured, R, spread)
+        posterior = _inverse(H, precision)
+        step = np.einsum("wij,wj->wi", posterior, b - precision * (x - mean))
+        odds = _Odds(R, mean, precision)
+        x, e, taken = _searched(lambda at: _residual(measured, simulate(at)), odds, x, e, step)
+        size = np.sqrt(np.maximum(np.diagonal(posterior, axis1=1, axis2=2), 1e-300))
+        if not adapting and np.all(np.abs(taken) <= SETTLED * size):
+            break
+    H, _ = _information(e, slopes(x), R)
+    return LeadIn(x, _inverse(H, precision), R, mean, precision)
+
+
+def one_step_errors(e: Array, slopes: Array, offset: Array, precision: Array, noise: Array) -> Array:
+    """Return the errors one sample ahead in units of their standard deviations, (w, samples, k); NaN where missing.
+
+    Each output is predicted from all that was measured before it in the window, and the prior: a Kalman filter of the
+    initial state, linear about a trajectory with residuals `e` (w, samples, k) and derivatives `slopes` (w, samples, k,
+    n), from which the prior's mean is `offset` (w, n). For the right model they are white with unit variance.
+    Source: Brown, Durbin and Evans (1975), Techniques for testing the constancy of regression relationships over time,
+    Journal of the Royal Statistical Society B 37 (recursive residuals).
+    """
+    w, samples, k = e.shape
+    variance = np.diag(noise)
+    x, P = offset.copy(), np.broadcast_to(np.diag(1 / precision), (w, len(precision), len(precision))).copy()
+    result = np.full(e.shape, np.nan)
+    for t in range(samples):
+        for j in range(k):
+            h = slopes[:, t, j]
+            there = np.isfinite(e[:, t, j])
+            s = np.einsum("wij,wj->wi", P, h)
+            total = np.einsum("wi,wi->w", s, h) + variance[j]
+            error = e[:, t, j] - np.einsum("wi,wi->w", h, x)
+            result[:, t, j] = error / np.sqrt(total)
+            gain = np.where(there[:, None], s / total[:, None], 0.0)
+            x = x + gain * np.where(there, error, 0.0)[:, None]
+            P = P - gain[:, :, None] * s[:, None, :]
+    return result
+
+
+def _residual(measured: Array, simulated: Array) -> Array:
+    """Return measured less simulated, zero where nothing was measured and infinite where the model has left."""
+    e = measured - simulated
+    return np.where(np.isfinite(measured), np.where(np.isfinite(e), e, np.inf), 0.0)
+
+
+def _information(e: Array, S: Array, R: Array) -> tuple[Array, Array]:
+    """Return SᵀR⁻¹S (w, n, n) and SᵀR⁻¹e (w, n) over what was measured; S must be zero elsewhere."""
+    weight = np.linalg.inv(np.linalg.cholesky(R))
+    w, _, _, n = S.shape
+    J = np.einsum("ij,wtjn->wtin", weight, S).reshape(w, -1, n)
+    r = np.einsum("ij,wtj->wti", weight, e).reshape(w, -1)
+    return np.matmul(J.transpose(0, 2, 1), J), np.einsum("wmn,wm->wn", J, r)
+
+
+def _inverse(H: Array, precision: Array) -> Array:
+    return np.asarray(np.linalg.inv(H + np.diag(precision)), dtype=np.float64)
+
+
+def _prior(H: Array, information: Array, mean: Array, measured: Array, R: Array, spread: Array) -> tuple[Array, Array]:
+    """Return the prior's mean and precision (n,) from H (w, n, n) and H x̂ (w, n) of every window.
+
+    It begins as weak as a state must change to change the outputs by their spread.
+    """
+    w = len(H)
+    counts = np.isfinite(measured).sum(axis=(0, 1)) / w
+    signal = max(float(counts @ (spread**2 / np.diag(R))), 1e-300)
+    seen = np.mean(np.diagonal(H, axis1=1, axis2=2), axis=0)
+    weak = np.where(seen > 0, seen / signal, 1.0)
+    precision = weak.copy()
+    if w < FEW:
+        return mean, precision
+    for _ in range(50):
+        covariance = _inverse(H, precision)
+        x = np.einsum("wij,wj->wi", covariance, information + precision * mean)
+        mean = x.mean(axis=0)
+        variance = np.diagonal(covariance, axis1=1, axis2=2).sum(axis=0) + ((x - mean) ** 2).sum(axis=0)
+        precision = np.maximum((w - 1) / variance, WEAKEST * seen + 1e-300)
+    return mean, precision
+
+
+def _noise_of(e: Array, S: Array, posterior: Array, R: Array, spread: Array) -> Array:
+    """Return the variances of the residuals, corrected for what the states have fitted away, as a diagonal (k, k)."""
+    H, _ = _information(e, S, R)
+    present = np.any(S != 0, axis=3)
+    count = np.maximum(present.sum(axis=(0, 1)), 1)
+    fitted = float(np.einsum("wij,wji->", H, posterior)) / count.sum()
+    squares = np.where(np.isfinite(e), e**2, 0.0).sum(axis=(0, 1))
+    return np.diag(squares / (count * max(1 - fitted, 0.1)) + (FLOOR * spread) ** 2)
+
+
+@dataclass(frozen=True, eq=False)
+class _Odds:
+    """The posterior of given residuals and states."""
+
+    R: Array
+    mean: Array
+    precision: Array
+
+    def cost(self, e: Array, x: Array) -> Array:
+        """Return its negative logarithm for every window (w,), twice and up to a constant."""
+        weight = np.linalg.inv(np.linalg.cholesky(self.R))
+        with np.errstate(invalid="ignore", over="ignore"):
+            squares = (np.einsum("ij,wtj->wti", weight, e) ** 2).sum(axis=(1, 2))
+        return np.where(np.isfinite(squares), squares, np.inf) + (self.precision * (x - self.mean) ** 2).sum(axis=1)
+
+
+def _searched(residual: Simulate, odds: _Odds, x: Array, e: Array, step: Array) -> tuple[Array, Array, Array]:
+    """Take the step of every window, halved until it does not cost more; return states, residuals, what was taken."""
+    before, length, worse = odds.cost(e, x), np.ones(len(x)), np.ones(len(x), dtype=bool)
+    for _ in range(HALVINGS):
+        moved = x + length[:, None] * step
+        e = residual(moved)
+        worse = ~(odds.cost(e, moved) <= before * (1 + 1e-9) + 1e-9)
+        if not worse.any():
+            return moved, e, length[:, None] * step
+        length = np.where(worse, length / 2, length)
+    length = np.where(worse, 0.0, length)
+    moved = x + length[:, None] * step
+    return moved, residual(moved), length[:, None] * step
