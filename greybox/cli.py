@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import json
+import math
 import re
 import sys
 import traceback
@@ -12,7 +13,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NoReturn
 
-from greybox.answer import Fit
+from greybox.answer import Fit, FittedRecord
 from greybox.atomic import replacing
 from greybox.command import BAD_INPUT, FAILED, USABLE, Answer, known
 from greybox.criterion import CRITERIA, Criterion
@@ -311,12 +312,20 @@ def _as_json(result: Fit) -> dict[str, Any]:
         "estimate": _all_known(result.estimate),
         "standard_error": _all_known(result.standard_error),
         "derived": _all_known(result.derived),
+        "outputs": [_output(part, name) for part in result.records for name in part.outputs],
         "at_bound": [q.name for q in result.quantities if q.at_bound],
         "warnings": list(result.warnings),
         "checksum": result.checksum,
         "seconds": result.seconds,
         "versions": dict(result.versions),
     }
+
+
+def _output(part: FittedRecord, name: str) -> dict[str, Any]:
+    """Say how a record's output is fitted; the noise is the standard deviation of its residuals, given or estimated."""
+    noise = float(part.noise[part.outputs.index(name), part.outputs.index(name)])
+    answer = {"part": part.name, "output": name, "unit": part.data.units.get(name, "")}
+    return answer | {"fit_percent": known(part.fit_percent(name)), "noise": known(math.sqrt(noise))}
 
 
 def _all_known(values: Any) -> dict[str, float | None]:

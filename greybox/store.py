@@ -1,20 +1,24 @@
 """Results in HDF5: one file holds the whole answer, in a layout that any HDF5 reader understands.
 
-Layout, version 1
------------------
+Layout, version 2 (1 had no records and no ``white``)
+----------------------------------------------------
 ``/``            attributes ``format`` ("greybox fit"), ``layout``, ``name``, ``criterion``, ``delay``, ``status``,
                  ``cost``, ``dof``, ``seed``, ``starts``, ``seconds``, ``checksum`` (SHA-256 of the data, part by part);
                  JSON attributes ``costs`` and ``versions``; dataset ``warnings``.
 ``/quantities``  one row per parameter and derived quantity: ``name, value, standard_error, kind, unit, about, bounds,
                  at_bound, dof``.
-``/covariance``  ``names`` (k,) and ``values`` (k, k).
+``/covariance``  ``names`` (k,) and ``values`` (k, k); if known, ``white`` (p, p) of the free ones for white errors.
 ``/runs``        one row per start: ``start`` and ``estimate`` (r, p), ``cost, status, reason, converged, iterations,
                  seconds``, ``minimum`` (the row of ``/minima``, -1 for none); attribute ``free`` names the p columns.
 ``/minima``      ``cost`` (m,), ``estimate`` (m, p), ``variants`` (m,), best first.
 ``/parts/0 ...`` one group per problem in the sum: attributes ``name, criterion, rule, condition, delay, weight, label,
-                 equation, checksum, pade_error`` and, as JSON, ``model, at, rename, tied, constraints`` and, if any,
-                 ``sine``; groups ``data`` and ``curve`` (``omega, alpha, beta`` and, if known, ``coherence, variance,
-                 dof``) and the fitted ``response_alpha, response_beta`` at the data's frequencies.
+                 equation, checksum`` and, as JSON, ``model, rename, tied, constraints``, and group ``data``.
+                 Of a response: attribute ``pade_error``, as JSON ``at`` and, if any, ``sine``; groups ``data`` and
+                 ``curve`` (``omega, alpha, beta`` and, if known, ``coherence, variance, dof``) and the fitted
+                 ``response_alpha, response_beta`` at the data's frequencies.
+                 Of a record: attributes ``method, inputs, nuisances``, as JSON ``outputs, biases, gains``; groups
+                 ``data`` and ``simulated`` (``time`` and ``signals/...``, each with its ``unit``), ``initial/...`` by
+                 state (stretches,) and ``noise`` (k, k).
 
 The file is sealed, see `greybox.sealed`. NaN means "not known". Nothing in a file is executed when it is loaded.
 """
@@ -28,7 +32,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from greybox.answer import Fit, FittedResponse, Quantity
+from greybox.answer import Fit, FittedRecord, FittedResponse, Quantity
+from greybox.record_file import read_record, write_record
 from greybox.response_file import read_group, write_group
 from greybox.result import Minimum
 from greybox.sealed import Node, open_sealed, write_sealed
@@ -36,7 +41,7 @@ from greybox.sine import Sine
 from greybox.solve import Run
 
 KIND = "fit"
-LAYOUT = 1
+LAYOUT = 2
 _PART_TEXTS = ("name", "criterion", "rule", "condition", "delay", "label", "equation")
 
 
@@ -83,6 +88,8 @@ def _write(file: Node, fit: Fit) -> None:
         group[column] = np.array([getattr(q, column) for q in fit.quantities])
     _texts(file, "covariance/names", fit.names)
     file["covariance/values"] = fit.covariance
+    if fit.white is not None:
+        file["covariance/white"] = fit.white
     _write_runs(file, fit)
     for k, part in enumerate(fit.parts):
         _write_part(file.create_group(f"parts/{k}"), part)
@@ -105,18 +112,37 @@ def _write_runs(file: Node, fit: Fit) -> None:
     minima["estimate"] = np.array([m.estimate for m in fit.minima]).reshape(len(fit.minima), len(fit.free))
 
 
-def _write_part(group: Node, part: FittedResponse) -> None:
+def _write_part(group: Node, part: FittedResponse | FittedRecord) -> None:
     texts = {name: getattr(part, name) for name in _PART_TEXTS}
     _attributes(group, checksum=part.data.checksum, weight=part.weight, **texts)
-    _attributes(group, pade_error=math.nan if part.pade_error is None else part.pade_error)
-    for name in ("model", "at", "rename", "tied"):
+    for name in ("model", "rename", "tied"):
         _attributes(group, **{name: json.dumps(dict(getattr(part, name)))})
     _attributes(group, constraints=json.dumps(part.constraints))
+    if isinstance(part, FittedRecord):
+        _write_fitted_record(group, part)
+    else:
+        _write_fitted_response(group, part)
+
+
+def _write_fitted_response(group: Node, part: FittedResponse) -> None:
+    _attributes(group, pade_error=math.nan if part.pade_error is None else part.pade_error)
+    _attributes(group, at=json.dumps(dict(part.at)))
     _attributes(group, sine=None if part.sine is None else json.dumps(part.sine.plain))
     group["response_alpha"], group["response_beta"] = part.response.real, part.response.imag
     for name, response in (("data", part.data), ("curve", part.curve)):
         if response is not None:
             write_group(group.create_group(name), response)
+
+
+def _write_fitted_record(group: Node, part: FittedRecord) -> None:
+    _attributes(group, method=part.method, inputs=part.inputs, nuisances=part.nuisances)
+    _attributes(group, **{name: json.dumps(getattr(part, name)) for name in ("outputs", "biases", "gains")})
+    write_record(group.create_group("data"), part.data)
+    write_record(group.create_group("simulated"), part.simulated)
+    group["noise"] = part.noise
+    initial = group.create_group("initial", track_order=True)
+    for state, values in part.initial.items():
+        initial[state] = values
 
 
 def _read(file: Node) -> Fit:
@@ -140,6 +166,7 @@ def _read(file: Node) -> Fit:
         starts=str(attributes["starts"]),
         seconds=float(attributes["seconds"]),
         versions=json.loads(attributes["versions"]),
+        white=file["covariance/white"][()] if "white" in file["covariance"] else None,
     )
 
 
@@ -192,22 +219,45 @@ def _read_minima(file: Node, runs: tuple[Run, ...]) -> tuple[Minimum, ...]:
     return tuple(result)
 
 
-def _read_part(group: Node) -> FittedResponse:
+def _read_part(group: Node) -> FittedResponse | FittedRecord:
     attributes = group.attrs
-    data = read_group(group["data"])
-    if data.checksum != attributes["checksum"]:
+    stated: dict[str, Any] = {name: str(attributes[name]) for name in _PART_TEXTS}
+    stated |= {name: json.loads(attributes[name]) for name in ("model", "rename", "tied")}
+    stated |= {"constraints": tuple(json.loads(attributes["constraints"])), "weight": float(attributes["weight"])}
+    part = _read_fitted_record(group, stated) if "simulated" in group else _read_fitted_response(group, stated)
+    if part.data.checksum != attributes["checksum"]:
         raise KeyError(f"the data of part {attributes['name']!r} do not match their checksum")
+    return part
+
+
+def _read_fitted_response(group: Node, stated: dict[str, Any]) -> FittedResponse:
+    attributes = group.attrs
     error = float(attributes["pade_error"])
     return FittedResponse(
-        **{name: str(attributes[name]) for name in _PART_TEXTS},
-        **{name: json.loads(attributes[name]) for name in ("model", "at", "rename", "tied")},
-        constraints=tuple(json.loads(attributes["constraints"])),
+        **stated,
+        at=json.loads(attributes["at"]),
         sine=Sine(**json.loads(attributes["sine"])) if "sine" in attributes else None,
-        weight=float(attributes["weight"]),
         pade_error=None if math.isnan(error) else error,
-        data=data,
+        data=read_group(group["data"]),
         response=group["response_alpha"][()] + 1j * group["response_beta"][()],
         curve=read_group(group["curve"]) if "curve" in group else None,
+    )
+
+
+def _read_fitted_record(group: Node, stated: dict[str, Any]) -> FittedRecord:
+    attributes = group.attrs
+    return FittedRecord(
+        **stated,
+        data=read_record(group["data"]),
+        simulated=read_record(group["simulated"]),
+        outputs=tuple(json.loads(attributes["outputs"])),
+        noise=group["noise"][()],
+        initial={state: values[()] for state, values in group["initial"].items()},
+        method=str(attributes["method"]),
+        inputs=attributes["inputs"],
+        biases=tuple(json.loads(attributes["biases"])),
+        gains=tuple((state, output) for state, output in json.loads(attributes["gains"])),
+        nuisances=int(attributes["nuisances"]),
     )
 
 

@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[1]
 
 # A file may import only files listed above it.
 ORDER = """
-table atomic parameter record frequency_response sealed response_file
+table atomic parameter record frequency_response sealed response_file record_file
 readers signals segment segments fourier spectra excitation multisine quality
 symbolic model trace controller trim elimination linear dynamics virtual_flight criterion
 sine harmonic output_error problem

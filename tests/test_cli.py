@@ -36,6 +36,32 @@ settings = {"starts": 5, "seed": 3}
 '''
 
 
+RECORD = '''import greybox as gb
+import numpy as np
+
+class Lag(gb.StateSpace):
+    r"""A lag."""
+    states, inputs, outputs = ("y",), ("u",), ("y",)
+    K = gb.Parameter(1.0, bounds=(0, 10), unit="1", about="gain")
+    T = gb.Parameter(0.5, bounds=(0.01, 5), unit="s", about="time constant")
+
+    def derivative(self, x, u, p):
+        return ((p.K * u.u - x.y) / p.T,)
+
+    def output(self, x, u, p):
+        return (x.y,)
+
+def problem():
+    time = np.arange(200) / 50
+    u = np.sin(3 * time) + np.sin(7 * time)
+    y = gb.simulate(Lag(), {"K": 2.0, "T": 0.3}, gb.Record(time, {"u": u}))["y"]
+    noise = 0.02 * np.random.default_rng(0).normal(size=200)
+    return gb.Problem(Lag(), gb.Record(time, {"u": u, "y": y + noise}, {"y": "m"}))
+
+settings = {"starts": 3}
+'''
+
+
 @pytest.fixture
 def own(tmp_path, monkeypatch):
     """Write a user's own file, with a name that no other test used: Python keeps modules by name."""
@@ -325,3 +351,25 @@ def test_a_stored_result_of_a_users_model_loads_without_it(capsys, own, tmp_path
     assert "MISSING the model Lag of the module" in done.stdout
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
     assert "MISSING" not in done.stdout
+
+
+def test_a_problem_with_a_record(own, capsys):
+    path = own(RECORD)
+    status, out, err = run(capsys, "fit", path, "--json", "--out", "fit.h5")
+    answer = json.loads(out)
+    assert (status, err) == (0, "")
+    assert abs(answer["estimate"]["T"] - 0.3) < 4 * answer["standard_error"]["T"]
+    (output,) = answer["outputs"]
+    assert (output["output"], output["unit"]) == ("y", "m")
+    assert output["fit_percent"] > 95
+    assert 0.017 < output["noise"] < 0.023
+    status, out, _ = run(capsys, "fit", path, "--fix", "T=0.3")
+    assert status == 0
+    assert "200 samples in 1 record" in out
+    assert "time constant" in out
+
+
+def test_a_record_that_does_not_fit_the_command(own, capsys):
+    path = own(RECORD)
+    assert "give a criterion such as OutputError()" in refused(capsys, "fit", path, "--criterion", "relative-error")
+    assert "no parameter 'mass'" in refused(capsys, "fit", path, "--fix", "mass=1")

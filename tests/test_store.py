@@ -15,12 +15,14 @@ import pytest
 from made import ROTOR, ROTOR_OMEGA, TILT, TILT_OMEGA, TWO_LAGS_OMEGA, Lag, measured
 from numpy.testing import assert_array_equal
 from test_reference import Integrator
+from test_simulate import Spring, driven
 
 import greybox as gb
 from greybox import store
 from greybox.models.polynomial import Polynomial
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import LinearTilt, Tilt
+from greybox.record_file import read_record, write_record
 from greybox.sealed import seal
 
 SHARED = TILT | {n: ROTOR[n] for n in ("T_rotor", "T_delay")}
@@ -92,6 +94,68 @@ def test_everything_comes_back(name, tmp_path):
         omega = np.geomspace(1, 20, 5)
         assert_array_equal(fit.response(omega, part=k).response, loaded.response(omega, part=k).response)
     assert loaded.covariance_of(fit.free[:2]).tolist() == fit.covariance_of(fit.free[:2]).tolist()
+
+
+HOLES = driven(6.0, noise=0.02, seed=5)
+HOLES = HOLES.with_signals(position=np.where(np.arange(300) % 7 == 3, np.nan, HOLES["position"]))
+RECORDS = {
+    "record": gb.Problem(Spring(), HOLES, gb.OutputError(biases=("position",))),
+    "renamed": gb.Problem(
+        Spring(), HOLES, gb.OutputError(noise={"position": 0.02}, inputs="held"), rename={"stiffness": "k"}
+    ),
+    "record and response": gb.Problem(Spring(), HOLES)
+    + gb.Problem(Spring(), measured(Spring(), np.geomspace(0.5, 8, 12), noise=0.02)),
+}
+
+
+@pytest.mark.parametrize("name", RECORDS)
+def test_a_fitted_record_comes_back(name, tmp_path):
+    fit = gb.fit(RECORDS[name], starts=2)
+    gb.save(fit, tmp_path / "a.h5")
+    loaded = gb.load(tmp_path / "a.h5")
+    assert str(fit) == str(loaded)
+    assert_array_equal(fit.white, loaded.white)
+    for mine, other in zip(fit.records, loaded.records, strict=True):
+        fields = {field.name for field in dataclasses.fields(mine)} - {"data", "simulated", "noise", "initial", "model"}
+        assert [getattr(mine, f) for f in sorted(fields)] == [getattr(other, f) for f in sorted(fields)]
+        assert_array_equal(mine.noise, other.noise)
+        assert list(mine.initial) == list(other.initial)
+        assert_array_equal([*mine.initial.values()], [*other.initial.values()])
+        for a, b in ((mine.data, other.data), (mine.simulated, other.simulated)):
+            assert (a.name, a.source, a.checksum, a.units) == (b.name, b.source, b.checksum, b.units)
+            assert list(a.signals) == list(b.signals)
+            assert_array_equal(a.time, b.time)
+            assert_array_equal([*a.signals.values()], [*b.signals.values()])
+    a, b = gb.predict(fit), gb.predict(loaded)
+    assert_array_equal(a.predicted, b.predicted)
+    gb.save(loaded, tmp_path / "b.h5")
+    assert str(gb.load(tmp_path / "b.h5")) == str(fit)
+
+
+def test_which_gains_a_record_was_fitted_with_comes_back(tmp_path):
+    fit = gb.fit(RECORDS["record"], starts=2)
+    part = dataclasses.replace(fit.parts[0], gains=(("velocity", "position"),))
+    gb.save(dataclasses.replace(fit, parts=(part,)), tmp_path / "a.h5")
+    assert gb.load(tmp_path / "a.h5").parts[0].gains == (("velocity", "position"),)
+
+
+def test_names_of_signals_may_hold_what_hdf5_takes_for_a_path(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        write_record(file, gb.Record(np.arange(3), {"b/c%2F": np.arange(3), "a": np.ones(3)}, {"a": "m/s"}, name="r"))
+    with h5py.File(tmp_path / "a.h5") as file:
+        found = read_record(file)
+    assert list(found.signals) == ["b/c%2F", "a"]
+    assert (found.units, found.name) == ({"a": "m/s"}, "r")
+
+
+def test_a_file_of_the_first_layout_is_read(tmp_path):
+    def older(file):
+        file.attrs["layout"] = 1
+        del file["covariance/white"]
+
+    loaded = gb.load(edited(tmp_path, older))
+    assert str(loaded) == str(LAG)
+    assert loaded.white is None
 
 
 def test_a_failed_fit_comes_back(tmp_path):
@@ -184,7 +248,7 @@ def forget(place):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda file: file.attrs.__setitem__("layout", 99), "has layout 99 and this version reads up to 1: install a"),
+        (lambda file: file.attrs.__setitem__("layout", 99), "has layout 99 and this version reads up to 2: install a"),
         (lambda file: file.attrs.__setitem__("layout", "x"), "damaged"),
         (lambda file: file.attrs.__delitem__("layout"), "damaged"),
         (lambda file: file.attrs.__delitem__("format"), "not a greybox fit or is damaged"),
