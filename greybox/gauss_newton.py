@@ -27,6 +27,7 @@ STAGES = 4  # in which continuity is tightened, each by TIGHTEN in the standard 
 TIGHTEN = 0.1
 LOOSE = 3.0  # first standard deviation of continuity, relative to the size of the states
 SETTLED = 0.1  # relative: how well a step must keep its promise for the next stage to begin
+WELL = 0.01  # the same, for it to skip one
 ITERATIONS = 100
 TOLERANCE = 1e-8  # predicted decrease of the cost, absolute, or 1e-3 of it relative
 LONG = 20000  # samples from which some stretches go before the whole record
@@ -159,12 +160,14 @@ class GaussNewton:
         if not point.finite:
             return point, "not finite at the start", 0
         assumed = [np.diag(1 / (SPREAD * part.noise.spread)) for part in self._records]
-        at = self._begun(point, assumed)
+        blocks = self._linearized(point, assumed)
+        at = self._begun(blocks)
         for iteration in range(ITERATIONS):
             exact, still = at.exact, frozen or at.stage < 0
             weights = self._noise_weights(point) if exact else assumed
+            blocks = self._linearized(point, weights) if iteration else blocks
             softness = at.softness
-            reduced, dz, predicted = self._step(point, weights, softness, at.damping, still)
+            reduced, dz, predicted = self._step(point, blocks, softness, at.damping, still)
             if exact:
                 at.force = [np.maximum(f, 1.2 * _largest(r, dz)) for f, r in zip(at.force, reduced, strict=True)]
             merit = self._merit(weights, softness, at.force, exact)
@@ -179,7 +182,8 @@ class GaussNewton:
             if not exact:
                 kept = length == 1.0 and abs(gained - predicted) <= SETTLED * predicted
                 done = trial is None or frozen or kept or predicted <= SETTLED * abs(before)
-                at.stage = STAGES if done and near else at.stage + done
+                well = trial is not None and length == 1.0 and abs(gained - predicted) <= WELL * predicted
+                at.stage = STAGES if done and near else at.stage + done + (done and well and at.stage >= 0)
             elif length == 1.0:
                 # Gauss-Newton converges linearly at worst: the next decrease follows from the last two.
                 following = predicted * predicted / at.last if predicted < at.last else predicted
@@ -188,12 +192,17 @@ class GaussNewton:
                 at.last = predicted
         return point, "iterations exceeded", ITERATIONS
 
-    def _begun(self, point: _Point, weights: Sequence[Array]) -> _Progress:
+    def _linearized(self, point: _Point, weights: Sequence[Array]) -> list[Blocks]:
+        return [
+            part.linearize(path, place, weight)
+            for part, path, place, weight in zip(self._records, point.paths, point.places, weights, strict=True)
+        ]
+
+    def _begun(self, blocks: Sequence[Blocks]) -> _Progress:
         variances = []
-        for k, part in enumerate(self._records):
+        for part, block in zip(self._records, blocks, strict=True):
             # The variance by which states must change to change the outputs of a segment by their spread.
-            blocks = part.linearize(point.paths[k], point.places[k], weights[k])
-            seen = np.nan_to_num(np.mean(blocks.corner.diagonal(axis1=1, axis2=2), axis=0))
+            seen = np.nan_to_num(np.mean(block.corner.diagonal(axis1=1, axis2=2), axis=0))
             signal = part.experiment.segment * len(part.outputs) / SPREAD**2
             variances.append(LOOSE**2 * signal / np.maximum(seen, 1e-300))
         return _Progress(variances, [np.zeros(part.states) for part in self._records])
@@ -223,7 +232,7 @@ class GaussNewton:
         return 1e-2 * sum(float((np.abs(p.gaps) * f).sum()) for p, f in zip(point.paths, force, strict=True))
 
     def _step(
-        self, point: _Point, weights: Sequence[Array], soft: Sequence[Array], damping: float, still: bool
+        self, point: _Point, blocks: Sequence[Blocks], soft: Sequence[Array], damping: float, still: bool
     ) -> tuple[list[Reduced], Array, float]:
         """Return the reduced systems, the step (p,) of z and the decrease that it promises."""
         p = len(point.z)
@@ -231,11 +240,10 @@ class GaussNewton:
         hessian, gradient = np.zeros((p, p)), np.zeros(p)
         for k, part in enumerate(self._records):
             gaps = point.paths[k].gaps
-            blocks = part.linearize(point.paths[k], point.places[k], weights[k])
-            r = part.reduce(blocks, point.places[k], gaps, soft[k])
+            r = part.reduce(blocks[k], point.places[k], gaps, soft[k])
             reduced.append(r)
             hessian, gradient = hessian + self._weights[k] * r.hessian, gradient + self._weights[k] * r.gradient
-            promise += self._weights[k] * _promise(blocks, r, gaps, soft[k])
+            promise += self._weights[k] * _promise(blocks[k], r, gaps, soft[k])
         if still:
             return reduced, np.zeros(p), promise
         g, H = (value.full() for value in self._curvature(point.z, SMOOTHING))

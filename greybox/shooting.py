@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.compiled import CompiledBlocks
 from greybox.dynamics import Dynamics
 from greybox.experiment import Experiment, input_over_step
 from greybox.integrator import Integrator, step_function
@@ -109,19 +110,21 @@ class Shooting:
     """The functions of one record, for the parameters that `active` names (those that are estimated)."""
 
     def __init__(
-        self, step: SampleStep, experiment: Experiment, active: NDArray[np.integer], compiled: bool = False
+        self, step: SampleStep, experiment: Experiment, active: NDArray[np.integer], compile_blocks: bool = False
     ) -> None:
         self.experiment, self.active = experiment, active
         self.n, self.size = step.function.size1_in(0), step.function.size1_in(1)
         self.k = step.function.size1_out(1)
         self._read_experiment()
-        functions = _readings(step, active)
-        self._advance, self._output, self._derivatives = (Columns(function, shared=(1,)) for function in functions)
+        self._advance, self._output, self._derivatives = (Columns(f, shared=(1,)) for f in _readings(step, active))
+        self._compiled = None
+        if compile_blocks:
+            self._compiled = CompiledBlocks(step.function, active.tolist(), experiment.segments, experiment.segment)
 
     def on(self, experiment: Experiment) -> "Shooting":
         """Return the same functions on another cut of the record."""
         result = copy(self)
-        result.experiment = experiment
+        result.experiment, result._compiled = experiment, None
         result._read_experiment()
         return result
 
@@ -130,6 +133,7 @@ class Shooting:
         self.counts = (self._fixed[self.k : 2 * self.k] != 0).sum(axis=1)
         self._data: Array | None = None
         self._whole: Any = None
+        self._in_order: tuple[Array, Array] | None = None
 
     @property
     def length(self) -> int:
@@ -165,6 +169,8 @@ class Shooting:
 
     def blocks(self, states: Array, end: Array, q: Array, weight: Array, data: Array) -> Blocks:
         """Linearize along the states, the residuals multiplied by `weight`, a square root of the inverse covariance."""
+        if self._compiled is not None:
+            return self._blocks_in_c(states, q, weight, data)
         s, v, n = len(end), self.n + len(self.active), self.n
         corner, mixed, gradient = np.empty((s, n, n)), np.empty((s, n, v - n)), np.empty((s, n))
         transition, own, slope = np.empty((s, n, v)), np.zeros((v - n, v - n)), np.zeros(v - n)
@@ -177,6 +183,29 @@ class Shooting:
             corner[some], mixed[some], gradient[some] = H[:, :n, :n], H[:, :n, n:], g[:, :n]
             own, slope = own + H[:, n:, n:].sum(axis=0), slope + g[:, n:].sum(axis=0)
         return Blocks(end, transition[:, :, :n], transition[:, :, n:], corner, mixed, gradient, own, slope)
+
+    def _blocks_in_c(self, states: Array, q: Array, weight: Array, data: Array) -> Blocks:
+        assert self._compiled is not None
+        if self._in_order is None or self._in_order[0] is not data:
+            self._in_order = (data, np.ascontiguousarray(self.in_order(data).T))
+        n, v, s = self.n, self.n + len(self.active), self.experiment.segments
+        nodes = states[:, :s].T
+        end, slopes, products, gradient = self._compiled(nodes, q, weight, self._in_order[1])
+        transition = slopes.reshape(s, v, n).transpose(0, 2, 1)
+        place = np.zeros((v, v), dtype=int)
+        place[np.triu_indices(v)] = np.arange(v * (v + 1) // 2)
+        place = np.maximum(place, place.T)
+        own = products.sum(axis=0)[place[n:, n:]]
+        return Blocks(
+            end=end,
+            to_state=transition[:, :, :n],
+            to_parameters=transition[:, :, n:],
+            corner=products[:, place[:n, :n]],
+            mixed=products[:, place[:n, n:]],
+            gradient=gradient[:, :n],
+            own=own,
+            slope=gradient[:, n:].sum(axis=0),
+        )
 
     def sensitivities(self, states: Array, q: Array, data: Array, some: slice) -> tuple[Array, Array, Array]:
         """Return derivatives of the ends (c, n, v) and residuals (c, length, k, v), and the residuals (c, length, k).
@@ -194,12 +223,13 @@ class Shooting:
         # CasADi stacks matrices column by column.
         A = np.ascontiguousarray(A.reshape(v, n, length, count).transpose(2, 3, 1, 0))
         C = np.ascontiguousarray(C.reshape(v, k, length, count).transpose(3, 2, 1, 0))
-        S = np.tile(np.eye(n, v), (count, 1, 1))
+        S, J = np.tile(np.eye(n, v), (count, 1, 1)), np.empty((count, length, k, v))
         for i in range(length):
-            C[:, i] = np.concatenate([np.zeros((count, k, n)), C[:, i, :, n:]], axis=2) + C[:, i, :, :n] @ S
+            np.matmul(C[:, i, :, :n], S, out=J[:, i])
             S = A[i, :, :, :n] @ S
             S[:, :, n:] += A[i, :, :, n:]
-        return S, C, e.reshape(k, length, count).transpose(2, 1, 0)
+        J[..., n:] += C[..., n:]
+        return S, J, e.reshape(k, length, count).transpose(2, 1, 0)
 
     def simulate(self, nodes: Array, q: Array, data: Array) -> tuple[Array, Array]:
         """Return states (n, samples) and simulated outputs (k, samples), every segment from its node."""

@@ -15,7 +15,7 @@ table atomic parameter record frequency_response sealed response_file record_fil
 readers signals segment segments fourier spectra excitation multisine quality
 symbolic model trace controller trim elimination linear dynamics virtual_flight criterion
 sine harmonic output_error problem
-integrator transcription experiment noise tape shooting chain record_part
+integrator transcription experiment noise tape compiled shooting chain record_part
 nlp levy starts solve small_qp gauss_newton result multistart
 smoothing equations regression regressors projection equation_error
 residuals record_accuracy accuracy words reference answer fitted_record quantities store fit

@@ -1,0 +1,122 @@
+"""The linearization of all segments as one C function, compiled once and kept for the next time."""
+
+import hashlib
+import os
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+COMPILERS = ("cc", "gcc", "clang")
+FLAGS = ("-O2", "-fPIC", "-shared")
+
+
+class CompiledBlocks:
+    """For s segments of some samples: ends, their derivatives, and JᵀJ and Jᵀe, all in one loop.
+
+    `sample` is (x, q, d) -> next state, residuals, outputs; `active` names the parameters of the derivatives.
+    """
+
+    def __init__(self, sample: ca.Function, active: list[int], segments: int, length: int) -> None:
+        function, self._sizes = _blocks(sample, active, length)
+        self._function = compiled(function.map("blocks_of_all", "serial", segments, [1, 2], []))
+        self._segments = segments
+
+    def __call__(self, nodes: Array, q: Array, weight: Array, data: Array) -> list[Array]:
+        """Return ends (s, n), derivatives (s, v, n), products (s, v (v + 1) / 2) and gradients (s, v).
+
+        From nodes (s, n), parameters, weights (k, k) and data (samples, width), in the order of the samples.
+        """
+        buffer, evaluate = self._function.buffer()
+        inputs = [np.ascontiguousarray(value, dtype=float) for value in (nodes, q, weight.T, data)]
+        results = [np.empty((self._segments, size)) for size in self._sizes]
+        for k, value in enumerate(inputs):
+            buffer.set_arg(k, memoryview(value))
+        for k, value in enumerate(results):
+            buffer.set_res(k, memoryview(value))
+        evaluate()
+        return results
+
+
+def _blocks(sample: ca.Function, active: list[int], length: int) -> tuple[ca.Function, list[int]]:
+    """Return (node, q, weight, data) -> end, its derivatives, products and gradient of a segment; and their sizes."""
+    x, q, d = (ca.SX.sym(name, sample.numel_in(k)) for k, name in enumerate("xqd"))
+    after, e, _ = sample(x, q, d)
+    n, k, free = x.numel(), e.numel(), ca.vertcat(x, q[active])
+    v = free.numel()
+    A, E, W = ca.jacobian(after, free), ca.jacobian(e, free), ca.SX.sym("W", k, k)
+    S = ca.SX.sym("S", _pattern(A, n, v))
+    H, g = ca.SX.sym("H", v * (v + 1) // 2), ca.SX.sym("g", v)
+    J = W @ (E[:, :n] @ S + ca.horzcat(ca.SX(k, n), E[:, n:]))
+    S_next = ca.project(A[:, :n] @ S + ca.horzcat(ca.SX(n, n), A[:, n:]), S.sparsity())
+    products = J.T @ J
+    upper = ca.vertcat(ca.SX(0, 1), *[products[i, c] for i in range(v) for c in range(i, v)])
+    state = ca.vertcat(x, S.nz[:], H, g)
+    step = ca.Function(
+        "step", [state, q, W, d], [ca.vertcat(after, S_next.nz[:], H + upper, g + J.T @ (W @ e))], {"cse": True}
+    )
+    node, Q, D = ca.MX.sym("x", n), ca.MX.sym("q", q.numel()), ca.MX.sym("d", d.numel(), length)
+    weight, eye = ca.MX.sym("W", k, k), np.eye(n, v)
+    row, column = S.sparsity().get_triplet()
+    first = ca.DM([eye[i, c] for i, c in zip(row, column, strict=True)])
+    last = step.fold(length)(ca.vertcat(node, first, ca.MX.zeros(H.numel() + v)), Q, weight, D)
+    ends = np.cumsum([n, S.nnz(), H.numel(), v]).tolist()
+    end, slopes, summed, gradient = ca.vertsplit(last, [0, *ends])
+    full = ca.vec(ca.densify(ca.MX(S.sparsity(), slopes)))
+    function = ca.Function("blocks", [node, Q, weight, D], [end, full, summed, gradient])
+    return function, [n, n * v, H.numel(), v]
+
+
+def _pattern(A: ca.SX, n: int, v: int) -> ca.Sparsity:
+    """Return where the derivatives of a state by node and parameters may differ from zero, after any steps."""
+    one, pattern = ca.DM(A.sparsity(), 1), ca.sparsify(ca.DM(np.eye(n, v)))
+    for _ in range(v):
+        pattern = ca.DM((pattern + one[:, :n] @ pattern + ca.horzcat(ca.DM(n, n), one[:, n:])).sparsity(), 1)
+    return pattern.sparsity()
+
+
+def compiled(function: ca.Function) -> ca.Function:
+    """Return the function as machine code, from the cache where it was compiled before.
+
+    The cache is ``greybox`` in the folder that XDG_CACHE_HOME names, by default ``~/.cache``.
+
+    Raises
+    ------
+    RuntimeError
+        If there is no C compiler or it fails.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        generator = ca.CodeGenerator("function.c", {"with_header": False})
+        generator.add(function)
+        library = _library(Path(generator.generate(folder + os.sep)), folder)
+    return ca.external(function.name(), str(library))
+
+
+def _library(source: Path, folder: str) -> Path:
+    compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
+    digest = hashlib.sha256(source.read_bytes() + " ".join(FLAGS).encode()).hexdigest()
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "greybox"
+    kept = cache / f"{digest[:32]}.so"
+    if kept.is_file():
+        return kept
+    if compiler is None:
+        raise RuntimeError(
+            f"compile=True needs a C compiler and none of {', '.join(COMPILERS)} was found: "
+            "install one, or leave compile out."
+        )
+    fresh = Path(folder) / "functions.so"
+    done = subprocess.run(
+        [compiler, *FLAGS, "-o", str(fresh), str(source), "-lm"], capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        raise RuntimeError(f"{compiler} failed: {done.stderr.strip()[:300]}; leave compile out.")
+    cache.mkdir(parents=True, exist_ok=True)
+    moving = cache / f"{digest[:32]}.{os.getpid()}"
+    shutil.copyfile(fresh, moving)
+    moving.replace(kept)
+    return kept
