@@ -40,20 +40,18 @@ def information(part: RecordPart, path: Path, place: Place) -> Information:
     if part.known_states.any():
         rows = np.ix_(part.first, part.known_states)
         follow[rows] = place.initial_slope[part.known_states]
-    s, length, k = part.experiment.segments, part.experiment.segment, len(part.outputs)
-    slope = np.empty((s, length, k, place.slope.shape[1]))
+    s, length, k, p = part.experiment.segments, part.experiment.segment, len(part.outputs), place.slope.shape[1]
+    weighted, triangle, white = np.empty((s, length, k, p)), np.zeros((0, p)), np.zeros((p, p))
     for some in part.shooting.chunks(s):
         _, J, _ = part.shooting.sensitivities(path.states, place.q, place.data, some)
-        slope[some] = -(J[..., :n] @ follow[some, None] + J[..., n:]) @ place.slope
-    slope = slope.reshape(s * length, k, -1)
-    residual = part.shooting.in_order(part.shooting.residuals(path.states, place.q, place.data))
-    root = weight @ slope
+        root = weight @ ((J[..., :n] @ follow[some, None] + J[..., n:]) @ place.slope)
+        rows = root.reshape(-1, p)
+        triangle = np.linalg.qr(np.vstack([triangle, rows]), mode="r")
+        white += rows.T @ rows
+        weighted[some] = weight.T @ root
     numbers = int(part.shooting.counts.sum()) - part.unknown_initial
     if isinstance(part.criterion, PredictionError):
-        meat = np.tensordot(root, root, ((0, 1), (0, 1)))
-    else:
-        weighted = np.moveaxis(weight.T @ root, 0, -1)
-        stretches = [np.moveaxis(w, -1, 0) for w in part.experiment.unpadded(weighted)]
-        meat = colored_information(stretches, part.experiment.unpadded(residual))
-    triangle = np.linalg.qr(root.reshape(-1, root.shape[2]), mode="r")
-    return Information(triangle, meat, numbers)
+        return Information(triangle, white, numbers)
+    residual = part.shooting.in_order(part.shooting.residuals(path.states, place.q, place.data))
+    stretches = part.experiment.unpadded(np.moveaxis(weighted.reshape(s * length, k, p), 0, -1))
+    return Information(triangle, colored_information(stretches, part.experiment.unpadded(residual)), numbers)

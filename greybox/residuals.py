@@ -46,13 +46,12 @@ def autoregression(stretches: list[Array]) -> Array:
 
 
 def filtered(coefficients: Array, signal: Array) -> Array:
-    """Return Σ c_k x(t - k) along the first axis, zero before the first sample."""
+    """Return Σ c_k x(t - k), (n,), zero before the first sample."""
     if len(coefficients) == 1:
         return coefficients[0] * signal
     size = 1 << int(len(signal) + len(coefficients) - 1).bit_length()
-    shape = (-1,) + (1,) * (signal.ndim - 1)
-    spectrum = np.fft.rfft(signal, size, axis=0) * np.fft.rfft(coefficients, size).reshape(shape)
-    return np.fft.irfft(spectrum, size, axis=0)[: len(signal)]
+    spectrum = np.fft.rfft(signal, size) * np.fft.rfft(coefficients, size)
+    return np.fft.irfft(spectrum, size)[: len(signal)]
 
 
 def inverse(coefficients: Array, longest: int = 5000) -> Array:
@@ -73,12 +72,12 @@ def inverse(coefficients: Array, longest: int = 5000) -> Array:
 def colored_information(weighted: list[Array], residuals: list[Array]) -> Array:
     """Return Σ J' Σ_e J (p, p) for sensitivities over noise covariance, and residuals with their own autocorrelation.
 
-    `weighted` holds one array (n, k, p) per stretch, R⁻¹ dy/dθ; `residuals` one (k, n). This is the middle of the
+    `weighted` holds one array (k, p, n) per stretch, R⁻¹ dy/dθ; `residuals` one (k, n). This is the middle of the
     sandwich. Source: Morelli and Klein (1997), Accuracy of aerodynamic model parameters estimated from flight test
     data, Journal of Guidance, Control, and Dynamics 20(1); here with an autoregression in place of the truncated
     autocorrelation, so that it is positive semidefinite.
     """
-    k, p = weighted[0].shape[1:]
+    k, p = weighted[0].shape[:2]
     models = [autoregression([e[j] for e in residuals]) for j in range(k)]
     inverses = [inverse(a) for a in models]
     total = np.zeros((p, p))
@@ -88,8 +87,8 @@ def colored_information(weighted: list[Array], residuals: list[Array]) -> Array:
     covariance = np.where(present, white, 0.0) @ np.where(present, white, 0.0).T / together
     for J in weighted:
         # The transposed inverse of the whitening filter runs backward in time.
-        colored = [filtered(inverses[j], J[::-1, j]) for j in range(k)]
+        colored = [np.array([filtered(inverses[j], row[::-1]) for row in J[j]]) for j in range(k)]
         for i in range(k):
             for j in range(k):
-                total += covariance[i, j] * np.asarray(colored[i]).T @ np.asarray(colored[j])
+                total += covariance[i, j] * colored[i] @ colored[j].T
     return total
