@@ -4,6 +4,10 @@ from importlib import import_module as _import_module
 from pathlib import Path as _Path
 
 from greybox.answer import Fit as Fit
+from greybox.compare import compare as compare
+from greybox.compare import nested_test as nested_test
+from greybox.comparison import Comparison as Comparison
+from greybox.comparison import NestedTest as NestedTest
 from greybox.controller import Controller as Controller
 from greybox.criterion import MagnitudePhase as MagnitudePhase
 from greybox.criterion import MaximumLikelihood as MaximumLikelihood
@@ -78,7 +82,9 @@ from greybox.symbolic import sqrt as sqrt
 from greybox.symbolic import tan as tan
 from greybox.symbolic import tanh as tanh
 from greybox.symbolic import where as where
+from greybox.transcription.collocation import Collocation as Collocation
 from greybox.transcription.multiple_shooting import MultipleShooting as MultipleShooting
+from greybox.transcription.single_shooting import SingleShooting as SingleShooting
 from greybox.virtual_flight import virtual_flight as virtual_flight
 
 __version__ = "0.1.0"

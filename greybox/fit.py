@@ -27,7 +27,7 @@ from greybox.problem import Problem, Sum
 from greybox.quantities import quantities
 from greybox.result import Multistart
 from greybox.starts import Starts, as_starts
-from greybox.transcription.multiple_shooting import MultipleShooting
+from greybox.transcription.method import Transcription
 from greybox.words import pade_error, warnings
 
 STARTS, RECORD_STARTS = 200, 20
@@ -39,7 +39,7 @@ def fit(
     starts: int | Starts | Sequence[Mapping[str, float] | Starts] | None = None,
     seed: int | None = None,
     *,
-    method: MultipleShooting | None = None,
+    method: Transcription | None = None,
     solver_options: Mapping[str, Any] = MappingProxyType({}),
     progress: bool | Callable[[int, int], None] = True,
 ) -> Fit:

@@ -29,8 +29,11 @@ LOOSE = 3.0  # first standard deviation of continuity, relative to the size of t
 SETTLED = 0.1  # relative: how well a step must keep its promise for the next stage to begin
 WELL = 0.01  # the same, for it to skip one
 ITERATIONS = 100
-TOLERANCE = 1e-8  # predicted decrease of the cost, absolute, or 1e-3 of it relative
+TOLERANCE = 1e-8  # of half a step's length squared, in standard errors, and of the decrease of the cost
+CONTINUOUS = 1e-9  # gap relative to the largest value of the state
+ROUNDING = 1e-9  # of the cost
 LONG = 20000  # samples from which some stretches go before the whole record
+DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")  # trial steps may, and are then shortened
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +99,7 @@ class GaussNewton:
         thinned = tuple(part.thinned(LONG // 2) for part in self._records) if samples > LONG else None
         self._coarse = GaussNewton(nlp, thinned) if thinned and records is None else None
 
+    @DIVERGING
     def run(self, start: Array) -> Outcome:
         """Solve from the parameters `start` (p,)."""
         began = time.perf_counter()
@@ -115,6 +119,7 @@ class GaussNewton:
         seconds = time.perf_counter() - began
         return Outcome(estimate, status, iterations + last, seconds, converged, cost, self._trace(point), nodes)
 
+    @DIVERGING
     def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
         """Return the best states at the parameters x (p,); `nodes`, if given, are known to be the best."""
         z = self._nlp.scaling.to_solver(x)
@@ -127,6 +132,30 @@ class GaussNewton:
             except np.linalg.LinAlgError:
                 point, status = self._point(z, self._rest(math.nan)), "singular"
         return Profile(point.places, point.paths, self._cost(point, smoothing=0.0), status == "converged")
+
+    def smoothed(self, z: Array) -> tuple[list[Array] | None, list[Array]]:
+        """Return states (n, samples) close to the data at z, None where they diverge; and weights to begin with."""
+        point = self._point(z, self._rest(0.0))
+        assumed = [np.diag(1 / (SPREAD * part.noise.spread)) for part in self._records]
+        try:
+            for _ in range(3 if point.finite else 0):
+                blocks = self._linearized(point, assumed)
+                reduced, dz, *_ = self._step(point, blocks, self._begun(blocks).soft, 0.0, still=True)
+                point = self._moved(point, reduced, dz, 1.0, still=True)
+        except np.linalg.LinAlgError:
+            return None, assumed
+        if not point.finite:
+            return None, assumed
+        return [
+            part.shooting.in_order(path.states) for part, path in zip(self._records, point.paths, strict=True)
+        ], assumed
+
+    def trace(self, x: Array) -> Array | None:
+        """Return what `Outcome.trace` holds, at the best states for x (p,); None where there are none."""
+        found = self.profile(x)
+        if not found.converged:
+            return None
+        return self._trace(_Point(self._nlp.scaling.to_solver(x), found.places, found.paths))
 
     def _rest(self, value: float) -> list[Array]:
         return [np.full((part.experiment.segments, part.states), value) for part in self._records]
@@ -167,15 +196,17 @@ class GaussNewton:
             weights = self._noise_weights(point) if exact else assumed
             blocks = self._linearized(point, weights) if iteration else blocks
             softness = at.softness
-            reduced, dz, predicted = self._step(point, blocks, softness, at.damping, still)
+            reduced, dz, predicted, distance = self._step(point, blocks, softness, at.damping, still)
             if exact:
                 at.force = [np.maximum(f, 1.2 * _largest(r, dz)) for f, r in zip(at.force, reduced, strict=True)]
             merit = self._merit(weights, softness, at.force, exact)
             before = merit(point)
+            settled = predicted <= max(TOLERANCE, ROUNDING * abs(before)) and self._is_continuous(point)
+            if exact and settled and distance <= TOLERANCE:
+                return point, "converged", iteration
             trial, length = self._search(point, reduced, dz, still, merit, before)
-            tolerance = TOLERANCE * max(1.0, 1e-3 * abs(before))
             if trial is None and exact:
-                return point, "converged" if predicted <= 1e3 * tolerance else "stalled", iteration
+                return point, "converged" if settled and distance <= 1e3 * TOLERANCE else "stalled", iteration
             gained = 0.0 if trial is None else before - merit(trial)
             point = trial or point
             at.damping = _next_damping(at.damping, length)
@@ -186,10 +217,10 @@ class GaussNewton:
                 at.stage = STAGES if done and near else at.stage + done + (done and well and at.stage >= 0)
             elif length == 1.0:
                 # Gauss-Newton converges linearly at worst: the next decrease follows from the last two.
-                following = predicted * predicted / at.last if predicted < at.last else predicted
-                if max(min(predicted, following), self._missed(point, at.force)) <= tolerance:
+                following = max(predicted, distance) ** 2 / at.last if predicted < at.last < 1 else math.inf
+                if following <= TOLERANCE and self._is_continuous(point):
                     return point, "converged", iteration + 1
-                at.last = predicted
+                at.last = max(predicted, distance)
         return point, "iterations exceeded", ITERATIONS
 
     def _linearized(self, point: _Point, weights: Sequence[Array]) -> list[Blocks]:
@@ -220,7 +251,7 @@ class GaussNewton:
         length = 1.0
         while length > 1e-7:
             trial = self._moved(point, reduced, dz, length, still)
-            if merit(trial) <= before + 1e-10 * max(1.0, abs(before)):
+            if merit(trial) <= before + ROUNDING * max(1.0, abs(before)):
                 return trial, length
             length /= 2
         return None, 0.0
@@ -228,13 +259,19 @@ class GaussNewton:
     def _noise_weights(self, point: _Point) -> list[Array]:
         return [part.noise.weight(path.products) for part, path in zip(self._records, point.paths, strict=True)]
 
-    def _missed(self, point: _Point, force: Sequence[Array]) -> float:
-        return 1e-2 * sum(float((np.abs(p.gaps) * f).sum()) for p, f in zip(point.paths, force, strict=True))
+    def _is_continuous(self, point: _Point) -> bool:
+        return all(
+            np.all(np.abs(p.gaps).max(axis=0, initial=0.0) <= CONTINUOUS * np.abs(p.states).max(axis=1, initial=0.0))
+            for p in point.paths
+        )
 
     def _step(
         self, point: _Point, blocks: Sequence[Blocks], soft: Sequence[Array], damping: float, still: bool
-    ) -> tuple[list[Reduced], Array, float]:
-        """Return the reduced systems, the step (p,) of z and the decrease that it promises."""
+    ) -> tuple[list[Reduced], Array, float, float]:
+        """Return the reduced systems, the step (p,) of z, the decrease that it promises, and half its length squared.
+
+        The length is in standard errors, where the cost is a likelihood.
+        """
         p = len(point.z)
         reduced, promise = [], 0.0
         hessian, gradient = np.zeros((p, p)), np.zeros(p)
@@ -245,7 +282,7 @@ class GaussNewton:
             hessian, gradient = hessian + self._weights[k] * r.hessian, gradient + self._weights[k] * r.gradient
             promise += self._weights[k] * _promise(blocks[k], r, gaps, soft[k])
         if still:
-            return reduced, np.zeros(p), promise
+            return reduced, np.zeros(p), promise, 0.0
         g, H = (value.full() for value in self._curvature(point.z, SMOOTHING))
         values, vectors = np.linalg.eigh((H + H.T) / 2)
         hessian, gradient = hessian + (vectors * np.abs(values)) @ vectors.T, gradient + g.ravel()
@@ -255,7 +292,8 @@ class GaussNewton:
         there = np.isfinite(limits)
         damped = hessian + damping * np.diag(np.diag(hessian))
         dz = solve_small_qp(damped, gradient, rows[there], np.minimum(limits[there], 0.0))
-        return reduced, dz, promise + float(-gradient @ dz - 0.5 * dz @ hessian @ dz)
+        half = 0.5 * float(dz @ hessian @ dz)
+        return reduced, dz, promise - float(gradient @ dz) - half, half
 
     def _moved(self, point: _Point, reduced: Sequence[Reduced], dz: Array, length: float, still: bool) -> _Point:
         nodes = [

@@ -14,10 +14,12 @@ from greybox.gauss_newton import GaussNewton
 from greybox.nlp import Nlp
 from greybox.result import Minimum, Multistart, find_minima
 from greybox.solve import CONVERGED, INVALID, POLISH, Outcome, Run, Solver
+from greybox.whole_problem import WholeProblem
 
 Progress = Callable[[int, int], None]
 """Called with the number of finished and of all runs."""
 
+RESCUED, RESCUE_SIZE = 3, 100_000  # runs, and measured numbers, that IPOPT takes over
 CLOSE = 1e-2  # relative cost up to which a minimum is polished too: smoothing may change the order of close ones
 
 
@@ -32,12 +34,14 @@ def multistart(
     Every run is kept. A run that fails is a result with its status; it is never ranked before one that converged.
     """
     began = time.perf_counter()
-    solver = GaussNewton(nlp) if nlp.records else Solver(nlp, solver_options)
+    solver = _solver(nlp, solver_options)
     outcomes = []
     for k, start in enumerate(starts):
         outcomes.append(solver.run(start))
         if progress is not None:
             progress(k + 1, len(starts))
+    if isinstance(solver, GaussNewton) and not any(outcome.converged for outcome in outcomes):
+        outcomes = _by_ipopt(nlp, outcomes, solver_options)
     runs = _as_runs(nlp, starts, outcomes)
     minima = find_minima(nlp, runs, [outcome.trace for outcome in outcomes])
     if minima and isinstance(solver, Solver) and any(part.criterion.smoothed for part in nlp.problem.parts):
@@ -47,6 +51,22 @@ def multistart(
         minima = tuple(sorted(minima, key=lambda m: m.cost))
     nodes = outcomes[minima[0].runs[0]].nodes if minima else None
     return Multistart(runs, minima, time.perf_counter() - began, nodes)
+
+
+def _by_ipopt(nlp: Nlp, outcomes: list[Outcome], options: Mapping[str, Any]) -> list[Outcome]:
+    """Go on with IPOPT where Gauss-Newton steps did not converge from any start, from the best of their ends."""
+    ended = [k for k, outcome in enumerate(outcomes) if math.isfinite(outcome.cost)]
+    best = sorted(ended, key=lambda k: outcomes[k].cost)[:RESCUED]
+    if not best or sum(part.experiment.measured.size for part in nlp.records) > RESCUE_SIZE:
+        return outcomes
+    solver = WholeProblem(nlp, options)
+    return [solver.run(o.estimate) if k in best else o for k, o in enumerate(outcomes)]
+
+
+def _solver(nlp: Nlp, options: Mapping[str, Any]) -> Solver | GaussNewton | WholeProblem:
+    if not nlp.records:
+        return Solver(nlp, options)
+    return WholeProblem(nlp, options) if nlp.records[0].method.by_ipopt else GaussNewton(nlp)
 
 
 def _as_runs(nlp: Nlp, starts: NDArray[np.float64], outcomes: list[Outcome]) -> tuple[Run, ...]:

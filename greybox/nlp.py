@@ -18,6 +18,7 @@ from greybox.problem import Problem, Sum
 from greybox.record import Record
 from greybox.record_part import RecordPart
 from greybox.symbolic import Complex
+from greybox.transcription.method import Transcription
 from greybox.transcription.multiple_shooting import MultipleShooting
 
 AnyProblem = Problem | Sum
@@ -132,7 +133,7 @@ class Nlp:
         return np.split(stacked, ends)
 
 
-def compile_problem(problem: AnyProblem, method: MultipleShooting | None = None) -> Nlp:
+def compile_problem(problem: AnyProblem, method: Transcription | None = None) -> Nlp:
     """Build the CasADi expressions of a problem; `method` is that of its records.
 
     Raises

@@ -20,8 +20,9 @@ from greybox.noise import Noise, noise_of
 from greybox.output_error import TimeCriterion
 from greybox.problem import Problem
 from greybox.record import Record
-from greybox.shooting import Blocks, SampleStep, Shooting, sample_step
-from greybox.transcription.multiple_shooting import MultipleShooting
+from greybox.sample import SampleStep, sample_step
+from greybox.shooting import Blocks, Shooting
+from greybox.transcription.method import Transcription
 
 Array = NDArray[np.float64]
 RIDGE = 1e-10  # on node states relative to their curvature: what no output shows keeps its value
@@ -88,7 +89,7 @@ class Reduced:
 class RecordPart:
     """One record of a problem, with all functions that the estimators need."""
 
-    def __init__(self, part: Problem, expressions: Mapping[str, Any], z: ca.SX, method: MultipleShooting) -> None:
+    def __init__(self, part: Problem, expressions: Mapping[str, Any], z: ca.SX, method: Transcription) -> None:
         """Compile for the point z, of which `expressions` gives every parameter of the problem by outside name."""
         assert isinstance(part.data, Record)
         assert isinstance(part.criterion, TimeCriterion)
@@ -122,20 +123,20 @@ class RecordPart:
         self.active = np.array([i for i in range(q.numel()) if slope[i, :].nnz()], dtype=int)
         delay = self.system.delay(q[: len(self.system.parameters)])
         active = self.active.tolist()
-        self._at = ca.Function("locate", [z], [q, ca.densify(slope[active, :]), ca.densify(delay)])
+        self.locate = ca.Function("locate", [z], [q, ca.densify(slope[active, :]), ca.densify(delay)])
         known, symbol = self.criterion.initial, ca.SX.sym("q", q.numel())
         local = Names(dict(zip(part.declared, ca.vertsplit(symbol), strict=True)), part.model.label)
         given = [known.get(name, math.nan) for name in self.system.states]
         self.known_states = np.array([name in known for name in self.system.states], dtype=bool)
         initial = ca.vertcat(ca.SX(0, 1), *[_called(value, local) for value in given])
         by = ca.densify(ca.jacobian(initial, symbol[active]))
-        self._initial = ca.Function("initial", [symbol], [initial, by])
+        self.initial = ca.Function("initial", [symbol], [initial, by])
 
     @property
     def words(self) -> str:
         """The method with what it chose."""
         scheme = type(self.method.integrator).__name__
-        return f"multiple shooting, {self.experiment.segment} samples a segment, {scheme} {self.substeps} a sample"
+        return f"{self.method.label}, {self.experiment.segment} samples a segment, {scheme} {self.substeps} a sample"
 
     def thinned(self, samples: int) -> "RecordPart":
         """Return the same for some stretches, evenly over the record, of so many samples in all."""
@@ -158,8 +159,8 @@ class RecordPart:
 
     def place(self, z: Array) -> Place:
         """Return the part at the point z (p,)."""
-        q, slope, delay = (value.full() for value in self._at(z))
-        initial, by = (value.full() for value in self._initial(q))
+        q, slope, delay = (value.full() for value in self.locate(z))
+        initial, by = (value.full() for value in self.initial(q))
         return Place(q.ravel(), slope, self.shooting.data(delay.ravel()), initial.ravel(), by)
 
     def pinned(self, nodes: Array, place: Place) -> Array:
@@ -235,7 +236,7 @@ def _called(value: Any, local: Names) -> Any:
     return value(local) if callable(value) else value
 
 
-def _chosen(part: Problem, system: Dynamics, method: MultipleShooting) -> tuple[int, int]:
+def _chosen(part: Problem, system: Dynamics, method: Transcription) -> tuple[int, int]:
     """Return substeps and samples per segment: what the method says, or what the poles over the start box ask for."""
     assert isinstance(part.data, Record)
     step = part.data.step

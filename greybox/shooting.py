@@ -16,10 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled import CompiledBlocks
-from greybox.dynamics import Dynamics
-from greybox.experiment import Experiment, input_over_step
-from greybox.integrator import Integrator, step_function
-from greybox.output_error import PredictionError, TimeCriterion
+from greybox.experiment import Experiment
+from greybox.sample import SampleStep
 from greybox.tape import Columns
 
 Array = NDArray[np.float64]
@@ -48,62 +46,6 @@ class Blocks:
     gradient: Array
     own: Array
     slope: Array
-
-
-@dataclass(frozen=True, eq=False)
-class SampleStep:
-    """What happens at one sample, in CasADi: states x (n,), parameters q, data d -> next state, residual, output.
-
-    Attributes
-    ----------
-    function : casadi.Function
-        (x, q, d) -> x one sample later, residuals of the measured outputs (zero where missing), simulated outputs.
-    width : int
-        Length of d: whole samples of delay (m), windows of the inputs (3 m), outputs (k), present (k), step.
-    """
-
-    function: ca.Function
-    width: int
-
-
-def sample_step(
-    system: Dynamics,
-    criterion: TimeCriterion,
-    outputs: tuple[str, ...],
-    names: tuple[str, ...],
-    integrator: Integrator,
-    substeps: int,
-) -> SampleStep:
-    """Compile one sample of the declared parameters `names`: the model's first, then the criterion's."""
-    n, m, k = len(system.states), len(system.inputs), len(outputs)
-    x, q = ca.SX.sym("x", n), ca.SX.sym("q", len(names))
-    whole, window = ca.SX.sym("whole", m), ca.SX.sym("window", 3 * m)
-    measured, present, step = ca.SX.sym("y", k), ca.SX.sym("present", k), ca.SX.sym("step")
-    p = q[: len(system.parameters)]
-    delay = system.delay(p)
-    bias = {name: q[names.index(f"{name}_bias")] for name in criterion.biases}
-    means, changes, nows = [], [], []
-    for i, name in enumerate(system.inputs):
-        fraction = ca.SX(0) if delay[i].is_zero() else delay[i] / step - whole[i]
-        mean, change, now = input_over_step(window[3 * i : 3 * i + 3], fraction, criterion.inputs == "held")
-        means.append(mean - bias.get(name, 0))
-        changes.append(change)
-        nows.append(now - bias.get(name, 0))
-    mean, change, now = (ca.vertcat(ca.SX(0, 1), *values) for values in (means, changes, nows))
-    rows = [system.outputs.index(name) for name in outputs]
-    simulated = system.output(x, now, p)[rows] + ca.vertcat(*[bias.get(name, 0) for name in outputs])
-    residual = present * (measured - simulated)
-    corrected = ca.SX(x)  # a copy: assignment to its entries below would change the symbol
-    if isinstance(criterion, PredictionError):
-        for state in system.states:
-            for j, output in enumerate(outputs):
-                if f"K_{state}_{output}" in names:
-                    place = system.states.index(state)
-                    corrected[place] += q[names.index(f"K_{state}_{output}")] * residual[j]
-    after = step_function(system, integrator, substeps)(corrected, mean, change, p, step)
-    data = ca.vertcat(whole, window, measured, present, step)
-    function = ca.Function("sample", [x, q, data], [after, residual, simulated], {"cse": True})
-    return SampleStep(function, data.numel())
 
 
 class Shooting:

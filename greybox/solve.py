@@ -83,7 +83,7 @@ class Solver:
         self._options = options
         statements = [e for e in (nlp.first, nlp.expressions) if e is not None]
         known = [_derivatives(stage) for stage in like._stages] if like else [{} for _ in statements]
-        self._stages = [_ipopt(e, options, given) for e, given in zip(statements, known, strict=True)]
+        self._stages = [checked_nlpsol(e, options, given) for e, given in zip(statements, known, strict=True)]
         scale = nlp.scaling.to_solver
         self._bounds = {
             "lbx": scale(nlp.lower),
@@ -117,9 +117,16 @@ def _derivatives(solver: ca.Function) -> dict[str, ca.Function]:
     return {option: solver.get_function(name) for option, name in names.items() if name in there}
 
 
-def _ipopt(
+def checked_nlpsol(
     expressions: Mapping[str, Any], options: Mapping[str, Any], derivatives: Mapping[str, ca.Function]
 ) -> ca.Function:
+    """Return IPOPT on a problem, quiet.
+
+    Raises
+    ------
+    ValueError
+        For an option that IPOPT does not take.
+    """
     settings = {**_settings({**_QUIET, **options}), **derivatives}
     try:
         return ca.nlpsol("ipopt", "ipopt", dict(expressions), settings)

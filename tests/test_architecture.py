@@ -15,11 +15,11 @@ table atomic parameter record frequency_response sealed response_file record_fil
 readers signals segment segments fourier spectra excitation multisine quality
 symbolic model trace controller trim elimination linear dynamics virtual_flight criterion
 sine harmonic output_error problem
-integrator transcription experiment noise tape compiled shooting chain record_part
-nlp levy starts solve small_qp gauss_newton result multistart
+integrator experiment sample transcription noise tape compiled shooting chain record_part
+nlp levy starts solve small_qp gauss_newton whole_problem result multistart
 smoothing equations regression regressors projection equation_error
 residuals record_accuracy accuracy words reference answer fitted_record quantities store fit
-case windows flow lead_in prediction runner simulate
+case windows flow lead_in prediction runner simulate validation comparison verdict compare
 page nyquist plotting traces shelf command list_command log_commands cli __main__
 """.split()
 

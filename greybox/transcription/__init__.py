@@ -1,1 +1,1 @@
-"""How a problem in time becomes one of optimization: one method a file."""
+"""How a problem in time becomes one of optimization: one method a file, interchangeable on one problem."""

@@ -1,40 +1,63 @@
 """Multiple shooting: the states at the beginning of short segments are unknowns, continuity is a constraint."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
-from greybox.integrator import Integrator, RungeKutta
+import casadi as ca
+import numpy as np
+
+from greybox.experiment import Experiment
+from greybox.sample import SampleStep
+from greybox.transcription.method import Transcribed, Transcription
 
 
 @dataclass(frozen=True)
-class MultipleShooting:
-    """Segments of a few samples, Gauss-Newton steps with the nodes eliminated (the default method in time).
+class MultipleShooting(Transcription):
+    """Segments of a few samples, Gauss-Newton steps with their nodes eliminated; the default method.
 
     Source: Bock, Kostina, Schlöder (2007), Numerical methods for parameter estimation in nonlinear differential
     algebraic equations, GAMM-Mitteilungen 30.
 
     Parameters
     ----------
-    segment : int, optional
-        Samples a segment; by default chosen from the growth of the unstable poles, between 5 and 10.
-    integrator : Integrator
-        `RungeKutta()` or, for stiff models, `Rosenbrock()`.
-    hessian : "gauss-newton" or "exact"
-        "exact" solves with IPOPT, as does `ipopt=True`.
+    segment, integrator, hessian
+        See `Transcription`; the "exact" Hessian goes with IPOPT.
     ipopt : bool
-        Solve one sparse problem with IPOPT instead of eliminating the nodes.
+        Solve one sparse problem by IPOPT instead.
     compile : bool
-        Translate the step to C once and keep it; needs a C compiler.
+        Translate the linearization to C once and keep it; needs a C compiler.
     """
 
-    segment: int | None = None
-    integrator: Integrator = field(default_factory=RungeKutta)
-    hessian: str = "gauss-newton"
     ipopt: bool = False
-    compile: bool = False
+    compile: bool = False  # type: ignore[misc]
+    label: ClassVar[str] = "multiple shooting"
 
-    def __post_init__(self) -> None:
-        """Check the options."""
-        if self.segment is not None and (not isinstance(self.segment, int) or self.segment < 1):
-            raise ValueError(f"segment {self.segment!r} must be a whole number of samples, at least 1, or None.")
-        if self.hessian not in ("gauss-newton", "exact"):
-            raise ValueError(f"hessian {self.hessian!r} is not known: use 'gauss-newton' or 'exact'.")
+    @property
+    def by_ipopt(self) -> bool:
+        """True when IPOPT solves the whole problem."""
+        return self.ipopt or self.hessian == "exact"
+
+    def transcribe(self, step: SampleStep, experiment: Experiment, q: ca.MX, data: Any) -> Transcribed:
+        """Return the nodes, and the gaps between ends and next nodes."""
+        n, length, s = step.function.size1_in(0), experiment.segment, experiment.segments
+        x, Q = ca.MX.sym("x", n), ca.MX.sym("q", q.numel())
+        d = ca.MX.sym("d", step.width, length)
+        end, residuals = _follow(step, x, Q, d, length)
+        segment = ca.Function("segment", [x, Q, d], [end, residuals]).map("segments", "serial", s, [1], [])
+        nodes = ca.MX.sym("nodes", n, s)
+        ends, found = segment(nodes, q, data)
+        before = np.flatnonzero(experiment.coupled)
+        gaps = ends[:, before.tolist()] - nodes[:, (before + 1).tolist()]
+        return Transcribed(
+            unknowns=ca.vec(nodes),
+            residuals=found,
+            equations=ca.vec(gaps),
+            initial=nodes[:, np.flatnonzero(experiment.first).tolist()],
+            start=lambda states: states[:, ::length].ravel(order="F"),
+        )
+
+
+def _follow(step: SampleStep, x: ca.MX, q: ca.MX, d: ca.MX, length: int) -> tuple[ca.MX, ca.MX]:
+    """Return the end of a segment and its residuals (k, length)."""
+    after, residuals, _ = step.function.mapaccum("segment", length)(x, q, d)
+    return after[:, length - 1], residuals
