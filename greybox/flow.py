@@ -58,7 +58,7 @@ class Flow:
         n, v = self._n, self._n + len(self._active)
         S = ca.SX.sym("S", n, v)
         after, _, y = self._step.function(x, q, d)
-        free = ca.vertcat(x, q[self._active.tolist()])
+        free = ca.vertcat(x, *(q[i] for i in self._active.tolist()))
         A, C = ca.jacobian(after, free), ca.jacobian(y, free)
         S_next = A[:, :n] @ S + ca.horzcat(ca.SX(n, n), A[:, n:])
         J = C[:, :n] @ S + ca.horzcat(ca.SX(self._k, n), C[:, n:])

@@ -15,7 +15,7 @@ from greybox.flow import Flow
 from greybox.integrator import Integrator
 from greybox.lead_in import LeadIn, estimate_states, one_step_errors
 from greybox.output_error import PredictionError, TimeCriterion
-from greybox.shooting import SampleStep, sample_step
+from greybox.sample import SampleStep, sample_step
 from greybox.windows import Windows, sample_data
 
 Array = NDArray[np.float64]

@@ -1,0 +1,175 @@
+"""What a comparison of fits means, in sentences: which model is closer to the data, and which terms these determine."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.answer import Fit, FittedRecord
+from greybox.comparison import HELD_OUT, IDENTIFICATION
+from greybox.prediction import Prediction
+from greybox.table import with_error
+from greybox.validation import mean_test, whiteness
+
+Array = NDArray[np.float64]
+Predictions = tuple[tuple[Prediction, ...], ...]
+LEVEL = 0.05
+ZERO = 2.0  # standard errors within which an estimate is not distinguishable from zero
+
+
+def verdicts(
+    fits: Sequence[Fit], names: Sequence[str], found: Mapping[str, Predictions], same: bool
+) -> tuple[str, ...]:
+    """Return the sentences of a comparison."""
+    pairs = list(combinations(range(len(fits)), 2))
+    said = []
+    closer: dict[tuple[int, int], float] = {}
+    for a, b in pairs:
+        if same and all(fit.records and len(fit.records) == len(fit.parts) for fit in (fits[a], fits[b])):
+            said.append(_vuong(fits, names, a, b))
+        for place in (IDENTIFICATION, HELD_OUT):
+            if place in found:
+                z, words = _windows(names, found[place], a, b, place)
+                said.append(words)
+                closer[a, b], closer[b, a] = z, -z
+    if same and found:
+        said += _colored(fits, names)
+    for k, fit in enumerate(fits):
+        said += _terms(fits, names, k, fit, closer)
+    said += _criteria(fits)
+    return tuple(said)
+
+
+def _vuong(fits: Sequence[Fit], names: Sequence[str], a: int, b: int) -> str:
+    """Compare the likelihoods sample by sample, less half of the AIC's penalty.
+
+    Sources: Vuong (1989), Econometrica 57; for errors that are correlated in time Rivers and Vuong (2002), Econometrics
+    Journal 5.
+    """
+    differences: list[Array] = []
+    for one, other in zip(fits[a].records, fits[b].records, strict=True):
+        along = _likelihoods(one) - _likelihoods(other)
+        differences += np.split(along, np.cumsum([len(piece) for piece in one.data.pieces])[:-1])
+    mean, error = mean_test(differences)
+    count = sum(int(np.isfinite(d).sum()) for d in differences)
+    mean -= (_unknowns(fits[a]) - _unknowns(fits[b])) / max(count, 1)
+    z = mean / error if error > 0 else 0.0
+    p = _two_sided(z)
+    if not p < LEVEL:
+        return f"{names[a]} and {names[b]} describe the data of the fit as well as one another (Vuong, {_p(p)})."
+    better, worse = (a, b) if z > 0 else (b, a)
+    return f"{names[better]} describes the data of the fit better than {names[worse]} (Vuong, {_p(p)})."
+
+
+def _likelihoods(part: FittedRecord) -> Array:
+    """Return the logarithm of the likelihood of every sample (n,), NaN where nothing was compared."""
+    e = np.array([part.residual(name) for name in part.outputs])
+    there, variance = np.isfinite(e), np.diag(part.noise)
+    if np.count_nonzero(part.noise) == len(variance):  # samples may miss some outputs
+        terms = np.where(there, -0.5 * (np.nan_to_num(e) ** 2 / variance[:, None]), 0.0)
+        terms = terms - np.where(there, 0.5 * np.log(2 * np.pi * variance)[:, None], 0.0)
+        return np.where(there.any(axis=0), terms.sum(axis=0), np.nan)
+    squares = np.einsum("in,ij,jn->n", np.nan_to_num(e), np.linalg.inv(part.noise), np.nan_to_num(e))
+    logarithm = float(np.linalg.slogdet(2 * np.pi * part.noise)[1])
+    return np.where(there.all(axis=0), -0.5 * (squares + logarithm), np.nan)
+
+
+def _unknowns(fit: Fit) -> int:
+    return len(fit.free) + sum(part.nuisances for part in fit.records)
+
+
+def _windows(names: Sequence[str], found: Predictions, a: int, b: int, place: str) -> tuple[float, str]:
+    """Compare the mean squared errors window by window, in units of the smaller noise; positive where a is better.
+
+    Source: Diebold and Mariano (1995), Journal of Business and Economic Statistics 13.
+    """
+    differences = []
+    for one, other in zip(found[a], found[b], strict=True):
+        total = np.zeros(len(one))
+        for k, output in enumerate(one.outputs):
+            noise = min(one.noise[k, k], other.noise[k, k])
+            error = other.residual(output) ** 2 - one.residual(output) ** 2
+            there = np.isfinite(error)
+            total += np.where(there, error, 0.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1) / noise
+        differences.append(total)
+    every = np.concatenate(differences)
+    mean, error = mean_test(differences)
+    z = mean / error if error > 0 else 0.0
+    p = _two_sided(z, every.size - 1)
+    data = "its own data" if place == IDENTIFICATION else "held-out data"
+    if not p < LEVEL:
+        return 0.0, f"{names[a]} and {names[b]} predict {data} as well as one another ({every.size} windows, {_p(p)})."
+    better, worse = (a, b) if z > 0 else (b, a)
+    share = 100 * float(np.mean(np.sign(every) == np.sign(z)))
+    return z, f"{names[better]} predicts {data} better than {names[worse]}, in {share:.0f} % of the windows ({_p(p)})."
+
+
+def _colored(fits: Sequence[Fit], names: Sequence[str]) -> Iterator[str]:
+    """Warn of criteria that take residuals as white where they are not."""
+    colored = []
+    for fit, name in zip(fits, names, strict=True):
+        tests = [whiteness([part.residual(output)]) for part in fit.records for output in part.outputs]
+        if any(test.p_value < 0.01 for test in tests):
+            colored.append(name)
+    if colored:
+        yield (
+            f"AIC and BIC take residuals as white, and those of {' and '.join(colored)} are not: their differences are "
+            "larger than the data bear out."
+        )
+
+
+def _terms(
+    fits: Sequence[Fit], names: Sequence[str], k: int, fit: Fit, closer: Mapping[tuple[int, int], float]
+) -> Iterator[str]:
+    """Say of every parameter that another fit does not have whether these data determine it."""
+    quantities = {q.name: q for q in fit.quantities}
+    for name in fit.free:
+        others = [i for i, other in enumerate(fits) if i != k and name not in other.free]
+        if not others or name.startswith("K_") or name.endswith("_bias"):
+            continue
+        q = quantities[name]
+        value, error = with_error(q.value, q.standard_error)
+        said = f"{name} = {value} ± {error} {q.unit}".rstrip() + f" ({names[k]})"
+        if q.at_bound:
+            yield f"{said}: ended at its bound, not determined."
+        elif not math.isfinite(q.standard_error):
+            yield f"{said}: the data do not determine it."
+        elif abs(q.value) < ZERO * q.standard_error:
+            yield f"{said}: not distinguishable from zero."
+        elif not closer:
+            yield f"{said}: distinguishable from zero."
+        else:
+            yield f"{said}: {_determined([(names[i], closer[k, i]) for i in others])}"
+
+
+def _determined(others: Sequence[tuple[str, float]]) -> str:
+    """Say what predictions add to an estimate that is distinguishable from zero."""
+    better = [name for name, z in others if z < 0]
+    if better:
+        return f"not zero, but {' and '.join(better)}, without it, explains the data better."
+    equal = [name for name, z in others if z == 0]
+    if equal:
+        return f"not zero, but {' and '.join(equal)}, without it, explains the data as well."
+    return "determined by these data."
+
+
+def _criteria(fits: Sequence[Fit]) -> Iterator[str]:
+    """Say which measures do not exist for fits of responses."""
+    rules = {part.rule for fit in fits for part in fit.responses if "likelihood" not in part.rule}
+    if rules:
+        yield (
+            f"AIC and BIC do not exist for {' and '.join(sorted(rules))}, which is no likelihood: compare the costs; "
+            "with the variance of every point, MaximumLikelihood() has them."
+        )
+
+
+def _two_sided(z: float, dof: float = math.inf) -> float:
+    from scipy.special import ndtr, stdtr  # noqa: PLC0415  (takes a tenth of a second to import)
+
+    return float(2 * (ndtr(-abs(z)) if math.isinf(dof) else stdtr(max(dof, 1), -abs(z))))
+
+
+def _p(p: float) -> str:
+    return "p < 0.0001" if p < 1e-4 else f"p = {p:.2g}"
