@@ -9,6 +9,7 @@ from greybox.compare import nested_test as nested_test
 from greybox.comparison import Comparison as Comparison
 from greybox.comparison import NestedTest as NestedTest
 from greybox.controller import Controller as Controller
+from greybox.cost import cost as cost
 from greybox.criterion import MagnitudePhase as MagnitudePhase
 from greybox.criterion import MaximumLikelihood as MaximumLikelihood
 from greybox.criterion import RelativeError as RelativeError
@@ -39,7 +40,6 @@ from greybox.model import StateSpace as StateSpace
 from greybox.model import TransferFunction as TransferFunction
 from greybox.model import feedback as feedback
 from greybox.multisine import multisine as multisine
-from greybox.nlp import cost as cost
 from greybox.output_error import OutputError as OutputError
 from greybox.output_error import PredictionError as PredictionError
 from greybox.parameter import Parameter as Parameter
@@ -54,6 +54,7 @@ from greybox.response_file import write_response as write_response
 from greybox.segment import Segment as Segment
 from greybox.segment import segment_table as segment_table
 from greybox.segments import find_segments as find_segments
+from greybox.several import several as several
 from greybox.signals import horizontal_velocity as horizontal_velocity
 from greybox.signals import negative as negative
 from greybox.signals import prepare as prepare
@@ -95,6 +96,7 @@ _ON_FIRST_USE = {
     "save": "store",
     "plot": "plotting",
     "plot_bode": "plotting",
+    "plot_history": "histories",
     "plot_nyquist": "plotting",
     "plot_recording": "traces",
     "plot_starts": "plotting",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from greybox.frequency_response import FrequencyResponse
 from greybox.harmonic import harmonic_function
 from greybox.linear import delay_order, response_function
-from greybox.model import Names, require_known
+from greybox.model import Names
 from greybox.parameter import Parameter
 from greybox.problem import Problem, Sum
 from greybox.record import Record
@@ -201,20 +201,6 @@ def _limits(part: Problem, p: Names) -> dict[str, Any]:
         result |= {f"the lower bound {low:g} {tied}": p[name] - low} if math.isfinite(low) else {}
         result |= {f"the upper bound {high:g} {tied}": high - p[name]} if math.isfinite(high) else {}
     return result
-
-
-def cost(problem: AnyProblem, values: Mapping[str, float]) -> float:
-    """Return the cost of a problem at parameter `values` by name; what is not given is at its start or fixed value.
-
-    Raises
-    ------
-    ValueError
-        For a name that is not a parameter of the problem.
-    """
-    require_known(values, problem.parameters, "parameter", repr(problem.name))
-    nlp = compile_problem(problem)
-    point = [values.get(name, problem.parameters[name].start) for name in nlp.names]
-    return float(nlp.weights @ np.asarray(nlp.cost(point)).ravel())
 
 
 def _total(parts: list[Problem], responses: list[Complex], smoothing: Any, locate: bool) -> Any:

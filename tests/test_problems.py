@@ -50,7 +50,7 @@ def fitted_states(name):
 
 
 def responses(data):
-    return (data,) if isinstance(data, gb.FrequencyResponse) else data
+    return data if isinstance(data, tuple) else (data,)
 
 
 # --- declarations
@@ -80,7 +80,7 @@ def test_every_module_says_data_problem_and_minimum(name):
     module = MODULES[name]
     parts = module.problem().parts
     assert [p.data.checksum for p in parts] == [r.checksum for r in responses(module.data())]
-    assert module.minimum > 0
+    assert module.minimum > 0 or all(isinstance(p.data, gb.Record) for p in parts)
 
 
 @every_published
@@ -136,7 +136,9 @@ def test_the_sign_of_one_value_explains_most_of_the_rotors_cost():
 def test_few_starts_of_any_rule_reach_the_recorded_minimum(name, rule):
     fit = fitted(name, rule)
     module = MODULES[name]
-    assert fit.cost == pytest.approx(module.minimum, rel=1e-5)
+    # Of a likelihood differences count, of a sum of relative errors ratios.
+    near = {"abs": 1e-3} if fit.records else {"rel": 1e-5}
+    assert fit.cost == pytest.approx(module.minimum, **near)
     assert fit.agreeing >= 2
     assert not any(q.at_bound for q in fit.quantities)
     if name in PUBLISHED:

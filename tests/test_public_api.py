@@ -11,10 +11,10 @@ PUBLIC = """
 Controller EquationError Excitation Fit FrequencyResponse LatinHypercube LinearSystem Listed MagnitudePhase
 MaximumLikelihood Model Parameter Problem Record Recording RelativeError Segment Sine Sobol SquaredRelativeError
 StateSpace TransferFunction Uniform arccos arcsin arctan arctan2 ardupilot_script check cos cost demodulate
-MultipleShooting OutputError PredictionError Rosenbrock RungeKutta equation_error exp feedback find_segments
+Collocation MultipleShooting OutputError PredictionError several SingleShooting Rosenbrock RungeKutta equation_error exp feedback find_segments
 finite_frequency fit frequency_response g harmonic_response
 horizontal_velocity levy linearize load log maximum minimum multisine negative order_path periodic_response plot
-Comparison NestedTest Prediction compare nested_test predict simulate
+Comparison NestedTest Prediction compare nested_test plot_history predict simulate
 plot_bode plot_nyquist plot_recording plot_starts plot_traces prepare rational read read_response save segment_table
 sign sin sine_schedule spectral_response sqrt sweep systemid_parameters tan tanh virtual_flight where write_excitation
 write_response

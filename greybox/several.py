@@ -1,0 +1,40 @@
+"""Several records of one model: what they share is one unknown, what is each one's own gets its number."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from greybox.model import Model, require_known
+from greybox.problem import Problem, Sum
+from greybox.record import Record
+
+
+def several(model: Model, records: Sequence[Record], own: Sequence[str] = (), **options: Any) -> Sum:
+    """Return the sum of a problem for every record, parameters shared but for those of its own.
+
+    Parameters
+    ----------
+    model : Model
+    records : sequence of Record
+        Of any lengths and rates; initial states are each record's own.
+    own : sequence of str
+        Parameters that each record has for itself, named ``<name>_1``, ``<name>_2`` ...; the biases of the criterion
+        are always so.
+    options
+        Of every `Problem`: criterion, fixed, tied, constraints ...
+
+    Raises
+    ------
+    ValueError
+        For a name that is not a parameter, or fewer than two records.
+    """
+    if isinstance(records, Record) or len(records) < 2:
+        raise ValueError("several() takes a list of at least two records: for one, use Problem(model, record).")
+    own = (own,) if isinstance(own, str) else tuple(own)
+    parts = []
+    for k, record in enumerate(records, start=1):
+        bare = Problem(model, record, **options)
+        require_known(own, bare.declared, "parameter", model.label)
+        added = [name for name in bare.declared if name.endswith("_bias") and name not in model.parameters]
+        rename = {name: f"{name}_{k}" for name in (*own, *added)}
+        parts.append(bare.with_(rename={**bare.rename, **rename}))
+    return Sum(tuple(parts))
