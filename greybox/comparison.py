@@ -9,6 +9,7 @@ from greybox.prediction import Prediction
 from greybox.table import number, text_table
 
 IDENTIFICATION, HELD_OUT = "identification", "held-out"
+SIGNIFICANT = 0.05
 
 
 @dataclass(frozen=True)
@@ -145,12 +146,9 @@ class NestedTest:
         value = self.statistic * (self.dof[0] if math.isinf(self.dof[1]) else 1)
         p = "p < 0.0001" if self.p_value < 1e-4 else f"p = {self.p_value:.2g}"
         verb = "is" if len(self.terms) == 1 else "are"
-        said = (
-            f"{names} {verb} needed: {self.small} without {'it' if len(self.terms) == 1 else 'them'} "
-            "leaves more than chance explains"
-            if self.p_value < 0.05
-            else f"{names} {verb} not distinguishable from what {self.small} has without"
-        )
+        said = f"{names} {verb} not needed: {self.small} explains the data as well as {self.large}"
+        if self.p_value < SIGNIFICANT:
+            said = f"{names} {verb} needed: {self.small} leaves more than chance explains"
         how = "Wald test with the errors of the fit"
         if not math.isnan(self.likelihood_ratio):
             how = f"likelihood ratio {number(self.likelihood_ratio, 4)}, reduced by {number(self.scale, 3)}"

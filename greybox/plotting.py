@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from greybox.answer import Fit
 from greybox.frequency_response import FrequencyResponse
+from greybox.histories import WIDTH, draw_history, history_height
 from greybox.nyquist import draw_nyquist, grid, number_points, panels
 from greybox.page import COLORS, CROWD, MARKERS, Series, finish, legend, legend_below, page, plain, ratio
 
@@ -75,7 +76,33 @@ def plot_starts(fit: Fit) -> Figure:
 
 
 def plot(fit: Fit) -> Figure:
-    """Draw the Nyquist diagram, the starts and the Bode diagram of a fit into one figure."""
+    """Draw the Nyquist diagram, the starts and the Bode diagram of a fit into one figure.
+
+    Where its data are records, their time histories and the starts; where they are both, the responses beside them.
+    """
+    return _plot_records(fit) if fit.records else _plot_responses(fit)
+
+
+def _plot_records(fit: Fit) -> Figure:
+    """Draw the time history of every record and the starts below one another, and Bode diagrams to their right."""
+    heights = [history_height((fit,), k) for k in range(len(fit.records))]
+    wide = 6.2 if fit.responses else 0.0
+    figure = page(WIDTH + wide, sum(heights) + 3.4 + 0.4)
+    figure.suptitle(_title((fit,)), fontsize=13)
+    left, *right = figure.subfigures(1, 2 if wide else 1, width_ratios=(WIDTH, wide) if wide else (1,), squeeze=False)[
+        0
+    ]
+    rows = left.subfigures(len(heights) + 1, 1, height_ratios=(*heights, 3.4), squeeze=False)[:, 0]
+    for k, part in enumerate(fit.records):
+        draw_history(rows[k], (fit,), k)
+        rows[k].axes[0].set_title(plain(part.name) if len(fit.records) > 1 else "", fontsize=12)
+    _draw_starts(rows[-1], fit)
+    for part in right:
+        _draw_bode(part, _collect((fit,), ()), "Bode diagram")
+    return figure
+
+
+def _plot_responses(fit: Fit) -> Figure:
     series = _collect((fit,), ())
     rows, columns = grid(len(panels(series)))
     width, height = 2.8 + 3.4 * columns, 1.8 + 3.4 * rows  # of the Nyquist diagram, inches
@@ -98,7 +125,9 @@ def _collect(items: Sequence[Fit | FrequencyResponse], labels: Sequence[str]) ->
     places = [*measured]
     colors = COLORS if len(places) > 1 else (DARK,)
     curves = [_distinct(_curves(item)) for item in items]
-    shared = any(isinstance(k, Fit) and 0 < len(found) < len(k.parts) for k, found in zip(items, curves, strict=True))
+    shared = any(
+        isinstance(k, Fit) and 0 < len(found) < len(k.responses) for k, found in zip(items, curves, strict=True)
+    )
     pairs = _pairs(items)
     series = []
     for i, found in enumerate(curves):
@@ -117,7 +146,7 @@ def _collect(items: Sequence[Fit | FrequencyResponse], labels: Sequence[str]) ->
 def _pairs(items: Sequence[Fit | FrequencyResponse]) -> dict[str, tuple[str, str]]:
     """Return the names of input and output by checksum; the names that data leave out are those of their curve."""
     known = {}
-    for part in [part for item in items if isinstance(item, Fit) for part in item.parts]:
+    for part in [part for item in items if isinstance(item, Fit) for part in item.responses]:
         stated = part.curve or part.data
         known[part.data.checksum] = (stated.input, stated.output)
     for item in [item for item in items if isinstance(item, FrequencyResponse)]:
@@ -138,6 +167,8 @@ def _check(items: Sequence[Fit | FrequencyResponse], labels: Sequence[str]) -> N
         raise TypeError(f"cannot draw {wrong[0]!r:.80}: give a Fit or a FrequencyResponse.")
     if not items:
         raise ValueError("there is nothing to draw: give at least one Fit or FrequencyResponse.")
+    if all(isinstance(item, Fit) and not item.responses for item in items):
+        raise ValueError("there is no frequency response to draw: gb.plot_history draws fitted records.")
     if labels and len(labels) != len(items):
         raise ValueError(f"there are {len(labels)} labels for {len(items)} fits: give one for each.")
 
@@ -145,14 +176,14 @@ def _check(items: Sequence[Fit | FrequencyResponse], labels: Sequence[str]) -> N
 def _data(item: Fit | FrequencyResponse, name: str) -> list[tuple[FrequencyResponse, str]]:
     """Return the measured responses of an item with their labels."""
     if isinstance(item, Fit):
-        return [(part.data, plain(part.name)) for part in item.parts]
+        return [(part.data, plain(part.name)) for part in item.responses]
     return [] if item.source == "model" else [(item, name)]
 
 
 def _curves(item: Fit | FrequencyResponse) -> list[tuple[str, FrequencyResponse]]:
     """Return the curves of an item, along omega, each with the checksum of the data that it was fitted to."""
     if isinstance(item, Fit):
-        return [(part.data.checksum, _sorted(part.curve)) for part in item.parts if part.curve is not None]
+        return [(part.data.checksum, _sorted(part.curve)) for part in item.responses if part.curve is not None]
     return [("", _sorted(item))] if item.source == "model" else []
 
 

@@ -24,7 +24,7 @@ class Prediction:
         Name of the model.
     data : Record
         What was measured.
-    outputs, states : tuple of str
+    inputs, outputs, states : tuple of str
     lead, horizon : float
         Lengths in s.
     rows : (w, h) int array
@@ -43,6 +43,7 @@ class Prediction:
 
     label: str
     data: Record
+    inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     states: tuple[str, ...]
     lead: float

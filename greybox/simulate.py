@@ -153,6 +153,7 @@ def predict_windows(
     return Prediction(
         label=at.label,
         data=windows.record,
+        inputs=at.system.inputs,
         outputs=outputs,
         states=at.system.states,
         lead=lead,
