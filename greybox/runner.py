@@ -19,7 +19,7 @@ from greybox.sample import SampleStep, sample_step
 from greybox.windows import Windows, sample_data
 
 Array = NDArray[np.float64]
-ACCURATE = 0.4  # largest |pole| · substep to begin with
+ACCURATE, FIRST = 0.1, 8  # largest |pole| · substep to begin with, and most substeps then
 TOLERANCE = 1e-7  # of a state's size: what half as long substeps may change in one sample
 MOST = 64  # substeps
 CHECKED = 400  # samples at which the substeps are checked
@@ -230,4 +230,4 @@ def _substeps(at: Case, step: float) -> int:
     if not np.all(np.isfinite(matrix)):
         return 1
     fastest = float(np.abs(np.linalg.eigvals(matrix)).max())
-    return int(np.clip(math.ceil(fastest * step / ACCURATE), 1, MOST))
+    return int(np.clip(math.ceil(fastest * step / ACCURATE), 1, FIRST))
