@@ -38,7 +38,7 @@ def verdicts(
         said += _colored(fits, names)
     for k, fit in enumerate(fits):
         said += _terms(fits, names, k, fit, closer)
-    said += _criteria(fits)
+    said += _criteria(fits) if same else ()
     return tuple(said)
 
 
