@@ -118,7 +118,7 @@ class Experiment:
             at = np.arange(len(stretch)) - shift[:, None].astype(int)
             places = np.clip(at[:, None, :] + np.array([-1, 0, 1])[:, None], 0, len(stretch) - 1)
             values = np.take_along_axis(stretch.inputs[:, None, :], places.astype(int), axis=2)
-            around.append(values.reshape(-1, len(stretch)))
+            around.append(values.reshape(3 * len(delays), len(stretch)))
             whole.append(np.broadcast_to(shift[:, None], (len(shift), len(stretch))))
         return self.padded(whole, 0.0), self.padded(around, 0.0)
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from greybox.chain import solve_chain
 from greybox.dynamics import Dynamics, dynamics
 from greybox.experiment import Experiment, experiment
+from greybox.first_states import FirstStates, at_samples
 from greybox.integrator import Integrator
 from greybox.linear import delay_order
 from greybox.model import Names
 from greybox.noise import Noise, noise_of
-from greybox.output_error import TimeCriterion
+from greybox.output_error import PredictionError, TimeCriterion
 from greybox.problem import Problem
 from greybox.record import Record
 from greybox.sample import SampleStep, sample_step
@@ -25,6 +26,7 @@ from greybox.shooting import Blocks, Shooting
 from greybox.transcription.method import Transcription
 
 Array = NDArray[np.float64]
+LOOKS = 20  # samples at which the poles are looked at
 RIDGE = 1e-10  # on node states relative to their curvature: what no output shows keeps its value
 
 
@@ -99,20 +101,24 @@ class RecordPart:
         self.system: Dynamics = dynamics(part.model, delay_order(part.delay))
         self.outputs = self.criterion.compared(part.model, part.data)
         self._locate(part, expressions, z)
-        substeps, segment = _chosen(part, self.system, method)
-        self.experiment: Experiment = experiment(
+        whole = experiment(
             self.record,
             self.system.inputs,
             self.outputs,
             lead=_longest_delay(part, self.system),
-            segment=segment,
+            segment=1,
             complete=self.criterion.noise == "full",
         )
+        self._first_states = FirstStates(self.system, self.outputs)
+        seen = at_samples(whole, max(whole.segments // LOOKS, 1))
+        substeps, segment = _chosen(part, method, self._first_states, seen, self.initial)
+        self.experiment: Experiment = replace(whole, segment=segment)
         self.substeps = substeps
         self.step: SampleStep = self._step(method.integrator, substeps)
         self.shooting = Shooting(self.step, self.experiment, self.active, method.compile)
         self.noise: Noise = noise_of(self.criterion, self.outputs, self.experiment.measured)
         self.first, self.coupled = self.experiment.first, self.experiment.coupled
+        self._nodes_see = at_samples(self.experiment, self.experiment.segment)
 
     def _step(self, integrator: Integrator, substeps: int) -> SampleStep:
         return sample_step(self.system, self.criterion, self.outputs, tuple(self.part.declared), integrator, substeps)
@@ -145,6 +151,15 @@ class RecordPart:
         result.shooting = self.shooting.on(result.experiment)
         result.noise = noise_of(self.criterion, self.outputs, result.experiment.measured)
         result.first, result.coupled = result.experiment.first, result.experiment.coupled
+        result._nodes_see = at_samples(result.experiment, result.experiment.segment)
+        return result
+
+    def refined(self, factor: int) -> "RecordPart":
+        """Return the same with so many times as many substeps."""
+        result = copy(self)
+        result.substeps = factor * self.substeps
+        result.step = self._step(self.method.integrator, result.substeps)
+        result.shooting = Shooting(result.step, self.experiment, self.active, self.method.compile)
         return result
 
     @property
@@ -162,6 +177,11 @@ class RecordPart:
         q, slope, delay = (value.full() for value in self.locate(z))
         initial, by = (value.full() for value in self.initial(q))
         return Place(q.ravel(), slope, self.shooting.data(delay.ravel()), initial.ravel(), by)
+
+    def first_nodes(self, place: Place) -> Array:
+        """Return nodes (s, n) to begin with, see `greybox.first_states`."""
+        p = place.q[: len(self.system.parameters)]
+        return self.pinned(self._first_states.at(*self._nodes_see, p, place.initial).T, place)
 
     def pinned(self, nodes: Array, place: Place) -> Array:
         """Return the nodes with the known initial states in them."""
@@ -209,11 +229,14 @@ class RecordPart:
     def reduce(self, blocks: Blocks, place: Place, gaps: Array, soft: Array) -> Reduced:
         """Eliminate the nodes; `soft` (n,) is the variance by which continuity may be missed."""
         mixed, B = blocks.mixed, blocks.to_parameters
-        ridge = RIDGE * np.mean(blocks.corner.diagonal(axis1=1, axis2=2), axis=0) + 1e-300
-        right = np.concatenate([-blocks.gradient[:, :, None], -mixed], axis=2)
-        continuity = np.concatenate([-gaps[:, :, None], -B], axis=2)
-        corner = blocks.corner + np.diag(ridge)
-        x, force = solve_chain(corner, blocks.to_state, self.coupled, right, continuity, soft)
+        # In units in which the curvature is one: nodes and multipliers are then of one size, and no digits are lost.
+        unit = _unit(blocks)
+        corner = blocks.corner * unit * unit[:, None] + RIDGE * np.eye(self.states)
+        right = -np.concatenate([blocks.gradient[:, :, None], mixed], axis=2) * unit[:, None]
+        continuity = -np.concatenate([gaps[:, :, None], B], axis=2) / unit[:, None]
+        transition = blocks.to_state * unit / unit[:, None]
+        x, force = solve_chain(corner, transition, self.coupled, right, continuity, soft / unit**2)
+        x, force = x * unit[:, None], force / unit[:, None]
         linked = np.where(self.coupled[:, None, None], B, 0.0)
         both = np.tensordot(mixed, x, ((0, 1), (0, 1))) + np.tensordot(linked, force, ((0, 1), (0, 1)))
         hessian, gradient = blocks.own + both[:, 1:], blocks.slope + both[:, 0]
@@ -227,45 +250,93 @@ class RecordPart:
             force_follow=force[:, :, 1:],
         )
 
+    def closing(self, blocks: Blocks, gaps: Array) -> Array:
+        """Return the change of the nodes (s, n) that closes gaps (s, n) with the least change of the outputs."""
+        nothing = np.zeros_like(gaps)[:, :, None]
+        unit = _unit(blocks)
+        corner = blocks.corner * unit * unit[:, None] + RIDGE * np.eye(self.states)
+        transition = blocks.to_state * unit / unit[:, None]
+        wanted = -gaps[:, :, None] / unit[:, None]
+        return solve_chain(corner, transition, self.coupled, nothing, wanted, np.zeros(self.states))[0][:, :, 0] * unit
+
+    @property
+    def gain_names(self) -> tuple[str, ...]:
+        """The entries of a predictor's gain, as the problem knows them."""
+        return tuple(self.part.rename.get(name, name) for name, _, _ in self._gain_entries())
+
+    def _gain_entries(self) -> list[tuple[str, int, int]]:
+        """Return the name, state and output of every entry of a gain."""
+        if not isinstance(self.criterion, PredictionError):
+            return []
+        return [
+            (f"K_{state}_{output}", self.system.states.index(state), self.outputs.index(output))
+            for state, output in self.criterion.gains(self.part.model, self.outputs)
+        ]
+
+    def steady_gains(self, path: Path, place: Place) -> dict[int, float]:
+        """Return the gain of a steady Kalman filter by the place of its entries among the active parameters.
+
+        Process noise is what the path misses continuity by, measurement noise are its residuals. Source: Simon (2006),
+        Optimal State Estimation, section 7.3.
+        """
+        entries = self._gain_entries()
+        if not entries:
+            return {}
+        A, C = self.shooting.mean_derivatives(path.states, place.q, place.data)
+        Q = path.gaps[self.coupled].T @ path.gaps[self.coupled] / max(int(self.coupled.sum()), 1)
+        Q, R = Q / self.experiment.segment, self.noise.covariance(path.products)
+        P, K = Q.copy(), np.zeros((self.states, len(self.outputs)))
+        for _ in range(1000):
+            K = np.linalg.solve(C @ P @ C.T + R, C @ P).T
+            P = A @ (P - K @ C @ P) @ A.T + Q
+            if not np.all(np.isfinite(P)):
+                return {}
+        names, active = list(self.part.declared), self.active.tolist()
+        places = {name: names.index(name) for name, _, _ in entries}
+        return {active.index(places[name]): float(K[i, j]) for name, i, j in entries if places[name] in active}
+
     def moved(self, nodes: Array, reduced: Reduced, dz: Array, length: float) -> Array:
         """Return the nodes after a step `dz` (p,), of which `length` is taken."""
         return nodes + length * (reduced.step + reduced.follow @ (reduced.slope @ dz))
+
+
+def _unit(blocks: Blocks) -> Array:
+    """Return the change of every state (n,) that has a curvature of one."""
+    curvature = np.mean(blocks.corner.diagonal(axis1=1, axis2=2), axis=0)
+    return 1 / np.sqrt(np.maximum(curvature, 1e-30 * curvature.max(initial=0.0) + 1e-300))
 
 
 def _called(value: Any, local: Names) -> Any:
     return value(local) if callable(value) else value
 
 
-def _chosen(part: Problem, system: Dynamics, method: Transcription) -> tuple[int, int]:
+def _chosen(
+    part: Problem, method: Transcription, first: FirstStates, seen: tuple[Array, Array], known: Any
+) -> tuple[int, int]:
     """Return substeps and samples per segment: what the method says, or what the poles over the start box ask for."""
     assert isinstance(part.data, Record)
     step = part.data.step
     if method.integrator.substeps is not None and method.segment is not None:
         return method.integrator.substeps, method.segment
-    poles = _poles(part, system)
-    fastest = float(np.quantile(np.abs(poles).max(axis=1), 0.75)) if poles.size else 0.0
-    growth = float(np.quantile(poles.real.max(axis=1), 0.75)) if poles.size else 0.0
+    fastest, growth = _pace(part, first, seen, known)
     substeps = method.integrator.substeps or int(np.clip(math.ceil(fastest * step / method.integrator.reach), 1, 20))
     segment = method.segment or int(np.clip(2 / max(growth * step, 1e-12), 5, 10))
     return substeps, segment
 
 
-def _poles(part: Problem, system: Dynamics) -> NDArray[np.complex128]:
-    """Return the poles (points, n) at rest, over points of the start box."""
-    n, m = len(system.states), len(system.inputs)
-    if not n:
-        return np.zeros((0, 0), dtype=complex)
-    x, u, p = ca.SX.sym("x", n), ca.SX.sym("u", m), ca.SX.sym("p", len(system.parameters))
-    jacobian = ca.Function("A", [x, u, p], [ca.densify(ca.jacobian(system.derivative(x, u, p), x))])
+def _pace(part: Problem, first: FirstStates, seen: tuple[Array, Array], known: Any) -> tuple[float, float]:
+    """Return how fast and how unstable the model is along the data, rad/s: upper quartiles over the start box."""
     random = np.random.default_rng(0)
-    found = []
+    fastest, growth = [], []
     for k in range(33):
         outside = {name: p.start if k == 0 else _drawn(p, random) for name, p in part.parameters.items()}
-        q = list(part.local_values(outside).values())[: len(system.parameters)]
-        matrix = jacobian(np.full(n, 1e-3), np.zeros(m), q).full()
-        if np.all(np.isfinite(matrix)):
-            found.append(np.linalg.eigvals(matrix))
-    return np.array(found)
+        q = np.array([float(value) for value in part.local_values(outside).values()])
+        p = q[: len(part.model.parameters)]
+        poles = first.poles(first.at(*seen, p, known(q)[0].full().ravel()), seen[1], p)
+        if poles.size:
+            fastest.append(np.abs(poles).max())
+            growth.append(poles.real.max(axis=1).mean())
+    return (float(np.quantile(fastest, 0.75)), float(np.quantile(growth, 0.75))) if fastest else (0.0, 0.0)
 
 
 def _drawn(parameter: Any, random: np.random.Generator) -> float:

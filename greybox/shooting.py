@@ -173,6 +173,14 @@ class Shooting:
         J[..., n:] += C[..., n:]
         return S, J, e.reshape(k, length, count).transpose(2, 1, 0)
 
+    def mean_derivatives(self, states: Array, q: Array, data: Array) -> tuple[Array, Array]:
+        """Return the derivatives of the next state (n, n) and of the outputs (k, n) by the state, the mean of some."""
+        some = slice(None, None, max(states.shape[1] // 2000, 1))
+        A, E, _ = self._derivatives(states[:, some], q, data[:, some])
+        v = self.n + len(self.active)
+        A, E = A.reshape(v, self.n, -1).mean(axis=2).T, E.reshape(v, self.k, -1).mean(axis=2).T
+        return A[:, : self.n], -E[:, : self.n]
+
     def simulate(self, nodes: Array, q: Array, data: Array) -> tuple[Array, Array]:
         """Return states (n, samples) and simulated outputs (k, samples), every segment from its node."""
         states, _ = self.paths(nodes, q, data)
@@ -210,4 +218,5 @@ def _present(experiment: Experiment) -> Array:
 def _by_sample(values: Array, experiment: Experiment) -> Array:
     """Return (r, samples) as columns."""
     s, length = experiment.segments, experiment.segment
-    return np.ascontiguousarray(values.reshape(len(values), s, length).transpose(0, 2, 1)).reshape(len(values), -1)
+    ordered = values.reshape(len(values), s, length).transpose(0, 2, 1)
+    return np.ascontiguousarray(ordered).reshape(len(values), s * length)
