@@ -38,8 +38,10 @@ def solve_chain(
     s, n, r = stationarity.shape
     if n == 0:
         return np.zeros((s, 0, r)), np.zeros((s, 0, r))
+    size = _sizes(hessian, transition)
     on = coupled[:, None, None]
-    transition = np.where(on, transition, 0.0)
+    transition = np.where(on, transition * size / size[:, None], 0.0)
+    hessian = hessian * size * size[:, None]
     link = np.where(coupled, -1.0, 0.0)
     # Column by column: of x_k the row of λ before, H and A; of λ_k the rows of A, itself, and x after.
     states = np.zeros((s, n, 2 * n + 1))
@@ -48,16 +50,26 @@ def solve_chain(
     states[:, :, n + 1 :] = transition.transpose(0, 2, 1)
     forces = np.zeros((s, n, n + 2))
     forces[:, :, :n] = transition
-    forces[:, :, n] = np.where(coupled[:, None], -soft, 1.0)
+    forces[:, :, n] = np.where(coupled[:, None], -soft / size**2, 1.0)
     forces[:, :, n + 1] = link[:, None]
     values = np.concatenate([states.reshape(s, -1), forces.reshape(s, -1)], axis=1).ravel()
-    right = np.concatenate([stationarity, np.where(on, continuity, 0.0)], axis=1).reshape(2 * n * s, r)
+    missed = np.where(on, continuity / size[:, None], 0.0)
+    right = np.concatenate([stationarity * size[:, None], missed], axis=1).reshape(2 * n * s, r)
     solver = _solver(s, n, r)
     solution = solver(values[solver.inside], np.ascontiguousarray(right.T)).T
     if not np.all(np.isfinite(solution)):
         raise np.linalg.LinAlgError("the segments do not determine their states.")
     solution = np.ascontiguousarray(solution).reshape(s, 2 * n, r)
-    return solution[:, :n], solution[:, n:]
+    return solution[:, :n] * size[:, None], solution[:, n:] / size[:, None]
+
+
+def _sizes(hessian: Array, transition: Array) -> Array:
+    """Return the size (n,) that states have by what they change, directly or after a segment; 1 where nothing."""
+    seen = np.abs(hessian.diagonal(axis1=1, axis2=2)).mean(axis=0)
+    passed = (transition**2).mean(axis=0).T
+    for _ in range(len(seen)):
+        seen = np.maximum(seen, 1e-4 * (passed @ seen))
+    return 1 / np.sqrt(np.where((seen > 1e-200) & (seen < 1e200), seen, 1.0))
 
 
 class _Solver:
@@ -85,7 +97,7 @@ class _Solver:
 
     def __call__(self, values: Array, right: Array) -> Array:
         """Return the solution (r, size) for the entries of the matrix and right-hand sides (r, size)."""
-        result = np.empty(self._shape)
+        result = np.full(self._shape, np.nan)  # stays where the matrix is singular
         self._buffer.set_arg(0, memoryview(values))
         self._buffer.set_arg(1, memoryview(right))
         self._buffer.set_res(0, memoryview(result))

@@ -4,7 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-FLOOR = 1e-13  # of the largest eigenvalue of the scaled Hessian: flatter directions do not move
+FLOOR = 1e-13  # of the largest eigenvalue of the scaled Hessian: flatter directions move only where a limit needs it
+FLAT = 1e-5  # of its root: what such a move counts
 
 
 def solve_small_qp(hessian: Array, gradient: Array, normals: Array, limits: Array) -> Array:
@@ -19,8 +20,9 @@ def solve_small_qp(hessian: Array, gradient: Array, normals: Array, limits: Arra
     diagonal = np.diag(hessian)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(hessian * scale * scale[:, None])
-    seen = values > FLOOR * max(values.max(), 0.0)
-    roots = np.where(seen, np.sqrt(np.where(seen, values, 1.0)), 1.0)
+    largest = max(values.max(), 0.0)
+    seen = values > FLOOR * largest
+    roots = np.sqrt(np.where(seen, values, FLAT**2 * (largest or 1.0)))
     # d = map · (y + free), y the unknown of the least distance problem.
     mapping = scale[:, None] * vectors / roots
     free = np.where(seen, -(mapping.T @ gradient), 0.0)

@@ -85,11 +85,7 @@ class Two(gb.StateSpace):
 def test_a_realized_transfer_function_has_its_own_frequency_response(name):
     model = shipped_models()[name]()
     random = np.random.default_rng(3)
-    try:
-        system = dynamics(model)
-    except ValueError as error:
-        assert "rational" in str(error) or "improper" in str(error)
-        return
+    system = dynamics(model)
     for _ in range(3):
         values = random_values(model, random)
         wanted = gb.frequency_response(model, OMEGA, values).response
