@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from greybox.record import Record
 
 Array = NDArray[np.float64]
-JITTER = 0.05  # of a step: irregular sampling up to which a stretch counts as uniform
+JITTER = 0.25  # of a step: how far samples may lie from uniform ones
+LOST = 1.5  # steps: what is longer misses a sample, which ends a stretch
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +61,12 @@ class Experiment:
     def first(self) -> NDArray[np.bool_]:
         """Which segments begin a stretch."""
         return np.concatenate([np.arange(count) == 0 for count in self.counts])
+
+    @property
+    def begins(self) -> NDArray[np.bool_]:
+        """Which segment, if any, begins with the first sample of the record."""
+        counts = zip(self.counts, self.stretches, strict=True)
+        return np.concatenate([np.arange(count) + stretch.first == 0 for count, stretch in counts])
 
     @property
     def coupled(self) -> NDArray[np.bool_]:
@@ -134,18 +141,25 @@ def experiment(
     Raises
     ------
     ValueError
-        If the record is too short, not uniformly sampled, or an input never moves.
+        If the record is too short, empty, not uniformly sampled, or no input ever moves.
     """
     names = ", ".join(inputs)
+    empty = [name for name in inputs if not np.isfinite(record[name]).any()]
+    if empty or not any(np.isfinite(record[name]).any() for name in outputs):
+        raise ValueError(
+            f"the record {record.name!r} has no measured value of {empty[0] if empty else ', '.join(outputs)}: "
+            "every sample is missing."
+        )
     if inputs and all(_is_constant(record[name]) for name in inputs):
         raise ValueError(f"the inputs of the record never move ({names}): nothing can be estimated from it.")
     stretches = gapless(record, inputs, outputs, lead=lead, complete=complete)
     usable = tuple(s for s in stretches if np.isfinite(s.outputs).any() and len(s) > 2)
     if not usable:
         longest = max((len(s) * s.step for s in stretches), default=0.0)
+        taken = f", of which the longest delay in the bounds takes {lead:.3g} s" if lead else ""
         raise ValueError(
-            f"the record {record.name!r} has no usable stretch: its longest without a gap lasts {longest:.3g} s, of "
-            f"which the longest delay in the bounds takes {lead:.3g} s; give a longer record or a smaller upper bound."
+            f"the record {record.name!r} has no usable stretch: its longest with all inputs and without a gap lasts "
+            f"{longest:.3g} s{taken}; give a longer record{' or a smaller upper bound' if lead else ''}."
         )
     return Experiment(usable, outputs, segment)
 
@@ -166,7 +180,8 @@ def gapless(
         y = np.array([piece[name] for name in outputs]).reshape(len(outputs), len(piece))
         y = np.where(np.all(np.isfinite(y), axis=0), y, np.nan) if complete else y
         whole = np.all(np.isfinite(u), axis=0)
-        for rows in np.split(np.arange(len(piece)), np.flatnonzero(np.diff(whole.astype(int))) + 1):
+        ends = (np.diff(whole.astype(int)) != 0) | (np.diff(piece.time) > LOST * record.step)
+        for rows in np.split(np.arange(len(piece)), np.flatnonzero(ends) + 1):
             if whole[rows[0]] and rows.size > 1:
                 stretches.append(_stretch(piece.time[rows], u[:, rows], y[:, rows], before + int(rows[0]), lead))
         before += len(piece)
@@ -181,7 +196,7 @@ def _is_constant(values: Array) -> bool:
 def _stretch(time: Array, inputs: Array, outputs: Array, first: int, lead: float) -> Stretch:
     step = float((time[-1] - time[0]) / (time.size - 1))
     off = np.abs(time - time[0] - step * np.arange(time.size)).max() / step
-    if off > 1 or np.abs(np.diff(time) / step - 1).max() > JITTER + 1:
+    if off > JITTER:
         raise ValueError(
             f"the samples near {time[0]:g} s are not uniform (off by {off:.2g} steps): "
             "bring them to one rate first, gb.prepare(..., rate=...)."

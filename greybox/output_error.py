@@ -29,7 +29,7 @@ class TimeCriterion(ABC):
         Outputs and inputs whose measurement has an unknown constant error; each becomes a parameter ``<name>_bias``,
         what is measured less what is true.
     initial : mapping of state to value or function of the parameters
-        Known initial states; all others are unknown.
+        Known states at the first sample of the record; all others, and those after a gap, are unknown.
 
     Source: Klein and Morelli, Aircraft System Identification, 2nd ed., chapter 6.
     """
@@ -57,6 +57,12 @@ class TimeCriterion(ABC):
                     raise ValueError(f"noise gives {name!r} the value {sigma!r}: give a standard deviation above 0.")
         if self.inputs not in ("linear", "held"):
             raise ValueError(f"inputs {self.inputs!r} is not known: use 'linear' or 'held'.")
+        for name, value in self.initial.items():
+            number = isinstance(value, (int, float, np.number)) and math.isfinite(value)
+            if not (number or callable(value)):
+                raise ValueError(
+                    f"initial gives {name!r} the value {value!r}: give a finite number or a function of the parameters."
+                )
         if isinstance(self.biases, str):
             object.__setattr__(self, "biases", (self.biases,))
 
@@ -91,6 +97,7 @@ class TimeCriterion(ABC):
         elif self.initial:
             raise ValueError(f"{label} is a transfer function and has no named states: leave out initial.")
         if isinstance(self.noise, Mapping):
+            require_known(self.noise, model.output_names, "output", label)
             missing = [name for name in outputs if name not in self.noise]
             if missing:
                 raise ValueError(
@@ -103,7 +110,8 @@ class TimeCriterion(ABC):
         result = {}
         for name in self.biases:
             values = record[name][np.isfinite(record[name])]
-            reach = float(np.ptp(values)) or 1.0
+            reach = float(np.ptp(values)) if values.size else 0.0
+            reach = reach or 1.0
             result[f"{name}_bias"] = Parameter(
                 0.0,
                 bounds=(-10 * reach, 10 * reach),

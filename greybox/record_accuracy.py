@@ -38,7 +38,7 @@ def information(part: RecordPart, path: Path, place: Place) -> Information:
     reduced = part.reduce(blocks, place, np.zeros_like(path.nodes), np.zeros(part.states))
     follow, n = reduced.follow.copy(), part.states
     if part.known_states.any():
-        rows = np.ix_(part.first, part.known_states)
+        rows = np.ix_(part.begins, part.known_states)
         follow[rows] = place.initial_slope[part.known_states]
     s, length, k, p = part.experiment.segments, part.experiment.segment, len(part.outputs), place.slope.shape[1]
     weighted, triangle, white = np.empty((s, length, k, p)), np.zeros((0, p)), np.zeros((p, p))

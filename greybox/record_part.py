@@ -23,6 +23,7 @@ from greybox.problem import Problem
 from greybox.record import Record
 from greybox.sample import SampleStep, sample_step
 from greybox.shooting import Blocks, Shooting
+from greybox.trace import traced
 from greybox.transcription.method import Transcription
 
 Array = NDArray[np.float64]
@@ -118,6 +119,7 @@ class RecordPart:
         self.shooting = Shooting(self.step, self.experiment, self.active, method.compile)
         self.noise: Noise = noise_of(self.criterion, self.outputs, self.experiment.measured)
         self.first, self.coupled = self.experiment.first, self.experiment.coupled
+        self.begins = self.experiment.begins
         self._nodes_see = at_samples(self.experiment, self.experiment.segment)
 
     def _step(self, integrator: Integrator, substeps: int) -> SampleStep:
@@ -132,9 +134,11 @@ class RecordPart:
         self.locate = ca.Function("locate", [z], [q, ca.densify(slope[active, :]), ca.densify(delay)])
         known, symbol = self.criterion.initial, ca.SX.sym("q", q.numel())
         local = Names(dict(zip(part.declared, ca.vertsplit(symbol), strict=True)), part.model.label)
-        given = [known.get(name, math.nan) for name in self.system.states]
         self.known_states = np.array([name in known for name in self.system.states], dtype=bool)
-        initial = ca.vertcat(ca.SX(0, 1), *[_called(value, local) for value in given])
+        initial = ca.vertcat(
+            ca.SX(0, 1),
+            *[_called(f"initial[{name!r}]", known.get(name, math.nan), local) for name in self.system.states],
+        )
         by = ca.densify(ca.jacobian(initial, symbol[active]))
         self.initial = ca.Function("initial", [symbol], [initial, by])
 
@@ -151,6 +155,7 @@ class RecordPart:
         result.shooting = self.shooting.on(result.experiment)
         result.noise = noise_of(self.criterion, self.outputs, result.experiment.measured)
         result.first, result.coupled = result.experiment.first, result.experiment.coupled
+        result.begins = result.experiment.begins
         result._nodes_see = at_samples(result.experiment, result.experiment.segment)
         return result
 
@@ -170,7 +175,7 @@ class RecordPart:
     @property
     def unknown_initial(self) -> int:
         """Number of unknown initial states, of all stretches."""
-        return int(self.first.sum()) * int((~self.known_states).sum())
+        return int(self.first.sum()) * self.states - int(self.begins.sum()) * int(self.known_states.sum())
 
     def place(self, z: Array) -> Place:
         """Return the part at the point z (p,)."""
@@ -188,7 +193,7 @@ class RecordPart:
         if not self.known_states.any():
             return nodes
         nodes = nodes.copy()
-        rows = np.ix_(self.first, self.known_states)
+        rows = np.ix_(self.begins, self.known_states)
         nodes[rows] = place.initial[self.known_states]
         return nodes
 
@@ -213,7 +218,7 @@ class RecordPart:
         corner, mixed, gradient = b.corner.copy(), b.mixed.copy(), b.gradient.copy()
         to_state, to_parameters = b.to_state.copy(), b.to_parameters.copy()
         own, slope = b.own.copy(), b.slope.copy()
-        for at in np.flatnonzero(self.first):
+        for at in np.flatnonzero(self.begins):
             own += follow.T @ mixed[at] + mixed[at].T @ follow + follow.T @ corner[at] @ follow
             slope += follow.T @ gradient[at]
             mixed[at] += corner[at] @ follow
@@ -306,8 +311,13 @@ def _unit(blocks: Blocks) -> Array:
     return 1 / np.sqrt(np.maximum(curvature, 1e-30 * curvature.max(initial=0.0) + 1e-300))
 
 
-def _called(value: Any, local: Names) -> Any:
-    return value(local) if callable(value) else value
+def _called(what: str, value: Any, local: Names) -> Any:
+    if not callable(value):
+        return value
+    try:
+        return ca.SX(traced(what, value, local))
+    except (AttributeError, KeyError, ArithmeticError) as error:
+        raise ValueError(f"{what}: {error}") from error
 
 
 def _chosen(

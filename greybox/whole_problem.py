@@ -121,10 +121,11 @@ class WholeProblem:
 
     @staticmethod
     def _known(part: RecordPart, transcribed: Transcribed, q: ca.MX) -> ca.MX:
-        """Return known initial states less what they must be."""
+        """Return known states at the first sample of the record less what they must be."""
+        count = int(part.begins.sum())
         rows = np.flatnonzero(part.known_states).tolist()
         wanted, _ = part.initial(q)
-        return ca.vec(transcribed.initial[rows, :] - ca.repmat(wanted[rows], 1, transcribed.initial.size2()))
+        return ca.vec(transcribed.initial[rows, :count] - ca.repmat(wanted[rows], 1, count))
 
 
 def _approximate(method: Transcription) -> bool:
