@@ -177,7 +177,8 @@ class GaussNewton:
                 return point, "converged" if settled and move.distance <= 1e3 * TOLERANCE else "stalled", iteration
             gained = 0.0 if trial is None else before - merit(trial)
             point = trial or point
-            at.damping = next_damping(at.damping, length)
+            kept = gained / move.predicted if exact and move.predicted > 0 else 1.0
+            at.damping = next_damping(at.damping, length, kept)
             if not exact:
                 missed = math.inf if trial is None or length < 1 else abs(gained - move.predicted) / move.predicted
                 at.advance(missed, done=trial is None or frozen or move.predicted <= SETTLED * abs(before))

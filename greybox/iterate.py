@@ -13,6 +13,7 @@ from greybox.shooting import Blocks
 Array = NDArray[np.float64]
 TIGHTEN = 0.1  # the standard deviation by which continuity may be missed, from one stage to the next
 SETTLED = 0.1  # relative: how well a step must keep its promise for the next stage to begin
+POOR = 0.25  # share of a promised decrease below which full steps are too long
 WELL = 0.01  # the same, for it to skip one
 
 
@@ -87,8 +88,10 @@ def promised(blocks: Blocks, reduced: Reduced, gaps: Array, soft: Array) -> floa
     return max(-change, 0.0)
 
 
-def next_damping(damping: float, length: float) -> float:
-    """Return the damping after a step of which a share `length` was taken."""
+def next_damping(damping: float, length: float, kept: float) -> float:
+    """Return the damping after a step of which a share `length` was taken and a share `kept` of its promise held."""
+    if length == 1.0 and kept < POOR:
+        return max(10 * damping, 1e-2)
     if length == 1.0:
         return damping / 10 if damping > 1e-6 else 0.0
     return max(10 * damping, 1e-4) if length < 0.2 else damping

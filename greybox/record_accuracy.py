@@ -10,6 +10,8 @@ from greybox.record_part import Path, Place, RecordPart
 from greybox.residuals import colored_information
 
 Array = NDArray[np.float64]
+SEEN = 1e-12  # of the largest eigenvalue in units in which all parameters are seen alike
+FEWEST = 4  # degrees of freedom that color may leave
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +25,7 @@ class Information:
     meat : (p, p) array
         Covariance of Jᵀe, for errors with the autocorrelation of the residuals.
     numbers : int
-        Measured numbers less the unknown initial states.
+        Measured numbers, as many as independent ones would tell as much, less the unknown initial states.
     """
 
     jacobian: Array
@@ -49,9 +51,31 @@ def information(part: RecordPart, path: Path, place: Place) -> Information:
         triangle = np.linalg.qr(np.vstack([triangle, rows]), mode="r")
         white += rows.T @ rows
         weighted[some] = weight.T @ root
-    numbers = int(part.shooting.counts.sum()) - part.unknown_initial
     if isinstance(part.criterion, PredictionError):
-        return Information(triangle, white, numbers)
+        return _corrected(part, triangle, white, 1.0)
     residual = part.shooting.in_order(part.shooting.residuals(path.states, place.q, place.data))
     stretches = part.experiment.unpadded(np.moveaxis(weighted.reshape(s * length, k, p), 0, -1))
-    return Information(triangle, colored_information(stretches, part.experiment.unpadded(residual)), numbers)
+    meat = colored_information(stretches, part.experiment.unpadded(residual))
+    assumed = weight @ path.products @ weight.T / np.maximum(part.shooting.counts, 1)
+    return _corrected(part, triangle, meat, _color(white * np.trace(assumed) / k, meat))
+
+
+def _color(white: Array, meat: Array) -> float:
+    """Return how many times more of the residuals the parameters take than they would of white ones, at least 1.
+
+    Of n residuals with covariance Σ, p parameters take tr(JᵀΣJ (JᵀJ)⁻¹), which is p σ² where they are white.
+    """
+    size = 1 / np.sqrt(np.where(np.diag(white) > 0, np.diag(white), 1.0))
+    values, vectors = np.linalg.eigh(white * size * size[:, None])
+    seen = values > SEEN * max(values.max(initial=0.0), 1e-300)
+    basis = size[:, None] * vectors[:, seen] / np.sqrt(values[seen])
+    taken = float(np.trace(basis.T @ meat @ basis))
+    return max(taken / max(int(seen.sum()), 1), 1.0) if np.isfinite(taken) else 1.0
+
+
+def _corrected(part: RecordPart, triangle: Array, meat: Array, color: float) -> Information:
+    """Count the numbers and widen the variance by what the initial states take of them."""
+    measured, initial = int(part.shooting.counts.sum()), part.unknown_initial
+    left = measured / (initial + meat.shape[0] + FEWEST)
+    numbers = max(measured / min(color, max(left, 1.0)), initial + 0.5)
+    return Information(triangle, meat * numbers / (numbers - initial), int(numbers) - initial)
