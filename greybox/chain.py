@@ -68,7 +68,7 @@ def _sizes(hessian: Array, transition: Array) -> Array:
     seen = np.abs(hessian.diagonal(axis1=1, axis2=2)).mean(axis=0)
     passed = (transition**2).mean(axis=0).T
     for _ in range(len(seen)):
-        seen = np.maximum(seen, 1e-4 * (passed @ seen))
+        seen = np.where(seen > 0, seen, passed @ seen)
     return 1 / np.sqrt(np.where((seen > 1e-200) & (seen < 1e200), seen, 1.0))
 
 
