@@ -89,12 +89,16 @@ class Experiment:
                 )
         return Experiment(tuple(kept), self.outputs, self.segment)
 
-    def padded(self, values: list[Array], fill: float) -> Array:
-        """Join one array (r, n) per stretch, every stretch filled up to whole segments: (r, samples)."""
+    def padded(self, values: list[Array], fill: float | None) -> Array:
+        """Join one array (r, n) per stretch, every stretch filled up to whole segments: (r, samples).
+
+        None repeats the last value: inputs of zero may lie outside of what a model allows, an airspeed for one.
+        """
         joined = []
         for value, count in zip(values, self.counts, strict=True):
             rest = count * self.segment - value.shape[1]
-            joined.append(np.pad(value, ((0, 0), (0, rest)), constant_values=fill))
+            last = value[:, -1:] if fill is None else np.full((len(value), 1), fill)
+            joined.append(np.concatenate([value, np.repeat(last, rest, axis=1)], axis=1))
         return np.concatenate(joined, axis=1)
 
     def unpadded(self, values: Array) -> list[Array]:
@@ -127,7 +131,7 @@ class Experiment:
             values = np.take_along_axis(stretch.inputs[:, None, :], places.astype(int), axis=2)
             around.append(values.reshape(3 * len(delays), len(stretch)))
             whole.append(np.broadcast_to(shift[:, None], (len(shift), len(stretch))))
-        return self.padded(whole, 0.0), self.padded(around, 0.0)
+        return self.padded(whole, None), self.padded(around, None)
 
 
 def experiment(

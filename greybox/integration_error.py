@@ -1,0 +1,121 @@
+"""Is the integration accurate enough for the noise? What twice the substeps would do to the estimate.
+
+A fixed-step integrator with too few substeps shifts the parameters without a trace in the residuals: it damps and
+slows oscillations by itself. The shift follows from the gradient that the finer integration has at the estimate,
+in units of the standard errors that white noise gives; what is far below them does not matter.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.gauss_newton import GaussNewton, Profile
+from greybox.nlp import Nlp
+from greybox.record_part import Path, Place, RecordPart
+from greybox.result import Multistart
+
+Array = NDArray[np.float64]
+SMALL = 0.1  # of a standard error: a shift that does not matter
+EXACT = 1e-7  # of states and outputs: what finer substeps change is rounding
+MOST = 64  # substeps
+FASTEST = 8  # times as many substeps at once
+RANK = 1e-12  # of the largest eigenvalue of the Hessian in units of its diagonal
+
+
+@dataclass(frozen=True, eq=False)
+class IntegrationError:
+    """What half as long substeps would change.
+
+    Attributes
+    ----------
+    shift : (p,) array
+        Of the unknowns, in standard errors.
+    order : int
+        The shift falls with this power of the number of substeps.
+    """
+
+    shift: Array
+    order: int
+
+    @property
+    def largest(self) -> float:
+        """The largest shift, in standard errors."""
+        return float(np.abs(self.shift).max(initial=0.0))
+
+
+def integration_error(nlp: Nlp, profile: Profile) -> IntegrationError:
+    """Return what twice the substeps would do to the estimate that `profile` belongs to, to first order."""
+    p = len(nlp.free)
+    hessian, change = np.zeros((p, p)), np.zeros(p)
+    for part, path, place in zip(nlp.records, profile.paths, profile.places, strict=True):
+        fine = part.refined(2)
+        finer = fine.path(path.nodes, place)
+        if not part.states or _is_rounding(part, path, finer):
+            continue
+        H, g = _gradient(part, path, place, path)
+        _, g_fine = _gradient(fine, finer, place, path) if finer.finite else (H, np.full(p, math.inf))
+        hessian, change = hessian + part.part.weight * H, change + part.part.weight * (g_fine - g)
+    orders = [part.method.integrator.order for part in nlp.records]
+    return IntegrationError(_in_errors(hessian, change), min(orders, default=1))
+
+
+def well_integrated(nlp: Nlp, search: Multistart) -> tuple[Nlp, Multistart]:
+    """Refine the substeps until that does not matter, and follow the best minimum; what the method fixes stays."""
+    while search.minima and nlp.records and all(part.method.integrator.substeps is None for part in nlp.records):
+        best = search.minima[0]
+        error = integration_error(nlp, GaussNewton(nlp).profile(best.estimate, search.nodes))
+        if error.largest <= SMALL or max(part.substeps for part in nlp.records) >= MOST:
+            break
+        growth = (error.largest / SMALL) ** (1 / error.order) if math.isfinite(error.largest) else FASTEST
+        factor = int(np.clip(math.ceil(growth), 2, FASTEST))
+        finer = replace(nlp, records=tuple(part.refined(factor) for part in nlp.records))
+        outcome = GaussNewton(finer).run(best.estimate)
+        if not outcome.converged:
+            break
+        minimum = replace(best, cost=outcome.cost, estimate=outcome.estimate)
+        nlp, search = finer, replace(search, minima=(minimum, *search.minima[1:]), nodes=outcome.nodes)
+    return nlp, search
+
+
+def integration_warnings(nlp: Nlp, profile: Profile | None) -> Iterator[str]:
+    """Say so where the integration is not accurate enough for the noise."""
+    if profile is None or not nlp.records:
+        return
+    error = integration_error(nlp, profile)
+    if error.largest > SMALL:
+        name = nlp.free[int(np.argmax(np.abs(error.shift)))]
+        count = max(part.substeps for part in nlp.records)
+        by = f"{error.largest:.2g} standard errors" if math.isfinite(error.largest) else "more than the model bears"
+        yield (
+            f"the integration is too coarse: {2 * count} substeps a sample instead of {count} would move {name} by "
+            f"{by}; use MultipleShooting(integrator=RungeKutta(substeps={4 * count})), or Rosenbrock() if it is stiff."
+        )
+
+
+def _gradient(part: RecordPart, path: Path, place: Place, best: Path) -> tuple[Array, Array]:
+    """Return Hessian and gradient by the unknowns along a path with gaps, weighted by the noise of the best path."""
+    blocks = part.linearize(path, place, part.noise.weight(best.products))
+    reduced = part.reduce(blocks, place, path.gaps, np.zeros(part.states))
+    return reduced.hessian, reduced.gradient
+
+
+def _is_rounding(part: RecordPart, path: Path, finer: Path) -> bool:
+    size = np.abs(path.states).max(axis=1, initial=0.0)
+    moved = np.abs(finer.end - path.end).max(axis=0, initial=0.0)
+    return bool(np.all(moved <= EXACT * size))
+
+
+def _in_errors(hessian: Array, change: Array) -> Array:
+    """Return the Newton step -H⁻¹ g in units of its standard errors, in the directions that the data see."""
+    if not np.all(np.isfinite(change)):
+        return np.full(len(change), math.inf)
+    size = np.sqrt(np.maximum(np.diag(hessian), 0.0))
+    unit = 1 / np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(hessian * unit * unit[:, None])
+    seen = values > RANK * values.max(initial=0.0)
+    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
+    errors = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+    return -(inverse @ (change * unit)) / np.where(errors > 0, errors, 1.0)
