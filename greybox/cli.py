@@ -120,12 +120,12 @@ def _add_fit(commands: Any) -> None:
     add("--at", nargs="+", default=[], metavar="NAME=VALUE", help="with --model: operating point of an ODE")
     add("--fix", nargs="+", default=[], metavar="NAME=VALUE", help="hold parameters at these values")
     add("--free", nargs="+", default=[], metavar="NAME", help="free parameters that the model declares fixed")
-    add("--starts", type=_positive, help="number of starts (default: the problem's, or 200)")
+    add("--starts", type=_positive, help="number of starts (default: the problem's, or 200, 20 with records)")
     add("--seed", type=_whole, help="seed of the starts (default: the problem's, or 0)")
     add("--delay", help="exact or pade:n (default: the problem's)")
     add("--criterion", help=f"{', '.join(_criteria())} (default: the problem's)")
     add("--out", type=Path, metavar="FILE", help="save the result to this HDF5 file")
-    _add_common(parser, "Nyquist, Bode and starts")
+    _add_common(parser, "responses, time histories and starts")
     parser.set_defaults(command=_fit)
 
 
@@ -261,7 +261,7 @@ def _restated(problem: AnyProblem, fix: dict[str, float], free: Sequence[str]) -
 
 
 def _restated_part(part: Problem, fix: dict[str, float], free: Sequence[str]) -> Problem:
-    inside = {part.rename.get(name, name): name for name in part.model.parameters if name not in part.tied}
+    inside = {part.rename.get(name, name): name for name in part.declared if name not in part.tied}
     new = {inside[name]: value for name, value in fix.items() if name in inside}
     freed = [inside[name] for name in free if name in inside]
     held = {name: value for name, value in part.given.items() if name not in freed}

@@ -26,7 +26,7 @@ def list_shelf(options: argparse.Namespace) -> Answer:
         for title, rows in (("problem", problems), ("model", models))
     ]
     titles = dict.fromkeys(
-        re.split(r", (?=[(]|section|below)", _source(doc))[0] for _, doc in (*problems, *models) if _source(doc)
+        re.split(r", (?=[(]|section|below|which)", _source(doc))[0] for _, doc in (*problems, *models) if _source(doc)
     )
     sources = "\n".join(f"Source: {title}" for title in titles)
     last = "`greybox list NAME` shows one whole, with its equation."
@@ -71,5 +71,6 @@ def _first(doc: str) -> str:
 
 
 def _source(doc: str) -> str:
-    match = re.search(r"Source: (.+?)(?:\.\s|\.$|\n\n|$)", doc, re.DOTALL)
+    # A capital before the dot is somebody's first name.
+    match = re.search(r"Source: (.+?)(?:(?<![A-Z])\.\s|\.$|\n\n|$)", doc, re.DOTALL)
     return " ".join(match[1].split()) if match else ""

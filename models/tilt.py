@@ -70,8 +70,8 @@ class NonlinearTilt(TiltParameters, gb.StateSpace):
     $$\dot v = g \tan\theta - C_x |v| v, \quad \dot q = -a_1 \theta - a_2 q - a_3 v + a_4 \tau_\theta, \quad
     \dot\theta = q, \quad \dot\tau_\theta = (u(t - T_{delay}) - \tau_\theta) / T_\Omega$$
 
-    The rotor state stands for the torque; `a4` holds the torque gain. In hover the drag has no slope,
-    so a frequency response measured there says nothing about `C_x`.
+    The rotor state stands for the torque; `a4` holds the torque gain. In hover the drag has no slope, so the
+    linearization there does not hold `C_x`; records do, and responses at a stated amplitude of the sines.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (4.21) and (4.23).
     """

@@ -138,6 +138,7 @@ def test_list_names_every_shipped_problem_and_model(capsys):
     answer = json.loads(run(capsys, "list", "--json")[1])
     assert all("$$" in model["about"] and model["source"] for model in answer["models"])
     assert all(problem["source"] for problem in answer["problems"])
+    assert "Source: S. Butterworth, On the theory of filter amplifiers" in out
 
 
 @pytest.mark.parametrize("name", ["tilt:Tilt", "pitch_hover", "polynomial:Polynomial(3, 1)"])
@@ -373,3 +374,24 @@ def test_a_record_that_does_not_fit_the_command(own, capsys):
     path = own(RECORD)
     assert "give a criterion such as OutputError()" in refused(capsys, "fit", path, "--criterion", "relative-error")
     assert "no parameter 'mass'" in refused(capsys, "fit", path, "--fix", "mass=1")
+
+
+def test_the_shipped_records(capsys):
+    command = ["fit", "sitl_drag", "--starts", "2"]
+    status, out, _ = run(capsys, *command)
+    assert status == 0
+    assert "7518 samples in 2 records" in out
+    assert "v (sitl_drag_5deg): residual" in out
+    answer = json.loads(run(capsys, *command, "--json")[1])
+    assert answer["cost"] == pytest.approx(-14516.2355, abs=0.01)
+    assert [output["part"] for output in answer["outputs"]] == ["sitl_drag_hover", "sitl_drag_5deg"]
+
+
+def test_biases_of_records_are_fixed_by_their_names(capsys):
+    fixed = ["--fix", "theta_bias_1=0.001", "C_x=0"]
+    answer = json.loads(run(capsys, "fit", "sitl_drag", "--starts", "2", "--json", *fixed)[1])
+    assert (answer["estimate"]["theta_bias_1"], answer["estimate"]["C_x"]) == (0.001, 0)
+    assert answer["standard_error"]["theta_bias_1"] == 0
+    assert answer["standard_error"]["theta_bias_2"] > 0
+    sentence = refused(capsys, "fit", "sitl_drag", "--fix", "theta_bias=0")
+    assert "no parameter 'theta_bias'; it has a5, C_x, theta_bias_1, theta_bias_2" in sentence
