@@ -203,7 +203,8 @@ def _stretch(time: Array, inputs: Array, outputs: Array, first: int, lead: float
     if off > JITTER:
         raise ValueError(
             f"the samples near {time[0]:g} s are not uniform (off by {off:.2g} steps): "
-            "bring them to one rate first, gb.prepare(..., rate=...)."
+            "bring them to one rate first, gb.prepare(..., rate=...); a few irregular samples go on a fine uniform "
+            "time base with NaN where nothing was measured."
         )
     masked = outputs.copy()
     masked[:, : math.ceil(lead / step)] = np.nan

@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from greybox.gauss_newton import GaussNewton, Profile
 from greybox.nlp import Nlp
 from greybox.record_part import Path, Place, RecordPart
-from greybox.result import Multistart
+from greybox.result import SAME_LIKELIHOOD, Minimum, Multistart
 
 Array = NDArray[np.float64]
 SMALL = 0.1  # of a standard error: a shift that does not matter
 EXACT = 1e-7  # of states and outputs: what finer substeps change is rounding
 MOST = 64  # substeps
 FASTEST = 8  # times as many substeps at once
+RIVAL, RIVALS = 10.0, 3  # minima that may change places with the best: by cost above it, and number
 RANK = 1e-12  # of the largest eigenvalue of the Hessian in units of its diagonal
 
 
@@ -63,21 +64,39 @@ def integration_error(nlp: Nlp, profile: Profile) -> IntegrationError:
 
 
 def well_integrated(nlp: Nlp, search: Multistart) -> tuple[Nlp, Multistart]:
-    """Refine the substeps until that does not matter, and follow the best minimum; what the method fixes stays."""
+    """Refine the substeps until that does not matter, and follow the best minima; what the method fixes stays."""
     while search.minima and nlp.records and all(part.method.integrator.substeps is None for part in nlp.records):
-        best = search.minima[0]
-        error = integration_error(nlp, GaussNewton(nlp).profile(best.estimate, search.nodes))
+        error = integration_error(nlp, GaussNewton(nlp).profile(search.minima[0].estimate, search.nodes))
         if error.largest <= SMALL or max(part.substeps for part in nlp.records) >= MOST:
             break
         growth = (error.largest / SMALL) ** (1 / error.order) if math.isfinite(error.largest) else FASTEST
         factor = int(np.clip(math.ceil(growth), 2, FASTEST))
         finer = replace(nlp, records=tuple(part.refined(factor) for part in nlp.records))
-        outcome = GaussNewton(finer).run(best.estimate)
-        if not outcome.converged:
+        followed = _followed(finer, search)
+        if followed is None:
             break
-        minimum = replace(best, cost=outcome.cost, estimate=outcome.estimate)
-        nlp, search = finer, replace(search, minima=(minimum, *search.minima[1:]), nodes=outcome.nodes)
+        nlp, search = finer, followed
     return nlp, search
+
+
+def _followed(nlp: Nlp, search: Multistart) -> Multistart | None:
+    """Return the search with its best minima, as far as they are rivals, moved to those of `nlp`; None if none is."""
+    best = search.minima[0]
+    rivals = [m for m in search.minima if m.cost <= best.cost + RIVAL][:RIVALS]
+    solver = GaussNewton(nlp)
+    moved = [(solver.run(m.estimate), m) for m in rivals]
+    moved = sorted((pair for pair in moved if pair[0].converged), key=lambda pair: pair[0].cost)
+    if not moved:
+        return None
+    minima: list[Minimum] = []
+    for outcome, m in moved:
+        if minima and outcome.cost - minima[-1].cost <= SAME_LIKELIHOOD:
+            runs = (*minima[-1].runs, *m.runs)  # two coarse minima have become one
+            minima[-1] = replace(minima[-1], runs=runs)
+        else:
+            minima.append(replace(m, cost=outcome.cost, estimate=outcome.estimate))
+    others = [m for m in search.minima if m not in rivals]
+    return replace(search, minima=(*minima, *others), nodes=moved[0][0].nodes)
 
 
 def integration_warnings(nlp: Nlp, profile: Profile | None) -> Iterator[str]:
