@@ -23,11 +23,14 @@ class Integrator(ABC):
         The error of one step falls with its (order + 1)th power.
     reach : float
         Largest |pole| · step for which a step is stable.
+    wave : float
+        Largest |imaginary part of a pole| · step at which an oscillation is followed closely enough to start with.
     """
 
     substeps: int | None = None
     order: ClassVar[int]
     reach: ClassVar[float]
+    wave: ClassVar[float] = 0.7
 
     def __post_init__(self) -> None:
         """Check the number of substeps."""

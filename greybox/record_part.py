@@ -328,14 +328,19 @@ def _chosen(
     step = part.data.step
     if method.integrator.substeps is not None and method.segment is not None:
         return method.integrator.substeps, method.segment
-    fastest, growth = _pace(part, first, seen, known)
-    substeps = method.integrator.substeps or int(np.clip(math.ceil(fastest * step / method.integrator.reach), 1, 20))
+    fastest, growth = _pace(part, method.integrator, first, seen, known)
+    substeps = method.integrator.substeps or int(np.clip(math.ceil(fastest * step), 1, 20))
     segment = method.segment or int(np.clip(2 / max(growth * step, 1e-12), 5, 10))
     return substeps, segment
 
 
-def _pace(part: Problem, first: FirstStates, seen: tuple[Array, Array], known: Any) -> tuple[float, float]:
-    """Return how fast and how unstable the model is along the data, rad/s: upper quartiles over the start box."""
+def _pace(
+    part: Problem, scheme: Integrator, first: FirstStates, seen: tuple[Array, Array], known: Any
+) -> tuple[float, float]:
+    """Return the steps per second that the poles along the data ask for, and how unstable they are, rad/s.
+
+    Upper quartiles over the start box.
+    """
     random = np.random.default_rng(0)
     fastest, growth = [], []
     for k in range(33):
@@ -344,7 +349,7 @@ def _pace(part: Problem, first: FirstStates, seen: tuple[Array, Array], known: A
         p = q[: len(part.model.parameters)]
         poles = first.poles(first.at(*seen, p, known(q)[0].full().ravel()), seen[1], p)
         if poles.size:
-            fastest.append(np.abs(poles).max())
+            fastest.append(np.maximum(np.abs(poles) / scheme.reach, np.abs(poles.imag) / scheme.wave).max())
             growth.append(poles.real.max(axis=1).mean())
     return (float(np.quantile(fastest, 0.75)), float(np.quantile(growth, 0.75))) if fastest else (0.0, 0.0)
 

@@ -111,6 +111,12 @@ def test_substeps_are_refined_until_the_truth_is_found(slow_pendulum):
     assert np.all(np.abs(refined.minima[0].estimate - [39, 0.08]) < 3.5 * np.array([0.010, 0.00032]))
 
 
+def test_an_undamped_oscillation_gets_substeps_by_its_frequency(slow_pendulum):
+    # One step of Runge-Kutta is stable up to |pole| · step = 2.7, and here, at 2.5, wrong.
+    nlp = compile_problem(gb.Problem(Pendulum(), slow_pendulum))
+    assert nlp.records[0].substeps >= np.sqrt(39) * 0.4 / 0.7
+
+
 class Airspeed(gb.StateSpace):
     """Airspeed and angle of attack of a glider, which no airspeed of zero allows; the density of the air is hidden."""
 
