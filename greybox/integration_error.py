@@ -52,7 +52,7 @@ def integration_error(nlp: Nlp, profile: Profile) -> IntegrationError:
     p = len(nlp.free)
     hessian, change = np.zeros((p, p)), np.zeros(p)
     for part, path, place in zip(nlp.records, profile.paths, profile.places, strict=True):
-        fine = part.refined(2)
+        fine = part.refined(2, compiled=False)
         finer = fine.path(path.nodes, place)
         if not part.states or _is_rounding(part, path, finer):
             continue

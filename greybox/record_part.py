@@ -159,12 +159,12 @@ class RecordPart:
         result._nodes_see = at_samples(result.experiment, result.experiment.segment)
         return result
 
-    def refined(self, factor: int) -> "RecordPart":
-        """Return the same with so many times as many substeps."""
+    def refined(self, factor: int, compiled: bool = True) -> "RecordPart":
+        """Return the same with so many times as many substeps; not `compiled` for a look that no compiler is worth."""
         result = copy(self)
         result.substeps = factor * self.substeps
         result.step = self._step(self.method.integrator, result.substeps)
-        result.shooting = Shooting(result.step, self.experiment, self.active, self.method.compile)
+        result.shooting = Shooting(result.step, self.experiment, self.active, self.method.compile and compiled)
         return result
 
     @property
