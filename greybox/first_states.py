@@ -63,7 +63,7 @@ class FirstStates:
 
     def poles(self, states: Array, inputs: Array, p: Array) -> NDArray[np.complex128]:
         """Return the poles (s, n) of the linearizations at states (n, s), without those that are not finite."""
-        matrices = self._model(states, inputs, p)[2][: self._n**2].T.reshape(-1, self._n, self._n)
+        matrices = self._model(states, inputs, p)[2][: self._n**2].T.reshape(inputs.shape[1], self._n, self._n)
         return np.linalg.eigvals(matrices[np.isfinite(matrices).all(axis=(1, 2))])
 
     def _sized(self, states: Array, hidden: NDArray[np.integer], measured: Array, inputs: Array, p: Array) -> Array:

@@ -56,7 +56,9 @@ class Noise:
 def noise_of(criterion: TimeCriterion, outputs: tuple[str, ...], measured: Array) -> Noise:
     """Read the criterion's option for the outputs (k, samples) that are compared."""
     present = np.isfinite(measured)
-    spread = np.array([np.std(row[there]) for row, there in zip(measured, present, strict=True)])
+    spread = np.array(
+        [np.std(row[there]) if there.any() else 0.0 for row, there in zip(measured, present, strict=True)]
+    )
     known = None
     if isinstance(criterion.noise, Mapping):
         known = np.array([float(criterion.noise[name]) for name in outputs])

@@ -110,8 +110,9 @@ class TimeCriterion(ABC):
         result = {}
         for name in self.biases:
             values = record[name][np.isfinite(record[name])]
-            reach = float(np.ptp(values)) if values.size else 0.0
-            reach = reach or 1.0
+            if not values.size:
+                raise ValueError(f"biases names {name!r}, of which the record has no measured value: leave it out.")
+            reach = float(np.ptp(values)) or 1.0
             result[f"{name}_bias"] = Parameter(
                 0.0,
                 bounds=(-10 * reach, 10 * reach),

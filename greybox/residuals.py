@@ -1,10 +1,13 @@
 """The correlation of residuals in time, as an autoregression; what it does to the errors of an estimate."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 LONGEST = 50  # order of an autoregression
+ORDERS = (*range(1, 13), 14, 16, 20, 25, 32, 40, 50)  # that are tried for a vector
 
 
 def autocovariance(stretches: list[Array], lags: int) -> Array:
@@ -45,50 +48,96 @@ def autoregression(stretches: list[Array]) -> Array:
     return best
 
 
-def filtered(coefficients: Array, signal: Array) -> Array:
-    """Return Σ c_k x(t - k), (n,), zero before the first sample."""
-    if len(coefficients) == 1:
-        return coefficients[0] * signal
-    size = 1 << int(len(signal) + len(coefficients) - 1).bit_length()
-    spectrum = np.fft.rfft(signal, size) * np.fft.rfft(coefficients, size)
-    return np.fft.irfft(spectrum, size)[: len(signal)]
+@dataclass(frozen=True, eq=False)
+class Color:
+    """A vector autoregression e(t) + Σ A_j e(t - j) = w(t): A (order, k, k), and the covariance (k, k) of w, white."""
+
+    coefficients: Array
+    innovation: Array
+
+    def response(self, longest: int = 5000) -> Array:
+        """Return how errors follow from w, e(t) = Σ h(τ) w(t - τ), until it has died away: (m, k, k)."""
+        order, k = self.coefficients.shape[:2]
+        if order == 0:
+            return np.eye(k)[None]
+        across = np.concatenate(self.coefficients[::-1], axis=1)
+        result = np.zeros((longest + order, k, k))
+        result[order] = np.eye(k)
+        for t in range(order + 1, longest + order):
+            result[t] = -across @ result[t - order : t].reshape(order * k, k)
+            if t % 50 == 0 and np.abs(result[t - order + 1 : t + 1]).max() < 1e-9:
+                return result[order : t + 1]
+        return result[order:]
 
 
-def inverse(coefficients: Array, longest: int = 5000) -> Array:
-    """Return the impulse response of 1 / (1 + Σ a_k q⁻ᵏ), until it has died away."""
-    order = len(coefficients) - 1
-    if order == 0:
-        return np.ones(1)
-    response = np.zeros(longest + order)
-    response[order] = 1.0
-    backward = coefficients[:0:-1]
-    for t in range(order + 1, longest + order):
-        response[t] = -backward @ response[t - order : t]
-        if t % 50 == 0 and np.abs(response[t - order + 1 : t + 1]).max() < 1e-9:
-            return response[order : t + 1]
-    return response[order:]
+def color(stretches: list[Array]) -> Color:
+    """Return the vector autoregression of errors (k, n), of the order that BIC chooses; zeros are no data.
+
+    Yule-Walker equations, so that it is stable. Source: Lütkepohl (2005), New Introduction to Multiple Time Series
+    Analysis, sections 3.3.4 and 4.3.2.
+    """
+    k = len(stretches[0])
+    counts = np.maximum(sum(np.count_nonzero(e, axis=1) for e in stretches), 1)
+    count = int(counts.max())
+    longest = int(min(LONGEST, count // (20 * k)))
+    r = _covariances(stretches, longest) / np.sqrt(counts * counts[:, None])
+    deviation = np.sqrt(np.diag(r[0]))
+    size = np.where(deviation > 0, deviation, 1.0)
+    r = r / (size * size[:, None])
+    r[0] += np.diag(np.where(deviation > 0, 1e-9, 1.0))
+    best, least = Color(np.zeros((0, k, k)), r[0]), count * np.linalg.slogdet(r[0])[1]
+    for order in [n for n in ORDERS if n <= longest]:
+        # Σ_j A_j r(i - j) = -r(i) for i = 1 ... order, with r(l) = E e(t + l) e(t)ᵀ and r(-l) = r(l)ᵀ.
+        rows = [[r[i - j] if i >= j else r[j - i].T for i in range(order)] for j in range(order)]
+        right = np.concatenate(r[1 : order + 1], axis=1)
+        across = -np.linalg.solve(np.block(rows).T, right.T).T
+        innovation = r[0] + across @ right.T
+        sign, logarithm = np.linalg.slogdet(innovation)
+        if sign <= 0:
+            break
+        score = count * logarithm + order * k**2 * np.log(count)
+        if score < least:
+            coefficients = across.reshape(k, order, k).transpose(1, 0, 2)
+            best, least = Color(coefficients, (innovation + innovation.T) / 2), score
+    return Color(best.coefficients * size[:, None] / size, best.innovation * deviation * deviation[:, None])
+
+
+def _covariances(stretches: list[Array], lags: int) -> Array:
+    """Return the summed products e(t + l) e(t)ᵀ, (lags + 1, k, k)."""
+    k = len(stretches[0])
+    total = np.zeros((lags + 1, k, k))
+    for e in stretches:
+        n = e.shape[1]
+        size, reach = 1 << int(2 * n - 1).bit_length(), min(lags + 1, n)
+        spectrum = np.fft.rfft(e, size)
+        for i in range(k):
+            for j in range(k):
+                total[:reach, i, j] += np.fft.irfft(spectrum[i] * spectrum[j].conj(), size)[:reach]
+    return total
 
 
 def colored_information(weighted: list[Array], residuals: list[Array]) -> Array:
-    """Return Σ J' Σ_e J (p, p) for sensitivities over noise covariance, and residuals with their own autocorrelation.
+    """Return Σ J' Σ_e J (p, p) for sensitivities over noise covariance, and residuals with their own correlation.
 
     `weighted` holds one array (k, p, n) per stretch, R⁻¹ dy/dθ; `residuals` one (k, n). This is the middle of the
     sandwich. Source: Morelli and Klein (1997), Accuracy of aerodynamic model parameters estimated from flight test
-    data, Journal of Guidance, Control, and Dynamics 20(1); here with an autoregression in place of the truncated
-    autocorrelation, so that it is positive semidefinite.
+    data, Journal of Guidance, Control, and Dynamics 20(1); here with a vector autoregression in place of the truncated
+    autocorrelations, so that it is positive semidefinite and errors that one output hands to another count.
     """
     k, p = weighted[0].shape[:2]
-    models = [autoregression([e[j] for e in residuals]) for j in range(k)]
-    inverses = [inverse(a) for a in models]
+    found = color(residuals)
+    values, vectors = np.linalg.eigh(found.innovation)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    response = found.response() @ root
     total = np.zeros((p, p))
-    white = np.concatenate([np.array([filtered(models[j], e[j]) for j in range(k)]) for e in residuals], axis=1)
-    present = np.concatenate([e != 0 for e in residuals], axis=1)
-    together = (present.astype(float) @ present.T).clip(1)
-    covariance = np.where(present, white, 0.0) @ np.where(present, white, 0.0).T / together
     for J in weighted:
+        n = J.shape[2]
         # The transposed inverse of the whitening filter runs backward in time.
-        colored = [np.array([filtered(inverses[j], row[::-1]) for row in J[j]]) for j in range(k)]
-        for i in range(k):
-            for j in range(k):
-                total += covariance[i, j] * colored[i] @ colored[j].T
+        size = 1 << int(n + len(response) - 1).bit_length()
+        spectrum = np.fft.rfft(response[:n], size, axis=0).transpose(2, 1, 0)
+        rows = np.empty((p, k * n))
+        for q in range(p):
+            backward = np.fft.rfft(J[:, q, ::-1], size)
+            rows[q] = np.fft.irfft((spectrum * backward).sum(axis=1), size)[:, :n].ravel()
+        total += rows @ rows.T
     return total

@@ -159,7 +159,7 @@ class Shooting:
         count = len(range(s)[some])
 
         def chosen(values: Array) -> Array:
-            return values.reshape(len(values), length, s)[:, :, some].reshape(len(values), -1)
+            return values.reshape(len(values), length, s)[:, :, some].reshape(len(values), length * count)
 
         A, C, e = self._derivatives(chosen(states), q, chosen(data))
         # CasADi stacks matrices column by column.

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.linalg import toeplitz
+from scipy.linalg import expm, solve_discrete_lyapunov, toeplitz
 from scipy.signal import lfilter
 
-from greybox.residuals import autocovariance, autoregression, colored_information, filtered, inverse
+from greybox.residuals import autocovariance, autoregression, color, colored_information
 
 AR2 = np.array([1.0, -1.5, 0.7])
 
@@ -51,12 +51,55 @@ def test_autocovariances_are_mean_products():
         assert_allclose(found[k], products / 30, rtol=1e-9)
 
 
-def test_filters_are_those_of_scipy():
-    x = np.random.default_rng(1).normal(size=300)
-    assert_allclose(filtered(AR2, x), lfilter(AR2, [1.0], x), atol=1e-12)
-    assert_allclose(filtered(inverse(AR2), x), lfilter([1.0], AR2, x), atol=1e-8)
-    slow = np.array([1.0, -0.999])
-    assert_allclose(filtered(inverse(slow), x), lfilter([1.0], slow, x), rtol=1e-6)
+def test_a_vector_autoregression_is_found():
+    """A mass on a spring pushed by noise: position and velocity, exact in discrete time."""
+    F = expm(0.1 * np.array([[0.0, 1.0], [-4.0, -0.8]]))
+    white = np.array([[0.02, 0.0], [0.3, 0.1]]) @ np.random.default_rng(0).normal(size=(2, 20000))
+    e = np.zeros((2, 20000))
+    for t in range(1, 20000):
+        e[:, t] = F @ e[:, t - 1] + white[:, t]
+    found = color([e[:, :9000], e[:, 9000:]])
+    assert_allclose(found.coefficients, [-F], atol=0.02)
+    assert_allclose(found.innovation, white @ white.T / 20000, rtol=0.02)
+    response = found.response()
+    assert_allclose(response[:4], [np.eye(2), F, F @ F, F @ F @ F], atol=0.05)
+    scaled = color([e * [[1e-6], [1e6]]])
+    assert_allclose(scaled.innovation / np.outer([1e-6, 1e6], [1e-6, 1e6]), found.innovation, rtol=0.02)
+
+
+def test_one_output_has_the_same_autoregression_alone_and_as_a_vector():
+    e = colored(AR2, 3000, seed=6)
+    assert_allclose(color([e[None]]).coefficients[:, 0, 0], autoregression([e])[1:], atol=1e-6)
+
+
+def test_an_output_without_errors_changes_nothing():
+    e = np.vstack([colored(AR2, 3000, seed=6), np.zeros(3000)])
+    assert_allclose(color([e]).coefficients[:2, 0, 0], AR2[1:], atol=0.05)
+    J = np.random.default_rng(0).normal(size=(2, 2, 3000))
+    assert_allclose(colored_information([J], [e]), colored_information([J[:1]], [e[:1]]), rtol=0.05)
+
+
+def test_information_of_outputs_that_hand_their_errors_on():
+    """Errors in a position come from those in its velocity: the dense covariance of both."""
+    n, random = 1500, np.random.default_rng(3)
+    F, C = np.array([[1.0, 0.1], [-0.3, 0.85]]), np.diag([1e-4, 1.0])
+    P = solve_discrete_lyapunov(F, C)
+    lags, power = [], np.eye(2)
+    for _ in range(n):
+        lags.append(power @ P)  # E e(t + l) e(t)ᵀ
+        power = F @ power
+    lags = np.array(lags)
+    blocks = [[toeplitz(lags[:, i, j], lags[:, j, i]) for j in range(2)] for i in range(2)]
+    J = lfilter([1.0], [1, -0.95], random.normal(size=(2, 2, n)))
+    wanted = sum(J[i] @ blocks[i][j] @ J[j].T for i in range(2) for j in range(2))
+    found = []
+    for seed in range(8):
+        white = np.sqrt(np.diag(C))[:, None] * np.random.default_rng(seed).normal(size=(2, n + 300))
+        e = np.zeros((2, n + 300))
+        for t in range(1, n + 300):
+            e[:, t] = F @ e[:, t - 1] + white[:, t]
+        found.append(colored_information([J], [e[:, 300:]]))
+    assert_allclose(np.diag(np.mean(found, axis=0)), np.diag(wanted), rtol=0.15)
 
 
 def test_information_is_that_of_the_dense_covariance():
