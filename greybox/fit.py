@@ -26,7 +26,7 @@ from greybox.nlp import AnyProblem, Nlp, compile_problem
 from greybox.problem import Problem, Sum
 from greybox.quantities import quantities
 from greybox.result import Multistart
-from greybox.starts import Starts, as_starts
+from greybox.starts import Chained, Listed, Sobol, Starts, as_starts
 from greybox.transcription.method import Transcription
 from greybox.words import pade_error, warnings
 
@@ -50,7 +50,7 @@ def fit(
     problem : Problem or a sum of problems
     starts : int, Starts, or list
         A number of Sobol points, a rule such as `LatinHypercube(200)`, or a list of ``{name: value}``; by default 200
-        Sobol points, 20 where data are records.
+        Sobol points; where data are records, the declared values and 19 Sobol points.
     seed : int, optional
         Of the Sobol points, 0 by default; a rule has its own. More starts of one seed begin with the same points.
     method : MultipleShooting, SingleShooting or Collocation, optional
@@ -77,7 +77,7 @@ def fit(
     began = time.perf_counter()
     nlp = compile_problem(problem, method)
     parameters = problem.parameters
-    rule = as_starts(starts if starts is not None else RECORD_STARTS if nlp.records else STARTS, seed)
+    rule = _rule(starts, seed, nlp)
     points = rule.draw({name: parameters[name] for name in nlp.free})
     if callable(progress):
         search = multistart(nlp, points, solver_options, progress)
@@ -130,6 +130,15 @@ def assemble(nlp: Nlp, search: Multistart, *, seed: int | None, starts: str, beg
         models=tuple(part.model for part in problem.parts),
         white=accuracy.white,
     )
+
+
+def _rule(starts: Any, seed: int | None, nlp: Nlp) -> Starts:
+    """Return the rule for starts; of a number of them for records, the declared values are the first."""
+    number = starts if starts is not None else RECORD_STARTS if nlp.records else STARTS
+    rule = as_starts(number, seed)
+    if not nlp.records or isinstance(number, Starts | Sequence):
+        return rule
+    return Chained((Listed(({},)), Sobol(number - 1, rule.seed or 0))) if number > 1 else Listed(({},))
 
 
 def _advance(bar: tqdm, done: int) -> None:

@@ -27,7 +27,9 @@ SPREAD = 0.1  # of a signal's spread: the output error assumed until continuity 
 STAGES = 4  # in which continuity is tightened
 LOOSE = 3.0  # first standard deviation of continuity, relative to the size of the states
 ITERATIONS = 100
+STUBBORN = 1e6  # damping beyond which nothing is tried any more
 CLOSINGS = 5  # of gaps after a step
+PROCESS_NOISE = 10.0 ** np.arange(-12, 1)  # variance a sample, as shares of that of the states
 TOLERANCE = 1e-8  # of half a step's length squared, in standard errors, and of the decrease of the cost
 CONTINUOUS = 1e-9  # gap relative to the largest value of the state
 ROUNDING = 1e-9  # of the cost
@@ -174,15 +176,22 @@ class GaussNewton:
                 return point, "converged", iteration
             trial, length = self._search(point, move, merit, before, at.force if exact else None)
             if trial is None and exact:
-                return point, "converged" if settled and move.distance <= 1e3 * TOLERANCE else "stalled", iteration
+                if settled and move.distance <= 1e3 * TOLERANCE:
+                    return point, "converged", iteration
+                if at.damping > STUBBORN:
+                    return point, "stalled", iteration
+                at.damping = max(100 * at.damping, 1e-2)
+                continue
             gained = 0.0 if trial is None else before - merit(trial)
             point = trial or point
             kept = gained / move.predicted if exact and move.predicted > 0 else 1.0
             at.damping = next_damping(at.damping, length, kept)
             if not exact:
-                missed = math.inf if trial is None or length < 1 else abs(gained - move.predicted) / move.predicted
+                told = trial is not None and length == 1 and move.predicted > 0
+                missed = abs(gained - move.predicted) / move.predicted if told else math.inf
                 at.advance(missed, done=trial is None or frozen or move.predicted <= SETTLED * abs(before))
-                point = self._with_gains(point) if at.exact and not frozen else point
+                if at.exact and not frozen and self._gains.any():
+                    point = self._with_gains(point, at.soft)
             elif length == 1.0:
                 # Gauss-Newton converges linearly at worst: the next decrease follows from the last two.
                 predicted = max(move.predicted, move.distance)
@@ -205,7 +214,7 @@ class GaussNewton:
             seen = np.nan_to_num(np.mean(block.corner.diagonal(axis1=1, axis2=2), axis=0))
             signal = part.experiment.segment * len(part.outputs) / SPREAD**2
             variances.append(LOOSE**2 * signal / np.maximum(seen, 1e-300))
-        stages = 0 if near else 1 if self._gains.any() else STAGES
+        stages = 0 if near else STAGES
         return Progress(variances, [np.zeros(part.states) for part in self._records], stages)
 
     def _search(
@@ -247,15 +256,25 @@ class GaussNewton:
             w * float((np.abs(p.gaps) * f).sum()) for w, p, f in zip(self._weights, point.paths, force, strict=True)
         )
 
-    def _with_gains(self, point: Point) -> Point:
-        """Return the point with the gains of predictors as in a steady Kalman filter, for the gaps as process noise."""
-        z = point.z.copy()
-        for part, path, place in zip(self._records, point.paths, point.places, strict=True):
-            for k, value in part.steady_gains(path, place).items():
-                of = np.flatnonzero(place.slope[k])
-                if len(of) == 1:
-                    z[of] = np.clip(value / place.slope[k, of], self._low[of], self._high[of])
-        return point if np.array_equal(z, point.z) else self._point(z, [path.nodes for path in point.paths])
+    def _with_gains(self, point: Point, variances: Sequence[Array]) -> Point:
+        """Return the point with the gains of a steady Kalman filter, the best of some sizes of the process noise.
+
+        `variances` (n,) say for every record how much each state moves at all.
+        """
+        best, least = point, math.inf
+        for share in PROCESS_NOISE:
+            z, nodes = point.z.copy(), []
+            for part, path, place, variance in zip(self._records, point.paths, point.places, variances, strict=True):
+                for k, value in part.steady_gains(path, place, share * variance).items():
+                    of = np.flatnonzero(place.slope[k])
+                    if len(of) == 1:
+                        z[of] = np.clip(value / place.slope[k, of], self._low[of], self._high[of])
+                nodes.append(part.predicted_nodes(path.nodes, part.place(z)))
+            trial = self._point(z, nodes)
+            cost = self._cost(trial, SMOOTHING)
+            if cost < least and self._predicts(trial):
+                best, least = trial, cost
+        return best
 
     def _noise_weights(self, point: Point) -> list[Array]:
         return [part.noise.weight(path.products) for part, path in zip(self._records, point.paths, strict=True)]
@@ -316,6 +335,8 @@ class GaussNewton:
         """Return what a step must not increase: the cost and the gaps, absolute where continuity is exact."""
 
         def exactly(point: Point) -> float:
+            if not point.finite or not self._predicts(point):
+                return math.inf
             return self._cost(point, SMOOTHING) + self._gap_cost(point, force) + self._violation(point.z)
 
         def softly(point: Point) -> float:
@@ -329,6 +350,15 @@ class GaussNewton:
             return total
 
         return exactly if exact else softly
+
+    def _predicts(self, point: Point) -> bool:
+        """Tell whether predictors are stable: an unstable one would look into the future through its free states."""
+        if not self._gains.any():
+            return True
+        return all(
+            part.predictor_radius(path, place) < 1
+            for part, path, place in zip(self._records, point.paths, point.places, strict=True)
+        )
 
     def _violation(self, z: Array) -> float:
         limit = self._limits(z)[0].full()

@@ -278,20 +278,19 @@ class RecordPart:
             for state, output in self.criterion.gains(self.part.model, self.outputs)
         ]
 
-    def steady_gains(self, path: Path, place: Place) -> dict[int, float]:
+    def steady_gains(self, path: Path, place: Place, process: Array) -> dict[int, float]:
         """Return the gain of a steady Kalman filter by the place of its entries among the active parameters.
 
-        Process noise is what the path misses continuity by, measurement noise are its residuals. Source: Simon (2006),
-        Optimal State Estimation, section 7.3.
+        For process noise of the variances `process` (n,) a sample, and the residuals of the path as measurement noise.
+        Source: Simon (2006), Optimal State Estimation, section 7.3.
         """
         entries = self._gain_entries()
         if not entries:
             return {}
         A, C = self.shooting.mean_derivatives(path.states, place.q, place.data)
-        Q = path.gaps[self.coupled].T @ path.gaps[self.coupled] / max(int(self.coupled.sum()), 1)
-        Q, R = Q / self.experiment.segment, self.noise.covariance(path.products)
+        Q, R = np.diag(process), self.noise.covariance(path.products)
         P, K = Q.copy(), np.zeros((self.states, len(self.outputs)))
-        for _ in range(1000):
+        for _ in range(2000):
             K = np.linalg.solve(C @ P @ C.T + R, C @ P).T
             P = A @ (P - K @ C @ P) @ A.T + Q
             if not np.all(np.isfinite(P)):
@@ -299,6 +298,25 @@ class RecordPart:
         names, active = list(self.part.declared), self.active.tolist()
         places = {name: names.index(name) for name, _, _ in entries}
         return {active.index(places[name]): float(K[i, j]) for name, i, j in entries if places[name] in active}
+
+    def predictor_radius(self, path: Path, place: Place) -> float:
+        """Return the largest magnitude of the predictor's poles, per sample; 0 where it is none."""
+        if not self._gain_entries():
+            return 0.0
+        A, _ = self.shooting.mean_derivatives(path.states, place.q, place.data)
+        return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) if np.all(np.isfinite(A)) else math.inf
+
+    def predicted_nodes(self, nodes: Array, place: Place) -> Array:
+        """Return the nodes (s, n) of a predictor that runs from the first node of every stretch to its end."""
+        data, length = self.shooting.in_order(place.data), self.experiment.segment
+        result, at = np.empty_like(nodes), 0
+        for count in self.experiment.counts:
+            run = self.step.function.mapaccum("run", count * length)
+            states, *_ = run(nodes[at], place.q, data[:, at * length : (at + count) * length])
+            following = states.full().T[length - 1 :: length]
+            result[at : at + count] = np.vstack([nodes[at], following[:-1]])
+            at += count
+        return result
 
     def moved(self, nodes: Array, reduced: Reduced, dz: Array, length: float) -> Array:
         """Return the nodes after a step `dz` (p,), of which `length` is taken."""
