@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 LONGEST = 50  # order of an autoregression
+COLUMNS = 65536  # frequencies at once in memory
+FEW = 0.95  # share of products that missing samples must leave to be taken for all
 ORDERS = (*range(1, 13), 14, 16, 20, 25, 32, 40, 50)  # that are tried for a vector
 
 
@@ -107,12 +109,8 @@ def _covariances(stretches: list[Array], lags: int) -> Array:
     k = len(stretches[0])
     total = np.zeros((lags + 1, k, k))
     for e in stretches:
-        n = e.shape[1]
-        size, reach = 1 << int(2 * n - 1).bit_length(), min(lags + 1, n)
-        spectrum = np.fft.rfft(e, size)
-        for i in range(k):
-            for j in range(k):
-                total[:reach, i, j] += np.fft.irfft(spectrum[i] * spectrum[j].conj(), size)[:reach]
+        for lag in range(min(lags + 1, e.shape[1])):
+            total[lag] += e[:, lag:] @ e[:, : e.shape[1] - lag].T
     return total
 
 
@@ -124,20 +122,49 @@ def colored_information(weighted: list[Array], residuals: list[Array]) -> Array:
     data, Journal of Guidance, Control, and Dynamics 20(1); here with a vector autoregression in place of the truncated
     autocorrelations, so that it is positive semidefinite and errors that one output hands to another count.
     """
-    k, p = weighted[0].shape[:2]
+    p = weighted[0].shape[1]
     found = color(residuals)
     values, vectors = np.linalg.eigh(found.innovation)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    response = found.response() @ root
+    response = found.response() @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    seen = _seen(residuals)
     total = np.zeros((p, p))
     for J in weighted:
-        n = J.shape[2]
-        # The transposed inverse of the whitening filter runs backward in time.
-        size = 1 << int(n + len(response) - 1).bit_length()
-        spectrum = np.fft.rfft(response[:n], size, axis=0).transpose(2, 1, 0)
-        rows = np.empty((p, k * n))
-        for q in range(p):
-            backward = np.fft.rfft(J[:, q, ::-1], size)
-            rows[q] = np.fft.irfft((spectrum * backward).sum(axis=1), size)[:, :n].ravel()
-        total += rows @ rows.T
+        size = 1 << int(J.shape[2] + len(response) - 1).bit_length()
+        # A root of the errors' spectrum, (frequencies, k, k).
+        root = np.fft.rfft(response, size, axis=0)
+        weight = np.where(np.arange(len(root)) % (size // 2) == 0, 1.0, 2.0) / size
+        if seen.min() < FEW:
+            root = _unmasked(root, weight, seen)
+        spectra = np.fft.rfft(J.transpose(1, 0, 2), size).transpose(2, 0, 1)
+        for at in range(0, len(root), COLUMNS):
+            some = slice(at, at + COLUMNS)
+            rows = (spectra[some] @ root[some].conj() * np.sqrt(weight[some])[:, None, None]).transpose(1, 0, 2)
+            rows = rows.reshape(p, -1)
+            total += (rows @ rows.conj().T).real
     return total
+
+
+def _seen(stretches: list[Array]) -> Array:
+    """Return the share (k,) of the products of samples some lag apart that missing ones leave, at the best such lag.
+
+    Near 1 where blocks are missing, or where one of a fixed number of samples is there; less where they miss at random.
+    """
+    there = [(e != 0).astype(float) for e in stretches]
+    if all(np.all(e) for e in there):
+        return np.ones(len(there[0]))
+    pairs = _covariances(there, LONGEST).diagonal(axis1=1, axis2=2)
+    whole = _covariances([np.ones((1, e.shape[1])) for e in stretches], LONGEST)[:, 0, 0]
+    taper = np.maximum(whole / whole[0], 1e-12)
+    return np.clip((pairs[1:] / taper[1:, None]).max(axis=0) / np.maximum(pairs[0], 1), 1e-3, 1.0)
+
+
+def _unmasked(root: Array, weight: Array, seen: Array) -> Array:
+    """Return the root of the spectrum of errors of which a share `seen` (k,) was there, at random.
+
+    What is missing multiplies covariances at all lags but zero by the share: as if some of the errors was white.
+    """
+    spectrum = root @ root.conj().transpose(0, 2, 1)
+    variance = (weight[:, None, None] * spectrum).sum(axis=0).real.diagonal()
+    spectrum = (spectrum - np.diag((1 - seen) * variance)) / np.sqrt(seen * seen[:, None])
+    values, vectors = np.linalg.eigh(spectrum)
+    return vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]

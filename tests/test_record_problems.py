@@ -156,7 +156,7 @@ def test_an_earlier_fit_widens_the_errors():
     ]
     slope = (moved[0] - moved[1]) / (2 * h)
     wanted = np.hypot(errors(exact, ("c", "b")), slope * first.standard_error["k"])
-    assert_allclose(errors(known, ("c", "b")), wanted, rtol=0.02)
+    assert_allclose(errors(known, ("c", "b")), wanted, rtol=0.05)  # the color of the residuals is judged anew
 
 
 # --- biases and initial states ----------------------------------------------------------------------------------------

@@ -127,11 +127,12 @@ def test_two_outputs_that_share_their_errors():
     assert_allclose(colored_information([J], [e]), wanted, rtol=0.2, atol=0.1 * np.abs(wanted).max())
 
 
-@pytest.mark.parametrize("kind", ["few", "every fourth", "block"])
+@pytest.mark.parametrize("kind", ["few", "random", "every fourth", "block"])
 def test_missing_samples_do_not_hide_the_color(kind):
     """What is missing has neither residual nor sensitivity; what is there keeps its correlation."""
     n, random = 8000, np.random.default_rng(9)
     there = {
+        "random": random.random(n) < 0.5,
         "few": random.random(n) < 0.95,
         "every fourth": np.arange(n) % 4 == 0,
         "block": np.abs(np.arange(n) - n / 2) > n / 5,
