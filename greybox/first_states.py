@@ -1,8 +1,9 @@
 """States to begin with: what the outputs show of them, and elsewhere a point at which the model has finite values.
 
-Zero is where most models rest, but a root, a logarithm or a division may exclude it (the level of a tank, an airspeed,
-a temperature). Then sizes over many decades are tried for the states that no output shows, and the ones kept with
-which the model comes closest to the measured outputs.
+Zero is where most models rest, and a better beginning than noisy measurements around it; what stays away from zero
+begins as measured. A root, a logarithm or a division may exclude zero (the level of a tank, an airspeed, a
+temperature). Then sizes over many decades are tried for the states that no output shows, and the ones kept with which
+the model comes closest to the measured outputs.
 """
 
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from greybox.tape import Columns
 
 Array = NDArray[np.float64]
 SIZES = (1.0, 0.1, 10.0, 0.01, 100.0, 1e-3, 1e3, 1e4, 1e5, -1.0, -0.1, -10.0, -100.0)
+AWAY = 0.5  # mean over standard deviation from which a state is not one that swings about its rest at zero
 SWEEPS = 2  # over the states, each of which tries all sizes
 
 
@@ -48,17 +50,19 @@ class FirstStates:
 
         What is not finite anywhere is returned as zeros.
         """
-        states = np.zeros((self._n, inputs.shape[1]))
+        states, seen = np.zeros((self._n, inputs.shape[1])), np.zeros((self._n, inputs.shape[1]))
         hidden = np.ones(self._n, dtype=bool)
         for shown in self._shown:
-            states[shown.state] = (measured[shown.output] - shown.offset) / shown.factor
+            seen[shown.state] = (measured[shown.output] - shown.offset) / shown.factor
             hidden[shown.state] = False
         given = hidden & np.isfinite(known)
-        states[given] = known[given, None]
+        states[given] = seen[given] = known[given, None]
+        away = np.abs(seen.mean(axis=1)) > AWAY * seen.std(axis=1)
+        states[away] = seen[away]
         finite, _ = self._judged(states, measured, inputs, p)
         if finite.all():
             return states
-        states = self._sized(states, np.flatnonzero(hidden & ~given), measured, inputs, p)
+        states = self._sized(seen, np.flatnonzero(hidden & ~given), measured, inputs, p)
         return self._mended(states, measured, inputs, p)
 
     def poles(self, states: Array, inputs: Array, p: Array) -> NDArray[np.complex128]:
