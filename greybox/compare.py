@@ -184,6 +184,11 @@ def _difference(fits: Sequence[Fit], names: Sequence[str]) -> str:
                 return (
                     f"{name} was fitted to the outputs {', '.join(b.outputs)} and {names[0]} to {', '.join(a.outputs)}"
                 )
+            if _count(a) != _count(b):
+                return (
+                    f"{name} was fitted to {_count(b)} numbers of the record and {names[0]} to {_count(a)}, since the "
+                    "longest delay in the bounds keeps the first samples out (give both the same bounds)"
+                )
     return ""
 
 

@@ -54,8 +54,9 @@ def fitted_record(nlp: Nlp, part: Problem, profile: Profile | None) -> FittedRec
     if outputs is not None:
         for stretch, values in zip(record.experiment.stretches, record.experiment.unpadded(outputs), strict=True):
             rows = stretch.first + np.arange(len(stretch))
-            for name, row in zip(record.outputs, values, strict=True):
-                signals[name][rows] = row
+            for name, row, measured in zip(record.outputs, values, stretch.outputs, strict=True):
+                left_out = np.isfinite(data[name][rows]) & ~np.isfinite(measured)
+                signals[name][rows] = np.where(left_out, np.nan, row)
     count = len(record.outputs)
     noise = record.noise.covariance(profile.paths[k].products) if profile else np.full((count, count), np.nan)
     return FittedRecord(

@@ -176,10 +176,8 @@ class GaussNewton:
                 return point, "converged", iteration
             trial, length = self._search(point, move, merit, before, at.force if exact else None)
             if trial is None and exact:
-                if settled and move.distance <= 1e3 * TOLERANCE:
-                    return point, "converged", iteration
-                if at.damping > STUBBORN:
-                    return point, "stalled", iteration
+                if at.damping > STUBBORN or (settled and move.distance <= 1e3 * TOLERANCE):
+                    return point, "stalled" if at.damping > STUBBORN else "converged", iteration
                 at.damping = max(100 * at.damping, 1e-2)
                 continue
             gained = 0.0 if trial is None else before - merit(trial)
@@ -187,11 +185,8 @@ class GaussNewton:
             kept = gained / move.predicted if exact and move.predicted > 0 else 1.0
             at.damping = next_damping(at.damping, length, kept)
             if not exact:
-                told = trial is not None and length == 1 and move.predicted > 0
-                missed = abs(gained - move.predicted) / move.predicted if told else math.inf
-                at.advance(missed, done=trial is None or frozen or move.predicted <= SETTLED * abs(before))
-                if at.exact and not frozen and self._gains.any():
-                    point = self._with_gains(point, at.soft)
+                at.advance(move.predicted, gained, length, done=frozen or move.predicted <= SETTLED * abs(before))
+                point = self._with_gains(point, at.soft) if at.exact and not frozen else point
             elif length == 1.0:
                 # Gauss-Newton converges linearly at worst: the next decrease follows from the last two.
                 predicted = max(move.predicted, move.distance)
@@ -261,6 +256,8 @@ class GaussNewton:
 
         `variances` (n,) say for every record how much each state moves at all.
         """
+        if not self._gains.any():
+            return point
         best, least = point, math.inf
         for share in PROCESS_NOISE:
             z, nodes = point.z.copy(), []

@@ -61,9 +61,10 @@ class Progress:
         """True when continuity is demanded."""
         return self.stage >= self.stages
 
-    def advance(self, missed: float, done: bool) -> None:
-        """Go to the next stage when a step kept its promise but for a share `missed`, or nothing is left to gain."""
-        if done or missed <= SETTLED:
+    def advance(self, predicted: float, gained: float, length: float, done: bool) -> None:
+        """Go to the next stage when a full step kept its promise, no step was found, or nothing is left to gain."""
+        missed = abs(gained - predicted) / predicted if length == 1 and predicted > 0 else math.inf
+        if done or length == 0 or missed <= SETTLED:
             self.stage += 2 if missed <= WELL and self.stage >= 0 else 1
 
     @property

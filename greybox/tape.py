@@ -111,7 +111,7 @@ class Columns:
         return [ca.DM(v).full().reshape(-1, m) for v in (found if isinstance(found, tuple) else (found,))]
 
     def _bind(self, m: int) -> "_Bound":
-        if len(self._bound) > 4:
+        if len(self._bound) > 12:
             self._bound.clear()
         self._bound[m] = _Bound(self._program or [], self._function, self._shared, m)
         return self._bound[m]

@@ -100,6 +100,7 @@ def _windows(names: Sequence[str], found: Predictions, a: int, b: int, place: st
     p = _two_sided(z, every.size - 1)
     data = "its own data" if place == IDENTIFICATION else "held-out data"
     if not p < LEVEL:
+        data = data.replace("its", "their")
         return 0.0, f"{names[a]} and {names[b]} predict {data} as well as one another ({every.size} windows, {_p(p)})."
     better, worse = (a, b) if z > 0 else (b, a)
     share = 100 * float(np.mean(np.sign(every) == np.sign(z)))
