@@ -78,4 +78,4 @@ def _corrected(part: RecordPart, triangle: Array, meat: Array, color: float) -> 
     measured, initial = int(part.shooting.counts.sum()), part.unknown_initial
     left = measured / (initial + meat.shape[0] + FEWEST)
     numbers = max(measured / min(color, max(left, 1.0)), initial + 0.5)
-    return Information(triangle, meat * numbers / (numbers - initial), int(numbers) - initial)
+    return Information(triangle, meat * numbers / (numbers - initial), round(numbers) - initial)
