@@ -21,6 +21,7 @@ from greybox.fitted_record import fitted_record, stated
 from greybox.frequency_response import FrequencyResponse
 from greybox.gauss_newton import GaussNewton
 from greybox.harmonic import response_of_test
+from greybox.integration_error import IntegrationError, integration_warnings, well_integrated
 from greybox.multistart import multistart
 from greybox.nlp import AnyProblem, Nlp, compile_problem
 from greybox.problem import Problem, Sum
@@ -84,10 +85,19 @@ def fit(
     else:
         with tqdm(total=len(points), disable=None if progress else True, delay=2, unit="start", leave=False) as bar:
             search = multistart(nlp, points, solver_options, lambda done, _: _advance(bar, done))
-    return assemble(nlp, search, seed=rule.seed, starts=str(rule), began=began)
+    nlp, search, error = well_integrated(nlp, search)
+    return assemble(nlp, search, seed=rule.seed, starts=str(rule), began=began, error=error)
 
 
-def assemble(nlp: Nlp, search: Multistart, *, seed: int | None, starts: str, began: float) -> Fit:
+def assemble(
+    nlp: Nlp,
+    search: Multistart,
+    *,
+    seed: int | None,
+    starts: str,
+    began: float,
+    error: IntegrationError | None = None,
+) -> Fit:
     """Turn what a multistart left into the answer; `began` is the clock reading when the work began."""
     problem = nlp.problem
     best = search.minima[0].estimate if search.minima else np.full(len(nlp.free), np.nan)
@@ -117,7 +127,9 @@ def assemble(nlp: Nlp, search: Multistart, *, seed: int | None, starts: str, beg
         costs=_all_costs(nlp, responses),
         runs=search.runs,
         minima=search.minima,
-        warnings=warnings(nlp, search, accuracy, errors) if search.minima else (),
+        warnings=(*integration_warnings(nlp, profile, error), *warnings(nlp, search, accuracy, errors))
+        if search.minima
+        else (),
         seed=seed,
         starts=starts,
         seconds=time.perf_counter() - began,

@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 SPREAD = 0.1  # of a signal's spread: the output error assumed until continuity holds
 STAGES = 4  # in which continuity is tightened
 LOOSE = 3.0  # first standard deviation of continuity, relative to the size of the states
+PULLS = 4  # of nodes that leave the domain of the model
 ITERATIONS = 100
 STUBBORN = 1e6  # damping beyond which nothing is tried any more
 CLOSINGS = 5  # of gaps after a step
@@ -103,7 +104,7 @@ class GaussNewton:
 
     def smoothed(self, z: Array) -> tuple[list[Array] | None, list[Array]]:
         """Return states (n, samples) close to the data at z, None where they diverge; and weights to begin with."""
-        point = self._point(z, self._rest(0.0))
+        point = self._point(z, [part.first_nodes(part.place(z)) for part in self._records])
         assumed = [np.diag(1 / (SPREAD * part.noise.spread)) for part in self._records]
         try:
             for _ in range(3 if point.finite else 0):
@@ -153,7 +154,7 @@ class GaussNewton:
 
     def _descend(self, z: Array, frozen: bool, near: bool = False) -> tuple[Point, str, int]:
         """Iterate from z and states of zero; with `frozen` the states alone; `near` where z is close to the answer."""
-        point = self._point(z, self._rest(0.0))
+        point = self._point(z, [part.first_nodes(part.place(z)) for part in self._records])
         if not point.finite:
             return point, "not finite at the start", 0
         assumed = [np.diag(1 / (SPREAD * part.noise.spread)) for part in self._records]
@@ -208,7 +209,8 @@ class GaussNewton:
             # The variance by which states must change to change the outputs of a segment by their spread.
             seen = np.nan_to_num(np.mean(block.corner.diagonal(axis1=1, axis2=2), axis=0))
             signal = part.experiment.segment * len(part.outputs) / SPREAD**2
-            variances.append(LOOSE**2 * signal / np.maximum(seen, 1e-300))
+            # A state that no output shows has no such scale: any will do.
+            variances.append(np.where(seen > 1e-200, LOOSE**2 * signal / np.maximum(seen, 1e-200), 1.0))
         stages = 0 if near else STAGES
         return Progress(variances, [np.zeros(part.states) for part in self._records], stages)
 
@@ -324,7 +326,23 @@ class GaussNewton:
             for part, path, r in zip(self._records, point.paths, move.reduced, strict=True)
         ]
         z = np.clip(point.z + length * move.dz, self._low, self._high) if move.dz.any() else point.z
-        return self._point(z, nodes)
+        return self._kept(point, self._point(z, nodes))
+
+    def _kept(self, before: Point, after: Point) -> Point:
+        """Return the point with the nodes pulled back from which a segment leaves the domain of the model.
+
+        A root or logarithm of a single node would otherwise cut the steps of all nodes short.
+        """
+        share = 0.5
+        for _ in range(PULLS):
+            if after.finite:
+                break
+            nodes = [
+                np.where(part.lost(path, place)[:, None], old.nodes + share * (path.nodes - old.nodes), path.nodes)
+                for part, old, path, place in zip(self._records, before.paths, after.paths, after.places, strict=True)
+            ]
+            after, share = self._point(after.z, nodes), 0.25 * share
+        return after
 
     def _merit(
         self, weights: Sequence[Array], soft: Sequence[Array], force: Sequence[Array], exact: bool

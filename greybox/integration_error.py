@@ -63,8 +63,12 @@ def integration_error(nlp: Nlp, profile: Profile) -> IntegrationError:
     return IntegrationError(_in_errors(hessian, change), min(orders, default=1))
 
 
-def well_integrated(nlp: Nlp, search: Multistart) -> tuple[Nlp, Multistart]:
-    """Refine the substeps until that does not matter, and follow the best minima; what the method fixes stays."""
+def well_integrated(nlp: Nlp, search: Multistart) -> tuple[Nlp, Multistart, IntegrationError | None]:
+    """Refine the substeps until that does not matter, and follow the best minima; what the method fixes stays.
+
+    Returns the error that is left too, where it was looked at.
+    """
+    error = None
     while search.minima and nlp.records and all(part.method.integrator.substeps is None for part in nlp.records):
         error = integration_error(nlp, GaussNewton(nlp).profile(search.minima[0].estimate, search.nodes))
         if error.largest <= SMALL or max(part.substeps for part in nlp.records) >= MOST:
@@ -76,7 +80,7 @@ def well_integrated(nlp: Nlp, search: Multistart) -> tuple[Nlp, Multistart]:
         if followed is None:
             break
         nlp, search = finer, followed
-    return nlp, search
+    return nlp, search, error
 
 
 def _followed(nlp: Nlp, search: Multistart) -> Multistart | None:
@@ -99,11 +103,11 @@ def _followed(nlp: Nlp, search: Multistart) -> Multistart | None:
     return replace(search, minima=(*minima, *others), nodes=moved[0][0].nodes)
 
 
-def integration_warnings(nlp: Nlp, profile: Profile | None) -> Iterator[str]:
+def integration_warnings(nlp: Nlp, profile: Profile | None, error: IntegrationError | None = None) -> Iterator[str]:
     """Say so where the integration is not accurate enough for the noise."""
     if profile is None or not nlp.records:
         return
-    error = integration_error(nlp, profile)
+    error = error or integration_error(nlp, profile)
     if error.largest > SMALL:
         name = nlp.free[int(np.argmax(np.abs(error.shift)))]
         count = max(part.substeps for part in nlp.records)

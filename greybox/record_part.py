@@ -207,6 +207,12 @@ class RecordPart:
         residuals = self.shooting.residuals(states, place.q, place.data)
         return Path(nodes, states, end, gaps, residuals @ residuals.T)
 
+    def lost(self, path: Path, place: Place) -> NDArray[np.bool_]:
+        """Return which segments (s,) leave the domain of the model."""
+        residuals = self.shooting.residuals(path.states, place.q, place.data)
+        inside = np.isfinite(residuals).reshape(len(residuals), self.experiment.segment, -1).all(axis=(0, 1))
+        return ~(inside & np.isfinite(path.end).all(axis=1))
+
     def linearize(self, path: Path, place: Place, weight: Array) -> Blocks:
         """Return the blocks, known initial states eliminated."""
         blocks = self.shooting.blocks(path.states, path.end, place.q, weight, place.data)

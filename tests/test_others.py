@@ -89,7 +89,7 @@ def test_too_few_substeps_are_told_from_their_shift(slow_pendulum):
     assert integration_error(nlp, profile).largest > 1
     (sentence,) = integration_warnings(nlp, profile)
     assert "4 substeps a sample instead of 2" in sentence
-    assert well_integrated(nlp, search) == (nlp, search)  # what the method fixes stays
+    assert well_integrated(nlp, search) == (nlp, search, None)  # what the method fixes stays
 
 
 def test_the_shift_is_that_of_a_second_fit(slow_pendulum):
@@ -105,7 +105,7 @@ def test_the_shift_is_that_of_a_second_fit(slow_pendulum):
 
 def test_substeps_are_refined_until_the_truth_is_found(slow_pendulum):
     nlp, search = coarse(slow_pendulum)
-    finer, refined = well_integrated(nlp, search)
+    finer, refined, _ = well_integrated(nlp, search)
     profile = GaussNewton(finer).profile(refined.minima[0].estimate, refined.nodes)
     assert integration_error(finer, profile).largest <= 0.1
     assert np.all(np.abs(refined.minima[0].estimate - [39, 0.08]) < 3.5 * np.array([0.010, 0.00032]))
