@@ -56,9 +56,9 @@ def _blocks(sample: ca.Function, active: list[int], length: int) -> tuple[ca.Fun
     S_next = ca.project(A[:, :n] @ S + ca.horzcat(ca.SX(n, n), A[:, n:]), S.sparsity())
     products = J.T @ J
     upper = ca.vertcat(ca.SX(0, 1), *[products[i, c] for i in range(v) for c in range(i, v)])
-    state = ca.vertcat(x, S.nz[:], H, g)
+    state = ca.vertcat(x, *S.nonzeros(), H, g)
     step = ca.Function(
-        "step", [state, q, W, d], [ca.vertcat(after, S_next.nz[:], H + upper, g + J.T @ (W @ e))], {"cse": True}
+        "step", [state, q, W, d], [ca.vertcat(after, *S_next.nonzeros(), H + upper, g + J.T @ (W @ e))], {"cse": True}
     )
     node, Q, D = ca.MX.sym("x", n), ca.MX.sym("q", q.numel()), ca.MX.sym("d", d.numel(), length)
     weight, eye = ca.MX.sym("W", k, k), np.eye(n, v)

@@ -75,6 +75,8 @@ def fit(
         raise TypeError(f"problem is {problem!r:.80}: give a Problem(model, data) or a sum of them.")
     if not isinstance(solver_options, Mapping):
         raise TypeError(f"solver_options is {solver_options!r:.60}: give IPOPT's options as {{name: value}}.")
+    if method is not None and not isinstance(method, Transcription):
+        raise TypeError(f"method is {method!r:.60}: give an instance such as MultipleShooting().")
     began = time.perf_counter()
     nlp = compile_problem(problem, method)
     parameters = problem.parameters

@@ -117,8 +117,8 @@ def _residual(measured: Array, simulated: Array) -> Array:
 def _information(e: Array, S: Array, R: Array) -> tuple[Array, Array]:
     """Return SᵀR⁻¹S (w, n, n) and SᵀR⁻¹e (w, n) over what was measured; S must be zero elsewhere."""
     weight = np.linalg.inv(np.linalg.cholesky(R))
-    w, _, _, n = S.shape
-    J = np.einsum("ij,wtjn->wtin", weight, S).reshape(w, -1, n)
+    w, samples, k, n = S.shape
+    J = np.einsum("ij,wtjn->wtin", weight, S).reshape(w, samples * k, n)
     r = np.einsum("ij,wtj->wti", weight, e).reshape(w, -1)
     return np.matmul(J.transpose(0, 2, 1), J), np.einsum("wmn,wm->wn", J, r)
 

@@ -57,6 +57,8 @@ class TimeCriterion(ABC):
                     raise ValueError(f"noise gives {name!r} the value {sigma!r}: give a standard deviation above 0.")
         if self.inputs not in ("linear", "held"):
             raise ValueError(f"inputs {self.inputs!r} is not known: use 'linear' or 'held'.")
+        if not isinstance(self.initial, Mapping):
+            raise TypeError(f"initial is {self.initial!r:.60}: give {{state: value or function of the parameters}}.")
         for name, value in self.initial.items():
             number = isinstance(value, (int, float, np.number)) and math.isfinite(value)
             if not (number or callable(value)):

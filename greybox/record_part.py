@@ -263,11 +263,12 @@ class RecordPart:
 
     def closing(self, blocks: Blocks, gaps: Array) -> Array:
         """Return the change of the nodes (s, n) that closes gaps (s, n) with the least change of the outputs."""
-        nothing = np.zeros_like(gaps)[:, :, None]
+        nothing = np.zeros((*gaps.shape, 1 + blocks.mixed.shape[2]))  # as in `reduce`, whose factorization then serves
         unit = _unit(blocks)
         corner = blocks.corner * unit * unit[:, None] + RIDGE * np.eye(self.states)
         transition = blocks.to_state * unit / unit[:, None]
-        wanted = -gaps[:, :, None] / unit[:, None]
+        wanted = nothing.copy()
+        wanted[:, :, 0] = -gaps / unit
         return solve_chain(corner, transition, self.coupled, nothing, wanted, np.zeros(self.states))[0][:, :, 0] * unit
 
     @property

@@ -88,11 +88,13 @@ def color(stretches: list[Array]) -> Color:
     r = r / (size * size[:, None])
     r[0] += np.diag(np.where(deviation > 0, 1e-9, 1.0))
     best, least = Color(np.zeros((0, k, k)), r[0]), count * np.linalg.slogdet(r[0])[1]
+    both = np.concatenate([r[:0:-1].transpose(0, 2, 1), r])  # of lags -longest ... longest
     for order in [n for n in ORDERS if n <= longest]:
         # Σ_j A_j r(i - j) = -r(i) for i = 1 ... order, with r(l) = E e(t + l) e(t)ᵀ and r(-l) = r(l)ᵀ.
-        rows = [[r[i - j] if i >= j else r[j - i].T for i in range(order)] for j in range(order)]
+        lags = longest + np.arange(order) - np.arange(order)[:, None]
+        matrix = both[lags].transpose(0, 2, 1, 3).reshape(order * k, order * k)
         right = np.concatenate(r[1 : order + 1], axis=1)
-        across = -np.linalg.solve(np.block(rows).T, right.T).T
+        across = -np.linalg.solve(matrix.T, right.T).T
         innovation = r[0] + across @ right.T
         sign, logarithm = np.linalg.slogdet(innovation)
         if sign <= 0:

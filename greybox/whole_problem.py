@@ -124,6 +124,8 @@ class WholeProblem:
         """Return known states at the first sample of the record less what they must be."""
         count = int(part.begins.sum())
         rows = np.flatnonzero(part.known_states).tolist()
+        if not rows:
+            return ca.MX(0, 1)  # no rows of a single one would be taken as a row without columns
         wanted, _ = part.initial(q)
         return ca.vec(transcribed.initial[rows, :count] - ca.repmat(wanted[rows], 1, count))
 
