@@ -15,7 +15,18 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.iterate import SETTLED, Move, Point, Progress, largest_force, next_damping, promised
+from greybox.iterate import (
+    PENALTY,
+    SETTLED,
+    Move,
+    Point,
+    Progress,
+    largest_force,
+    largest_multiplier,
+    next_damping,
+    promised,
+)
+from greybox.limits import Limits
 from greybox.nlp import Nlp
 from greybox.record_part import Path, Place, RecordPart
 from greybox.shooting import Blocks
@@ -56,14 +67,14 @@ class GaussNewton:
         self._nlp = nlp
         self._records: tuple[RecordPart, ...] = records or nlp.records
         self._weights = [part.part.weight for part in self._records]
-        self._low, self._high = nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper)
         added = {name for part in self._records for name in part.gain_names}
         self._gains = np.array([name in added for name in nlp.free])
         z, s = nlp.expressions["x"], nlp.expressions["p"]
         f, g = nlp.expressions["f"], nlp.expressions["g"]
         self._smooth = ca.Function("f", [z, s], [f])
         self._curvature = ca.Function("curvature", [z, s], [*reversed(ca.hessian(f, z))])
-        self._limits = ca.Function("limits", [z], [g, ca.densify(ca.jacobian(g, z))])
+        constraints = ca.Function("constraints", [z], [g, ca.densify(ca.jacobian(g, z))])
+        self._limits = Limits(nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper), constraints)
         samples = sum(part.experiment.measured.shape[1] for part in self._records)
         thinned = tuple(part.thinned(LONG // 2) for part in self._records) if samples > LONG else None
         self._coarse = GaussNewton(nlp, thinned) if thinned and records is None else None
@@ -72,7 +83,7 @@ class GaussNewton:
     def run(self, start: Array) -> Outcome:
         """Solve from the parameters `start` (p,)."""
         began = time.perf_counter()
-        z = np.clip(self._nlp.scaling.to_solver(start), self._low, self._high)
+        z = self._limits.nearest(self._nlp.scaling.to_solver(start))
         iterations = 0
         if self._coarse is not None:
             first = self._coarse.run(start)
@@ -83,6 +94,8 @@ class GaussNewton:
             return Outcome(start, "singular", iterations, time.perf_counter() - began, False, math.inf)
         estimate = np.clip(self._nlp.scaling.to_parameters(point.z), self._nlp.lower, self._nlp.upper)
         cost = self._cost(point, smoothing=0.0)
+        if status == "converged" and self._limits.missed(point.z) > 0:
+            status = "constraints missed"
         converged = status == "converged" and math.isfinite(cost)
         nodes = tuple(path.nodes for path in point.paths)
         seconds = time.perf_counter() - began
@@ -165,12 +178,13 @@ class GaussNewton:
             weights = self._noise_weights(point) if exact else assumed
             blocks = self._linearized(point, weights) if iteration else blocks
             softness = at.softness
-            move = self._move(point, blocks, softness, at.damping, still, exact)
+            move = self._move(point, blocks, softness, at.damping, still, exact, at.penalty)
             if exact:
                 at.force = [
                     np.maximum(f, 1.2 * largest_force(r, move.dz)) for f, r in zip(at.force, move.reduced, strict=True)
                 ]
-            merit = self._merit(weights, softness, at.force, exact)
+            at.penalty = move.penalty
+            merit = self._merit(weights, softness, at, exact)
             before = merit(point)
             settled = move.predicted <= max(TOLERANCE, ROUNDING * abs(before)) and self._is_continuous(point)
             if exact and settled and move.distance <= TOLERANCE:
@@ -267,7 +281,8 @@ class GaussNewton:
                 for k, value in part.steady_gains(path, place, share * variance).items():
                     of = np.flatnonzero(place.slope[k])
                     if len(of) == 1:
-                        z[of] = np.clip(value / place.slope[k, of], self._low[of], self._high[of])
+                        z[of] = value / place.slope[k, of]
+                z = self._limits.clipped(z)
                 nodes.append(part.predicted_nodes(path.nodes, part.place(z)))
             trial = self._point(z, nodes)
             cost = self._cost(trial, SMOOTHING)
@@ -292,6 +307,7 @@ class GaussNewton:
         damping: float,
         still: bool,
         exact: bool,
+        penalty: float = PENALTY,
     ) -> Move:
         """Return the step of nodes and z; with `still` of the nodes alone. Gains move where continuity is exact."""
         p = len(point.z)
@@ -304,28 +320,24 @@ class GaussNewton:
             hessian, gradient = hessian + self._weights[k] * r.hessian, gradient + self._weights[k] * r.gradient
             promise += self._weights[k] * promised(blocks[k], r, gaps, soft[k])
         if still:
-            return Move(blocks, reduced, np.zeros(p), promise, 0.0)
+            return Move(blocks, reduced, np.zeros(p), promise, 0.0, penalty)
         g, H = (value.full() for value in self._curvature(point.z, SMOOTHING))
         values, vectors = np.linalg.eigh((H + H.T) / 2)
         hessian, gradient = hessian + (vectors * np.abs(values)) @ vectors.T, gradient + g.ravel()
-        limit, normal = (value.full() for value in self._limits(point.z))
-        low, high = self._low - point.z, self._high - point.z
-        if not exact:
-            low, high = np.where(self._gains, 0.0, low), np.where(self._gains, 0.0, high)
-        rows = np.vstack([np.eye(p), -np.eye(p), normal])
-        limits = np.concatenate([low, -high, -limit.ravel()])
-        there = np.isfinite(limits)
         damped = hessian + damping * np.diag(np.diag(hessian))
-        dz = solve_small_qp(damped, gradient, rows[there], np.minimum(limits[there], 0.0))
+        rows, limits = self._limits.around(point.z, None if exact else self._gains)
+        dz = solve_small_qp(damped, gradient, rows, limits)
+        penalty = max(penalty, 1.2 * largest_multiplier(damped @ dz + gradient, rows, rows @ dz - limits))
         half = 0.5 * float(dz @ hessian @ dz)
-        return Move(blocks, reduced, dz, promise - float(gradient @ dz) - half, half)
+        promise += penalty * self._limits.missed(point.z) - float(gradient @ dz) - half
+        return Move(blocks, reduced, dz, promise, half, penalty)
 
     def _moved(self, point: Point, move: Move, length: float) -> Point:
         nodes = [
             part.moved(path.nodes, r, move.dz, length)
             for part, path, r in zip(self._records, point.paths, move.reduced, strict=True)
         ]
-        z = np.clip(point.z + length * move.dz, self._low, self._high) if move.dz.any() else point.z
+        z = self._limits.clipped(point.z + length * move.dz) if move.dz.any() else point.z
         return self._kept(point, self._point(z, nodes))
 
     def _kept(self, before: Point, after: Point) -> Point:
@@ -345,19 +357,22 @@ class GaussNewton:
         return after
 
     def _merit(
-        self, weights: Sequence[Array], soft: Sequence[Array], force: Sequence[Array], exact: bool
+        self, weights: Sequence[Array], soft: Sequence[Array], at: Progress, exact: bool
     ) -> Callable[[Point], float]:
         """Return what a step must not increase: the cost and the gaps, absolute where continuity is exact."""
+
+        def missed(point: Point) -> float:
+            return at.penalty * self._limits.missed(point.z)
 
         def exactly(point: Point) -> float:
             if not point.finite or not self._predicts(point):
                 return math.inf
-            return self._cost(point, SMOOTHING) + self._gap_cost(point, force) + self._violation(point.z)
+            return self._cost(point, SMOOTHING) + self._gap_cost(point, at.force) + missed(point)
 
         def softly(point: Point) -> float:
             if not point.finite:
                 return math.inf
-            total = float(self._smooth(point.z, SMOOTHING)) + self._violation(point.z)
+            total = float(self._smooth(point.z, SMOOTHING)) + missed(point)
             for k, path in enumerate(point.paths):
                 squares = float(np.trace(weights[k] @ path.products @ weights[k].T))
                 squares += float((path.gaps**2 / soft[k]).sum())
@@ -374,7 +389,3 @@ class GaussNewton:
             part.predictor_radius(path, place) < 1
             for part, path, place in zip(self._records, point.paths, point.places, strict=True)
         )
-
-    def _violation(self, z: Array) -> float:
-        limit = self._limits(z)[0].full()
-        return 1e3 * float(np.maximum(-limit, 0).sum())

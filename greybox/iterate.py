@@ -15,6 +15,8 @@ TIGHTEN = 0.1  # the standard deviation by which continuity may be missed, from 
 SETTLED = 0.1  # relative: how well a step must keep its promise for the next stage to begin
 POOR = 0.25  # share of a promised decrease below which full steps are too long
 WELL = 0.01  # the same, for it to skip one
+HELD = 1e-9  # slack of a limit that holds a step
+PENALTY = 1e3  # on the amount by which constraints are missed, at least
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +37,8 @@ class Point:
 class Move:
     """One step: the systems it comes from, the change dz (p,) of the point, and the decrease of the merit it promises.
 
-    `distance` is half its length squared, in standard errors where the cost is a likelihood.
+    `distance` is half its length squared, in standard errors where the cost is a likelihood; `penalty` is large enough
+    on missed constraints for the step to decrease the merit.
     """
 
     blocks: Sequence[Blocks]
@@ -43,17 +46,19 @@ class Move:
     dz: Array
     predicted: float
     distance: float
+    penalty: float
 
 
 @dataclass(eq=False)
 class Progress:
-    """What an iteration hands to the next: stage (-1: states alone), damping, multipliers, last predicted decrease."""
+    """What an iteration hands to the next: stage (-1: states alone), damping, multipliers, the last promise."""
 
     soft: list[Array]
     force: list[Array]
     stages: int
     stage: int = -1
     damping: float = 0.0
+    penalty: float = PENALTY
     last: float = math.nan
 
     @property
@@ -76,6 +81,14 @@ class Progress:
 def largest_force(reduced: Reduced, dz: Array) -> Array:
     """Return the largest multiplier of the continuity of every state, (n,), after a step dz (p,)."""
     return np.abs(reduced.force + reduced.force_follow @ (reduced.slope @ dz)).max(axis=0, initial=0.0)
+
+
+def largest_multiplier(force: Array, normals: Array, slack: Array) -> float:
+    """Return the largest multiplier of the limits that hold a step, whose sum times `normals` is `force` (p,)."""
+    held = slack <= HELD
+    if not held.any():
+        return 0.0
+    return float(np.abs(np.linalg.lstsq(normals[held].T, force)[0]).max())
 
 
 def promised(blocks: Blocks, reduced: Reduced, gaps: Array, soft: Array) -> float:

@@ -189,7 +189,7 @@ class Shooting:
     def in_order(self, values: Array) -> Array:
         """Return columns (r, columns) in the order of the samples."""
         s = self.experiment.segments
-        return values.reshape(len(values), self.length, s).transpose(0, 2, 1).reshape(len(values), -1)
+        return values.reshape(len(values), self.length, s).transpose(0, 2, 1).reshape(len(values), s * self.length)
 
     def chunks(self, s: int) -> list[slice]:
         """Return slices of s segments whose derivatives fit into memory together."""
