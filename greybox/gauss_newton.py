@@ -115,6 +115,7 @@ class GaussNewton:
                 point, status = self._point(z, self._rest(math.nan)), "singular"
         return Profile(point.places, point.paths, self._cost(point, smoothing=0.0), status == "converged")
 
+    @DIVERGING
     def smoothed(self, z: Array) -> tuple[list[Array] | None, list[Array]]:
         """Return states (n, samples) close to the data at z, None where they diverge; and weights to begin with."""
         point = self._point(z, [part.first_nodes(part.place(z)) for part in self._records])

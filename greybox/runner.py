@@ -110,7 +110,7 @@ class Runner:
         self._substeps = self._substeps or _substeps(self._at, step)
         while True:
             found, data, states, outputs = run(self._sample(self._substeps))
-            if fixed or self._substeps >= MOST or not np.all(np.isfinite(states)):
+            if fixed or not states.size or self._substeps >= MOST or not np.all(np.isfinite(states)):
                 return found, data, states, outputs
             error = self._local_error(states, data)
             if error <= TOLERANCE:

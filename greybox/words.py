@@ -76,8 +76,13 @@ def _unknown_constants(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
 
 def _size(nlp: Nlp) -> Iterator[str]:
     numbers, unknowns = sum(part.numbers for part in nlp.problem.parts), len(nlp.free)
-    if numbers <= unknowns:
-        yield f"{numbers} real numbers of data for {unknowns} unknowns leave nothing to judge the errors by: add data."
+    initial = sum(part.unknown_initial for part in nlp.records)
+    if numbers <= unknowns + initial:
+        states = f" and {initial} initial states" if initial else ""
+        yield (
+            f"{numbers} real numbers of data for {unknowns} unknowns{states} leave nothing to judge the errors by: "
+            "add data."
+        )
 
 
 def _bounds(nlp: Nlp, best: Minimum, accuracy: Accuracy) -> Iterator[str]:
