@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from greybox.frequency_response import FrequencyResponse
 from greybox.record import Record
-from greybox.segment import Segment
+from greybox.segment import Segment, checked_segments
 from greybox.table import number, text_table
 
 Array = NDArray[np.float64]
@@ -172,12 +172,7 @@ def finite_frequency(  # noqa: PLR0913 - one keyword for each choice
     ValueError
         If no segment can be used, or they are of several axes; the sentence says why.
     """
-    segments = tuple(segments)
-    for segment in segments:
-        if not isinstance(segment, Segment):
-            raise TypeError(
-                f"a segment is {segment!r:.60}: give what gb.find_segments(log) found, or gb.Segment(start, end, ...)."
-            )
+    segments = checked_segments(segments)
     _known_method(method)
     if len(axes := sorted({s.axis for s in segments if s.usable and s.kind == "sine"})) > 1:
         raise ValueError(f"the segments are of several axes ({', '.join(axes)}): choose those of one, by segment.axis.")

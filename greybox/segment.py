@@ -1,7 +1,7 @@
 """One excited stretch of an experiment, and a table of such."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from greybox.table import number, text_table
@@ -83,3 +83,12 @@ def segment_table(segments: Sequence[Segment]) -> str:
         rows.append((str(k), *times, *sizes, "yes" if s.usable else "no", s.source))
     notes = [f"{k}: {text}" for k, s in enumerate(segments, start=1) for text in s.findings]
     return "\n".join([text_table(header, rows, left=(3, 4, 10)), *notes]) if rows else "no excited segment was found"
+
+
+def checked_segments(segments: Iterable[object]) -> tuple[Segment, ...]:
+    """Return the segments; TypeError for anything else, such as those of an `Excitation`'s schedule."""
+    found = tuple(segments)
+    for segment in found:
+        if not isinstance(segment, Segment):
+            raise TypeError(f"a segment is {segment!r:.60}: give those of gb.find_segments, or gb.Segment(start, end).")
+    return tuple(segment for segment in found if isinstance(segment, Segment))

@@ -75,7 +75,9 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
         States at the beginning, and inputs: before the first command, and throughout where nothing commands them; by
         default zero. ``gb.linearize(plant, values, at).point`` begins at an operating point.
     rate : float, Hz, optional
-        Of the log: the controller's, which is the default, divided by a whole number. Samples are taken, not averaged.
+        Of the log: the controller's, which is the default, divided by a whole number. The plant's inputs are logged as
+        their mean until the next logged sample (what drives the plant; with noise in the loop a single control says
+        little of the next ones), everything else as sampled.
     hold : bool
         Hold each sample of an excitation that is slower than the controller, instead of interpolating. A controller's
         derivative makes spikes of the stairs, and a log at their rate sees nothing but the spikes: a response measured
@@ -127,7 +129,7 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     known = {c.outside(n): unit for c in controllers for n, unit in c.units.items()} | units
     return Record(
         time[::thinning],
-        {n: v[::thinning] for n, v in log.items()},
+        {n: _averaged(v, thinning) if n in system.inputs else v[::thinning] for n, v in log.items()},
         {n: known.get(n.removesuffix(ADDED), "") for n in log},
         name=name or f"virtual flight of {plant.label}",
         metadata=told,
@@ -302,6 +304,12 @@ def _divergence(loop: _Loop, names: Sequence[str], values: Array, wrong: NDArray
 
 def _given(controllers: Sequence[Controller]) -> set[str]:
     return {c.outside(n) for c in controllers for n in c.outputs}
+
+
+def _averaged(values: Array, count: int) -> Array:
+    """Return the mean of every `count` samples; of the last ones as many as there are."""
+    begins = np.arange(0, values.size, count)
+    return np.add.reduceat(values, begins) / np.diff(np.append(begins, values.size))
 
 
 def _open_loop_rate(excitation: Excitation | Record | Mapping[str, ArrayLike], rate: float | None) -> float:

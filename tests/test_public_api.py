@@ -8,16 +8,15 @@ import sys
 import greybox as gb
 
 PUBLIC = """
-Controller EquationError Excitation Fit FrequencyResponse LatinHypercube LinearSystem Listed MagnitudePhase
-MaximumLikelihood Model Parameter Problem Record Recording RelativeError Segment Sine Sobol SquaredRelativeError
-StateSpace TransferFunction Uniform arccos arcsin arctan arctan2 ardupilot_script check cos cost demodulate
-Collocation MultipleShooting OutputError PredictionError several SingleShooting Rosenbrock RungeKutta equation_error exp feedback find_segments
-finite_frequency fit frequency_response g harmonic_response
-horizontal_velocity levy linearize load log maximum minimum multisine negative order_path periodic_response plot
-Comparison NestedTest Prediction compare nested_test plot_history predict simulate
-plot_bode plot_nyquist plot_recording plot_starts plot_traces prepare rational read read_response save segment_table
-sign sin sine_schedule spectral_response sqrt sweep systemid_parameters tan tanh virtual_flight where write_excitation
-write_response
+Collocation Comparison Controller EquationError Excitation Fit FrequencyResponse LatinHypercube LinearSystem Listed
+MagnitudePhase MaximumLikelihood Model MultipleShooting NestedTest OutputError Parameter Prediction PredictionError
+Problem Record Recording RelativeError Rosenbrock RungeKutta Segment Sine SingleShooting Sobol SquaredRelativeError
+StateSpace TransferFunction Uniform arccos arcsin arctan arctan2 ardupilot_script check compare cos cost demodulate
+equation_error exp feedback find_segments finite_frequency fit frequency_response g harmonic_response
+horizontal_velocity levy linearize load log maximum minimum multisine negative nested_test order_path
+periodic_response plot plot_bode plot_history plot_nyquist plot_recording plot_starts plot_traces predict prepare
+rational read read_response save segment_table several sign simulate sin sine_schedule spectral_response sqrt sweep
+systemid_parameters tan tanh virtual_flight where write_excitation write_response
 """.split()
 
 

@@ -397,12 +397,15 @@ def test_process_noise_is_white_and_independent_of_the_sensors():
     assert_allclose(noisy["y"], flown["y"])
 
 
-def test_the_log_is_every_fourth_sample():
+def test_a_slower_log_has_the_mean_of_the_controls_and_samples_of_the_rest():
     options = {"controller": PITCH, "excitation": sines(), "noise": {"q": 1e-3}}
     full, thin = (gb.virtual_flight(LinearTilt(), TRUTH, rate=rate, **options) for rate in (None, 100))
     assert (full.rate, thin.rate) == pytest.approx((400, 100))
-    for name in ("u", "theta", "q", "reference"):
+    for name in ("theta", "q", "reference"):
         assert_allclose(thin[name], full[name][::4])
+    whole = len(full) // 4
+    assert_allclose(thin["u"][:whole], full["u"][: 4 * whole].reshape(-1, 4).mean(axis=1), atol=1e-12)
+    assert_allclose(thin["u"][whole:], np.mean(full["u"][4 * whole :]), atol=1e-12)
     assert_allclose(thin["reference"], sines(rate=100.0)["reference"][: len(thin)], atol=1e-12)
 
 
