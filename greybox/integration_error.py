@@ -33,7 +33,8 @@ class IntegrationError:
     Attributes
     ----------
     shift : (p,) array
-        Of the unknowns, in standard errors.
+        Of the unknowns, in standard errors; or the relative change of these where that is more: at the limit of its
+        stability an integrator knows rates that the model does not show.
     order : int
         The shift falls with this power of the number of substeps.
     """
@@ -50,17 +51,19 @@ class IntegrationError:
 def integration_error(nlp: Nlp, profile: Profile) -> IntegrationError:
     """Return what twice the substeps would do to the estimate that `profile` belongs to, to first order."""
     p = len(nlp.free)
-    hessian, change = np.zeros((p, p)), np.zeros(p)
+    hessian, hessian_fine, change = np.zeros((p, p)), np.zeros((p, p)), np.zeros(p)
     for part, path, place in zip(nlp.records, profile.paths, profile.places, strict=True):
         fine = part.refined(2, compiled=False)
         finer = fine.path(path.nodes, place)
         if not part.states or _is_rounding(part, path, finer):
             continue
         H, g = _gradient(part, path, place, path)
-        _, g_fine = _gradient(fine, finer, place, path) if finer.finite else (H, np.full(p, math.inf))
+        H_fine, g_fine = _gradient(fine, finer, place, path) if finer.finite else (H, np.full(p, math.inf))
         hessian, change = hessian + part.part.weight * H, change + part.part.weight * (g_fine - g)
+        hessian_fine += part.part.weight * H_fine
     orders = [part.method.integrator.order for part in nlp.records]
-    return IntegrationError(_in_errors(hessian, change), min(orders, default=1))
+    shift, widened = _in_errors(hessian, change), _widened(hessian, hessian_fine)
+    return IntegrationError(np.where(widened > np.abs(shift), widened, shift), min(orders, default=1))
 
 
 def well_integrated(nlp: Nlp, search: Multistart) -> tuple[Nlp, Multistart, IntegrationError | None]:
@@ -113,8 +116,8 @@ def integration_warnings(nlp: Nlp, profile: Profile | None, error: IntegrationEr
         count = max(part.substeps for part in nlp.records)
         by = f"{error.largest:.2g} standard errors" if math.isfinite(error.largest) else "more than the model bears"
         yield (
-            f"the integration is too coarse: {2 * count} substeps a sample instead of {count} would move {name} by "
-            f"{by}; use MultipleShooting(integrator=RungeKutta(substeps={4 * count})), or Rosenbrock() if it is stiff."
+            f"the integration is too coarse: {2 * count} substeps a sample instead of {count} would change {name}, or "
+            f"its error, by {by}; use MultipleShooting(integrator=RungeKutta(substeps={4 * count})), or Rosenbrock() if it is stiff."
         )
 
 
@@ -142,3 +145,10 @@ def _in_errors(hessian: Array, change: Array) -> Array:
     inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
     errors = np.sqrt(np.maximum(np.diag(inverse), 0.0))
     return -(inverse @ (change * unit)) / np.where(errors > 0, errors, 1.0)
+
+
+def _widened(coarse: Array, fine: Array) -> Array:
+    """Return the relative change of the errors of every unknown alone, others known, (p,); 0 where nothing is seen."""
+    a, b = (np.maximum(np.diag(H), 0.0) for H in (coarse, fine))
+    seen = a > 0
+    return np.where(seen, np.abs(np.sqrt(b / np.where(seen, a, 1.0)) - 1), 0.0)
