@@ -44,6 +44,8 @@ class Runner:
     """The compiled sample of a case, with as many substeps as it turns out to need."""
 
     def __init__(self, at: Case, criterion: TimeCriterion, outputs: tuple[str, ...], integrator: Integrator) -> None:
+        if not isinstance(integrator, Integrator):
+            raise TypeError(f"integrator is {integrator!r:.60}: give RungeKutta() or Rosenbrock().")
         self._at, self._criterion, self._outputs, self._integrator = at, criterion, outputs, integrator
         self._substeps = integrator.substeps or 0
         self._samples: dict[int, SampleStep] = {}
