@@ -45,7 +45,7 @@ def cut(record: Record, inputs: Sequence[str], outputs: Sequence[str], *, lead: 
     """
     for name, value in (("lead", lead), ("horizon", horizon)):
         if not isinstance(value, (int, float, np.number)) or not (np.isfinite(value) and value > 0):
-            raise ValueError(f"{name} is {value!r}: give a length in s above 0.")
+            raise ValueError(f"{name} is {value!r} s: give a length above 0.")
     _require_signals(record, inputs)
     stretches = gapless(record, tuple(inputs), tuple(outputs))
     first, after = max(1, round(lead / record.step)), max(1, round(horizon / record.step))
