@@ -277,7 +277,7 @@ def _part_jacobians(nlp: Nlp, x: NDArray[np.float64]) -> list[PartJacobian]:
 
 
 def _of_response(part: Problem, response: NDArray[np.complex128], sensitivity: NDArray[np.complex128]) -> PartJacobian:
-    criterion, data = part.criterion, part.data
+    criterion, data = part.criterion, part.response
     assert isinstance(criterion, Criterion)
     jacobian = criterion.jacobian(response, sensitivity, data)
 

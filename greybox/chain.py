@@ -1,6 +1,7 @@
 """The linear algebra of multiple shooting: segments that hand their end state to the next one."""
 
 from functools import lru_cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -92,15 +93,16 @@ class _Solver:
         solution = ca.solve(ca.MX(sparsity, values), right, "qr")
         # A buffer hands over memory as it is; converting numpy arrays to CasADi's takes longer than the solution.
         self._function = ca.Function("chain", [values, right], [solution])
+        self._buffer: Any
         self._buffer, self._evaluate = self._function.buffer()
         self._shape = (r, size)
 
     def __call__(self, values: Array, right: Array) -> Array:
         """Return the solution (r, size) for the entries of the matrix and right-hand sides (r, size)."""
         result = np.full(self._shape, np.nan)  # stays where the matrix is singular
-        self._buffer.set_arg(0, memoryview(values))
-        self._buffer.set_arg(1, memoryview(right))
-        self._buffer.set_res(0, memoryview(result))
+        self._buffer.set_arg(0, values.data)
+        self._buffer.set_arg(1, right.data)
+        self._buffer.set_res(0, result.data)
         self._evaluate()
         return result
 

@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -32,13 +33,14 @@ class CompiledBlocks:
 
         From nodes (s, n), parameters, weights (k, k) and data (samples, width), in the order of the samples.
         """
+        buffer: Any
         buffer, evaluate = self._function.buffer()
         inputs = [np.ascontiguousarray(value, dtype=float) for value in (nodes, q, weight.T, data)]
         results = [np.empty((self._segments, size)) for size in self._sizes]
         for k, value in enumerate(inputs):
-            buffer.set_arg(k, memoryview(value))
+            buffer.set_arg(k, value.data)
         for k, value in enumerate(results):
-            buffer.set_res(k, memoryview(value))
+            buffer.set_res(k, value.data)
         evaluate()
         return results
 
@@ -56,10 +58,9 @@ def _blocks(sample: ca.Function, active: list[int], length: int) -> tuple[ca.Fun
     S_next = ca.project(A[:, :n] @ S + ca.horzcat(ca.SX(n, n), A[:, n:]), S.sparsity())
     products = J.T @ J
     upper = ca.vertcat(ca.SX(0, 1), *[products[i, c] for i in range(v) for c in range(i, v)])
-    state = ca.vertcat(x, *S.nonzeros(), H, g)
-    step = ca.Function(
-        "step", [state, q, W, d], [ca.vertcat(after, *S_next.nonzeros(), H + upper, g + J.T @ (W @ e))], {"cse": True}
-    )
+    before: list[Any] = [x, *S.nonzeros(), H, g]
+    then: list[Any] = [after, *S_next.nonzeros(), H + upper, g + J.T @ (W @ e)]
+    step = ca.Function("step", [ca.vertcat(*before), q, W, d], [ca.vertcat(*then)], {"cse": True})
     node, Q, D = ca.MX.sym("x", n), ca.MX.sym("q", q.numel()), ca.MX.sym("d", d.numel(), length)
     weight, eye = ca.MX.sym("W", k, k), np.eye(n, v)
     row, column = S.sparsity().get_triplet()

@@ -68,7 +68,7 @@ class FirstStates:
     def poles(self, states: Array, inputs: Array, p: Array) -> NDArray[np.complex128]:
         """Return the poles (s, n) of the linearizations at states (n, s), without those that are not finite."""
         matrices = self._model(states, inputs, p)[2][: self._n**2].T.reshape(inputs.shape[1], self._n, self._n)
-        return np.linalg.eigvals(matrices[np.isfinite(matrices).all(axis=(1, 2))])
+        return np.linalg.eigvals(matrices[np.isfinite(matrices).all(axis=(1, 2))]).astype(complex)
 
     def _sized(self, states: Array, hidden: NDArray[np.integer], measured: Array, inputs: Array, p: Array) -> Array:
         """Return the states with the best sizes of the hidden ones: of all together, then of each."""
@@ -99,7 +99,7 @@ class FirstStates:
     def _judged(self, states: Array, measured: Array, inputs: Array, p: Array) -> tuple[NDArray[np.bool_], Array]:
         """Return at which samples the model is finite (s,), and by how much its outputs miss (s,), in their spread."""
         f, y, slopes = self._model(states, inputs, p)
-        finite = np.isfinite(np.vstack([f, y, slopes])).all(axis=0)
+        finite = np.asarray(np.isfinite(np.vstack([f, y, slopes])).all(axis=0))
         scale = np.abs(measured).max(axis=1, initial=0.0, keepdims=True)
         with np.errstate(all="ignore"):
             return finite, (((y - measured) / np.where(scale > 0, scale, 1.0)) ** 2).sum(axis=0)

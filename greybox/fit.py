@@ -221,6 +221,8 @@ def _all_costs(nlp: Nlp, responses: Mapping[Problem, NDArray[np.complex128]]) ->
     if nlp.records:
         return {}
     return {
-        criterion.description: sum(part.weight * evaluate(criterion, responses[part], part.data) for part in responses)
+        criterion.description: sum(
+            part.weight * evaluate(criterion, found, part.response) for part, found in responses.items()
+        )
         for criterion in CRITERIA
     }

@@ -67,8 +67,8 @@ def fitted_record(nlp: Nlp, part: Problem, profile: Profile | None) -> FittedRec
         noise=noise,
         initial={name: nodes[record.first, i].copy() for i, name in enumerate(record.system.states)},
         method=record.words,
-        inputs=part.criterion.inputs,
-        biases=tuple(part.criterion.biases),
+        inputs=record.criterion.inputs,
+        biases=tuple(record.criterion.biases),
         gains=_gains(part, record),
         nuisances=record.unknown_initial + _noise_unknowns(record),
     )

@@ -117,7 +117,8 @@ def integration_warnings(nlp: Nlp, profile: Profile | None, error: IntegrationEr
         by = f"{error.largest:.2g} standard errors" if math.isfinite(error.largest) else "more than the model bears"
         yield (
             f"the integration is too coarse: {2 * count} substeps a sample instead of {count} would change {name}, or "
-            f"its error, by {by}; use MultipleShooting(integrator=RungeKutta(substeps={4 * count})), or Rosenbrock() if it is stiff."
+            f"its error, by {by}; use MultipleShooting(integrator=RungeKutta(substeps={4 * count})), or Rosenbrock() "
+            "if it is stiff."
         )
 
 

@@ -95,7 +95,7 @@ def _reasons(nlp: Nlp, starts: NDArray[np.float64], outcomes: list[Outcome]) -> 
     """Say where the response is not finite, at the start or the end of every run that met an invalid number."""
     reasons = [""] * len(outcomes)
     failed = [k for k, outcome in enumerate(outcomes) if outcome.status == INVALID]
-    labels = [f"{omega:g} rad/s" for part in nlp.responding for omega in part.data.omega]
+    labels = [f"{omega:g} rad/s" for part in nlp.responding for omega in part.response.omega]
     for points in (starts, np.array([outcome.estimate for outcome in outcomes])):
         if not failed:
             break

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.criterion import Criterion
 from greybox.frequency_response import FrequencyResponse
 from greybox.harmonic import harmonic_function
 from greybox.linear import delay_order, response_function
@@ -164,7 +165,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
 
     x = kind.sym("x", len(free) + len(constants))
     responses, limits = trace(ca.vertsplit(x))
-    costs = [part.criterion.cost(r, part.data) for part, r in zip(responding, responses, strict=True)]
+    costs = [_criterion(part).cost(r, part.response) for part, r in zip(responding, responses, strict=True)]
     stacked = ca.vertcat(kind(0, 1), *[r.re for r in responses], *[r.im for r in responses])
 
     z, smoothing = kind.sym("z", len(free)), kind.sym("smoothing")
@@ -206,13 +207,18 @@ def _limits(part: Problem, p: Names) -> dict[str, Any]:
 def _total(parts: list[Problem], responses: list[Complex], smoothing: Any, locate: bool) -> Any:
     total: Any = 0.0
     for part, response in zip(parts, responses, strict=True):
-        criterion = (part.criterion.first if locate else None) or part.criterion
-        total = total + part.weight * criterion.cost(response, part.data, smoothing)
+        criterion = (part.criterion.first if locate else None) or _criterion(part)
+        total = total + part.weight * criterion.cost(response, part.response, smoothing)
     return total
 
 
+def _criterion(part: Problem) -> Criterion:
+    assert isinstance(part.criterion, Criterion)
+    return part.criterion
+
+
 def _response(part: Problem) -> ca.Function:
-    data = part.data
+    data = part.response
     options: Any = {"input": data.input, "output": data.output, "at": part.at, "pade": delay_order(part.delay)}
     if part.amplitude is not None:
         return harmonic_function(part.model, data.omega, part.amplitude, **options)

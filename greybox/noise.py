@@ -50,7 +50,7 @@ class Noise:
 
     def weight(self, products: Array) -> Array:
         """Return W (k, k) with WᵀW the inverse of the covariance."""
-        return np.linalg.inv(np.linalg.cholesky(self.covariance(products)))
+        return np.linalg.inv(np.linalg.cholesky(self.covariance(products))).astype(float)
 
 
 def noise_of(criterion: TimeCriterion, outputs: tuple[str, ...], measured: Array) -> Noise:

@@ -268,6 +268,12 @@ class Problem:
         return self.__dict__["_parameters"]
 
     @property
+    def response(self) -> FrequencyResponse:
+        """The data, which are a frequency response."""
+        assert isinstance(self.data, FrequencyResponse)
+        return self.data
+
+    @property
     def numbers(self) -> int:
         """How many real numbers the data hold that are compared."""
         if isinstance(self.data, Record):
@@ -369,7 +375,7 @@ def _add(a: Problem | Sum, b: Any) -> Sum:
     return Sum((*a.parts, *b.parts))
 
 
-def _require(value: Any, kind: type, what: str, cure: str) -> None:
+def _require(value: Any, kind: Any, what: str, cure: str) -> None:
     if not isinstance(value, kind):
         raise TypeError(f"{what} is {value!r:.80}: give {cure}.")
 

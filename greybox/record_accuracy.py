@@ -48,7 +48,7 @@ def information(part: RecordPart, path: Path, place: Place) -> Information:
         _, J, _ = part.shooting.sensitivities(path.states, place.q, place.data, some)
         root = weight @ ((J[..., :n] @ follow[some, None] + J[..., n:]) @ place.slope)
         rows = root.reshape(-1, p)
-        triangle = np.linalg.qr(np.vstack([triangle, rows]), mode="r")
+        triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows]), mode="r"))
         white += rows.T @ rows
         weighted[some] = weight.T @ root
     if isinstance(part.criterion, PredictionError):

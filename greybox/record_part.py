@@ -211,7 +211,7 @@ class RecordPart:
         """Return which segments (s,) leave the domain of the model."""
         residuals = self.shooting.residuals(path.states, place.q, place.data)
         inside = np.isfinite(residuals).reshape(len(residuals), self.experiment.segment, -1).all(axis=(0, 1))
-        return ~(inside & np.isfinite(path.end).all(axis=1))
+        return np.asarray(~(inside & np.isfinite(path.end).all(axis=1)))
 
     def linearize(self, path: Path, place: Place, weight: Array) -> Blocks:
         """Return the blocks, known initial states eliminated."""

@@ -160,7 +160,7 @@ def _seen(stretches: list[Array]) -> Array:
     return np.clip((pairs[1:] / taper[1:, None]).max(axis=0) / np.maximum(pairs[0], 1), 1e-3, 1.0)
 
 
-def _unmasked(root: Array, weight: Array, seen: Array) -> Array:
+def _unmasked(root: NDArray[np.complex128], weight: Array, seen: Array) -> Array:
     """Return the root of the spectrum of errors of which a share `seen` (k,) was there, at random.
 
     What is missing multiplies covariances at all lags but zero by the share: as if some of the errors was white.

@@ -38,7 +38,7 @@ def pade_error(part: Problem, values: dict[str, float]) -> float | None:
     """Return the largest phase error (degrees) of a Padé delay over the fitted band; None with exact delay."""
     if delay_order(part.delay) is None:
         return None
-    data = part.data
+    data = part.response
     omega = np.unique(np.concatenate([np.geomspace(data.omega.min(), data.omega.max(), 200), data.omega]))
     signals = {"input": data.input, "output": data.output, "at": part.at}
     exact = frequency_response(part.model, omega, values, **signals)
