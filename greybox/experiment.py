@@ -165,6 +165,10 @@ def experiment(
             f"the record {record.name!r} has no usable stretch: its longest with all inputs and without a gap lasts "
             f"{longest:.3g} s{taken}; give a longer record{' or a smaller upper bound' if lead else ''}."
         )
+    if all(_is_constant(record[name]) for name in outputs):
+        raise ValueError(
+            f"the outputs of the record never move ({', '.join(outputs)}): nothing can be estimated from it."
+        )
     return Experiment(usable, outputs, segment)
 
 

@@ -129,7 +129,7 @@ def assemble(
         costs=_all_costs(nlp, responses),
         runs=search.runs,
         minima=search.minima,
-        warnings=(*integration_warnings(nlp, profile, error), *warnings(nlp, search, accuracy, errors))
+        warnings=(*integration_warnings(nlp, profile, error), *warnings(nlp, search, accuracy, errors, profile))
         if search.minima
         else (),
         seed=seed,

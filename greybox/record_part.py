@@ -240,14 +240,9 @@ class RecordPart:
     def reduce(self, blocks: Blocks, place: Place, gaps: Array, soft: Array) -> Reduced:
         """Eliminate the nodes; `soft` (n,) is the variance by which continuity may be missed."""
         mixed, B = blocks.mixed, blocks.to_parameters
-        # In units in which the curvature is one: nodes and multipliers are then of one size, and no digits are lost.
-        unit = _unit(blocks)
-        corner = blocks.corner * unit * unit[:, None] + RIDGE * np.eye(self.states)
-        right = -np.concatenate([blocks.gradient[:, :, None], mixed], axis=2) * unit[:, None]
-        continuity = -np.concatenate([gaps[:, :, None], B], axis=2) / unit[:, None]
-        transition = blocks.to_state * unit / unit[:, None]
-        x, force = solve_chain(corner, transition, self.coupled, right, continuity, soft / unit**2)
-        x, force = x * unit[:, None], force / unit[:, None]
+        right = -np.concatenate([blocks.gradient[:, :, None], mixed], axis=2)
+        continuity = -np.concatenate([gaps[:, :, None], B], axis=2)
+        x, force = self._solved(blocks, right, continuity, soft)
         linked = np.where(self.coupled[:, None, None], B, 0.0)
         both = np.tensordot(mixed, x, ((0, 1), (0, 1))) + np.tensordot(linked, force, ((0, 1), (0, 1)))
         hessian, gradient = blocks.own + both[:, 1:], blocks.slope + both[:, 0]
@@ -264,12 +259,18 @@ class RecordPart:
     def closing(self, blocks: Blocks, gaps: Array) -> Array:
         """Return the change of the nodes (s, n) that closes gaps (s, n) with the least change of the outputs."""
         nothing = np.zeros((*gaps.shape, 1 + blocks.mixed.shape[2]))  # as in `reduce`, whose factorization then serves
-        unit = _unit(blocks)
-        corner = blocks.corner * unit * unit[:, None] + RIDGE * np.eye(self.states)
-        transition = blocks.to_state * unit / unit[:, None]
         wanted = nothing.copy()
-        wanted[:, :, 0] = -gaps / unit
-        return solve_chain(corner, transition, self.coupled, nothing, wanted, np.zeros(self.states))[0][:, :, 0] * unit
+        wanted[:, :, 0] = -gaps
+        return self._solved(blocks, nothing, wanted, np.zeros(self.states))[0][:, :, 0]
+
+    def _solved(self, blocks: Blocks, right: Array, continuity: Array, soft: Array) -> tuple[Array, Array]:
+        """Solve the chain in units in which the curvature is one: nodes and multipliers are then of one size."""
+        curvature = np.mean(blocks.corner.diagonal(axis1=1, axis2=2), axis=0)
+        unit = 1 / np.sqrt(np.maximum(curvature, 1e-30 * curvature.max(initial=0.0) + 1e-300))
+        corner = blocks.corner * unit * unit[:, None] + RIDGE * np.eye(self.states)
+        transition, column = blocks.to_state * unit / unit[:, None], unit[:, None]
+        x, force = solve_chain(corner, transition, self.coupled, right * column, continuity / column, soft / unit**2)
+        return x * column, force / column
 
     @property
     def gain_names(self) -> tuple[str, ...]:
@@ -298,10 +299,12 @@ class RecordPart:
         Q, R = np.diag(process), self.noise.covariance(path.products)
         P, K = Q.copy(), np.zeros((self.states, len(self.outputs)))
         for _ in range(2000):
-            K = np.linalg.solve(C @ P @ C.T + R, C @ P).T
+            before, K = P, np.linalg.solve(C @ P @ C.T + R, C @ P).T
             P = A @ (P - K @ C @ P) @ A.T + Q
             if not np.all(np.isfinite(P)):
                 return {}
+            if np.allclose(P, before, rtol=1e-9, atol=0):
+                break
         names, active = list(self.part.declared), self.active.tolist()
         places = {name: names.index(name) for name, _, _ in entries}
         return {active.index(places[name]): float(K[i, j]) for name, i, j in entries if places[name] in active}
@@ -328,12 +331,6 @@ class RecordPart:
     def moved(self, nodes: Array, reduced: Reduced, dz: Array, length: float) -> Array:
         """Return the nodes after a step `dz` (p,), of which `length` is taken."""
         return nodes + length * (reduced.step + reduced.follow @ (reduced.slope @ dz))
-
-
-def _unit(blocks: Blocks) -> Array:
-    """Return the change of every state (n,) that has a curvature of one."""
-    curvature = np.mean(blocks.corner.diagonal(axis1=1, axis2=2), axis=0)
-    return 1 / np.sqrt(np.maximum(curvature, 1e-30 * curvature.max(initial=0.0) + 1e-300))
 
 
 def _called(what: str, value: Any, local: Names) -> Any:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.accuracy import Accuracy
+from greybox.gauss_newton import Profile
 from greybox.linear import delay_order, frequency_response
 from greybox.nlp import Nlp
 from greybox.problem import Problem
@@ -19,7 +20,13 @@ CLOSE = 3.0  # negative log-likelihood: twenty times less likely
 NOISY = 0.1  # relative noise from which the bias of the measured normalization shows
 
 
-def warnings(nlp: Nlp, search: Multistart, accuracy: Accuracy, pade_errors: list[float | None]) -> tuple[str, ...]:
+def warnings(
+    nlp: Nlp,
+    search: Multistart,
+    accuracy: Accuracy,
+    pade_errors: list[float | None],
+    profile: Profile | None = None,
+) -> tuple[str, ...]:
     """Return everything a reader should know before believing the estimate, most serious first."""
     return (
         *_undetermined(accuracy),
@@ -31,6 +38,7 @@ def warnings(nlp: Nlp, search: Multistart, accuracy: Accuracy, pade_errors: list
         *_variants(search, accuracy),
         *_pade(nlp, pade_errors),
         *_noise(nlp, search.minima[0], accuracy),
+        *_record_noise(nlp, profile),
     )
 
 
@@ -163,6 +171,20 @@ def _misfit(part: Problem, nlp: Nlp, x: NDArray[np.float64]) -> Iterator[str]:
                 else "they are too large."
             )
         )
+
+
+def _record_noise(nlp: Nlp, profile: Profile | None) -> Iterator[str]:
+    """Say where given standard deviations of outputs are far from those of the residuals."""
+    for part, path in zip(nlp.records, profile.paths if profile else (), strict=False):
+        if part.noise.known is None:
+            continue
+        found = np.sqrt(np.diag(path.products) / np.maximum(part.noise.counts, 1))
+        for name, given, there in zip(part.outputs, part.noise.known, found, strict=True):
+            if not 0.6 <= there / given <= 1.6:
+                yield (
+                    f"the residual of {name} in {part.part.name!r} is {there / given:.2g} times the given standard "
+                    "deviation: the model misses something or that is wrong; the errors follow the residuals."
+                )
 
 
 def _listed(names: tuple[str, ...]) -> str:

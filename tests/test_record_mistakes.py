@@ -42,6 +42,7 @@ class Wild(gb.StateSpace):
     ("make", "words"),
     [
         (lambda: fit(gb.Problem(Spring(), record(F=np.ones(100)))), r"inputs of the record never move \(F\)"),
+        (lambda: fit(gb.Problem(Spring(), record(x=np.zeros(100), v=np.ones(100)))), r"outputs .* never move \(x, v\)"),
         (lambda: fit(gb.Problem(Spring(), record(x=np.nan * np.ones(100), v=np.nan * np.ones(100)))), "of x, v"),
         (lambda: fit(gb.Problem(Spring(), record(F=np.nan * np.ones(100)))), "no measured value of F"),
         (lambda: fit(gb.Problem(Lag(), short(), free=("d",))), "of which the longest delay in the bounds takes 0.5 s"),
@@ -125,3 +126,18 @@ def test_nothing_is_changed_by_a_fit():
     assert repr(problem) == before
     assert all(np.array_equal(DATA[n], v) for n, v in signals.items())
     assert SPRING["k"] == 9.0
+
+
+def test_given_noise_that_is_far_off_is_named():
+    """The errors follow the residuals, whatever was given; the sentence says which output and by how much."""
+    right, wrong = (
+        fit(gb.Problem(Spring(), spring(300), gb.OutputError(noise={"x": 0.05 * share, "v": 0.15 * share})))
+        for share in (1.0, 0.01)
+    )
+    assert not any("given standard deviation" in w for w in right.warnings)
+    texts = [w for w in wrong.warnings if "given standard deviation" in w]
+    residual = np.sqrt(np.nanmean(wrong.records[0].residual("x") ** 2))
+    assert [w.split(" in ")[0] for w in texts] == ["the residual of x", "the residual of v"]
+    assert f"{residual / 0.0005:.2g} times" in texts[0]
+    for name in SPRING:
+        assert wrong.standard_error[name] == pytest.approx(right.standard_error[name], rel=0.25)
