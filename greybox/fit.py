@@ -51,7 +51,9 @@ def fit(
     problem : Problem or a sum of problems
     starts : int, Starts, or list
         A number of Sobol points, a rule such as `LatinHypercube(200)`, or a list of ``{name: value}``; by default 200
-        Sobol points; where data are records, the declared values and 19 Sobol points.
+        Sobol points; where data are records, the declared values and 19 Sobol points. Of several starts on records,
+        the best end is left once more with every positive parameter four times larger and smaller; what ends better
+        is a run of its own.
     seed : int, optional
         Of the Sobol points, 0 by default; a rule has its own. More starts of one seed begin with the same points.
     method : MultipleShooting, SingleShooting or Collocation, optional

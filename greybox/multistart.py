@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from greybox.gauss_newton import GaussNewton
 from greybox.nlp import Nlp
-from greybox.result import Minimum, Multistart, find_minima
+from greybox.result import Minimum, Multistart, find_minima, same_cost
 from greybox.solve import CONVERGED, INVALID, POLISH, Outcome, Run, Solver
 from greybox.whole_problem import WholeProblem
 
@@ -20,6 +20,7 @@ Progress = Callable[[int, int], None]
 """Called with the number of finished and of all runs."""
 
 RESCUED, RESCUE_SIZE = 3, 100_000  # runs, and measured numbers, that IPOPT takes over
+HOP = 4.0  # a parameter is made so many times larger or smaller to leave the neighborhood of a minimum
 CLOSE = 1e-2  # relative cost up to which a minimum is polished too: smoothing may change the order of close ones
 
 
@@ -42,6 +43,8 @@ def multistart(
             progress(k + 1, len(starts))
     if isinstance(solver, GaussNewton) and not any(outcome.converged for outcome in outcomes):
         outcomes = _by_ipopt(nlp, outcomes, solver_options)
+    if isinstance(solver, GaussNewton) and len(starts) > 1:
+        starts, outcomes = _hopped(nlp, solver, starts, outcomes)
     runs = _as_runs(nlp, starts, outcomes)
     minima = find_minima(nlp, runs, [outcome.trace for outcome in outcomes])
     if minima and isinstance(solver, Solver) and any(part.criterion.smoothed for part in nlp.problem.parts):
@@ -51,6 +54,31 @@ def multistart(
         minima = tuple(sorted(minima, key=lambda m: m.cost))
     nodes = outcomes[minima[0].runs[0]].nodes if minima else None
     return Multistart(runs, minima, time.perf_counter() - began, nodes)
+
+
+def _hopped(
+    nlp: Nlp, solver: GaussNewton, starts: NDArray[np.float64], outcomes: list[Outcome]
+) -> tuple[NDArray[np.float64], list[Outcome]]:
+    """Add runs from the best end with one positive parameter HOP times larger or smaller, where they end better.
+
+    Lags that swap places make minima whose neighborhoods take up shares of the start box that differ a hundredfold.
+    """
+    ended = [outcome for outcome in outcomes if outcome.converged]
+    while ended:
+        best = min(ended, key=lambda outcome: outcome.cost)
+        points = []
+        for k in np.flatnonzero(nlp.lower > 0):
+            for factor in (1 / HOP, HOP):
+                point = best.estimate.copy()
+                point[k] = np.clip(factor * point[k], nlp.lower[k], nlp.upper[k])
+                points.append(point)
+        tried = [(point, solver.run(point)) for point in points]
+        better = [(p, o) for p, o in tried if o.converged and o.cost < best.cost - same_cost(nlp, best.cost)]
+        if not better:
+            break
+        point, outcome = min(better, key=lambda pair: pair[1].cost)
+        starts, outcomes, ended = np.vstack([starts, point]), [*outcomes, outcome], [outcome]
+    return starts, outcomes
 
 
 def _by_ipopt(nlp: Nlp, outcomes: list[Outcome], options: Mapping[str, Any]) -> list[Outcome]:

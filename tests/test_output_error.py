@@ -134,6 +134,18 @@ def test_every_parameter_of_a_flight_is_found(flight):
     assert_allclose(np.sqrt(np.diag(found.records[0].noise)), [0.05, 0.02, 0.005], rtol=0.05)
 
 
+def test_a_lag_that_has_changed_places_with_another_is_put_back(flight):
+    """The rotor's lag and the slow pole of the tilt may swap, and nearly all wide starts end there."""
+    problem = gb.Problem(FullTilt(), flight, HELD, free=("T_rotor", "T_delay"))
+    swapped = fit(problem, [{"T_rotor": 0.3}])
+    assert swapped.estimate["T_rotor"] > 3 * TILT["T_rotor"]
+    found = fit(problem, [{"T_rotor": 0.3}, {"T_rotor": 0.5}])
+    assert found.cost < swapped.cost - 10
+    assert_true(found, TILT, 3.0)
+    assert len(found.runs) == 3
+    assert any("only 1 of 3 starts reached the best minimum" in text for text in found.warnings)
+
+
 def test_random_starts_in_wide_boxes_agree(flight):
     problem = gb.Problem(FullTilt(), flight, HELD, fixed={"T_rotor": TILT["T_rotor"]}, free=("T_delay",))
     found = fit(problem, 30)
