@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import platform
 import shutil
 import subprocess
 import tempfile
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-O2", "-fPIC", "-shared")
+NAME = "blocks_of_all"
 
 
 class CompiledBlocks:
@@ -24,9 +26,22 @@ class CompiledBlocks:
     """
 
     def __init__(self, sample: ca.Function, active: list[int], segments: int, length: int) -> None:
-        function, self._sizes = _blocks(sample, active, length)
-        self._function = compiled(function.map("blocks_of_all", "serial", segments, [1, 2], []))
-        self._segments = segments
+        """Take the function from the cache where it was compiled before, otherwise compile it.
+
+        The cache is ``greybox`` in the folder that XDG_CACHE_HOME names, by default ``~/.cache``.
+
+        Raises
+        ------
+        RuntimeError
+            If there is no C compiler or it fails.
+        """
+        n, v = sample.size1_in(0), sample.size1_in(0) + len(active)
+        self._segments, self._sizes = segments, [n, n * v, v * (v + 1) // 2, v]
+        what = (sample.serialize(), active, segments, length, FLAGS, ca.CasadiMeta.version(), platform.machine())
+        kept = _cache() / f"{hashlib.sha256(repr(what).encode()).hexdigest()[:32]}.so"
+        if not kept.is_file():
+            _compile(_blocks(sample, active, length).map(NAME, "serial", segments, [1, 2], []), kept)
+        self._function = ca.external(NAME, str(kept))
 
     def __call__(self, nodes: Array, q: Array, weight: Array, data: Array) -> list[Array]:
         """Return ends (s, n), derivatives (s, v, n), products (s, v (v + 1) / 2) and gradients (s, v).
@@ -45,8 +60,8 @@ class CompiledBlocks:
         return results
 
 
-def _blocks(sample: ca.Function, active: list[int], length: int) -> tuple[ca.Function, list[int]]:
-    """Return (node, q, weight, data) -> end, its derivatives, products and gradient of a segment; and their sizes."""
+def _blocks(sample: ca.Function, active: list[int], length: int) -> ca.Function:
+    """Return (node, q, weight, data) -> end, its derivatives, products and gradient of a segment."""
     x, q, d = (ca.SX.sym(name, sample.numel_in(k)) for k, name in enumerate("xqd"))
     after, e, _ = sample(x, q, d)
     n, k, free = x.numel(), e.numel(), ca.vertcat(x, q[active])
@@ -69,8 +84,7 @@ def _blocks(sample: ca.Function, active: list[int], length: int) -> tuple[ca.Fun
     ends = np.cumsum([n, S.nnz(), H.numel(), v]).tolist()
     end, slopes, summed, gradient = ca.vertsplit(last, [0, *ends])
     full = ca.vec(ca.densify(ca.MX(S.sparsity(), slopes)))
-    function = ca.Function("blocks", [node, Q, weight, D], [end, full, summed, gradient])
-    return function, [n, n * v, H.numel(), v]
+    return ca.Function("blocks", [node, Q, weight, D], [end, full, summed, gradient])
 
 
 def _pattern(A: ca.SX, n: int, v: int) -> ca.Sparsity:
@@ -81,43 +95,27 @@ def _pattern(A: ca.SX, n: int, v: int) -> ca.Sparsity:
     return pattern.sparsity()
 
 
-def compiled(function: ca.Function) -> ca.Function:
-    """Return the function as machine code, from the cache where it was compiled before.
-
-    The cache is ``greybox`` in the folder that XDG_CACHE_HOME names, by default ``~/.cache``.
-
-    Raises
-    ------
-    RuntimeError
-        If there is no C compiler or it fails.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        generator = ca.CodeGenerator("function.c", {"with_header": False})
-        generator.add(function)
-        library = _library(Path(generator.generate(folder + os.sep)), folder)
-    return ca.external(function.name(), str(library))
+def _cache() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "greybox"
 
 
-def _library(source: Path, folder: str) -> Path:
+def _compile(function: ca.Function, kept: Path) -> None:
+    """Translate the function to C and compile it into the library `kept`."""
     compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
-    digest = hashlib.sha256(source.read_bytes() + " ".join(FLAGS).encode()).hexdigest()
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "greybox"
-    kept = cache / f"{digest[:32]}.so"
-    if kept.is_file():
-        return kept
     if compiler is None:
         raise RuntimeError(
             f"compile=True needs a C compiler and none of {', '.join(COMPILERS)} was found: "
             "install one, or leave compile out."
         )
-    fresh = Path(folder) / "functions.so"
-    done = subprocess.run(
-        [compiler, *FLAGS, "-o", str(fresh), str(source), "-lm"], capture_output=True, text=True, check=False
-    )
-    if done.returncode:
-        raise RuntimeError(f"{compiler} failed: {done.stderr.strip()[:300]}; leave compile out.")
-    cache.mkdir(parents=True, exist_ok=True)
-    moving = cache / f"{digest[:32]}.{os.getpid()}"
-    shutil.copyfile(fresh, moving)
-    moving.replace(kept)
-    return kept
+    with tempfile.TemporaryDirectory() as folder:
+        generator = ca.CodeGenerator("function.c", {"with_header": False})
+        generator.add(function)
+        source, fresh = generator.generate(folder + os.sep), Path(folder) / "function.so"
+        command = [compiler, *FLAGS, "-o", str(fresh), source, "-lm"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise RuntimeError(f"{compiler} failed: {done.stderr.strip()[:300]}; leave compile out.")
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        moving = kept.with_suffix(f".{os.getpid()}")
+        shutil.copyfile(fresh, moving)
+        moving.replace(kept)

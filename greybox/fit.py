@@ -86,8 +86,10 @@ def fit(
     points = rule.draw({name: parameters[name] for name in nlp.free})
     if callable(progress):
         search = multistart(nlp, points, solver_options, progress)
+    elif not progress:
+        search = multistart(nlp, points, solver_options)
     else:
-        with tqdm(total=len(points), disable=None if progress else True, delay=2, unit="start", leave=False) as bar:
+        with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
             search = multistart(nlp, points, solver_options, lambda done, _: _advance(bar, done))
     nlp, search, error = well_integrated(nlp, search)
     return assemble(nlp, search, seed=rule.seed, starts=str(rule), began=began, error=error)

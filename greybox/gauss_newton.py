@@ -232,14 +232,16 @@ class GaussNewton:
     def _search(
         self, point: Point, move: Move, merit: Callable[[Point], float], before: float, force: Sequence[Array] | None
     ) -> tuple[Point | None, float]:
-        """Halve the step until the merit does not grow (None where no step does), gaps closed first with `force`."""
-        length = 1.0
+        """Halve the step until the merit does not grow (None where no step does); `force` closes gaps first."""
+        length, enough = 1.0, before + ROUNDING * max(1.0, abs(before))
         while length > 1e-7:
             trial = self._moved(point, move, length)
+            if merit(trial) <= enough:
+                return trial, length
             if force is not None:
                 trial = self._closed(trial, move, force, 0.01 * length * move.predicted)
-            if merit(trial) <= before + ROUNDING * max(1.0, abs(before)):
-                return trial, length
+                if merit(trial) <= enough:
+                    return trial, length
             length /= 2
         return None, 0.0
 

@@ -9,6 +9,7 @@ Columns run over segments, sample by sample: column i · s + j is sample i of se
 
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -58,10 +59,31 @@ class Shooting:
         self.n, self.size = step.function.size1_in(0), step.function.size1_in(1)
         self.k = step.function.size1_out(1)
         self._read_experiment()
-        self._advance, self._output, self._derivatives = (Columns(f, shared=(1,)) for f in _readings(step, active))
+        self._step = step
         self._compiled = None
         if compile_blocks:
             self._compiled = CompiledBlocks(step.function, active.tolist(), experiment.segments, experiment.segment)
+
+    @cached_property
+    def _advance(self) -> Columns:
+        """The next state, from x, q and data."""
+        x, q, d = _arguments(self._step)
+        return _columns("advance", [x, q, d], [self._step.function(x, q, d)[0]])
+
+    @cached_property
+    def _output(self) -> Columns:
+        """Residual and output, from x, q and data."""
+        x, q, d = _arguments(self._step)
+        return _columns("output", [x, q, d], list(self._step.function(x, q, d)[1:]))
+
+    @cached_property
+    def _derivatives(self) -> Columns:
+        """Derivatives of the next state and of the residual by x and active parameters, and the residual."""
+        x, q, d = _arguments(self._step)
+        after, e, _ = self._step.function(x, q, d)
+        free = ca.vertcat(x, q[self.active.tolist()])
+        slopes = [ca.densify(ca.jacobian(after, free)), ca.densify(ca.jacobian(e, free)), e]
+        return _columns("derivatives", [x, q, d], slopes)
 
     def on(self, experiment: Experiment) -> "Shooting":
         """Return the same functions on another cut of the record."""
@@ -197,17 +219,12 @@ class Shooting:
         return [slice(at, min(at + size, s)) for at in range(0, s, size)]
 
 
-def _readings(step: SampleStep, active: NDArray[np.integer]) -> tuple[ca.Function, ca.Function, ca.Function]:
-    """Return the functions of (x, q, data): next state; residual and output; their derivatives by x and active."""
-    x, q, d = (ca.SX.sym(name, step.function.numel_in(k)) for k, name in enumerate("xqd"))
-    after, e, y = step.function(x, q, d)
-    free = ca.vertcat(x, q[active.tolist()])
-    slopes = [ca.densify(ca.jacobian(after, free)), ca.densify(ca.jacobian(e, free)), e]
-    return (
-        ca.Function("advance", [x, q, d], [after], {"cse": True}),
-        ca.Function("output", [x, q, d], [e, y], {"cse": True}),
-        ca.Function("derivatives", [x, q, d], slopes, {"cse": True}),
-    )
+def _arguments(step: SampleStep) -> list[ca.SX]:
+    return [ca.SX.sym(name, step.function.numel_in(k)) for k, name in enumerate("xqd")]
+
+
+def _columns(name: str, arguments: list[ca.SX], results: list[ca.SX]) -> Columns:
+    return Columns(ca.Function(name, arguments, results, {"cse": True}), shared=(1,))
 
 
 def _present(experiment: Experiment) -> Array:

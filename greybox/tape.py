@@ -93,8 +93,9 @@ class Columns:
         """Return the outputs, (numel, m) each, for inputs (numel, m), shared ones (numel,)."""
         m = next(v.shape[1] for k, v in enumerate(inputs) if k not in self._shared)
         outputs = [np.empty((size, m)) for size in self._sizes]
-        for at in range(0, m, CHUNK):
-            some = slice(at, min(at + CHUNK, m))
+        size = -(-m // -(-m // CHUNK)) if m else 1  # equal shares, so that one layout of the registers serves
+        for at in range(0, m, size):
+            some = slice(at, min(at + size, m))
             part = [v if k in self._shared else v[:, some] for k, v in enumerate(inputs)]
             if self._program is None:
                 for out, value in zip(outputs, self._evaluated(part, some.stop - at), strict=True):
