@@ -17,6 +17,7 @@ from greybox.result import Minimum, Multistart
 from greybox.sine import Sine
 from greybox.solve import Run
 from greybox.table import number, text_table, with_error
+from greybox.validation import fit_percent
 
 
 @dataclass(frozen=True)
@@ -151,11 +152,7 @@ class FittedRecord(FittedPart):
 
     def fit_percent(self, output: str) -> float:
         """Return 100 (1 - |residual| / |measured - mean|), the normalized root mean square of MATLAB's `compare`."""
-        error = self.residual(output)
-        there = np.isfinite(error)
-        values = self.data[output][there]
-        spread = float(np.linalg.norm(values - values.mean())) if there.any() else 0.0
-        return 100 * (1 - float(np.linalg.norm(error[there])) / spread) if spread > 0 else math.nan
+        return fit_percent(self.data[output], self.simulated[output])
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.shooting import SampleStep
+from greybox.sample import SampleStep
 
 Array = NDArray[np.float64]
 

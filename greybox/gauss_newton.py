@@ -167,7 +167,7 @@ class GaussNewton:
         return float(sum(costs)) + float(self._smooth(point.z, smoothing))
 
     def _descend(self, z: Array, frozen: bool, near: bool = False) -> tuple[Point, str, int]:
-        """Iterate from z and states of zero; with `frozen` the states alone; `near` where z is close to the answer."""
+        """Iterate from z and the first nodes; with `frozen` the states alone; `near` where z is close to the answer."""
         point = self._point(z, [part.first_nodes(part.place(z)) for part in self._records])
         if not point.finite:
             return point, "not finite at the start", 0

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from greybox.record import Record
 from greybox.table import number, text_table
+from greybox.validation import fit_percent, rms
 
 Array = NDArray[np.float64]
 AHEAD = (0.1, 0.25, 0.5, 1.0)  # shares of the horizon at which the growth of the error is told
@@ -107,14 +108,11 @@ class Prediction:
         e = self.residual(output)
         if share is not None:
             e = e[:, max(1, math.ceil(share * e.shape[1] - 1e-9)) - 1]
-        return float(np.sqrt(np.nanmean(e**2))) if np.isfinite(e).any() else math.nan
+        return rms(e)
 
     def fit_percent(self, output: str) -> float:
         """Return 100 (1 - |error| / |measured - mean|) over all windows."""
-        e, y = self.residual(output), self.measured(output)
-        y = y[np.isfinite(e)]
-        spread = float(np.linalg.norm(y - y.mean())) if y.size else 0.0
-        return 100 * (1 - float(np.linalg.norm(e[np.isfinite(e)])) / spread) if spread > 0 else math.nan
+        return fit_percent(self.measured(output), self.predicted[self._place(output)])
 
     def _place(self, output: str) -> int:
         if output not in self.outputs:

@@ -203,11 +203,6 @@ class Shooting:
         A, E = A.reshape(v, self.n, -1).mean(axis=2).T, E.reshape(v, self.k, -1).mean(axis=2).T
         return A[:, : self.n], -E[:, : self.n]
 
-    def simulate(self, nodes: Array, q: Array, data: Array) -> tuple[Array, Array]:
-        """Return states (n, samples) and simulated outputs (k, samples), every segment from its node."""
-        states, _ = self.paths(nodes, q, data)
-        return self.in_order(states), self.in_order(self.outputs(states, q, data))
-
     def in_order(self, values: Array) -> Array:
         """Return columns (r, columns) in the order of the samples."""
         s = self.experiment.segments

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -259,17 +259,7 @@ def _detrended(record: Record, how: str) -> Record:
             line = np.polyfit(piece.time - piece.time[0], values, 0 if how == "mean" or len(piece) < 3 else 1)
             columns[name].append(values - np.polyval(line, piece.time - piece.time[0]))
     signals = {name: np.concatenate(parts) for name, parts in columns.items()}
-    return Record(
-        record.time,
-        signals,
-        record.units,
-        name=record.name,
-        source=record.source,
-        checksum=record.checksum,
-        metadata=record.metadata,
-        filters=record.filters,
-        findings=record.findings,
-    )
+    return replace(record, signals=signals)
 
 
 def _known_filters(recording: Recording, names: Sequence[str]) -> tuple[Any, ...]:

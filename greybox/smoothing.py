@@ -13,7 +13,7 @@ and gained little on jumps. `scipy.interpolate.make_smoothing_spline` takes 16 s
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -166,16 +166,7 @@ def regular(record: Record) -> Record:
         name: np.concatenate([_placed(q[name], k) for q, k in zip(pieces, places, strict=True)])
         for name in record.signals
     }
-    return Record(
-        np.concatenate(times),
-        signals,
-        record.units,
-        name=record.name,
-        source=record.source,
-        checksum=record.checksum,
-        metadata=record.metadata,
-        filters=record.filters,
-    )
+    return replace(record, time=np.concatenate(times), signals=signals, findings=())
 
 
 def require_uniform(time: Array) -> None:

@@ -60,15 +60,16 @@ class WholeProblem:
             "f": ca.sumsqr(error) / 2 + rest,
             "g": ca.vertcat(equations, limits),
         }
-        extra = _gauss_newton(unknowns, parameters, error, rest, statement["g"]) if _approximate(method) else {}
+        approximate = method.hessian == "gauss-newton"
+        extra = _gauss_newton(unknowns, parameters, error, rest, statement["g"]) if approximate else {}
         self._solver = checked_nlpsol(statement, options, extra)
         products = [t.residuals @ t.residuals.T for t in self._transcribed]
         self._products = ca.Function("products", [unknowns, parameters], products)
-        free = [(-np.inf, np.inf)] * (unknowns.numel() - z.numel())
+        free = np.full(unknowns.numel() - z.numel(), np.inf)
         low, high = nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper)
         self._bounds = {
-            "lbx": np.concatenate([low, [b[0] for b in free]]),
-            "ubx": np.concatenate([high, [b[1] for b in free]]),
+            "lbx": np.concatenate([low, -free]),
+            "ubx": np.concatenate([high, free]),
             "lbg": np.zeros(equations.numel() + limits.numel()),
             "ubg": np.concatenate([np.zeros(equations.numel()), np.full(limits.numel(), np.inf)]),
         }
@@ -84,14 +85,17 @@ class WholeProblem:
         w: Any = np.concatenate([z, *(t.start(s) for t, s in zip(self._transcribed, states, strict=True))])
         status, iterations, last, cost = "", 0, math.inf, math.inf
         for _ in range(RELAXATIONS):
-            data, key = self._placed(w[:p])
+            placed = self._placed(w[:p])
+            data = [ca.DM(part.shooting.in_order(d)) for part, d in zip(self._records, placed, strict=True)]
             parameters = ca.vertcat(*map(ca.vec, (*map(ca.DM, weights), *data)))
             w = self._solver(x0=w, p=parameters, **self._bounds)["x"].full().ravel()
             stats = self._solver.stats()
             status, iterations = stats["return_status"], iterations + int(stats["iter_count"])
             products = [value.full() for value in self._as_list(self._products(w, parameters))]
             cost = self._cost(w[:p], products)
-            settled = abs(cost - last) <= SAME * max(1.0, abs(cost)) and key == self._placed(w[:p])[1]
+            # The data are the same object as long as no delay has passed a whole sample.
+            same = all(a is b for a, b in zip(placed, self._placed(w[:p]), strict=True))
+            settled = abs(cost - last) <= SAME * max(1.0, abs(cost)) and same
             if settled or status not in CONVERGED or not math.isfinite(cost):
                 break
             last = cost
@@ -104,13 +108,9 @@ class WholeProblem:
         converged = converged and trace is not None
         return Outcome(estimate, status, iterations, time.perf_counter() - began, converged, cost, trace)
 
-    def _placed(self, z: Array) -> tuple[list[ca.DM], tuple[Any, ...]]:
-        """Return the data of every record in the order of the samples, and by how many samples delays are whole."""
-        data = [part.shooting.in_order(part.place(z).data) for part in self._records]
-        keys = tuple(
-            values[: len(part.system.inputs)].tobytes() for part, values in zip(self._records, data, strict=True)
-        )
-        return [ca.DM(values) for values in data], keys
+    def _placed(self, z: Array) -> list[Array]:
+        """Return the data of every record, inputs placed for the delays at z."""
+        return [part.place(z).data for part in self._records]
 
     def _cost(self, z: Array, products: list[Array]) -> float:
         costs = [part.part.weight * part.noise.cost(s) for part, s in zip(self._records, products, strict=True)]
@@ -128,10 +128,6 @@ class WholeProblem:
             return ca.MX(0, 1)  # no rows of a single one would be taken as a row without columns
         wanted, _ = part.initial(q)
         return ca.vec(transcribed.initial[rows, :count] - ca.repmat(wanted[rows], 1, count))
-
-
-def _approximate(method: Transcription) -> bool:
-    return method.hessian == "gauss-newton"
 
 
 def _gauss_newton(unknowns: ca.MX, parameters: ca.MX, error: ca.MX, rest: ca.MX, g: ca.MX) -> dict[str, ca.Function]:

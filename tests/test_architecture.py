@@ -18,8 +18,8 @@ sine harmonic output_error problem several
 integrator experiment sample transcription noise tape compiled shooting chain first_states record_part
 nlp levy starts solve small_qp limits iterate gauss_newton cost whole_problem result multistart integration_error
 smoothing equations regression regressors projection equation_error
-residuals record_accuracy accuracy words reference answer fitted_record quantities store fit
-case windows flow lead_in prediction runner simulate validation comparison verdict compare
+residuals validation record_accuracy accuracy words reference answer fitted_record quantities store fit
+case windows flow lead_in prediction runner simulate comparison verdict compare
 page nyquist histories plotting traces shelf command list_command log_commands cli __main__
 """.split()
 
