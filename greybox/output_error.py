@@ -27,7 +27,7 @@ class TimeCriterion(ABC):
         How inputs run between their samples.
     biases : sequence of str
         Outputs and inputs whose measurement has an unknown constant error; each becomes a parameter ``<name>_bias``,
-        what is measured less what is true.
+        what is measured less what is true. In a sum of problems it is each record's own, see `Sum`.
     initial : mapping of state to value or function of the parameters
         Known states at the first sample of the record; all others, and those after a gap, are unknown.
 

@@ -4,42 +4,24 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import Any, Self
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.criterion import Criterion, RelativeError
+from greybox.estimated import Estimated
 from greybox.frequency_response import FrequencyResponse
 from greybox.harmonic import check_sine
 from greybox.linear import delay_order, pick_signals
 from greybox.model import Model, Names, StateSpace, merge, require_known
 from greybox.output_error import OutputError, TimeCriterion
+from greybox.own_biases import with_own_biases
 from greybox.parameter import Parameter
 from greybox.record import Record
 from greybox.response_file import read_response
 from greybox.sine import Sine, as_sine
 from greybox.trace import require_no_nan, traced
-
-
-@runtime_checkable
-class Estimated(Protocol):
-    """An earlier answer, as `fixed` takes it: values and their covariance."""
-
-    @property
-    def estimate(self) -> Mapping[str, float]:
-        """Values by name."""
-        ...
-
-    @property
-    def dof(self) -> float:
-        """Degrees of freedom of the covariance."""
-        ...
-
-    def covariance_of(self, names: Sequence[str]) -> NDArray[np.float64]:
-        """Return the covariance matrix of the named parameters."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,13 +298,20 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Sum:
-    """Several problems solved at once: costs add by their weights, parameters of one name are one unknown."""
+    """Several problems solved at once: costs add by their weights, parameters of one name are one unknown.
+
+    The bias of a sensor is each record's own: where several records have it, ``x_bias`` becomes ``x_bias_1``,
+    ``x_bias_2`` ..., numbered as the records are. Parts of the same record share it; so do parts that give it one name,
+    ``rename={"x_bias": "x_bias"}``.
+    """
 
     parts: tuple[Problem, ...]
     name: str = ""
 
     def __post_init__(self) -> None:
-        """Merge the parameters and check the labels."""
+        """Name the biases, merge the parameters and check the labels."""
+        object.__setattr__(self, "_stated", self.parts)
+        object.__setattr__(self, "parts", with_own_biases(self.parts))
         if not self.name:
             object.__setattr__(self, "name", " + ".join(dict.fromkeys(part.name for part in self.parts)))
         merged: dict[str, Parameter] = {}
@@ -366,13 +355,18 @@ class Sum:
     def with_(self, **changes: Any) -> "Sum":
         """Return the same sum with fields of every part changed (`name` is that of the sum)."""
         name = changes.pop("name", self.name)
-        return Sum(tuple(replace(part, **changes) for part in self.parts), name)
+        return Sum(tuple(replace(part, **changes) for part in _stated(self)), name)
 
 
 def _add(a: Problem | Sum, b: Any) -> Sum:
     if not isinstance(b, Problem | Sum):
         return NotImplemented
-    return Sum((*a.parts, *b.parts))
+    return Sum((*_stated(a), *_stated(b)))
+
+
+def _stated(problem: Problem | Sum) -> tuple[Problem, ...]:
+    """Return the parts as they were added, before their biases were numbered."""
+    return problem.parts if isinstance(problem, Problem) else problem.__dict__["_stated"]
 
 
 def _require(value: Any, kind: Any, what: str, cure: str) -> None:

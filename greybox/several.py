@@ -18,7 +18,7 @@ def several(model: Model, records: Sequence[Record], own: Sequence[str] = (), **
         Of any lengths and rates; initial states are each record's own.
     own : sequence of str
         Parameters that each record has for itself, named ``<name>_1``, ``<name>_2`` ...; the biases of the criterion
-        are always so.
+        are so anyway, as in every sum, unless `rename` gives them one name.
     options
         Of every `Problem`: criterion, fixed, tied, constraints ...
 
@@ -34,7 +34,5 @@ def several(model: Model, records: Sequence[Record], own: Sequence[str] = (), **
     for k, record in enumerate(records, start=1):
         bare = Problem(model, record, **options)
         require_known(own, bare.declared, "parameter", model.label)
-        added = [name for name in bare.declared if name.endswith("_bias") and name not in model.parameters]
-        rename = {name: f"{name}_{k}" for name in (*own, *added)}
-        parts.append(bare.with_(rename={**bare.rename, **rename}))
+        parts.append(bare.with_(rename={**bare.rename, **{name: f"{name}_{k}" for name in own}}))
     return Sum(tuple(parts))
