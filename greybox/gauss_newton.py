@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from greybox.iterate import (
     PENALTY,
     SETTLED,
+    SHORT,
     Move,
     Point,
     Progress,
+    held_back,
     largest_force,
     largest_multiplier,
     next_damping,
@@ -35,10 +37,10 @@ from greybox.solve import SMOOTHING, Outcome
 
 Array = NDArray[np.float64]
 SPREAD = 0.1  # of a signal's spread: the output error assumed until continuity holds
-STAGES = 4  # in which continuity is tightened
 LOOSE = 3.0  # first standard deviation of continuity, relative to the size of the states
 PULLS = 4  # of nodes that leave the domain of the model
 ITERATIONS = 100
+SHORTEST, SHRINK = 1e-3, 0.4  # step, as a share of the whole, that is tried; and what the next is of the last
 STUBBORN = 1e6  # damping beyond which nothing is tried any more
 CLOSINGS = 5  # of gaps after a step
 PROCESS_NOISE = 10.0 ** np.arange(-12, 1)  # variance a sample, as shares of that of the states
@@ -80,18 +82,18 @@ class GaussNewton:
         self._coarse = GaussNewton(nlp, thinned) if thinned and records is None else None
 
     @DIVERGING
-    def run(self, start: Array) -> Outcome:
-        """Solve from the parameters `start` (p,)."""
+    def run(self, start: Array, iterations: int = ITERATIONS) -> Outcome:
+        """Solve from the parameters `start` (p,) in so many `iterations`."""
         began = time.perf_counter()
         z = self._limits.nearest(self._nlp.scaling.to_solver(start))
-        iterations = 0
+        before = 0
         if self._coarse is not None:
-            first = self._coarse.run(start)
-            z, iterations = self._nlp.scaling.to_solver(first.estimate), first.iterations
+            first = self._coarse.run(start, iterations)
+            z, before = self._nlp.scaling.to_solver(first.estimate), first.iterations
         try:
-            point, status, last = self._descend(z, frozen=False, near=self._coarse is not None)
+            point, status, last = self._descend(z, frozen=False, near=self._coarse is not None, iterations=iterations)
         except np.linalg.LinAlgError:
-            return Outcome(start, "singular", iterations, time.perf_counter() - began, False, math.inf)
+            return Outcome(start, "singular", before, time.perf_counter() - began, False, math.inf)
         estimate = np.clip(self._nlp.scaling.to_parameters(point.z), self._nlp.lower, self._nlp.upper)
         cost = self._cost(point, smoothing=0.0)
         if status == "converged" and self._limits.missed(point.z) > 0:
@@ -99,7 +101,15 @@ class GaussNewton:
         converged = status == "converged" and math.isfinite(cost)
         nodes = tuple(path.nodes for path in point.paths)
         seconds = time.perf_counter() - began
-        return Outcome(estimate, status, iterations + last, seconds, converged, cost, self._trace(point), nodes)
+        return Outcome(estimate, status, before + last, seconds, converged, cost, self._trace(point), nodes)
+
+    @DIVERGING
+    def begins(self, start: Array) -> bool:
+        """Tell whether the model is finite at the parameters `start` (p,), near the data."""
+        if self._coarse is not None:
+            return self._coarse.begins(start)
+        z = self._limits.nearest(self._nlp.scaling.to_solver(start))
+        return self._point(z, [part.first_nodes(part.place(z)) for part in self._records]).finite
 
     @DIVERGING
     def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
@@ -166,16 +176,19 @@ class GaussNewton:
         )
         return float(sum(costs)) + float(self._smooth(point.z, smoothing))
 
-    def _descend(self, z: Array, frozen: bool, near: bool = False) -> tuple[Point, str, int]:
+    def _descend(
+        self, z: Array, frozen: bool, near: bool = False, iterations: int = ITERATIONS
+    ) -> tuple[Point, str, int]:
         """Iterate from z and the first nodes; with `frozen` the states alone; `near` where z is close to the answer."""
         point = self._point(z, [part.first_nodes(part.place(z)) for part in self._records])
         if not point.finite:
             return point, "not finite at the start", 0
+        start = point
         assumed = [np.diag(1 / (SPREAD * part.noise.spread)) for part in self._records]
         blocks = self._linearized(point, assumed)
         at = self._begun(blocks, near)
-        for iteration in range(ITERATIONS):
-            exact, still = at.exact, frozen or at.stage < 0
+        for iteration in range(iterations):
+            exact, still = at.exact, frozen or at.patience > 0
             weights = self._noise_weights(point) if exact else assumed
             blocks = self._linearized(point, weights) if iteration else blocks
             softness = at.softness
@@ -190,18 +203,23 @@ class GaussNewton:
             settled = move.predicted <= max(TOLERANCE, ROUNDING * abs(before)) and self._is_continuous(point)
             if exact and settled and move.distance <= TOLERANCE:
                 return point, "converged", iteration
-            trial, length = self._search(point, move, merit, before, at.force if exact else None)
-            if trial is None and exact:
-                if at.damping > STUBBORN or (settled and move.distance <= 1e3 * TOLERANCE):
-                    return point, "stalled" if at.damping > STUBBORN else "converged", iteration
+            trial, length = self._search(point, move, merit, before, at)
+            if trial is None and exact and settled and move.distance <= 1e3 * TOLERANCE:
+                return point, "converged", iteration
+            if trial is None and at.damping <= STUBBORN:
                 at.damping = max(100 * at.damping, 1e-2)
                 continue
+            if exact and length < SHORT and (simulated := self._simulated(point, start, at)):
+                point = simulated
+                continue
+            if exact and (trial is None or at.damping > STUBBORN):
+                return point, "stalled", iteration
             gained = 0.0 if trial is None else before - merit(trial)
             point = trial or point
-            kept = gained / move.predicted if exact and move.predicted > 0 else 1.0
+            kept = gained / move.predicted if move.predicted > 0 else 1.0
             at.damping = next_damping(at.damping, length, kept)
             if not exact:
-                at.advance(move.predicted, gained, length, done=frozen or move.predicted <= SETTLED * abs(before))
+                at.stepped(point, move.predicted, gained, length, trial is None or move.predicted <= SETTLED * abs(before))
                 point = self._with_gains(point, at.soft) if at.exact and not frozen else point
             elif length == 1.0:
                 # Gauss-Newton converges linearly at worst: the next decrease follows from the last two.
@@ -210,7 +228,7 @@ class GaussNewton:
                 if following <= TOLERANCE and self._is_continuous(point):
                     return point, "converged", iteration + 1
                 at.last = predicted
-        return point, "iterations exceeded", ITERATIONS
+        return point, "iterations exceeded", iterations
 
     def _linearized(self, point: Point, weights: Sequence[Array]) -> list[Blocks]:
         return [
@@ -226,24 +244,45 @@ class GaussNewton:
             signal = part.experiment.segment * len(part.outputs) / SPREAD**2
             # A state that no output shows has no such scale: any will do.
             variances.append(np.where(seen > 1e-200, LOOSE**2 * signal / np.maximum(seen, 1e-200), 1.0))
-        stages = 0 if near else STAGES
-        return Progress(variances, [np.zeros(part.states) for part in self._records], stages)
+        return Progress(variances, [np.zeros(part.states) for part in self._records], near)
 
     def _search(
-        self, point: Point, move: Move, merit: Callable[[Point], float], before: float, force: Sequence[Array] | None
+        self, point: Point, move: Move, merit: Callable[[Point], float], before: float, at: Progress
     ) -> tuple[Point | None, float]:
-        """Halve the step until the merit does not grow (None where no step does); `force` closes gaps first."""
+        """Halve the step until the merit does not grow (None where no step does); exact continuity closes gaps first."""
         length, enough = 1.0, before + ROUNDING * max(1.0, abs(before))
-        while length > 1e-7:
+        while length > SHORTEST:
             trial = self._moved(point, move, length)
+            if at.simulated:
+                trial = self._followed(trial)
             if merit(trial) <= enough:
                 return trial, length
-            if force is not None:
-                trial = self._closed(trial, move, force, 0.01 * length * move.predicted)
+            if at.exact and not at.simulated:
+                trial = self._closed(trial, move, at.force, 0.01 * length * move.predicted)
                 if merit(trial) <= enough:
                     return trial, length
-            length /= 2
+            length *= SHRINK
         return None, 0.0
+
+    def _simulated(self, point: Point, start: Point, at: Progress) -> Point | None:
+        """Return the best simulation where Newton steps do not close the gaps, None where it diverges.
+
+        From here on every trial is simulated from its first nodes: a path that a stable model always has.
+        """
+        if at.simulated or at.loose is None:
+            return None
+        best = min(map(self._followed, (at.loose, start)), key=lambda p: self._cost(p, SMOOTHING))
+        at.loose = None
+        if not best.finite:
+            return None
+        at.simulated, at.damping, at.last = True, 0.0, math.nan
+        at.force = [np.zeros_like(f) for f in at.force]
+        return best
+
+    def _followed(self, point: Point) -> Point:
+        """Return the point with the nodes that follow from the first ones by simulation."""
+        nodes = [part.predicted_nodes(path.nodes, place) for part, path, place in zip(self._records, point.paths, point.places, strict=True)]
+        return self._point(point.z, nodes)
 
     def _closed(self, point: Point, move: Move, force: Sequence[Array], enough: float) -> Point:
         """Return the point with the gaps closed that curvature has left, by the least changes of the outputs.
@@ -318,7 +357,7 @@ class GaussNewton:
         hessian, gradient = np.zeros((p, p)), np.zeros(p)
         for k, part in enumerate(self._records):
             gaps = point.paths[k].gaps
-            r = part.reduce(blocks[k], point.places[k], gaps, soft[k])
+            r = part.reduce(blocks[k], point.places[k], gaps, soft[k], damping)
             reduced.append(r)
             hessian, gradient = hessian + self._weights[k] * r.hessian, gradient + self._weights[k] * r.gradient
             promise += self._weights[k] * promised(blocks[k], r, gaps, soft[k])
@@ -333,6 +372,7 @@ class GaussNewton:
         penalty = max(penalty, 1.2 * largest_multiplier(damped @ dz + gradient, rows, rows @ dz - limits))
         half = 0.5 * float(dz @ hessian @ dz)
         promise += penalty * self._limits.missed(point.z) - float(gradient @ dz) - half
+        promise += sum(w * held_back(r, dz) for w, r in zip(self._weights, reduced, strict=True))
         return Move(blocks, reduced, dz, promise, half, penalty)
 
     def _moved(self, point: Point, move: Move, length: float) -> Point:

@@ -11,7 +11,10 @@ from greybox.record_part import Path, Place, Reduced
 from greybox.shooting import Blocks
 
 Array = NDArray[np.float64]
+PATIENCE = 3  # iterations for the states alone, at parameters that may be far off
 TIGHTEN = 0.1  # the standard deviation by which continuity may be missed, from one stage to the next
+LAST = 2e-4  # scale of that deviation below which continuity is demanded
+SHORT = 0.05  # steps of less than this length are no progress
 SETTLED = 0.1  # relative: how well a step must keep its promise for the next stage to begin
 POOR = 0.25  # share of a promised decrease below which full steps are too long
 WELL = 0.01  # the same, for it to skip one
@@ -51,12 +54,33 @@ class Move:
 
 @dataclass(eq=False)
 class Progress:
-    """What an iteration hands to the next: stage (-1: states alone), damping, multipliers, the last promise."""
+    """What an iteration hands to the next.
+
+    Attributes
+    ----------
+    soft : list of (n,) arrays
+        Variances by which continuity may be missed, at `scale` one.
+    force : list of (n,) arrays
+        Largest multipliers of the continuity so far.
+    near : bool
+        True where continuity is demanded from the first step of the parameters.
+    patience : int
+        Iterations left for the states alone.
+    scale : float
+        Of the standard deviation by which continuity may be missed; zero is exact.
+    loose : Point or None
+        Where continuity began to be demanded, as long as its gaps are closed by Newton steps.
+    simulated : bool
+        True where the nodes follow from the first ones by simulation.
+    """
 
     soft: list[Array]
     force: list[Array]
-    stages: int
-    stage: int = -1
+    near: bool
+    patience: int = PATIENCE
+    scale: float = 1.0
+    loose: Point | None = None
+    simulated: bool = False
     damping: float = 0.0
     penalty: float = PENALTY
     last: float = math.nan
@@ -64,18 +88,25 @@ class Progress:
     @property
     def exact(self) -> bool:
         """True when continuity is demanded."""
-        return self.stage >= self.stages
-
-    def advance(self, predicted: float, gained: float, length: float, done: bool) -> None:
-        """Go to the next stage when a full step kept its promise, no step was found, or nothing is left to gain."""
-        missed = abs(gained - predicted) / predicted if length == 1 and predicted > 0 else math.inf
-        if done or length == 0 or missed <= SETTLED:
-            self.stage += 2 if missed <= WELL and self.stage >= 0 else 1
+        return self.scale == 0
 
     @property
     def softness(self) -> list[Array]:
         """The variances by which continuity may be missed now."""
-        return [np.zeros_like(s) if self.exact else s * TIGHTEN ** (2 * max(self.stage, 0)) for s in self.soft]
+        return [s * self.scale**2 for s in self.soft]
+
+    def stepped(self, point: Point, predicted: float, gained: float, length: float, done: bool) -> None:
+        """Go on to `point` after a step; tighten continuity where it kept its promise or nothing is left to gain."""
+        missed = abs(gained - predicted) / predicted if length == 1 and predicted > 0 else math.inf
+        ready = done or missed <= SETTLED
+        if self.patience:
+            self.patience = 0 if ready else self.patience - 1
+            self.scale = 0.0 if self.near and not self.patience else self.scale
+        elif ready:
+            scale = self.scale * (TIGHTEN**2 if missed <= WELL else TIGHTEN)
+            self.scale = scale if scale > LAST else 0.0
+        if self.exact:
+            self.loose = point
 
 
 def largest_force(reduced: Reduced, dz: Array) -> Array:
@@ -100,6 +131,12 @@ def promised(blocks: Blocks, reduced: Reduced, gaps: Array, soft: Array) -> floa
         missed = soft * reduced.force
         change += 0.5 * float(((missed**2 - gaps**2) / soft).sum())
     return max(-change, 0.0)
+
+
+def held_back(reduced: Reduced, dz: Array) -> float:
+    """Return what damping adds to the cost at a step dz (p,) over what it adds at no step."""
+    x = reduced.step + reduced.follow @ (reduced.slope @ dz)
+    return 0.5 * float((reduced.held * (x**2 - reduced.step**2)).sum())
 
 
 def next_damping(damping: float, length: float, kept: float) -> float:

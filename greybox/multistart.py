@@ -20,7 +20,9 @@ Progress = Callable[[int, int], None]
 """Called with the number of finished and of all runs."""
 
 RESCUED, RESCUE_SIZE = 3, 100_000  # runs, and measured numbers, that IPOPT takes over
+SHARES = 0.5 ** np.arange(1, 7)  # of the way from a start that is finite to one that is not
 HOP = 4.0  # a parameter is made so many times larger or smaller to leave the neighborhood of a minimum
+HOP_ITERATIONS = 40
 CLOSE = 1e-2  # relative cost up to which a minimum is polished too: smoothing may change the order of close ones
 
 
@@ -36,6 +38,8 @@ def multistart(
     """
     began = time.perf_counter()
     solver = _solver(nlp, solver_options)
+    if not isinstance(solver, Solver):
+        starts = _finite(nlp, solver, starts)
     outcomes = []
     for k, start in enumerate(starts):
         outcomes.append(solver.run(start))
@@ -56,6 +60,22 @@ def multistart(
     return Multistart(runs, minima, time.perf_counter() - began, nodes)
 
 
+def _finite(nlp: Nlp, solver: GaussNewton | WholeProblem, starts: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Move starts at which the model is not finite toward the first at which it is, until it is there too."""
+    begins = [solver.begins(start) for start in starts]
+    if not any(begins):
+        return starts
+    starts, home = starts.copy(), nlp.scaling.to_solver(starts[begins.index(True)])
+    for k in np.flatnonzero(np.logical_not(begins)):
+        away = nlp.scaling.to_solver(starts[k]) - home
+        for share in SHARES:
+            point = np.clip(nlp.scaling.to_parameters(home + share * away), nlp.lower, nlp.upper)
+            if solver.begins(point):
+                starts[k] = point
+                break
+    return starts
+
+
 def _hopped(
     nlp: Nlp, solver: GaussNewton, starts: NDArray[np.float64], outcomes: list[Outcome]
 ) -> tuple[NDArray[np.float64], list[Outcome]]:
@@ -72,7 +92,7 @@ def _hopped(
                 point = best.estimate.copy()
                 point[k] = np.clip(factor * point[k], nlp.lower[k], nlp.upper[k])
                 points.append(point)
-        tried = [(point, solver.run(point)) for point in points]
+        tried = [(point, solver.run(point, HOP_ITERATIONS)) for point in points]
         better = [(p, o) for p, o in tried if o.converged and o.cost < best.cost - same_cost(nlp, best.cost)]
         if not better:
             break
