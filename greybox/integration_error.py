@@ -6,7 +6,7 @@ in units of the standard errors that white noise gives; what is far below them d
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from greybox.gauss_newton import GaussNewton, Profile
 from greybox.nlp import Nlp
 from greybox.record_part import Path, Place, RecordPart
-from greybox.result import SAME_LIKELIHOOD, Minimum, Multistart
+from greybox.result import Multistart, find_minima
+from greybox.solve import Outcome, Run
 
 Array = NDArray[np.float64]
 SMALL = 0.1  # of a standard error: a shift that does not matter
@@ -23,6 +24,7 @@ EXACT = 1e-7  # of states and outputs: what finer substeps change is rounding
 MOST = 64  # substeps
 FASTEST = 8  # times as many substeps at once
 RIVAL, RIVALS = 10.0, 3  # minima that may change places with the best: by cost above it, and number
+SAME_END = 0.01  # relative difference of parameters up to which two runs of one minimum have one end
 RANK = 1e-12  # of the largest eigenvalue of the Hessian in units of its diagonal
 
 
@@ -87,23 +89,45 @@ def well_integrated(nlp: Nlp, search: Multistart) -> tuple[Nlp, Multistart, Inte
 
 
 def _followed(nlp: Nlp, search: Multistart) -> Multistart | None:
-    """Return the search with its best minima, as far as they are rivals, moved to those of `nlp`; None if none is."""
-    best = search.minima[0]
-    rivals = [m for m in search.minima if m.cost <= best.cost + RIVAL][:RIVALS]
-    solver = GaussNewton(nlp)
-    moved = [(solver.run(m.estimate), m) for m in rivals]
-    moved = sorted((pair for pair in moved if pair[0].converged), key=lambda pair: pair[0].cost)
-    if not moved:
+    """Return the search with its best minima, as far as they are rivals, moved to those of `nlp`; None if none is.
+
+    The runs that ended there move with them, so that runs and minima tell the same costs. What is no rival stays.
+    """
+    solver, limit = GaussNewton(nlp), search.minima[0].cost + RIVAL
+    ends: dict[int, Outcome] = {}
+    count, least = 0, math.inf
+    for m in search.minima:
+        if not ((count < RIVALS and m.cost <= limit) or m.cost < least < math.inf):
+            break
+        ends |= _ends(nlp, solver, [search.runs[k] for k in m.runs])
+        count, least = count + 1, min((end.cost for end in ends.values() if end.converged), default=math.inf)
+    if math.isinf(least):
         return None
-    minima: list[Minimum] = []
-    for outcome, m in moved:
-        if minima and outcome.cost - minima[-1].cost <= SAME_LIKELIHOOD:
-            runs = (*minima[-1].runs, *m.runs)  # two coarse minima have become one
-            minima[-1] = replace(minima[-1], runs=runs)
-        else:
-            minima.append(replace(m, cost=outcome.cost, estimate=outcome.estimate))
-    others = [m for m in search.minima if m not in rivals]
-    return replace(search, minima=(*minima, *others), nodes=moved[0][0].nodes)
+    runs = tuple(_moved(run, ends[run.index]) if run.index in ends else run for run in search.runs)
+    traces = [ends[run.index].trace if run.index in ends else None for run in runs]
+    minima = (*find_minima(nlp, [run for run in runs if run.index in ends], traces), *search.minima[count:])
+    minima = tuple(sorted(minima, key=lambda m: m.cost))
+    return replace(search, runs=runs, minima=minima, nodes=ends[minima[0].runs[0]].nodes)
+
+
+def _ends(nlp: Nlp, solver: GaussNewton, runs: Sequence[Run]) -> dict[int, Outcome]:
+    """Return where the runs of one minimum end with the substeps of `nlp`; those of one end move together."""
+    found: list[tuple[Array, Outcome]] = []
+    ends = {}
+    for run in runs:
+        z = nlp.scaling.to_solver(run.estimate)
+        near = (o for other, o in found if np.all(np.abs(z - other) <= SAME_END * (np.abs(other) + 1e-3)))
+        outcome = next(near, None)
+        if outcome is None:
+            outcome = solver.run(run.estimate)
+            found.append((z, outcome))
+        ends[run.index] = outcome
+    return ends
+
+
+def _moved(run: Run, end: Outcome) -> Run:
+    converged, cost = end.converged, float(end.cost)
+    return replace(run, estimate=end.estimate, cost=cost, converged=converged, status=end.status)
 
 
 def integration_warnings(nlp: Nlp, profile: Profile | None, error: IntegrationError | None = None) -> Iterator[str]:
