@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.gauss_newton import GaussNewton, Profile
+from greybox.integrator import Integrator, Rosenbrock
 from greybox.nlp import Nlp
 from greybox.record_part import Path, Place, RecordPart
 from greybox.result import Multistart, find_minima
@@ -49,6 +50,12 @@ class IntegrationError:
         """The largest shift, in standard errors."""
         return float(np.abs(self.shift).max(initial=0.0))
 
+    @property
+    def growth(self) -> int:
+        """How many times as many substeps make the shift small, as far as its order tells; at most eight times."""
+        growth = (self.largest / SMALL) ** (1 / self.order) if math.isfinite(self.largest) else FASTEST
+        return int(np.clip(math.ceil(growth), 2, FASTEST))
+
 
 def integration_error(nlp: Nlp, profile: Profile) -> IntegrationError:
     """Return what twice the substeps would do to the estimate that `profile` belongs to, to first order."""
@@ -78,9 +85,7 @@ def well_integrated(nlp: Nlp, search: Multistart) -> tuple[Nlp, Multistart, Inte
         error = integration_error(nlp, GaussNewton(nlp).profile(search.minima[0].estimate, search.nodes))
         if error.largest <= SMALL or max(part.substeps for part in nlp.records) >= MOST:
             break
-        growth = (error.largest / SMALL) ** (1 / error.order) if math.isfinite(error.largest) else FASTEST
-        factor = int(np.clip(math.ceil(growth), 2, FASTEST))
-        finer = replace(nlp, records=tuple(part.refined(factor) for part in nlp.records))
+        finer = replace(nlp, records=tuple(part.refined(error.growth) for part in nlp.records))
         followed = _followed(finer, search)
         if followed is None:
             break
@@ -141,9 +146,23 @@ def integration_warnings(nlp: Nlp, profile: Profile | None, error: IntegrationEr
         by = f"{error.largest:.2g} standard errors" if math.isfinite(error.largest) else "more than the model bears"
         yield (
             f"the integration is too coarse: {2 * count} substeps a sample instead of {count} would change {name}, or "
-            f"its error, by {by}; use MultipleShooting(integrator=RungeKutta(substeps={4 * count})), or Rosenbrock() "
-            "if it is stiff."
+            f"its error, by {by}; {_cure(nlp.records[0].method.integrator, count, error.growth)}."
         )
+
+
+def _cure(integrator: Integrator, count: int, growth: int) -> str:
+    """Say what to integrate with: many more explicit steps are the second choice, being the slower one."""
+    finer = f"{type(integrator).__name__}(substeps={growth * count})"
+    if isinstance(integrator, Rosenbrock):
+        return (
+            f"use method=MultipleShooting(integrator={finer}), or RungeKutta() in its place if the model is not stiff"
+        )
+    if count >= MOST:
+        return (
+            "if the model is stiff, with time constants far below a sample, use "
+            f"method=MultipleShooting(integrator=Rosenbrock()), otherwise {finer} in its place"
+        )
+    return f"use method=MultipleShooting(integrator={finer}), or Rosenbrock() in its place if the model is stiff"
 
 
 def _gradient(part: RecordPart, path: Path, place: Place, best: Path) -> tuple[Array, Array]:

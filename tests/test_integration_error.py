@@ -1,5 +1,7 @@
 """What a fixed-step integrator does to an estimate is seen, also where it feigns knowledge."""
 
+import re
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -80,3 +82,30 @@ def test_runs_and_minima_tell_the_same_when_substeps_were_refined():
     for run, other in zip(fit.runs, fixed.runs, strict=True):
         assert run.cost == pytest.approx(other.cost, abs=1e-5)
         assert_allclose(run.estimate, other.estimate, rtol=1e-5)
+
+
+def coarse_warnings(record, integrator=None):
+    method = gb.MultipleShooting(integrator=integrator or gb.RungeKutta())
+    problem = gb.Problem(Swing(), record, gb.OutputError(inputs="held"))
+    fit = gb.fit(problem, starts=1, progress=False, method=method)
+    return [w for w in fit.warnings if "integration is too coarse" in w]
+
+
+PROPOSED = re.compile(r"RungeKutta\(substeps=(\d+)")
+
+
+@pytest.mark.parametrize("few", [2, 5])
+def test_the_numbers_of_substeps_that_are_proposed_lead_to_enough(few):
+    record, tried = swung(), [few]
+    while said := coarse_warnings(record, gb.RungeKutta(tried[-1])):
+        tried.append(int(PROPOSED.search(said[0])[1]))
+    assert 2 <= len(tried) <= 3
+    assert tried[-1] <= 64
+
+
+def test_where_the_cap_is_reached_the_method_for_stiff_models_comes_first():
+    """Noise of a billionth: what is proposed next is enough."""
+    record = swung(step=0.4, noise=1e-9, n=60)
+    (said,) = coarse_warnings(record)
+    assert said.index("Rosenbrock()") < said.index("RungeKutta(substeps=")
+    assert not coarse_warnings(record, gb.RungeKutta(int(PROPOSED.search(said)[1])))
