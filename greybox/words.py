@@ -14,6 +14,7 @@ from greybox.linear import delay_order, frequency_response
 from greybox.nlp import Nlp
 from greybox.problem import Problem
 from greybox.result import Minimum, Multistart
+from greybox.table import counted
 
 PHASE_LIMIT = 1.0  # degrees of Padé error over the fitted band
 FEW = 0.1  # share of agreeing starts below which the minimum is in doubt
@@ -89,10 +90,11 @@ def _size(nlp: Nlp) -> Iterator[str]:
     numbers, unknowns = sum(part.numbers for part in nlp.problem.parts), len(nlp.free)
     initial = sum(part.unknown_initial for part in nlp.records)
     if numbers <= unknowns + initial:
-        states = f" and {initial} initial states" if initial else ""
+        states = f" and {counted(initial, 'initial state')}" if initial else ""
+        leave = "leaves" if numbers == 1 else "leave"
         yield (
-            f"{numbers} real numbers of data for {unknowns} unknowns{states} leave nothing to judge the errors by: "
-            "add data."
+            f"{counted(numbers, 'real number')} of data for {counted(unknowns, 'unknown')}{states} {leave} nothing to "
+            "judge the errors by: add data."
         )
 
 
