@@ -314,7 +314,7 @@ def _text(fit: Fit) -> str:
     lines = [f"{fit.name}: {', '.join(dict.fromkeys(part.label for part in fit.parts))}", ""]
     converged = sum(run.converged for run in fit.runs)
     if not fit.converged:
-        return "\n".join([*lines, f"  FAILED: {fit.status}."])
+        return "\n".join([*lines, f"  FAILED: {fit.status}.", *(f"  warning: {text}" for text in fit.warnings)])
     minima = counted(len(fit.minima), "distinct minimum", "distinct minima")
     lines += [
         f"  starts     {converged} of {len(fit.runs)} converged; "

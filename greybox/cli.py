@@ -218,8 +218,8 @@ def _fit(options: argparse.Namespace) -> Answer:
     notes += _drawn(draw, options.plot)
     answer = _as_json(result)
     if not result.converged:
-        answer["error"] = f"{result.status}."
-        print(f"greybox: {result.status}.", file=sys.stderr)
+        answer["error"] = ": ".join([result.status, *result.warnings[:1]]).rstrip(".") + "."
+        print(f"greybox: {answer['error']}", file=sys.stderr)
     return answer, "\n".join([str(result), *notes]), USABLE if result.converged else FAILED
 
 
