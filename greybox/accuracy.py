@@ -77,7 +77,7 @@ class Accuracy:
     size : (k,) array
         The change of each value that the data notice.
     dof : float
-        Numbers in the data less the directions they choose; infinite where the noise is given.
+        Numbers in the data less the directions they choose; infinite where all have given variances, records never.
     shares : tuple of (k, k) array and float
         What each part, and each earlier fit, contributes to the covariance, and the degrees of freedom it has.
     combinations : tuple of Combination

@@ -16,7 +16,7 @@ from greybox.reference import resolve
 from greybox.result import Minimum, Multistart
 from greybox.sine import Sine
 from greybox.solve import Run
-from greybox.table import number, text_table, with_error
+from greybox.table import counted, number, text_table, with_error
 from greybox.validation import fit_percent
 
 
@@ -171,7 +171,9 @@ class Fit:
     names, covariance : tuple of str, (k, k) array
         Of free, fixed and tied parameters.
     dof : float
-        Numbers in the data less the directions that they choose; infinite where the noise is given.
+        Numbers in the data less the directions that they choose. A record counts as many as independent ones would
+        tell as much, less its unknown initial states, with its noise given or not, since the errors follow its
+        residuals. Infinite where all data are frequency responses with given variances (`MaximumLikelihood`).
     cost : float
         The criterion minimized, without smoothing; NaN when no start converged.
     costs : mapping of str to float
@@ -312,11 +314,11 @@ def _text(fit: Fit) -> str:
     lines = [f"{fit.name}: {', '.join(dict.fromkeys(part.label for part in fit.parts))}", ""]
     converged = sum(run.converged for run in fit.runs)
     if not fit.converged:
-        return "\n".join([*lines, f"  FAILED: {fit.status}."])
-    minima = len(fit.minima)
+        return "\n".join([*lines, f"  FAILED: {fit.status}.", *(f"  warning: {text}" for text in fit.warnings)])
+    minima = counted(len(fit.minima), "distinct minimum", "distinct minima")
     lines += [
-        f"  starts     {converged} of {len(fit.runs)} converged; {fit.agreeing} agree on the best of "
-        f"{minima} distinct {'minimum' if minima == 1 else 'minima'}",
+        f"  starts     {converged} of {len(fit.runs)} converged; "
+        f"{counted(fit.agreeing, 'agrees', 'agree')} on the best of {minima}",
         f"  cost       {fit.cost:.6g}  ({fit.criterion})",
         f"  data       {_data_text(fit)}, delay {fit.delay}"
         + "".join(_pade_text(p) for p in fit.responses if p.pade_error is not None),
@@ -331,7 +333,7 @@ def _text(fit: Fit) -> str:
     table = text_table(["parameter", "estimate", "± error", "unit", "bounds", "", "meaning"], rows, left=(0, 3, 5, 6))
     lines += ["  " + line for line in table.splitlines()]
     conditions = "; ".join(dict.fromkeys(part.condition for part in fit.parts))
-    dof = "" if math.isinf(fit.dof) else f"; Student's t with {fit.dof:g} degrees of freedom"
+    dof = "" if math.isinf(fit.dof) else f"; Student's t with {counted(fit.dof, 'degree of', 'degrees of')} freedom"
     lines += ["", f"  ± is the standard error for {conditions}{dof}."]
     others = [(rule, cost) for rule, cost in fit.costs.items() if not math.isnan(cost) and rule != fit.criterion]
     lines += ["", "  other criteria at this estimate:"] if others else []
@@ -343,15 +345,11 @@ def _text(fit: Fit) -> str:
 def _data_text(fit: Fit) -> str:
     texts = []
     if fit.responses:
-        count = len(fit.responses)
-        texts.append(
-            f"{sum(len(p.data) for p in fit.responses)} points in {count} {'response' if count == 1 else 'responses'}"
-        )
+        points = counted(sum(len(p.data) for p in fit.responses), "point")
+        texts.append(f"{points} in {counted(len(fit.responses), 'response')}")
     if fit.records:
-        count = len(fit.records)
-        texts.append(
-            f"{sum(len(p.data) for p in fit.records)} samples in {count} {'record' if count == 1 else 'records'}"
-        )
+        samples = counted(sum(len(p.data) for p in fit.records), "sample")
+        texts.append(f"{samples} in {counted(len(fit.records), 'record')}")
     return " and ".join(texts)
 
 

@@ -13,7 +13,9 @@ from greybox.dynamics import Dynamics, dynamics
 from greybox.linear import delay_order
 from greybox.model import Model, require_known
 from greybox.output_error import OutputError, PredictionError, TimeCriterion
+from greybox.record import Record
 from greybox.reference import reference, resolve
+from greybox.table import counted
 
 Array = NDArray[np.float64]
 Inputs = Literal["linear", "held"]
@@ -94,7 +96,8 @@ def case(
     """
     if isinstance(model, Fit):
         if estimate is not None:
-            raise TypeError("the model is a Fit, which has an estimate of its own: leave the other out.")
+            cure = "give the record by name, record=r" if isinstance(estimate, Record) else "leave the other out"
+            raise TypeError(f"the model is a Fit, which has an estimate of its own: {cure}.")
         _require_answer(model)
         k = _part(model, None, part)
         alive = model.models[k] if model.models else resolve(dict(model.parts[k].model))
@@ -116,6 +119,10 @@ def _of_values(model: Model, estimate: Mapping[str, float], inputs: Inputs) -> C
     added = [f"{n}_bias" for n in biases] + [f"K_{s}_{o}" for s, o in gains]
     added = [name for name in added if name not in model.parameters]
     require_known(estimate, (*model.parameters, *added), "parameter", model.label)
+    for name, value in estimate.items():
+        real = isinstance(value, (int, float, np.number, np.ndarray)) and not (np.ndim(value) or np.iscomplexobj(value))
+        if not (real and np.isfinite(value)):
+            raise ValueError(f"estimate gives {name!r} the value {value!r:.60}: give a finite number.")
     values = dict(model.values({n: v for n, v in estimate.items() if n in model.parameters}))
     values |= {name: float(estimate[name]) for name in added}
     criterion = _criterion(inputs, tuple(b for b in biases if f"{b}_bias" in added), gains)
@@ -154,8 +161,9 @@ def _part(fit: Fit, model: Model | None, part: int | None) -> int:
     """Return the part of a fit that is meant: the one asked for, else the first record, of this model if it has one."""
     count = len(fit.parts)
     if part is not None:
-        if not -count <= part < count:
-            raise ValueError(f"part {part} is not there: the fit has {count}, counted from 0.")
+        whole = isinstance(part, (int, np.integer)) and not isinstance(part, bool)
+        if not whole or not -count <= part < count:
+            raise ValueError(f"part is {part!r}: the fit has {counted(count, 'part')}, counted from 0.")
         return part % count
     order = sorted(range(count), key=lambda k: not isinstance(fit.parts[k], FittedRecord))
     own = [k for k in order if model is not None and _class(fit.parts[k].model) == _class(reference(model))]

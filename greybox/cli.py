@@ -18,12 +18,14 @@ from greybox.atomic import replacing
 from greybox.command import BAD_INPUT, FAILED, USABLE, Answer, known
 from greybox.criterion import CRITERIA, Criterion
 from greybox.fit import fit
+from greybox.given_data import as_data
 from greybox.list_command import list_shelf
 from greybox.log_commands import add_inspect_options, add_response_options, inspect, response
 from greybox.nlp import AnyProblem
 from greybox.problem import Problem, Sum
-from greybox.response_file import HDF5, read_response, write_response
-from greybox.shelf import find_model, find_problem
+from greybox.record import Record
+from greybox.response_file import HDF5, write_response
+from greybox.shelf import find_model, find_problem, shipped
 
 FIGURES = (".png", ".pdf", ".svg")
 
@@ -114,9 +116,14 @@ def _add_fit(commands: Any) -> None:
     add = parser.add_argument
     add("problem", nargs="?", metavar="PROBLEM", help="a shipped problem, or my.py, or my.py:name")
     add("--model", help="instead of PROBLEM: tilt:Tilt, 'polynomial:Polynomial(4, 1)' or my.py:Class")
-    add("--data", metavar="CSV", help="with --model: columns omega_rad_s, alpha, beta [, coherence, variance, dof]")
-    add("--input", default="", metavar="NAME", help="with --data: the input signal, if the model has several")
-    add("--output", default="", metavar="NAME", help="with --data: the output signal, if the model has several")
+    add(
+        "--data",
+        metavar="FILE",
+        help="with --model: a frequency response (columns omega_rad_s, alpha, beta [, coherence, variance, dof]), or a "
+        "record (columns time and, in SI units, the model's inputs and outputs); for logs write a problem file",
+    )
+    add("--input", default="", metavar="NAME", help="of a frequency response: its input, if the model has several")
+    add("--output", default="", metavar="NAME", help="of a frequency response: its output, if the model has several")
     add("--at", nargs="+", default=[], metavar="NAME=VALUE", help="with --model: operating point of an ODE")
     add("--fix", nargs="+", default=[], metavar="NAME=VALUE", help="hold parameters at these values")
     add("--free", nargs="+", default=[], metavar="NAME", help="free parameters that the model declares fixed")
@@ -211,8 +218,8 @@ def _fit(options: argparse.Namespace) -> Answer:
     notes += _drawn(draw, options.plot)
     answer = _as_json(result)
     if not result.converged:
-        answer["error"] = f"{result.status}."
-        print(f"greybox: {result.status}.", file=sys.stderr)
+        answer["error"] = ": ".join([result.status, *result.warnings[:1]]).rstrip(".") + "."
+        print(f"greybox: {answer['error']}", file=sys.stderr)
     return answer, "\n".join([str(result), *notes]), USABLE if result.converged else FAILED
 
 
@@ -235,18 +242,45 @@ def _stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, 
         for name in ("data", "input", "output", "at"):
             if getattr(options, name):
                 raise UsageError(f"--{name} goes with --model, not with a PROBLEM.")
+        _require_problem(options.problem)
         problem, settings = find_problem(options.problem)
     else:
-        if options.data is None:
-            raise UsageError("--model needs --data FILE.csv.")
-        model = find_model(options.model)
-        data = read_response(options.data, input=options.input, output=options.output)
-        problem = Problem(model, data, at=_assignments(options.at, "--at"))
+        problem = _problem_of_model(options)
     if options.delay is not None:
         problem = problem.with_(delay=options.delay)
     if options.criterion is not None:
-        problem = problem.with_(criterion=_criterion(options.criterion))
+        criterion = _criterion(options.criterion)
+        if any(isinstance(part.data, Record) for part in problem.parts):
+            raise UsageError(
+                f"--criterion {options.criterion} is for frequency responses and {problem.name} has a record: leave it "
+                "out; in a problem file, give a criterion such as OutputError()."
+            )
+        problem = problem.with_(criterion=criterion)
     return _restated(problem, _assignments(options.fix, "--fix"), options.free), settings
+
+
+def _problem_of_model(options: argparse.Namespace) -> Problem:
+    if options.data is None:
+        raise UsageError("--model needs --data FILE, a frequency response or a record.")
+    model = find_model(options.model)
+    data = as_data(options.data, model, options.input, options.output)
+    for name in ("input", "output", "at"):
+        if isinstance(data, Record) and getattr(options, name):
+            raise UsageError(f"--{name} is for a frequency response, and {options.data} is a record: leave it out.")
+    return Problem(model, data, at=_assignments(options.at, "--at"))
+
+
+def _require_problem(name: str) -> None:
+    """Say what to write where the name is that of data or of a model."""
+    if not name.endswith(".py") and Path(name).is_file():
+        raise UsageError(
+            f"{name} is a file of data, not a problem: give it a model, --model tilt:Tilt --data {name}, or a problem "
+            "file, my.py with a function problem()."
+        )
+    place = name.partition(":")[0]
+    if place in shipped("models") and place not in shipped("problems"):
+        cure = name if ":" in name else f"{name}:CLASS"
+        raise UsageError(f"{name} names a model, not a problem: write --model {cure} --data FILE.")
 
 
 def _restated(problem: AnyProblem, fix: dict[str, float], free: Sequence[str]) -> AnyProblem:

@@ -17,7 +17,7 @@ from greybox.simulate import predict_windows
 from greybox.table import number
 from greybox.validation import fit_percent, input_correlation, rms, theil, variance_accounted_for, whiteness
 from greybox.verdict import verdicts
-from greybox.windows import cut
+from greybox.windows import cut, require_lengths
 
 Array = NDArray[np.float64]
 Predictions = tuple[tuple[Prediction, ...], ...]
@@ -56,8 +56,9 @@ def compare(
     11; Burnham and Anderson (2002), Model Selection and Multimodel Inference.
     """
     _check(fits, labels)
+    require_lengths(window=window, lead=lead)
     names = tuple(labels) or _labels(fits)
-    held_out = [records] if isinstance(records, Record) else list(records or ())
+    held_out = _records(records)
     different = _difference(fits, names)
     if different and not held_out:
         raise ValueError(f"{different}: fit them to the same data, or give records=[...] on which to judge them.")
@@ -142,11 +143,20 @@ def _check(fits: Sequence[Fit], labels: Sequence[str]) -> None:
         raise TypeError(f"cannot compare {wrong[0]!r:.80}: give fits, such as gb.fit(problem) returns.")
     if len(fits) < 2:
         raise ValueError(f"there is {len(fits) or 'no'} fit to compare: give at least two.")
-    if labels and len(set(labels)) != len(fits):
-        raise ValueError(f"labels {list(labels)} must be {len(fits)} different ones.")
+    texts = isinstance(labels, Sequence) and not isinstance(labels, str) and all(isinstance(n, str) for n in labels)
+    if not texts or (labels and len(set(labels)) != len(fits)):
+        raise ValueError(f"labels is {labels!r:.80}: give a list of {len(fits)} different texts, one for each fit.")
     for fit in fits:
         if not fit.converged:
             raise ValueError(f"the fit {fit.name!r} has no estimate: {fit.status}.")
+
+
+def _records(given: Any) -> list[Record]:
+    """Return the held-out records that a user gives."""
+    found = [given] if isinstance(given, Record) else [] if given is None else given
+    if not isinstance(found, Sequence) or not all(isinstance(item, Record) for item in found):
+        raise TypeError(f"records is {given!r:.80}: give a Record or a list of them.")
+    return list(found)
 
 
 def _labels(fits: Sequence[Fit]) -> tuple[str, ...]:
@@ -271,8 +281,8 @@ def _predicted(
                 f"{record.name or 'the record'} has no output that all fits have ({', '.join(common) or 'none'}); "
                 f"it has {', '.join(record.signals)}."
             )
-        windows = cut(record, tuple(inputs), outputs, lead=lead, horizon=window)
-        columns.append([predict_windows(at, windows, outputs, lead, window) for at in cases])
+        windows = cut(record, tuple(inputs), outputs, lead=lead, horizon=window, called="window")
+        columns.append([predict_windows(at, windows, outputs, lead, window, called="window") for at in cases])
     return tuple(zip(*columns, strict=True))
 
 

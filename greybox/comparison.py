@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from greybox.prediction import Prediction
-from greybox.table import number, text_table
+from greybox.table import counted, number, text_table
 
 IDENTIFICATION, HELD_OUT = "identification", "held-out"
 SIGNIFICANT = 0.05
@@ -93,9 +93,9 @@ class Comparison:
         for data in (IDENTIFICATION, HELD_OUT):
             rows = [r for r in self.rows if r.data == data]
             if rows:
-                count = self.windows.get(data, 0)
+                count = counted(self.windows.get(data, 0), "window")
                 lines += [
-                    f"  {data} data: {count} windows of {self.window:g} s, each from {self.lead:g} s before it",
+                    f"  {data} data: {count} of {self.window:g} s, each from {self.lead:g} s before it",
                     "",
                 ]
             for output in dict.fromkeys(r.output for r in rows):
@@ -127,7 +127,7 @@ class NestedTest:
     statistic : float
         What is compared with the F distribution.
     dof : (float, float)
-        Its degrees of freedom; the second is infinite where the noise is given.
+        Its degrees of freedom; the second is `Fit.dof` of the larger.
     p_value : float
     """
 

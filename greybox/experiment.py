@@ -2,7 +2,8 @@
 
 Every sample carries its input over the coming step as three neighboring samples (windows) of the measured input, from
 which `input_over_step` makes mean and slope of the delayed input: polynomials of the fraction of the delay, so that
-the cost is continuously differentiable in a delay that is estimated, for interpolated inputs.
+the cost is continuously differentiable in a delay that is estimated, for interpolated inputs. For held inputs it is so
+between whole samples; where a held input reaches an output directly, what is sampled jumps there, and so does the cost.
 """
 
 import math
@@ -16,6 +17,7 @@ from greybox.record import Record
 
 Array = NDArray[np.float64]
 JITTER = 0.25  # of a step: how far samples may lie from uniform ones
+WHOLE = 1e-3  # of a step, by which a delay may exceed whole samples and be taken as these: steps are known no better
 LOST = 1.5  # steps: what is longer misses a sample, which ends a stretch
 
 
@@ -221,12 +223,17 @@ def input_over_step(window: Any, fraction: Any, held: bool) -> tuple[Any, Any, A
     `window` (3,) holds the samples before, at and after the delayed sample; `fraction` of a step is what the delay
     exceeds whole samples by. Mean and change (the slope of the best line) match the moments of the delayed
     input over the step.
+
+    The value at the sample is exact. A held input changes a fraction of a step later, so it is still the one before:
+    no function of the fraction. The mean in its place would be differentiable, but with an input that reaches an
+    output directly it draws the delay to the next whole sample.
     """
     a, b, c = window[0], window[1], window[2]
     f, r = fraction, 1 - fraction
-    now = f * a + r * b
     if held:
-        return now, 6 * f * r * (b - a), now
+        late = f > WHOLE
+        return f * a + r * b, 6 * f * r * (b - a), late * a + (1 - late) * b
+    now = f * a + r * b
     before, after = f**2 / 2, r**2 / 2
     early, late = 2 * f**3 - 3 * f**2, 3 * r**2 - 2 * r**3
     return before * a + (1 - before - after) * b + after * c, early * a - (early + late) * b + late * c, now

@@ -24,6 +24,7 @@ from greybox.harmonic import response_of_test
 from greybox.integration_error import IntegrationError, integration_warnings, well_integrated
 from greybox.multistart import multistart
 from greybox.nlp import AnyProblem, Nlp, compile_problem
+from greybox.not_finite import explained, not_finite_warnings
 from greybox.problem import Problem, Sum
 from greybox.quantities import quantities
 from greybox.result import Multistart
@@ -91,7 +92,7 @@ def fit(
     else:
         with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
             search = multistart(nlp, points, solver_options, lambda done, _: _advance(bar, done))
-    nlp, search, error = well_integrated(nlp, search)
+    nlp, search, error = well_integrated(nlp, explained(nlp, search))
     return assemble(nlp, search, seed=rule.seed, starts=str(rule), began=began, error=error)
 
 
@@ -133,9 +134,11 @@ def assemble(
         costs=_all_costs(nlp, responses),
         runs=search.runs,
         minima=search.minima,
-        warnings=(*integration_warnings(nlp, profile, error), *warnings(nlp, search, accuracy, errors, profile))
-        if search.minima
-        else (),
+        warnings=(
+            *not_finite_warnings(nlp, search),
+            *integration_warnings(nlp, profile, error),
+            *(warnings(nlp, search, accuracy, errors, profile) if search.minima else ()),
+        ),
         seed=seed,
         starts=starts,
         seconds=time.perf_counter() - began,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from greybox.frequency_response import FrequencyResponse
 from greybox.record import Record
 from greybox.segment import Segment, checked_segments
-from greybox.table import number, text_table
+from greybox.table import counted, number, text_table
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -218,7 +218,7 @@ def _window(time: Array, omega: float, settle: float, periods: int | None) -> tu
         raise _LeftOutError(f"the frequency is {omega:g} rad/s: it must be above 0")
     period = 2 * math.pi / omega
     if time.size < 8:
-        raise _LeftOutError(f"only {time.size} samples")
+        raise _LeftOutError(f"only {counted(time.size, 'sample')}")
     step = float(np.median(np.diff(time)))
     if step > period / 4:
         raise _LeftOutError(f"a period of {period:.3g} s has less than four samples of {step:.3g} s")

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from greybox.table import counted
+
 
 @dataclass(frozen=True, eq=False)
 class FrequencyResponse:
@@ -150,6 +152,6 @@ class FrequencyResponse:
         pair = f"{self.input or 'input'} -> {self.output or 'output'}"
         extras = [c for c in ("coherence", "variance", "dof") if getattr(self, c) is not None]
         return (
-            f"{self.name or 'frequency response'}: {pair}, {len(self)} frequencies from "
+            f"{self.name or 'frequency response'}: {pair}, {counted(len(self), 'frequency', 'frequencies')} from "
             f"{self.omega.min():g} to {self.omega.max():g} rad/s" + (f", with {', '.join(extras)}" if extras else "")
         )

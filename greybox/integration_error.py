@@ -6,16 +6,18 @@ in units of the standard errors that white noise gives; what is far below them d
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greybox.gauss_newton import GaussNewton, Profile
+from greybox.integrator import Integrator, Rosenbrock
 from greybox.nlp import Nlp
 from greybox.record_part import Path, Place, RecordPart
-from greybox.result import SAME_LIKELIHOOD, Minimum, Multistart
+from greybox.result import Multistart, find_minima
+from greybox.solve import Outcome, Run
 
 Array = NDArray[np.float64]
 SMALL = 0.1  # of a standard error: a shift that does not matter
@@ -23,6 +25,7 @@ EXACT = 1e-7  # of states and outputs: what finer substeps change is rounding
 MOST = 64  # substeps
 FASTEST = 8  # times as many substeps at once
 RIVAL, RIVALS = 10.0, 3  # minima that may change places with the best: by cost above it, and number
+SAME_END = 0.01  # relative difference of parameters up to which two runs of one minimum have one end
 RANK = 1e-12  # of the largest eigenvalue of the Hessian in units of its diagonal
 
 
@@ -46,6 +49,12 @@ class IntegrationError:
     def largest(self) -> float:
         """The largest shift, in standard errors."""
         return float(np.abs(self.shift).max(initial=0.0))
+
+    @property
+    def growth(self) -> int:
+        """How many times as many substeps make the shift small, as far as its order tells; at most eight times."""
+        growth = (self.largest / SMALL) ** (1 / self.order) if math.isfinite(self.largest) else FASTEST
+        return int(np.clip(math.ceil(growth), 2, FASTEST))
 
 
 def integration_error(nlp: Nlp, profile: Profile) -> IntegrationError:
@@ -76,9 +85,7 @@ def well_integrated(nlp: Nlp, search: Multistart) -> tuple[Nlp, Multistart, Inte
         error = integration_error(nlp, GaussNewton(nlp).profile(search.minima[0].estimate, search.nodes))
         if error.largest <= SMALL or max(part.substeps for part in nlp.records) >= MOST:
             break
-        growth = (error.largest / SMALL) ** (1 / error.order) if math.isfinite(error.largest) else FASTEST
-        factor = int(np.clip(math.ceil(growth), 2, FASTEST))
-        finer = replace(nlp, records=tuple(part.refined(factor) for part in nlp.records))
+        finer = replace(nlp, records=tuple(part.refined(error.growth) for part in nlp.records))
         followed = _followed(finer, search)
         if followed is None:
             break
@@ -87,23 +94,45 @@ def well_integrated(nlp: Nlp, search: Multistart) -> tuple[Nlp, Multistart, Inte
 
 
 def _followed(nlp: Nlp, search: Multistart) -> Multistart | None:
-    """Return the search with its best minima, as far as they are rivals, moved to those of `nlp`; None if none is."""
-    best = search.minima[0]
-    rivals = [m for m in search.minima if m.cost <= best.cost + RIVAL][:RIVALS]
-    solver = GaussNewton(nlp)
-    moved = [(solver.run(m.estimate), m) for m in rivals]
-    moved = sorted((pair for pair in moved if pair[0].converged), key=lambda pair: pair[0].cost)
-    if not moved:
+    """Return the search with its best minima, as far as they are rivals, moved to those of `nlp`; None if none is.
+
+    The runs that ended there move with them, so that runs and minima tell the same costs. What is no rival stays.
+    """
+    solver, limit = GaussNewton(nlp), search.minima[0].cost + RIVAL
+    ends: dict[int, Outcome] = {}
+    count, least = 0, math.inf
+    for m in search.minima:
+        if not ((count < RIVALS and m.cost <= limit) or m.cost < least < math.inf):
+            break
+        ends |= _ends(nlp, solver, [search.runs[k] for k in m.runs])
+        count, least = count + 1, min((end.cost for end in ends.values() if end.converged), default=math.inf)
+    if math.isinf(least):
         return None
-    minima: list[Minimum] = []
-    for outcome, m in moved:
-        if minima and outcome.cost - minima[-1].cost <= SAME_LIKELIHOOD:
-            runs = (*minima[-1].runs, *m.runs)  # two coarse minima have become one
-            minima[-1] = replace(minima[-1], runs=runs)
-        else:
-            minima.append(replace(m, cost=outcome.cost, estimate=outcome.estimate))
-    others = [m for m in search.minima if m not in rivals]
-    return replace(search, minima=(*minima, *others), nodes=moved[0][0].nodes)
+    runs = tuple(_moved(run, ends[run.index]) if run.index in ends else run for run in search.runs)
+    traces = [ends[run.index].trace if run.index in ends else None for run in runs]
+    minima = (*find_minima(nlp, [run for run in runs if run.index in ends], traces), *search.minima[count:])
+    minima = tuple(sorted(minima, key=lambda m: m.cost))
+    return replace(search, runs=runs, minima=minima, nodes=ends[minima[0].runs[0]].nodes)
+
+
+def _ends(nlp: Nlp, solver: GaussNewton, runs: Sequence[Run]) -> dict[int, Outcome]:
+    """Return where the runs of one minimum end with the substeps of `nlp`; those of one end move together."""
+    found: list[tuple[Array, Outcome]] = []
+    ends = {}
+    for run in runs:
+        z = nlp.scaling.to_solver(run.estimate)
+        near = (o for other, o in found if np.all(np.abs(z - other) <= SAME_END * (np.abs(other) + 1e-3)))
+        outcome = next(near, None)
+        if outcome is None:
+            outcome = solver.run(run.estimate)
+            found.append((z, outcome))
+        ends[run.index] = outcome
+    return ends
+
+
+def _moved(run: Run, end: Outcome) -> Run:
+    converged, cost = end.converged, float(end.cost)
+    return replace(run, estimate=end.estimate, cost=cost, converged=converged, status=end.status)
 
 
 def integration_warnings(nlp: Nlp, profile: Profile | None, error: IntegrationError | None = None) -> Iterator[str]:
@@ -117,9 +146,23 @@ def integration_warnings(nlp: Nlp, profile: Profile | None, error: IntegrationEr
         by = f"{error.largest:.2g} standard errors" if math.isfinite(error.largest) else "more than the model bears"
         yield (
             f"the integration is too coarse: {2 * count} substeps a sample instead of {count} would change {name}, or "
-            f"its error, by {by}; use MultipleShooting(integrator=RungeKutta(substeps={4 * count})), or Rosenbrock() "
-            "if it is stiff."
+            f"its error, by {by}; {_cure(nlp.records[0].method.integrator, count, error.growth)}."
         )
+
+
+def _cure(integrator: Integrator, count: int, growth: int) -> str:
+    """Say what to integrate with: many more explicit steps are the second choice, being the slower one."""
+    finer = f"{type(integrator).__name__}(substeps={growth * count})"
+    if isinstance(integrator, Rosenbrock):
+        return (
+            f"use method=MultipleShooting(integrator={finer}), or RungeKutta() in its place if the model is not stiff"
+        )
+    if count >= MOST:
+        return (
+            "if the model is stiff, with time constants far below a sample, use "
+            f"method=MultipleShooting(integrator=Rosenbrock()), otherwise {finer} in its place"
+        )
+    return f"use method=MultipleShooting(integrator={finer}), or Rosenbrock() in its place if the model is stiff"
 
 
 def _gradient(part: RecordPart, path: Path, place: Place, best: Path) -> tuple[Array, Array]:

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from greybox.criterion import RelativeError, evaluate
 from greybox.frequency_response import FrequencyResponse
-from greybox.table import number, text_table
+from greybox.table import counted, number, text_table
 
 NEAR = 0.1  # relative distance below which a pole and a zero obviously cancel
 RANK = 1e-12  # singular values smaller than this part of the largest are rounding
@@ -140,7 +140,7 @@ class RationalFit:
         return FrequencyResponse(omega, values, input=names[0], output=names[1], name=names[2], source="model")
 
     def __str__(self) -> str:
-        how = f"reweighted {self.iterations} times" if self.iterations else "not reweighted"
+        how = f"reweighted {counted(self.iterations, 'time')}" if self.iterations else "not reweighted"
         roots = [("zero", z) for z in _upper(self.zeros)] + [("pole", p) for p in _upper(self.poles)]
         damping = [number(-root.real / abs(root), 3) if root else "-" for _, root in roots]
         rows = [(kind, _root(r), number(abs(r), 4), d) for (kind, r), d in zip(roots, damping, strict=True)]

@@ -24,7 +24,8 @@ class TimeCriterion(ABC):
         determinant of the residual covariance, reached by relaxation: weights from the last residuals), a full
         covariance estimated so, or known standard deviations in the units of the outputs.
     inputs : "linear" or "held"
-        How inputs run between their samples.
+        How inputs run between their samples. Where a held input reaches an output directly, the cost jumps with its
+        delay at every whole sample: give several starts.
     biases : sequence of str
         Outputs and inputs whose measurement has an unknown constant error; each becomes a parameter ``<name>_bias``,
         what is measured less what is true. In a sum of problems it is each record's own, see `Sum`.

@@ -14,6 +14,7 @@ from greybox.frequency_response import FrequencyResponse
 from greybox.histories import WIDTH, draw_history, history_height
 from greybox.nyquist import draw_nyquist, grid, number_points, panels
 from greybox.page import COLORS, CROWD, MARKERS, Series, finish, legend, legend_below, page, plain, ratio
+from greybox.table import counted
 
 # Okabe and Ito's colors, which readers with a color vision deficiency can tell apart; yellow is too pale for lines.
 DARK, GRAYS = "#222222", ("#222222", "#777777", "#AAAAAA")
@@ -342,8 +343,9 @@ def _draw_starts(figure: Figure | SubFigure, fit: Fit) -> None:
     finish(axes, "Runs, sorted by cost", "Cost")
     axes.set_xlim(0, len(fit.runs) + 1)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
-    said = f"{fit.agreeing} of {len(fit.runs)} starts agree on the best minimum"
-    axes.set_title(said if fit.converged else f"none of {len(fit.runs)} starts converged", fontsize=12)
+    starts = counted(len(fit.runs), "start")
+    said = f"{fit.agreeing} of {starts} {'agrees' if fit.agreeing == 1 else 'agree'} on the best minimum"
+    axes.set_title(said if fit.converged else f"none of {starts} converged", fontsize=12)
     legend_below(figure, {str(line.get_label()): (line,) for line in axes.get_lines()})
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.record import Record
-from greybox.table import number, text_table
+from greybox.table import counted, number, text_table
 from greybox.validation import fit_percent, rms
 
 Array = NDArray[np.float64]
@@ -126,7 +126,7 @@ class Prediction:
 
     def __str__(self) -> str:
         head = (
-            f"{self.label}: {len(self)} {'window' if len(self) == 1 else 'windows'} of {self.horizon:g} s in "
+            f"{self.label}: {counted(len(self), 'window')} of {self.horizon:g} s in "
             f"{self.data.name or 'the record'}, the state of each from {self.lead:g} s before it"
         )
         ends = [f"after {number(s * self.horizon, 3)} s" for s in AHEAD]

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, Self
 
 import casadi as ca
@@ -12,6 +11,7 @@ import numpy as np
 from greybox.criterion import Criterion, RelativeError
 from greybox.estimated import Estimated
 from greybox.frequency_response import FrequencyResponse
+from greybox.given_data import as_data
 from greybox.harmonic import check_sine
 from greybox.linear import delay_order, pick_signals
 from greybox.model import Model, Names, StateSpace, merge, require_known
@@ -19,7 +19,6 @@ from greybox.output_error import OutputError, TimeCriterion
 from greybox.own_biases import with_own_biases
 from greybox.parameter import Parameter
 from greybox.record import Record
-from greybox.response_file import read_response
 from greybox.sine import Sine, as_sine
 from greybox.trace import require_no_nan, traced
 
@@ -33,8 +32,9 @@ class Problem:
     model : Model
         The structure; for a frequency response an ODE is linearized at its operating point, for a record a transfer
         function is realized as states.
-    data : FrequencyResponse, the path of a file of one, or Record
+    data : FrequencyResponse, Record, or the path of a file of one
         Meets the model by the names of its inputs and outputs. Outputs that a record does not hold are not compared.
+        A file of a record is a table, in SI units, with the model's names; see `several` for more than one record.
     criterion : Criterion or TimeCriterion, optional
         `RelativeError` (4.26) by default for a response, `OutputError` for a record.
     fixed : mapping of name to value, or a Fit
@@ -83,11 +83,7 @@ class Problem:
     def __post_init__(self) -> None:
         """Fill in the defaults and check that everything fits together."""
         _require(self.model, Model, "model", "an instance such as Tilt(), not the class")
-        if isinstance(self.data, (str, Path)):
-            object.__setattr__(self, "data", read_response(self.data))
-        _require(
-            self.data, FrequencyResponse | Record, "data", "a FrequencyResponse, the name of a file of one, or a Record"
-        )
+        object.__setattr__(self, "data", as_data(self.data, self.model))
         kind, usual = (TimeCriterion, OutputError()) if isinstance(self.data, Record) else (Criterion, RelativeError())
         if self.criterion is None:
             object.__setattr__(self, "criterion", usual)

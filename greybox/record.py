@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from greybox.table import counted
+
 GAP = 2.5  # a step longer than this many median steps is a gap, across which nothing is interpolated
 
 
@@ -129,8 +131,8 @@ class Record:
         signals = ", ".join(f"{n} ({self.units[n]})" if self.units.get(n) else n for n in self.signals)
         pieces = len(self.pieces)
         return (
-            f"{self.name or 'record'}: {len(self)} samples at {self.rate:.4g} Hz, {self.duration:.1f} s from "
-            f"{self.time[0]:.1f} s{f' in {pieces} pieces' if pieces > 1 else ''}: {signals}"
+            f"{self.name or 'record'}: {counted(len(self), 'sample')} at {self.rate:.4g} Hz, {self.duration:.1f} s "
+            f"from {self.time[0]:.1f} s{f' in {pieces} pieces' if pieces > 1 else ''}: {signals}"
         )
 
 

@@ -27,7 +27,7 @@ def several(model: Model, records: Sequence[Record], own: Sequence[str] = (), **
     ValueError
         For a name that is not a parameter, or fewer than two records.
     """
-    if isinstance(records, Record) or len(records) < 2:
+    if not isinstance(records, Sequence) or len(records) < 2:
         raise ValueError("several() takes a list of at least two records: for one, use Problem(model, record).")
     own = (own,) if isinstance(own, str) else tuple(own)
     parts = []

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.record import GAP, Record, Recording
+from greybox.table import counted
 
 Array = NDArray[np.float64]
 
@@ -180,7 +181,7 @@ def _source(recording: Recording, signal: str) -> _Source:
     there = np.isfinite(record[field])
     time, values = record.time[there], record[field][there]
     if time.size < 2:
-        raise ValueError(f"{signal} has {time.size} samples: there is nothing to put on a time base.")
+        raise ValueError(f"{signal} has {counted(time.size, 'sample')}: there is nothing to put on a time base.")
     unit = record.units.get(field, "")
     factor, unit = TO_SI.get(unit, (1.0, unit))
     values = values * factor

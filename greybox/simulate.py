@@ -1,6 +1,7 @@
 """Simulation and prediction of records with a model at one estimate."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +14,8 @@ from greybox.model import Model, require_known
 from greybox.prediction import Prediction
 from greybox.record import Record
 from greybox.runner import ERROR, Runner, has_left
-from greybox.windows import Windows, cut
+from greybox.table import counted
+from greybox.windows import Windows, cut, require_lengths
 
 Array = NDArray[np.float64]
 
@@ -70,11 +72,12 @@ def simulate(
     stretches = gapless(record, at.system.inputs, ())
     if not stretches:
         raise ValueError(f"{record.name or 'the record'} has no two samples in a row with all inputs.")
+    given = None if initial is None else _checked(initial, at, len(stretches))
     own = initial is None and _is_own(record, at)
     columns = {name: np.full(len(record), np.nan) for name in _columns(at)}
     solver = Runner(at, at.free_running(), outputs, integrator or RungeKutta())
     for k, stretch in enumerate(stretches):
-        start = _initial(at, initial, k, own)
+        start = _initial(at, given, k, own)
         found = solver.free_run(stretch, start, own)
         rows = stretch.first + np.arange(len(stretch))
         _require_bounded(found, record.time[rows], at)
@@ -117,6 +120,7 @@ def predict(
         If an input or all outputs are missing, no stretch is long enough, the delay is longer than the lead-in, or the
         model runs away within a window.
     """
+    require_lengths(horizon=horizon, lead=lead)
     at = case(model, estimate, inputs=inputs, part=part)
     record = _record(record, at)
     _require(record, at)
@@ -137,18 +141,23 @@ def predict_windows(
     lead: float,
     horizon: float,
     integrator: Integrator | None = None,
+    called: str = "horizon",
 ) -> Prediction:
-    """Predict `outputs`, which the record has, over given windows: the same ones for models that are compared."""
+    """Predict `outputs`, which the record has, over given windows: the same ones for models that are compared.
+
+    The user knows the horizon as `called`.
+    """
     if np.max(at.delays, initial=0.0) >= lead:
         raise ValueError(
-            f"the delay of {at.label} is {np.max(at.delays):.3g} s, the lead-in only {lead:.3g} s: give a longer one."
+            f"the delay of {at.label} is {np.max(at.delays):.3g} s and lead={lead:.3g} s does not cover it: give a "
+            "longer lead."
         )
     solver = Runner(at, at.criterion, outputs, integrator or RungeKutta())
     found = solver.windows(windows)
     ahead = slice(windows.lead, None)
     if not np.all(np.isfinite(found.outputs[:, ahead])):
         raise ValueError(
-            f"{at.label} runs away within {horizon:g} s of a state that its lead-in told: give a shorter horizon."
+            f"{at.label} runs away within {horizon:g} s of a state that its lead-in told: give a shorter {called}."
         )
     return Prediction(
         label=at.label,
@@ -172,7 +181,7 @@ def _record(record: Record | None, at: Case) -> Record:
         raise TypeError("record is missing: give the Record whose inputs are to drive the model.")
     record = at.part.data if record is None and at.part is not None else record
     if not isinstance(record, Record):
-        raise TypeError(f"record is {record!r:.80}: give a Record.")
+        raise TypeError(f"record is {record!r:.80}: give one Record; for several, call it for each.")
     return record
 
 
@@ -208,20 +217,30 @@ def _is_own(record: Record, at: Case) -> bool:
     )
 
 
-def _initial(at: Case, initial: Mapping[str, ArrayLike] | None, k: int, own: bool) -> Array:
-    """Return the states (n,) at the beginning of the k-th stretch."""
-    result = np.zeros(len(at.system.states))
-    given: Mapping[str, ArrayLike] = initial or {}
-    require_known(given, at.system.states, "state", at.label)
-    if own and at.part is not None:
-        given = at.part.initial
-    for i, name in enumerate(at.system.states):
-        values = np.atleast_1d(np.asarray(given.get(name, 0.0), dtype=float))
-        if values.ndim != 1 or (values.size > 1 and k >= values.size):
+def _checked(initial: Any, at: Case, stretches: int) -> dict[str, Array]:
+    """Return the initial states that a user gives, one value or one for each stretch."""
+    if not isinstance(initial, Mapping):
+        raise TypeError(f"initial is {initial!r:.60}: give {{state: value}}.")
+    require_known(initial, at.system.states, "state", at.label)
+    result = {}
+    for name, value in initial.items():
+        try:
+            values = np.atleast_1d(np.asarray(value, dtype=float))
+        except (TypeError, ValueError):
+            values = np.array([np.nan])
+        if not np.all(np.isfinite(values)):
+            raise ValueError(f"initial gives {name!r} the value {value!r:.60}: give a finite number.")
+        if values.ndim != 1 or values.size not in (1, stretches):
             raise ValueError(
-                f"initial gives {name!r} {values.size} values and the record has more stretches: give one for each."
+                f"initial gives {name!r} {values.size} values and the record has "
+                f"{counted(stretches, 'stretch', 'stretches')} without a gap: give one value, or one for each."
             )
-        result[i] = values[k] if values.size > 1 else values[0]
-    if not np.all(np.isfinite(result)):
-        raise ValueError(f"initial gives {at.system.states[int(np.argmin(np.isfinite(result)))]!r} no finite value.")
+        result[name] = values
     return result
+
+
+def _initial(at: Case, initial: Mapping[str, Array] | None, k: int, own: bool) -> Array:
+    """Return the states (n,) at the beginning of the k-th stretch."""
+    given: Mapping[str, Array] = at.part.initial if own and at.part is not None else initial or {}
+    values = [given.get(name, np.zeros(1)) for name in at.system.states]
+    return np.array([value[k] if value.size > 1 else value[0] for value in values], dtype=float)

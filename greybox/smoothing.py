@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from greybox.record import GAP, Record
+from greybox.table import counted
 
 Array = NDArray[np.float64]
 
@@ -155,7 +156,9 @@ def regular(record: Record) -> Record:
         If a sample is off the uniform base by more than 2 % of the step.
     """
     if len(record) < SHORTEST:
-        raise ValueError(f"the record has {len(record)} samples, of which nothing can be learned: give more.")
+        raise ValueError(
+            f"the record has {counted(len(record), 'sample')}, of which nothing can be learned: give more."
+        )
     step, pieces = record.step, record.pieces
     places = [np.rint((piece.time - piece.time[0]) / step).astype(int) for piece in pieces]
     if all(place[-1] + 1 == len(piece) for place, piece in zip(places, pieces, strict=True)):
@@ -172,7 +175,7 @@ def regular(record: Record) -> Record:
 def require_uniform(time: Array) -> None:
     """Raise ValueError where a step that is no gap differs from the median step."""
     if time.size < 2:
-        raise ValueError(f"{time.size} samples have no derivative: give more.")
+        raise ValueError(f"{counted(time.size, 'sample has', 'samples have')} no derivative: give more.")
     steps = np.diff(time)
     step = float(np.median(steps))
     odd = np.flatnonzero((np.abs(steps - step) > UNEVEN * step) & (steps <= GAP * step))

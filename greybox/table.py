@@ -24,6 +24,12 @@ def number(value: float, digits: int = 5) -> str:
     return f"{value:.{digits}g}"
 
 
+def counted(count: float, one: str, more: str = "") -> str:
+    """Say how many there are of something, "1 record" or "2 records"; `more` is a plural that is not regular."""
+    amount = f"{count:g}" if isinstance(count, float) else f"{count}"
+    return f"{amount} {one if count == 1 else more or one + 's'}"
+
+
 def with_error(value: float, error: float) -> tuple[str, str]:
     """Format a value and its standard error, the error with two significant digits and the value to its last digit."""
     if not (math.isfinite(value) and math.isfinite(error)) or error <= 0:

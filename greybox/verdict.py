@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from greybox.answer import Fit, FittedRecord
 from greybox.comparison import HELD_OUT, IDENTIFICATION
 from greybox.prediction import Prediction
-from greybox.table import with_error
+from greybox.table import counted, with_error
 from greybox.validation import mean_test, whiteness
 
 Array = NDArray[np.float64]
@@ -101,7 +101,10 @@ def _windows(names: Sequence[str], found: Predictions, a: int, b: int, place: st
     data = "its own data" if place == IDENTIFICATION else "held-out data"
     if not p < LEVEL:
         data = data.replace("its", "their")
-        return 0.0, f"{names[a]} and {names[b]} predict {data} as well as one another ({every.size} windows, {_p(p)})."
+        return 0.0, (
+            f"{names[a]} and {names[b]} predict {data} as well as one another ({counted(every.size, 'window')}, "
+            f"{_p(p)})."
+        )
     better, worse = (a, b) if z > 0 else (b, a)
     share = 100 * float(np.mean(np.sign(every) == np.sign(z)))
     return z, f"{names[better]} predicts {data} better than {names[worse]}, in {share:.0f} % of the windows ({_p(p)})."

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,22 +34,37 @@ class Windows:
         return len(self.rows)
 
 
-def cut(record: Record, inputs: Sequence[str], outputs: Sequence[str], *, lead: float, horizon: float) -> Windows:
+def require_lengths(**lengths: Any) -> None:
+    """Raise ValueError, naming it, for what is no length in s."""
+    for name, value in lengths.items():
+        real = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+        if not real or not (np.isfinite(value) and value > 0):
+            raise ValueError(f"{name} is {value!r}: give a length above 0, in s.")
+
+
+def cut(
+    record: Record,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    *,
+    lead: float,
+    horizon: float,
+    called: str = "horizon",
+) -> Windows:
     """Cut windows with a lead-in and a horizon in s, within stretches in which no input is missing.
 
-    Windows in whose lead-in or horizon no output was measured are left out.
+    Windows in whose lead-in or horizon no output was measured are left out. The horizon is what the user knows as
+    `called`.
 
     Raises
     ------
     ValueError
         If a length is not positive, or no stretch is long enough.
     """
-    for name, value in (("lead", lead), ("horizon", horizon)):
-        if not isinstance(value, (int, float, np.number)) or not (np.isfinite(value) and value > 0):
-            raise ValueError(f"{name} is {value!r} s: give a length above 0.")
+    require_lengths(**{"lead": lead, called: horizon})
     _require_signals(record, inputs)
     stretches = gapless(record, tuple(inputs), tuple(outputs))
-    first, after = max(1, round(lead / record.step)), max(1, round(horizon / record.step))
+    first, after = (max(1, round(min(length / record.step, len(record)))) for length in (lead, horizon))
     places = []
     for stretch in stretches:
         starts = np.arange(0, len(stretch) - first - after + 1, after)
@@ -60,8 +76,9 @@ def cut(record: Record, inputs: Sequence[str], outputs: Sequence[str], *, lead: 
     if not len(found):
         longest = max((len(s) * s.step for s in stretches), default=0.0)
         raise ValueError(
-            f"{record.name or 'the record'} has no window of {lead:g} + {horizon:g} s with measured outputs: its "
-            f"longest stretch without a gap lasts {longest:.3g} s; give a shorter lead or horizon, or a longer record."
+            f"{record.name or 'the record'} has no room for lead={lead:g} and {called}={horizon:g} s with measured "
+            f"outputs: its longest stretch without a gap lasts {longest:.3g} s; give a shorter lead or {called}, or a "
+            "longer record."
         )
     return Windows(record, found, first, after)
 

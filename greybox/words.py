@@ -1,8 +1,10 @@
 """What a careful colleague would say about an answer: warnings in sentences."""
 
+import itertools
 import math
 from collections.abc import Iterator
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +14,7 @@ from greybox.linear import delay_order, frequency_response
 from greybox.nlp import Nlp
 from greybox.problem import Problem
 from greybox.result import Minimum, Multistart
+from greybox.table import counted
 
 PHASE_LIMIT = 1.0  # degrees of Padé error over the fitted band
 FEW = 0.1  # share of agreeing starts below which the minimum is in doubt
@@ -39,6 +42,7 @@ def warnings(
         *_pade(nlp, pade_errors),
         *_noise(nlp, search.minima[0], accuracy),
         *_record_noise(nlp, profile),
+        *_jumps(nlp),
     )
 
 
@@ -86,10 +90,11 @@ def _size(nlp: Nlp) -> Iterator[str]:
     numbers, unknowns = sum(part.numbers for part in nlp.problem.parts), len(nlp.free)
     initial = sum(part.unknown_initial for part in nlp.records)
     if numbers <= unknowns + initial:
-        states = f" and {initial} initial states" if initial else ""
+        states = f" and {counted(initial, 'initial state')}" if initial else ""
+        leave = "leaves" if numbers == 1 else "leave"
         yield (
-            f"{numbers} real numbers of data for {unknowns} unknowns{states} leave nothing to judge the errors by: "
-            "add data."
+            f"{counted(numbers, 'real number')} of data for {counted(unknowns, 'unknown')}{states} {leave} nothing to "
+            "judge the errors by: add data."
         )
 
 
@@ -185,6 +190,29 @@ def _record_noise(nlp: Nlp, profile: Profile | None) -> Iterator[str]:
                     f"the residual of {name} in {part.part.name!r} is {there / given:.2g} times the given standard "
                     "deviation: the model misses something or that is wrong; the errors follow the residuals."
                 )
+
+
+def _jumps(nlp: Nlp) -> Iterator[str]:
+    """Name delays with which the cost jumps, since a held input reaches an output directly."""
+    found = {}
+    for part in nlp.records:
+        system, rename = part.system, part.part.rename
+        if part.criterion.inputs != "held" or not system.delayed:
+            continue
+        x, u, p = (ca.SX.sym("v", len(v)) for v in (system.states, system.inputs, system.parameters))
+        through, delay = ca.jacobian(system.output(x, u, p), u), system.delay(p)
+        for i, j in itertools.product(range(u.numel()), range(p.numel())):
+            name = rename.get(system.parameters[j], system.parameters[j])
+            shown = [
+                output for k, output in enumerate(system.outputs) if through.has_nz(k, i) and output in part.outputs
+            ]
+            if shown and name in nlp.free and ca.depends_on(delay[i], p[j]):
+                found[name] = f"the held input {system.inputs[i]} reaches {shown[0]} directly"
+    for name, why in found.items():
+        yield (
+            f"{why}, so the cost jumps where {name} passes a whole sample: the starts must find the right interval of "
+            f"a sample, and the error of {name} holds within that."
+        )
 
 
 def _listed(names: tuple[str, ...]) -> str:

@@ -3,10 +3,13 @@
 import json
 import subprocess
 import sys
+from importlib.resources import files
 
 import pytest
 
+import greybox as gb
 from greybox.cli import main
+from greybox.models.drag import Drag
 
 QUICK = ["--starts", "8"]
 
@@ -173,8 +176,6 @@ def test_own_model_and_own_data(capsys, own, tmp_path):
 
 
 def test_shipped_model_with_freed_and_fixed_parameters(capsys, tmp_path):
-    from importlib.resources import files
-
     table = (files("greybox.problems") / "data" / "table_4_3.csv").read_text().replace("pitch_", "")
     (tmp_path / "pitch.csv").write_text(table)
     command = ["fit", "--model", "tilt:Tilt", "--data", tmp_path / "pitch.csv", "--fix", "a5=0.2", "--free", "T_delay"]
@@ -395,3 +396,59 @@ def test_biases_of_records_are_fixed_by_their_names(capsys):
     assert answer["standard_error"]["theta_bias_2"] > 0
     sentence = refused(capsys, "fit", "sitl_drag", "--fix", "theta_bias=0")
     assert "no parameter 'theta_bias'; it has a5, C_x, theta_bias_1, theta_bias_2" in sentence
+
+
+# --- records on the command line --------------------------------------------------------------------------------------
+
+FLIGHT = files("greybox.problems") / "data" / "sitl_drag_hover.csv"
+DRAG = ("fit", "--model", "drag:Drag", "--data")
+
+
+def test_a_table_of_a_record_is_fitted_with_a_model_alone(capsys):
+    answer = json.loads(run(capsys, *DRAG, FLIGHT, "--starts", "2", "--json", "--fix", "C_x=0")[1])
+    fit = gb.fit(gb.Problem(Drag(), gb.read(FLIGHT)["sitl_drag_hover"], fixed={"C_x": 0.0}), starts=2, progress=False)
+    assert answer["outputs"][0]["output"] == "v"
+    assert answer["cost"] == pytest.approx(fit.cost, rel=1e-9)
+    assert answer["estimate"]["a5"] == pytest.approx(fit.estimate["a5"], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            "theta",
+            "pitch",
+            "no message with the signals of Drag (theta, v); it has data: pitch, v: make the record with",
+        ),
+        ("[rad]", "[deg]", "theta in deg, and a fit takes rad: make the record with gb.prepare(gb.read("),
+        ("time [s]", "when", "neither a frequency response, with columns omega_rad_s, alpha, beta, nor a record"),
+    ],
+)
+def test_a_table_that_is_no_record_of_the_model_is_a_sentence_with_the_way(capsys, tmp_path, old, new, words):
+    path = tmp_path / "data.csv"
+    path.write_text(FLIGHT.read_text().replace(old, new))
+    sentence = refused(capsys, *DRAG, path)
+    assert words in sentence
+    assert "make the record" not in words or "my.py with a function problem()" in sentence
+
+
+def test_a_log_with_many_messages_asks_for_a_problem_file(capsys):
+    sentence = refused(capsys, *DRAG, files("greybox.problems") / "data" / "sitl_pitch.BIN")
+    assert "no message with the signals of Drag (theta, v)" in sentence
+    assert "for the command line do so in a file my.py with a function problem()" in sentence
+    assert len(sentence) < 800
+
+
+def test_words_of_a_response_are_refused_for_a_record(capsys):
+    for more in (("--input", "theta"), ("--output", "v"), ("--at", "v=1")):
+        assert f"{more[0]} is for a frequency response, and {FLIGHT} is a record" in refused(
+            capsys, *DRAG, FLIGHT, *more
+        )
+    sentence = refused(capsys, "fit", "sitl_drag", "--criterion", "relative-error")
+    assert "--criterion relative-error is for frequency responses and sitl_drag has a record" in sentence
+
+
+def test_data_or_a_model_in_the_place_of_a_problem(capsys):
+    assert f"--model tilt:Tilt --data {FLIGHT}" in refused(capsys, "fit", FLIGHT)
+    assert "write --model drag:Drag --data FILE" in refused(capsys, "fit", "drag:Drag")
+    assert "write --model drag:CLASS --data FILE" in refused(capsys, "fit", "drag")

@@ -50,8 +50,7 @@ def test_moments_of_the_delayed_input(delay, held):
         moment = quad(lambda t: late(t) * (t - 0.5), 0, 1, points=breaks or None, epsabs=1e-12)[0]
         assert_allclose(mean, wanted, atol=1e-8)
         assert_allclose(change, 12 * moment, atol=1e-7)  # the slope of the best line
-        if not held:
-            assert_allclose(now, late(0), atol=1e-8)
+        assert_allclose(now, late(0), atol=1e-8)
 
 
 def test_moments_and_their_slope_are_continuous_where_a_whole_sample_is_passed():

@@ -270,7 +270,7 @@ def test_a_clean_test_has_nothing_to_say():
     point = found.points[0]
     assert point.saturation == 0
     assert max(point.distortion) < 1e-3
-    assert "u -> theta, 1 frequencies" in str(found)
+    assert "u -> theta, 1 frequency" in str(found)
     assert "harmonics" in str(found)
     assert math.isnan(point.r.real)
 

@@ -169,6 +169,36 @@ def test_a_free_delay_is_found_to_a_tenth_of_a_sample(samples, held):
     assert found.agreeing >= (1 if held and samples % 1 == 0 else 3)
 
 
+class Direct(Lag):
+    """Half of the input reaches the output directly."""
+
+    def response(self, s, p):
+        return (p.K / (p.T * s + 1) + 1) * gb.exp(-s * p.d)
+
+
+def direct(samples, seed):
+    """The lag of a held input and its input, which a sample sees as it was just before if the delay is a fraction."""
+    data = lag(samples * 0.05, True, noise=0.01, seed=seed)
+    late = np.clip(np.arange(len(data)) - int(np.ceil(samples - 1e-9)), 0, None)
+    return data.with_signals(y=data["y"] + data["u"][late])
+
+
+@pytest.mark.parametrize("samples", [0.0, 0.3, 1.5, 2.0])
+def test_a_held_input_that_reaches_the_output_directly_has_the_value_before_its_late_change(samples):
+    """The delay is then found within its sample; a mean of both values would draw it to the next whole one."""
+    exact = direct(samples, 0)
+    starts = [{"d": d} for d in (0.0, 0.02, 0.07, 0.12)]
+    found = fit(gb.Problem(Direct(), exact, HELD, free=("d",)), starts)
+    assert found.estimate["d"] / 0.05 == pytest.approx(samples, abs=0.06)
+    assert_allclose([found.estimate["K"], found.estimate["T"]], [3, 0.2], rtol=0.03)
+    assert np.nanmean(found.records[0].residual("y") ** 2) < 1.2 * 0.01**2
+    assert any("the cost jumps where d passes a whole sample" in text for text in found.warnings)
+    lone = fit(gb.Problem(Lag(), lag(samples * 0.05, True, noise=0.01), HELD, free=("d",)))
+    assert not any("the cost jumps" in text for text in lone.warnings)
+    simulated = gb.simulate(Direct(), {**LAG, "d": samples * 0.05}, exact, inputs="held")
+    assert_allclose(simulated["y"][5:], exact["y"][5:], atol=0.05)  # five standard deviations of the noise
+
+
 def test_a_delay_by_pade_states_is_nearly_the_same():
     data = lag(0.115, False, noise=0.005)
     exact, pade = (

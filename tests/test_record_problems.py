@@ -1,6 +1,7 @@
 """Everything a problem may ask of records, held against known truths and against other ways to the same answer."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -152,6 +153,20 @@ def test_a_bias_of_an_earlier_fit_keeps_the_name_that_the_fit_knows():
     assert found.estimate["x_bias"] == earlier.estimate["x_bias"]
     assert found.standard_error["x_bias"] == pytest.approx(earlier.standard_error["x_bias"])
     assert_true(found, {"x_bias_2": -0.2, "x_bias_3": 0.1})
+
+
+def test_degrees_of_freedom_are_those_of_independent_residuals_also_with_noise_given():
+    """Errors follow the residuals, so given variances leave them as uncertain as estimated ones."""
+    given = gb.OutputError(noise={"x": 0.05, "v": 0.15}, inputs="held")
+    found, same = (fit(gb.Problem(Spring(), spring(200), criterion)) for criterion in (HELD, given))
+    for one in (found, same):
+        assert one.dof == pytest.approx(2 * 200 - 3 - 2, rel=0.05)
+    colored = fit(gb.Problem(Spring(), noisy(1, rho=0.9), given))
+    assert colored.dof < 0.3 * same.dof
+    response = measured(StaticLag(), np.geomspace(0.1, 10, 20), noise=0.02)
+    variances = replace(response, variance=2 * (0.02 * np.abs(response.response)) ** 2)
+    exact = gb.fit(gb.Problem(StaticLag(), variances, gb.MaximumLikelihood()), starts=1, progress=False)
+    assert exact.dof == np.inf
 
 
 # --- ties, constraints, bounds, fixed values --------------------------------------------------------------------------

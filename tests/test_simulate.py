@@ -268,11 +268,18 @@ def test_answers_print_themselves():
         (lambda r: gb.simulate(Spring(), {"mass": 1.0}, r), "'mass'"),
         (lambda r: gb.simulate(Spring(), {}, gb.Record(r.time, {"u": r["force"]})), "needs the input 'force'"),
         (lambda r: gb.simulate(Spring(), {}, r, initial={"place": 1.0}), "'place'"),
-        (lambda r: gb.simulate(Spring(), {}, r, initial={"velocity": np.nan}), "no finite value"),
+        (lambda r: gb.simulate(Spring(), {}, r, initial={"velocity": np.nan}), "the value nan: give a finite"),
+        (lambda r: gb.simulate(Spring(), {}, r, initial={"velocity": "1 m/s"}), "the value '1 m/s': give a finite"),
+        (lambda r: gb.simulate(Spring(), {}, r, initial={"velocity": [1.0, 2.0]}), "has 1 stretch without a gap"),
+        (lambda r: gb.simulate(Spring(), {"stiffness": [4.0, 5.0]}, r), "gives 'stiffness' the value [4.0, 5.0]"),
         (lambda r: gb.simulate(Spring(), {}, gb.Record(r.time**1.001, r.signals)), "not uniform"),
         (lambda r: gb.simulate(Spring(), {"stiffness": 4.0, "damping": -30.0}, r), "leaves all bounds at"),
-        (lambda r: gb.predict(Spring(), {}, r, horizon=0.0), "horizon is 0.0 s"),
-        (lambda r: gb.predict(Spring(), {}, r, horizon=30.0), "no window of 0.5"),
+        (lambda r: gb.predict(Spring(), {}, r, horizon=0.0), "horizon is 0.0: give a length above 0"),
+        (lambda r: gb.predict(Spring(), {}, r, horizon=True), "horizon is True: give a length above 0"),
+        (lambda r: gb.predict(Spring(), {}, r, lead="1 s"), "lead is '1 s': give a length above 0"),
+        (lambda r: gb.predict(Spring(), {}, r, lead=np.nan), "lead is nan: give a length above 0"),
+        (lambda r: gb.predict(Spring(), {}, r, horizon=30.0), "no room for lead=0.5 and horizon=30 s"),
+        (lambda r: gb.predict(Spring(), {}, r, horizon=1e300), "give a shorter lead or horizon, or a longer record"),
         (lambda r: gb.predict(Spring(), {"delay": 0.3}, r, lead=0.2), "the delay of Spring is 0.3 s"),
         (lambda r: gb.predict(Spring(), {}, gb.Record(r.time, {"force": r["force"]})), "none of the outputs"),
         (lambda r: gb.predict(Spring(), {}, r).band("speed"), "'speed' was not predicted"),
@@ -292,3 +299,13 @@ def test_things_that_are_not_what_they_should_be():
         gb.predict(Spring(), {})
     with pytest.raises(TypeError, match="estimate is None"):
         gb.simulate(Spring())
+    with pytest.raises(TypeError, match=r"initial is \[0, 1\]: give \{state: value\}"):
+        gb.simulate(Spring(), {}, driven(), initial=[0, 1])
+    with pytest.raises(TypeError, match="give one Record; for several, call it for each"):
+        gb.predict(Spring(), {}, [driven(), driven()])
+    fit = gb.fit(gb.Problem(Spring(), driven(noise=0.01)), starts=1, progress=False)
+    with pytest.raises(TypeError, match="give the record by name, record=r"):
+        gb.predict(fit, driven())
+    for part in ("0", 1, 0.0, True):
+        with pytest.raises(ValueError, match=rf"part is {part!r}: the fit has 1 part, counted from 0"):
+            gb.simulate(fit, part=part)

@@ -110,7 +110,7 @@ def test_a_missing_row_is_put_in():
         (TIME[:8], TIME[:8], None, "no stretch of 12 samples without a gap among its 8, of which 8 are there"),
         (TIME, np.where(np.arange(1500) % 10, np.nan, 1.0), None, "of which 150 are there: put it on the time base"),
         (TIME, TIME, -1.0, r"cutoff -1\.0 must be a number of rad/s above 0"),
-        (TIME[:1], TIME[:1], None, "1 samples have no derivative"),
+        (TIME[:1], TIME[:1], None, "1 sample has no derivative"),
     ],
 )
 def test_bad_input(time, values, cutoff, sentence):

@@ -192,3 +192,19 @@ def test_words_about_a_part_name_that_part():
     texts = gb.fit(gb.Problem(Lag(), small) + gb.Problem(Lag(), loud), starts=8).warnings
     assert next(text for text in texts if "% too low" in text).startswith("'loud'")
     assert not any("'quiet'" in text for text in texts)
+
+
+def test_one_of_a_thing_is_singular():
+    record = gb.Record(np.arange(6) * 0.1, {"u": [1.0, 0.0, 1.0, 1.0, 0.0, 1.0], "y": [0.0, 1.0, 0.5, 1.0, 1.2, 0.8]})
+    fit = gb.fit(gb.Problem(Lag(), record, fixed={"T": 0.3}), starts=1, progress=False)
+    assert "1 of 1 converged; 1 agrees on the best of 1 distinct minimum" in str(fit)
+    assert "6 samples in 1 record" in str(fit)
+    few = gb.Record(record.time, {"u": record["u"], "y": [np.nan, 1.0, np.nan, 1.5, np.nan, np.nan]})
+    (said,) = [w for w in gb.fit(gb.Problem(Lag(), few), starts=1, progress=False).warnings if "real numbers" in w]
+    assert said.startswith("2 real numbers of data for 2 unknowns and 1 initial state leave nothing to judge")
+    one = measured(Lag(), [1.0], noise=0.1)
+    alone = str(gb.fit(gb.Problem(Lag(), one, fixed={"T": 1.0}), starts=1))
+    assert "1 point in 1 response" in alone
+    assert "; Student's t with 1 degree of freedom." in alone
+    assert "1 frequency from 1 to 1 rad/s" in str(one)
+    assert "1 sample at" in str(record.rows(np.arange(1)))
