@@ -47,6 +47,7 @@ PROCESS_NOISE = 10.0 ** np.arange(-12, 1)  # variance a sample, as shares of tha
 TOLERANCE = 1e-8  # of half a step's length squared, in standard errors, and of the decrease of the cost
 CONTINUOUS = 1e-9  # gap relative to the largest value of the state
 ROUNDING = 1e-9  # of the cost
+UNNOTICED = 0.1  # of the cost
 LONG = 20000  # samples from which some stretches go before the whole record
 DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")  # trial steps may, and are then shortened
 
@@ -143,6 +144,21 @@ class GaussNewton:
             part.shooting.in_order(path.states) for part, path in zip(self._records, point.paths, strict=True)
         ], assumed
 
+    @DIVERGING
+    def flat(self, x: Array, nodes: Sequence[Array], factor: float) -> list[Array]:
+        """Return directions (p,) of the solver's variables along which a change by `factor` would not be noticed."""
+        z = self._nlp.scaling.to_solver(x)
+        point = self._point(z, nodes)
+        try:
+            blocks = self._linearized(point, self._noise_weights(point))
+            exact = [np.zeros(part.states) for part in self._records]
+            hessian = self._move(point, blocks, exact, 0.0, still=False, exact=True).hessian
+        except np.linalg.LinAlgError:
+            return []
+        values, vectors = np.linalg.eigh(hessian)
+        unnoticed = values / np.abs(vectors).max(axis=0) ** 2 * math.log(factor) ** 2 / 2 < UNNOTICED
+        return [v / np.abs(v).max() * math.log(factor) for v in vectors.T[unnoticed]]
+
     def trace(self, x: Array) -> Array | None:
         """Return what `Outcome.trace` holds, at the best states for x (p,); None where there are none."""
         found = self.profile(x)
@@ -215,7 +231,7 @@ class GaussNewton:
             if exact and (trial is None or at.damping > STUBBORN):
                 return point, "stalled", iteration
             gained = 0.0 if trial is None else before - merit(trial)
-            point = trial or point
+            before_step, point = point, trial or point
             kept = gained / move.predicted if move.predicted > 0 else 1.0
             at.damping = next_damping(at.damping, length, kept)
             if not exact:
@@ -227,7 +243,9 @@ class GaussNewton:
                 following = predicted**2 / at.last if predicted < at.last < 1 else math.inf
                 if following <= TOLERANCE and self._is_continuous(point):
                     return point, "converged", iteration + 1
-                at.last = predicted
+                farther = self._extrapolated(before_step, point, move, merit, at)
+                at.last, at.step = (predicted, move.dz) if farther is None else (math.nan, None)
+                point = farther or point
         return point, "iterations exceeded", iterations
 
     def _linearized(self, point: Point, weights: Sequence[Array]) -> list[Blocks]:
@@ -278,6 +296,17 @@ class GaussNewton:
         at.simulated, at.damping, at.last = True, 0.0, math.nan
         at.force = [np.zeros_like(f) for f in at.force]
         return best
+
+    def _extrapolated(
+        self, before: Point, point: Point, move: Move, merit: Callable[[Point], float], at: Progress
+    ) -> Point | None:
+        """Return where slow steps lead to, if that is better than `point`, one step from `before`."""
+        reach = move.reach(at.step)
+        if reach == 1 or not move.dz.any():
+            return None
+        trial = self._moved(before, move, reach)
+        trial = self._followed(trial) if at.simulated else self._closed(trial, move, at.force, 0.01 * move.predicted)
+        return trial if merit(trial) < merit(point) else None
 
     def _followed(self, point: Point) -> Point:
         """Return the point with the nodes that follow from the first ones by simulation."""
@@ -362,7 +391,7 @@ class GaussNewton:
             hessian, gradient = hessian + self._weights[k] * r.hessian, gradient + self._weights[k] * r.gradient
             promise += self._weights[k] * promised(blocks[k], r, gaps, soft[k])
         if still:
-            return Move(blocks, reduced, np.zeros(p), promise, 0.0, penalty)
+            return Move(blocks, reduced, np.zeros(p), promise, 0.0, penalty, hessian)
         g, H = (value.full() for value in self._curvature(point.z, SMOOTHING))
         values, vectors = np.linalg.eigh((H + H.T) / 2)
         hessian, gradient = hessian + (vectors * np.abs(values)) @ vectors.T, gradient + g.ravel()
@@ -373,7 +402,7 @@ class GaussNewton:
         half = 0.5 * float(dz @ hessian @ dz)
         promise += penalty * self._limits.missed(point.z) - float(gradient @ dz) - half
         promise += sum(w * held_back(r, dz) for w, r in zip(self._weights, reduced, strict=True))
-        return Move(blocks, reduced, dz, promise, half, penalty)
+        return Move(blocks, reduced, dz, promise, half, penalty, hessian)
 
     def _moved(self, point: Point, move: Move, length: float) -> Point:
         nodes = [

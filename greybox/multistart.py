@@ -23,6 +23,7 @@ RESCUED, RESCUE_SIZE = 3, 100_000  # runs, and measured numbers, that IPOPT take
 SHARES = 0.5 ** np.arange(1, 7)  # of the way from a start that is finite to one that is not
 HOP = 4.0  # a parameter is made so many times larger or smaller to leave the neighborhood of a minimum
 HOP_ITERATIONS = 40
+FLAT, SLIDES = 3, (-1.0, -0.5, 0.5, 1.0)  # directions that the data do not determine, and how far along them
 CLOSE = 1e-2  # relative cost up to which a minimum is polished too: smoothing may change the order of close ones
 
 
@@ -79,19 +80,11 @@ def _finite(nlp: Nlp, solver: GaussNewton | WholeProblem, starts: NDArray[np.flo
 def _hopped(
     nlp: Nlp, solver: GaussNewton, starts: NDArray[np.float64], outcomes: list[Outcome]
 ) -> tuple[NDArray[np.float64], list[Outcome]]:
-    """Add runs from the best end with one positive parameter HOP times larger or smaller, where they end better.
-
-    Lags that swap places make minima whose neighborhoods take up shares of the start box that differ a hundredfold.
-    """
+    """Add runs from the neighborhood of the best end, where they end better."""
     ended = [outcome for outcome in outcomes if outcome.converged]
     while ended:
         best = min(ended, key=lambda outcome: outcome.cost)
-        points = []
-        for k in np.flatnonzero(nlp.lower > 0):
-            for factor in (1 / HOP, HOP):
-                point = best.estimate.copy()
-                point[k] = np.clip(factor * point[k], nlp.lower[k], nlp.upper[k])
-                points.append(point)
+        points = [*_scaled(nlp, best.estimate), *_slid(nlp, solver, best)]
         tried = [(point, solver.run(point, HOP_ITERATIONS)) for point in points]
         better = [(p, o) for p, o in tried if o.converged and o.cost < best.cost - same_cost(nlp, best.cost)]
         if not better:
@@ -99,6 +92,27 @@ def _hopped(
         point, outcome = min(better, key=lambda pair: pair[1].cost)
         starts, outcomes, ended = np.vstack([starts, point]), [*outcomes, outcome], [outcome]
     return starts, outcomes
+
+
+def _scaled(nlp: Nlp, best: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Return the point with every positive parameter HOP times smaller and larger.
+
+    Lags that swap places make minima whose neighborhoods take up shares of the start box that differ a hundredfold.
+    """
+    points = []
+    for k in np.flatnonzero(nlp.lower > 0):
+        for factor in (1 / HOP, HOP):
+            point = best.copy()
+            point[k] = np.clip(factor * point[k], nlp.lower[k], nlp.upper[k])
+            points.append(point)
+    return points
+
+
+def _slid(nlp: Nlp, solver: GaussNewton, best: Outcome) -> list[NDArray[np.float64]]:
+    """Return points far along what the data do not determine: a limit of the model may be reached there."""
+    z = nlp.scaling.to_solver(best.estimate)
+    slides = [share * v for v in solver.flat(best.estimate, best.nodes or (), HOP)[:FLAT] for share in SLIDES]
+    return [np.clip(nlp.scaling.to_parameters(z + slide), nlp.lower, nlp.upper) for slide in slides]
 
 
 def _by_ipopt(nlp: Nlp, outcomes: list[Outcome], options: Mapping[str, Any]) -> list[Outcome]:
