@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,9 +90,9 @@ class Progress:
         True where the nodes follow from the first ones by simulation.
     """
 
-    soft: list[Array]
-    force: list[Array]
-    near: bool
+    soft: list[Array] = field(default_factory=list)
+    force: list[Array] = field(default_factory=list)
+    near: bool = False
     patience: int = PATIENCE
     scale: float = 1.0
     loose: Point | None = None
@@ -101,6 +101,10 @@ class Progress:
     penalty: float = PENALTY
     last: float = math.nan
     step: Array | None = None
+
+    def begin(self, soft: list[Array]) -> None:
+        """Take the variances of the first point."""
+        self.soft, self.force = soft, [np.zeros_like(s) for s in soft]
 
     @property
     def exact(self) -> bool:

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.gauss_newton import GaussNewton
+from greybox.hops import hopped, simulated_first
 from greybox.nlp import Nlp
-from greybox.result import Minimum, Multistart, find_minima, same_cost
+from greybox.result import Minimum, Multistart, find_minima
 from greybox.solve import CONVERGED, INVALID, POLISH, Outcome, Run, Solver
 from greybox.whole_problem import WholeProblem
 
@@ -21,9 +22,6 @@ Progress = Callable[[int, int], None]
 
 RESCUED, RESCUE_SIZE = 3, 100_000  # runs, and measured numbers, that IPOPT takes over
 SHARES = 0.5 ** np.arange(1, 7)  # of the way from a start that is finite to one that is not
-HOP = 4.0  # a parameter is made so many times larger or smaller to leave the neighborhood of a minimum
-HOP_ITERATIONS = 40
-FLAT, SLIDES = 3, (-1.0, -0.5, 0.5, 1.0)  # directions that the data do not determine, and how far along them
 CLOSE = 1e-2  # relative cost up to which a minimum is polished too: smoothing may change the order of close ones
 
 
@@ -46,10 +44,13 @@ def multistart(
         outcomes.append(solver.run(start))
         if progress is not None:
             progress(k + 1, len(starts))
-    if isinstance(solver, GaussNewton) and not any(outcome.converged for outcome in outcomes):
-        outcomes = _by_ipopt(nlp, outcomes, solver_options)
-    if isinstance(solver, GaussNewton) and len(starts) > 1:
-        starts, outcomes = _hopped(nlp, solver, starts, outcomes)
+    if isinstance(solver, GaussNewton):
+        if len(starts) > 1:
+            starts, outcomes = simulated_first(solver, starts, outcomes)
+        if not any(outcome.converged for outcome in outcomes):
+            outcomes = _by_ipopt(nlp, outcomes, solver_options)
+        if len(starts) > 1:
+            starts, outcomes = hopped(nlp, solver, starts, outcomes)
     runs = _as_runs(nlp, starts, outcomes)
     minima = find_minima(nlp, runs, [outcome.trace for outcome in outcomes])
     if minima and isinstance(solver, Solver) and any(part.criterion.smoothed for part in nlp.problem.parts):
@@ -75,44 +76,6 @@ def _finite(nlp: Nlp, solver: GaussNewton | WholeProblem, starts: NDArray[np.flo
                 starts[k] = point
                 break
     return starts
-
-
-def _hopped(
-    nlp: Nlp, solver: GaussNewton, starts: NDArray[np.float64], outcomes: list[Outcome]
-) -> tuple[NDArray[np.float64], list[Outcome]]:
-    """Add runs from the neighborhood of the best end, where they end better."""
-    ended = [outcome for outcome in outcomes if outcome.converged]
-    while ended:
-        best = min(ended, key=lambda outcome: outcome.cost)
-        points = [*_scaled(nlp, best.estimate), *_slid(nlp, solver, best)]
-        tried = [(point, solver.run(point, HOP_ITERATIONS)) for point in points]
-        better = [(p, o) for p, o in tried if o.converged and o.cost < best.cost - same_cost(nlp, best.cost)]
-        if not better:
-            break
-        point, outcome = min(better, key=lambda pair: pair[1].cost)
-        starts, outcomes, ended = np.vstack([starts, point]), [*outcomes, outcome], [outcome]
-    return starts, outcomes
-
-
-def _scaled(nlp: Nlp, best: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return the point with every positive parameter HOP times smaller and larger.
-
-    Lags that swap places make minima whose neighborhoods take up shares of the start box that differ a hundredfold.
-    """
-    points = []
-    for k in np.flatnonzero(nlp.lower > 0):
-        for factor in (1 / HOP, HOP):
-            point = best.copy()
-            point[k] = np.clip(factor * point[k], nlp.lower[k], nlp.upper[k])
-            points.append(point)
-    return points
-
-
-def _slid(nlp: Nlp, solver: GaussNewton, best: Outcome) -> list[NDArray[np.float64]]:
-    """Return points far along what the data do not determine: a limit of the model may be reached there."""
-    z = nlp.scaling.to_solver(best.estimate)
-    slides = [share * v for v in solver.flat(best.estimate, best.nodes or (), HOP)[:FLAT] for share in SLIDES]
-    return [np.clip(nlp.scaling.to_parameters(z + slide), nlp.lower, nlp.upper) for slide in slides]
 
 
 def _by_ipopt(nlp: Nlp, outcomes: list[Outcome], options: Mapping[str, Any]) -> list[Outcome]:

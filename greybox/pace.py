@@ -81,9 +81,7 @@ def _advance(system: Dynamics, scheme: Integrator) -> Columns:
     """Return one step of the integrator with inputs held, of x, u and (p, h)."""
     x, u, p, h = (
         ca.SX.sym(name, size)
-        for name, size in zip(
-            "xuph", (len(system.states), len(system.inputs), len(system.parameters), 1), strict=True
-        )
+        for name, size in zip("xuph", (len(system.states), len(system.inputs), len(system.parameters), 1), strict=True)
     )
     after = scheme.advance(system, x, u, ca.SX(len(system.inputs), 1), p, h)
     return Columns(ca.Function("advance", [x, u, ca.vertcat(p, h)], [after], {"cse": True}), shared=(2,))
