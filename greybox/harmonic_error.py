@@ -45,7 +45,8 @@ def harmonic_warnings(nlp: Nlp, x: Array, accuracy: Accuracy) -> Iterator[str]:
             count = counted(sine.harmonics, "harmonic is", "harmonics are")
             yield (
                 f"{count} too few for {told.part.name!r}: with {more} the response changes by up to {moved:.2g} % and "
-                f"{nlp.free[largest]} by {shift[largest]:.2g} standard errors; use Sine({sine.signal!r}, ..., harmonics={more})."
+                f"{nlp.free[largest]} by {shift[largest]:.2g} standard errors; use "
+                f"Sine({sine.signal!r}, ..., harmonics={more})."
             )
 
 
