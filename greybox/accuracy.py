@@ -123,7 +123,7 @@ def assess(nlp: Nlp, x: NDArray[np.float64], profile: Profile | None = None) -> 
     C + S Σ Sᵀ with S the derivative of the estimate with respect to them.
     """
     p, k = len(nlp.free), len(nlp.names)
-    parts = [*_part_jacobians(nlp, x), *_record_jacobians(nlp, x, profile)]
+    parts = [*part_jacobians(nlp, x), *_record_jacobians(nlp, x, profile)]
     shares = [_share(part, p=p, correction=1.0, dof=math.inf) for part in parts]
     jacobian = np.vstack([share.jacobian for share in shares])
     at_bound = _at_bound(nlp, x)
@@ -259,7 +259,7 @@ def _directions(
     return basis @ rows[:rank].T, np.hstack([basis @ rows[rank:].T, np.eye(p)[:, list(bounded)]])
 
 
-def _part_jacobians(nlp: Nlp, x: NDArray[np.float64]) -> list[PartJacobian]:
+def part_jacobians(nlp: Nlp, x: NDArray[np.float64]) -> list[PartJacobian]:
     """Return what every frequency response tells of all values."""
     if not nlp.responding:
         return []

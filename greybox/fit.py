@@ -21,6 +21,7 @@ from greybox.fitted_record import fitted_record, stated
 from greybox.frequency_response import FrequencyResponse
 from greybox.gauss_newton import GaussNewton
 from greybox.harmonic import response_of_test
+from greybox.harmonic_error import harmonic_warnings
 from greybox.integration_error import IntegrationError, integration_warnings, well_integrated
 from greybox.multistart import multistart
 from greybox.nlp import AnyProblem, Nlp, compile_problem
@@ -137,6 +138,7 @@ def assemble(
         warnings=(
             *not_finite_warnings(nlp, search),
             *integration_warnings(nlp, profile, error),
+            *(harmonic_warnings(nlp, best, accuracy) if search.minima else ()),
             *(warnings(nlp, search, accuracy, errors, profile) if search.minima else ()),
         ),
         seed=seed,

@@ -23,7 +23,6 @@ from greybox.iterate import (
     Point,
     Progress,
     held_back,
-    largest_force,
     largest_multiplier,
     next_damping,
     promised,
@@ -153,11 +152,13 @@ class GaussNewton:
         """Return states (n, samples) close to the data at z, None where they diverge; and weights to begin with."""
         point = self._points.near_data(z)
         assumed = [np.diag(1 / (SPREAD * part.noise.spread)) for part in self._records]
+        at = Progress()
         try:
-            for _ in range(3 if point.finite else 0):
+            for k in range(3 if point.finite else 0):
                 blocks = self._points.linearized(point, assumed)
-                move = self._move(point, blocks, self._soft(blocks), 0.0, still=True, exact=False)
-                point = self._points.moved(point, move, 1.0)
+                if k == 0:
+                    at.begin(point, self._soft(blocks))
+                point = self._points.moved(point, self._move(point, blocks, at, still=True), 1.0)
         except np.linalg.LinAlgError:
             return None, assumed
         if not point.finite:
@@ -173,8 +174,9 @@ class GaussNewton:
         point = self._points.at(z, nodes)
         try:
             blocks = self._points.linearized(point, self._points.noise_weights(point))
-            exact = [np.zeros(part.states) for part in self._records]
-            hessian = self._move(point, blocks, exact, 0.0, still=False, exact=True).hessian
+            at = Progress(patience=0, scale=0.0)
+            at.begin(point, self._soft(blocks))
+            hessian = self._move(point, blocks, at, still=False).hessian
         except np.linalg.LinAlgError:
             return []
         values, vectors = np.linalg.eigh(hessian)
@@ -197,56 +199,68 @@ class GaussNewton:
         """Iterate from a point; with `frozen` the states alone."""
         if not point.finite:
             return point, "not finite at the start", 0
-        start = point
         assumed = [np.diag(1 / (SPREAD * part.noise.spread)) for part in self._records]
-        blocks = self._points.linearized(point, self._points.noise_weights(point) if at.exact else assumed)
-        at.begin(self._soft(blocks))
+        at.begin(point, self._soft(self._points.linearized(point, assumed)))
+        return self._iterate(point, at, assumed, frozen, iterations)
+
+    def _iterate(
+        self, point: Point, at: Progress, assumed: Sequence[Array], frozen: bool, iterations: int
+    ) -> tuple[Point, str, int]:
         for iteration in range(iterations):
-            exact, still = at.exact, frozen or at.patience > 0
-            weights = self._points.noise_weights(point) if exact else assumed
-            blocks = self._points.linearized(point, weights) if iteration else blocks
-            softness = at.softness
-            move = self._move(point, blocks, softness, at.damping, still, exact, at.penalty)
-            if exact:
-                at.force = [
-                    np.maximum(f, 1.2 * largest_force(r, move.dz)) for f, r in zip(at.force, move.reduced, strict=True)
-                ]
-            at.penalty = move.penalty
-            merit = self._merit(weights, softness, at, exact)
+            weights = self._points.noise_weights(point) if at.exact else assumed
+            move = self._move(point, self._points.linearized(point, weights), at, frozen or at.patience > 0)
+            merit = self._merit(weights, at)
             before = merit(point)
-            settled = move.predicted <= max(TOLERANCE, ROUNDING * abs(before)) and self._points.is_continuous(point)
-            if exact and settled and move.distance <= TOLERANCE:
+            settled = self._is_settled(point, move, before, at)
+            if settled and move.distance <= TOLERANCE:
                 return point, "converged", iteration
             trial, length = self._search(point, move, merit, before, at)
-            if trial is None and exact and settled and move.distance <= 1e3 * TOLERANCE:
+            if trial is None and settled and move.distance <= 1e3 * TOLERANCE:
                 return point, "converged", iteration
             if trial is None and at.damping <= STUBBORN:
                 at.damping = max(100 * at.damping, 1e-2)
                 continue
-            if exact and length < SHORT and (simulated := self._simulated(point, start, at)):
+            if length < SHORT and (simulated := self._simulated(point, at)):
                 point = simulated
                 continue
-            if exact and (trial is None or at.damping > STUBBORN):
+            if at.exact and (trial is None or at.damping > STUBBORN):
                 return point, "stalled", iteration
             gained = 0.0 if trial is None else before - merit(trial)
-            before_step, point = point, trial or point
-            kept = gained / move.predicted if move.predicted > 0 else 1.0
-            at.damping = next_damping(at.damping, length, kept)
-            if not exact:
-                at.stepped(
-                    point, move.predicted, gained, length, trial is None or move.predicted <= SETTLED * abs(before)
-                )
-                point = self._with_gains(point, at.soft) if at.exact and not frozen else point
+            last, point = point, trial or point
+            at.damping = next_damping(at.damping, length, gained / move.predicted if move.predicted > 0 else 1.0)
+            if not at.exact:
+                point = self._tightened(point, move, at, gained, length, before, frozen)
             elif length == 1.0:
-                # Gauss-Newton converges linearly at worst: the next decrease follows from the last two.
-                predicted = max(move.predicted, move.distance)
-                following = predicted**2 / at.last if predicted < at.last < 1 else math.inf
-                if following <= TOLERANCE and self._points.is_continuous(point):
+                point, converged = self._led(last, point, move, merit, at)
+                if converged:
                     return point, "converged", iteration + 1
-                farther = self._extrapolated(before_step, point, move, merit, at)
-                at.last, at.step = (predicted, move.dz) if farther is None else (math.nan, None)
-                point = farther or point
         return point, "iterations exceeded", iterations
+
+    def _is_settled(self, point: Point, move: Move, before: float, at: Progress) -> bool:
+        small = max(TOLERANCE, ROUNDING * abs(before))
+        return at.exact and move.predicted <= small and self._points.is_continuous(point)
+
+    def _tightened(
+        self, point: Point, move: Move, at: Progress, gained: float, length: float, before: float, frozen: bool
+    ) -> Point:
+        """Demand more continuity where it is time; gains are chosen once it is exact."""
+        at.stepped(point, move.predicted, gained, length, length == 0 or move.predicted <= SETTLED * abs(before))
+        return self._with_gains(point, at.soft) if at.exact and not frozen else point
+
+    def _led(
+        self, last: Point, point: Point, move: Move, merit: Callable[[Point], float], at: Progress
+    ) -> tuple[Point, bool]:
+        """Return where full steps from `last` to `point` lead to, and whether that is the end.
+
+        Gauss-Newton converges linearly at worst: the next decrease follows from the last two, and slow steps add up.
+        """
+        predicted = max(move.predicted, move.distance)
+        following = predicted**2 / at.last if predicted < at.last < 1 else math.inf
+        if following <= TOLERANCE and self._points.is_continuous(point):
+            return point, True
+        farther = self._extrapolated(last, point, move, merit, at)
+        at.last, at.step = (predicted, move.dz) if farther is None else (math.nan, None)
+        return farther or point, False
 
     def _soft(self, blocks: Sequence[Blocks]) -> list[Array]:
         """Return the variances by which states must change to change the outputs of a segment by their spread."""
@@ -261,7 +275,7 @@ class GaussNewton:
     def _search(
         self, point: Point, move: Move, merit: Callable[[Point], float], before: float, at: Progress
     ) -> tuple[Point | None, float]:
-        """Halve the step until the merit does not grow (None where no step does); exact continuity closes gaps first."""
+        """Halve the step until the merit does not grow (None where no step does), gaps closed where that helps."""
         length, enough = 1.0, before + ROUNDING * max(1.0, abs(before))
         while length > SHORTEST:
             trial = self._points.moved(point, move, length)
@@ -276,14 +290,16 @@ class GaussNewton:
             length *= SHRINK
         return None, 0.0
 
-    def _simulated(self, point: Point, start: Point, at: Progress) -> Point | None:
+    def _simulated(self, point: Point, at: Progress) -> Point | None:
         """Return the best simulation where Newton steps do not close the gaps, None where it diverges.
 
         From here on every trial is simulated from its first nodes: a path that a stable model always has.
         """
         if at.simulated or at.loose is None:
             return None
-        best = min(map(self._points.simulated, (at.loose, start)), key=lambda p: self._points.cost(p, SMOOTHING))
+        best = min(
+            map(self._points.simulated, (at.loose, at.start or at.loose)), key=lambda p: self._points.cost(p, SMOOTHING)
+        )
         at.loose = None
         if not self._points.stays(best):
             return None
@@ -329,44 +345,34 @@ class GaussNewton:
                 best, least = trial, cost
         return best
 
-    def _move(
-        self,
-        point: Point,
-        blocks: Sequence[Blocks],
-        soft: Sequence[Array],
-        damping: float,
-        still: bool,
-        exact: bool,
-        penalty: float = PENALTY,
-    ) -> Move:
+    def _move(self, point: Point, blocks: Sequence[Blocks], at: Progress, still: bool) -> Move:
         """Return the step of nodes and z; with `still` of the nodes alone. Gains move where continuity is exact."""
-        p = len(point.z)
+        p, soft = len(point.z), at.softness
         reduced, promise = [], 0.0
         hessian, gradient = np.zeros((p, p)), np.zeros(p)
         for k, part in enumerate(self._records):
             gaps = point.paths[k].gaps
-            r = part.reduce(blocks[k], point.places[k], gaps, soft[k], damping)
+            r = part.reduce(blocks[k], point.places[k], gaps, soft[k], at.damping)
             reduced.append(r)
             hessian, gradient = hessian + self._weights[k] * r.hessian, gradient + self._weights[k] * r.gradient
             promise += self._weights[k] * promised(blocks[k], r, gaps, soft[k])
         if still:
-            return Move(blocks, reduced, np.zeros(p), promise, 0.0, penalty, hessian)
+            return at.aimed(Move(blocks, reduced, np.zeros(p), promise, 0.0, hessian))
         g, H = (value.full() for value in self._curvature(point.z, SMOOTHING))
         values, vectors = np.linalg.eigh((H + H.T) / 2)
         hessian, gradient = hessian + (vectors * np.abs(values)) @ vectors.T, gradient + g.ravel()
-        damped = hessian + damping * np.diag(np.diag(hessian))
-        rows, limits = self._limits.around(point.z, None if exact else self._gains)
+        damped = hessian + at.damping * np.diag(np.diag(hessian))
+        rows, limits = self._limits.around(point.z, None if at.exact else self._gains)
         dz = solve_small_qp(damped, gradient, rows, limits)
-        penalty = max(penalty, 1.2 * largest_multiplier(damped @ dz + gradient, rows, rows @ dz - limits))
+        at.penalty = max(at.penalty, 1.2 * largest_multiplier(damped @ dz + gradient, rows, rows @ dz - limits))
         half = 0.5 * float(dz @ hessian @ dz)
-        promise += penalty * self._limits.missed(point.z) - float(gradient @ dz) - half
+        promise += at.penalty * self._limits.missed(point.z) - float(gradient @ dz) - half
         promise += sum(w * held_back(r, dz) for w, r in zip(self._weights, reduced, strict=True))
-        return Move(blocks, reduced, dz, promise, half, penalty, hessian)
+        return at.aimed(Move(blocks, reduced, dz, promise, half, hessian))
 
-    def _merit(
-        self, weights: Sequence[Array], soft: Sequence[Array], at: Progress, exact: bool
-    ) -> Callable[[Point], float]:
+    def _merit(self, weights: Sequence[Array], at: Progress) -> Callable[[Point], float]:
         """Return what a step must not increase: the cost and the gaps, absolute where continuity is exact."""
+        soft = at.softness
 
         def missed(point: Point) -> float:
             return at.penalty * self._limits.missed(point.z)
@@ -386,7 +392,7 @@ class GaussNewton:
                 total += self._weights[k] * squares / 2
             return total
 
-        return exactly if exact else softly
+        return exactly if at.exact else softly
 
     def _predicts(self, point: Point) -> bool:
         """Tell whether predictors are stable: an unstable one would look into the future through its free states."""

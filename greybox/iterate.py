@@ -41,8 +41,8 @@ class Point:
 class Move:
     """One step: the systems it comes from, the change dz (p,) of the point, and the decrease of the merit it promises.
 
-    `distance` is half its length squared, in standard errors where the cost is a likelihood; `penalty` is large enough
-    on missed constraints for the step to decrease the merit; `hessian` (p, p) is undamped.
+    `distance` is half its length squared, in standard errors where the cost is a likelihood; `hessian` (p, p) is
+    undamped.
     """
 
     blocks: Sequence[Blocks]
@@ -50,7 +50,6 @@ class Move:
     dz: Array
     predicted: float
     distance: float
-    penalty: float
     hessian: Array
 
     def reach(self, last: Array | None) -> float:
@@ -84,8 +83,10 @@ class Progress:
         Iterations left for the states alone.
     scale : float
         Of the standard deviation by which continuity may be missed; zero is exact.
-    loose : Point or None
-        Where continuity began to be demanded, as long as its gaps are closed by Newton steps.
+    penalty : float
+        On missed constraints, large enough for steps to decrease the merit.
+    start, loose : Point or None
+        Where all began, and where continuity began to be demanded, as long as Newton steps close its gaps.
     simulated : bool
         True where the nodes follow from the first ones by simulation.
     """
@@ -95,6 +96,7 @@ class Progress:
     near: bool = False
     patience: int = PATIENCE
     scale: float = 1.0
+    start: Point | None = None
     loose: Point | None = None
     simulated: bool = False
     damping: float = 0.0
@@ -102,9 +104,16 @@ class Progress:
     last: float = math.nan
     step: Array | None = None
 
-    def begin(self, soft: list[Array]) -> None:
-        """Take the variances of the first point."""
-        self.soft, self.force = soft, [np.zeros_like(s) for s in soft]
+    def begin(self, point: Point, soft: list[Array]) -> None:
+        """Take the first point and its variances."""
+        self.start, self.soft, self.force = point, soft, [np.zeros_like(s) for s in soft]
+
+    def aimed(self, move: "Move") -> "Move":
+        """Take over the multipliers of a move, which gaps must cost at least."""
+        if self.exact:
+            largest = [largest_force(r, move.dz) for r in move.reduced]
+            self.force = [np.maximum(f, 1.2 * now) for f, now in zip(self.force, largest, strict=True)]
+        return move
 
     @property
     def exact(self) -> bool:

@@ -20,8 +20,9 @@ class Sine:
     amplitude : float or (n,) array, in the signal's unit
         Half the distance from peak to peak; one for all frequencies or one for each.
     harmonics : int
-        How many harmonics the other signals are given. Enough when more do not change the response; a kink, as in the
-        drag ``|v| v`` of a fast oscillation, is content with 3, a strong one with 5 to 9.
+        How many harmonics the other signals are given. Enough when more do not change the response, and a fit says
+        when more would change its estimate; a kink, as in the drag ``|v| v`` of a fast oscillation, is content with 3,
+        a strong one with 5 to 9.
 
     Raises
     ------

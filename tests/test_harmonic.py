@@ -1,5 +1,6 @@
 """Finite amplitudes: describing functions, simulated and periodic solutions, the linear limit, derivatives, fits."""
 
+import re
 from functools import cache
 
 import casadi as ca
@@ -241,6 +242,44 @@ def test_the_standard_errors_are_those_of_repeated_tests():
     ]
     scatter = [(fit.estimate["C_x"] - TRUTH["C_x"]) / fit.standard_error["C_x"] for fit in fits]
     assert 0.4 < np.sqrt(np.mean(np.square(scatter))) < 2.0
+
+
+def dragged():
+    """The response of a slider to sines so slow and wide that drag makes it anything but a sine."""
+    omega = np.array([0.05, 0.1, 0.2, 0.4, 0.8])
+    sine = gb.Sine("theta", 0.3, harmonics=21)
+    exact = gb.harmonic_response(Slider(), omega, {"C_x": 0.3}, amplitude=sine)
+    random = np.random.default_rng(0)
+    error = 1e-3 * (random.normal(size=omega.size) + 1j * random.normal(size=omega.size))
+    return gb.FrequencyResponse(omega, exact.response * (1 + error), input="theta", output="v")
+
+
+def slid(harmonics):
+    amplitude = gb.Sine("theta", 0.3, harmonics=harmonics)
+    problem = gb.Problem(Slider(), dragged(), gb.SquaredRelativeError(), amplitude=amplitude)
+    return gb.fit(problem, [{}], progress=False)
+
+
+def test_harmonics_that_do_not_suffice_are_told_with_the_shift_that_more_bring():
+    """The shift is that of a second fit, with as many harmonics as the sentence names."""
+    few = slid(1)
+    (said,) = [text for text in few.warnings if "harmonics" in text]
+    found = re.search(r"with (\d+) the response .* and C_x by ([\d.]+) standard errors; use .*harmonics=(\d+)\)", said)
+    assert found[1] == found[3]
+    many = slid(int(found[1]))
+    moved = abs(many.estimate["C_x"] - few.estimate["C_x"]) / few.standard_error["C_x"]
+    assert moved > 1
+    assert float(found[2]) == pytest.approx(moved, rel=0.3)
+
+
+def test_the_harmonics_that_are_proposed_lead_to_enough():
+    said, tried = [""], 3
+    while said:
+        fit = slid(tried)
+        said = [text for text in fit.warnings if "too few for" in text]
+        tried = int(re.search(r"harmonics=(\d+)", said[0])[1]) if said else tried
+    assert 3 < tried <= 21
+    assert abs(fit.estimate["C_x"] - 0.3) < 3 * fit.standard_error["C_x"]
 
 
 def test_small_and_large_sines_and_two_operating_points_are_one_fit():
