@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.iterate import (
-    PENALTY,
     SETTLED,
     SHORT,
     Move,
@@ -104,7 +103,7 @@ class GaussNewton:
         began = time.perf_counter()
         z = self._limits.nearest(self._nlp.scaling.to_solver(start))
         first = self._points.near_data(z) if nodes is None else self._points.at(z, nodes)
-        point = self._points.simulated(first) if first.finite else first
+        point = self._points.simulated(*first.origin) if first.finite else first
         if not self._points.stays(point):
             return None
         return self._solved(point, Progress(patience=0, scale=0.0, simulated=True), iterations, 0, began)
@@ -117,7 +116,7 @@ class GaussNewton:
             x = self._nlp.scaling.to_parameters(start.z)
             return Outcome(x, "singular", before, time.perf_counter() - began, False, math.inf)
         estimate = np.clip(self._nlp.scaling.to_parameters(point.z), self._nlp.lower, self._nlp.upper)
-        cost = self._points.cost(point, smoothing=0.0)
+        cost = self._points.cost(point, 0.0)
         if status == "converged" and self._limits.missed(point.z) > 0:
             status = "constraints missed"
         converged = status == "converged" and math.isfinite(cost)
@@ -145,7 +144,7 @@ class GaussNewton:
                 point, status, _ = self._descend(self._points.near_data(z), Progress(), frozen=True)
             except np.linalg.LinAlgError:
                 point, status = self._points.at(z, self._rest(math.nan)), "singular"
-        return Profile(point.places, point.paths, self._points.cost(point, smoothing=0.0), status == "converged")
+        return Profile(point.places, point.paths, self._points.cost(point, 0.0), status == "converged")
 
     @DIVERGING
     def smoothed(self, z: Array) -> tuple[list[Array] | None, list[Array]]:
@@ -200,15 +199,23 @@ class GaussNewton:
         if not point.finite:
             return point, "not finite at the start", 0
         assumed = [np.diag(1 / (SPREAD * part.noise.spread)) for part in self._records]
-        at.begin(point, self._soft(self._points.linearized(point, assumed)))
-        return self._iterate(point, at, assumed, frozen, iterations)
+        blocks = self._points.linearized(point, assumed)
+        at.begin(point, self._soft(blocks))
+        return self._iterate(point, None if at.exact else blocks, at, assumed, frozen, iterations)
 
     def _iterate(
-        self, point: Point, at: Progress, assumed: Sequence[Array], frozen: bool, iterations: int
+        self,
+        point: Point,
+        blocks: list[Blocks] | None,
+        at: Progress,
+        assumed: Sequence[Array],
+        frozen: bool,
+        iterations: int,
     ) -> tuple[Point, str, int]:
         for iteration in range(iterations):
             weights = self._points.noise_weights(point) if at.exact else assumed
-            move = self._move(point, self._points.linearized(point, weights), at, frozen or at.patience > 0)
+            move = self._move(point, blocks or self._points.linearized(point, weights), at, frozen or at.patience > 0)
+            blocks = None
             merit = self._merit(weights, at)
             before = merit(point)
             settled = self._is_settled(point, move, before, at)
@@ -280,7 +287,7 @@ class GaussNewton:
         while length > SHORTEST:
             trial = self._points.moved(point, move, length)
             if at.simulated:
-                trial = self._points.simulated(trial)
+                trial = self._points.simulated(*trial.origin)
             if merit(trial) <= enough:
                 return trial, length
             if at.exact and not at.simulated:
@@ -295,11 +302,9 @@ class GaussNewton:
 
         From here on every trial is simulated from its first nodes: a path that a stable model always has.
         """
-        if at.simulated or at.loose is None:
+        if at.simulated or at.loose is None or at.start is None:
             return None
-        best = min(
-            map(self._points.simulated, (at.loose, at.start or at.loose)), key=lambda p: self._points.cost(p, SMOOTHING)
-        )
+        best = min((self._points.simulated(*origin) for origin in (at.loose, at.start)), key=self._points.cost)
         at.loose = None
         if not self._points.stays(best):
             return None
@@ -316,7 +321,7 @@ class GaussNewton:
             return None
         trial = self._points.moved(before, move, reach)
         trial = (
-            self._points.simulated(trial)
+            self._points.simulated(*trial.origin)
             if at.simulated
             else self._points.closed(trial, move, at.force, 0.01 * move.predicted)
         )
@@ -340,7 +345,7 @@ class GaussNewton:
                 z = self._limits.clipped(z)
                 nodes.append(part.predicted_nodes(path.nodes, part.place(z)))
             trial = self._points.at(z, nodes)
-            cost = self._points.cost(trial, SMOOTHING)
+            cost = self._points.cost(trial)
             if cost < least and self._predicts(trial):
                 best, least = trial, cost
         return best
@@ -380,7 +385,7 @@ class GaussNewton:
         def exactly(point: Point) -> float:
             if not point.finite or not self._predicts(point):
                 return math.inf
-            return self._points.cost(point, SMOOTHING) + self._points.gap_cost(point, at.force) + missed(point)
+            return self._points.cost(point) + self._points.gap_cost(point, at.force) + missed(point)
 
         def softly(point: Point) -> float:
             if not point.finite:

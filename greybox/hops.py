@@ -14,11 +14,13 @@ FLAT, SLIDES = 3, (-1.0, -0.5, 0.5, 1.0)  # directions that the data do not dete
 ITERATIONS = 40
 
 
-def simulated_first(solver: GaussNewton, starts: Array, outcomes: list[Outcome]) -> tuple[Array, list[Outcome]]:
-    """Add the run that begins with a simulation of the first start, where it ends at a smaller cost than all others."""
+def simulated_first(
+    nlp: Nlp, solver: GaussNewton, starts: Array, outcomes: list[Outcome]
+) -> tuple[Array, list[Outcome]]:
+    """Add the run that begins with a simulation of the first start, where it ends better than all others."""
     outcome = solver.run_simulated(starts[0])
-    costs = [other.cost for other in outcomes if other.converged]
-    if outcome is None or not outcome.converged or outcome.cost >= min(costs, default=np.inf):
+    best = min((other.cost for other in outcomes if other.converged), default=np.inf)
+    if outcome is None or not outcome.converged or outcome.cost >= best - same_cost(nlp, outcome.cost):
         return starts, outcomes
     return np.vstack([starts, starts[0]]), [*outcomes, outcome]
 
@@ -58,6 +60,8 @@ def _scaled(nlp: Nlp, best: Array) -> list[Array]:
 
 def _slid(nlp: Nlp, solver: GaussNewton, best: Outcome) -> list[Array]:
     """Return points far along what the data do not determine: a limit of the model may be reached there."""
+    if best.nodes is None:
+        return []
     z = nlp.scaling.to_solver(best.estimate)
-    slides = [share * v for v in solver.flat(best.estimate, best.nodes or (), HOP)[:FLAT] for share in SLIDES]
+    slides = [share * v for v in solver.flat(best.estimate, best.nodes, HOP)[:FLAT] for share in SLIDES]
     return [np.clip(nlp.scaling.to_parameters(z + slide), nlp.lower, nlp.upper) for slide in slides]

@@ -23,6 +23,9 @@ HELD = 1e-9  # slack of a limit that holds a step
 PENALTY = 1e3  # on the amount by which constraints are missed, at least
 
 
+Origin = tuple[Array, list[Array]]  # z and the nodes of every record
+
+
 @dataclass(frozen=True, eq=False)
 class Point:
     """Where an iteration stands: point z, and place and path of every record."""
@@ -35,6 +38,11 @@ class Point:
     def finite(self) -> bool:
         """True when nothing diverged."""
         return all(path.finite for path in self.paths)
+
+    @property
+    def origin(self) -> Origin:
+        """What all else follows from."""
+        return self.z, [path.nodes for path in self.paths]
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +93,7 @@ class Progress:
         Of the standard deviation by which continuity may be missed; zero is exact.
     penalty : float
         On missed constraints, large enough for steps to decrease the merit.
-    start, loose : Point or None
+    start, loose : z and nodes, or None
         Where all began, and where continuity began to be demanded, as long as Newton steps close its gaps.
     simulated : bool
         True where the nodes follow from the first ones by simulation.
@@ -96,8 +104,8 @@ class Progress:
     near: bool = False
     patience: int = PATIENCE
     scale: float = 1.0
-    start: Point | None = None
-    loose: Point | None = None
+    start: Origin | None = None
+    loose: Origin | None = None
     simulated: bool = False
     damping: float = 0.0
     penalty: float = PENALTY
@@ -106,7 +114,7 @@ class Progress:
 
     def begin(self, point: Point, soft: list[Array]) -> None:
         """Take the first point and its variances."""
-        self.start, self.soft, self.force = point, soft, [np.zeros_like(s) for s in soft]
+        self.start, self.soft, self.force = point.origin, soft, [np.zeros_like(s) for s in soft]
 
     def aimed(self, move: "Move") -> "Move":
         """Take over the multipliers of a move, which gaps must cost at least."""
@@ -136,7 +144,7 @@ class Progress:
             scale = self.scale * (TIGHTEN**2 if missed <= WELL else TIGHTEN)
             self.scale = scale if scale > LAST else 0.0
         if self.exact:
-            self.loose = point
+            self.loose = point.origin
 
 
 def largest_force(reduced: Reduced, dz: Array) -> Array:

@@ -30,14 +30,16 @@ def multistart(
     starts: NDArray[np.float64],
     solver_options: Mapping[str, Any] = MappingProxyType({}),
     progress: Progress | None = None,
+    movable: bool = True,
 ) -> Multistart:
     """Run IPOPT from every row of `starts` (r, p), group the runs into minima, and polish the best.
 
-    Every run is kept. A run that fails is a result with its status; it is never ranked before one that converged.
+    Starts that are `movable` go to where a model of records is finite. Every run is kept. A run that fails is a result
+    with its status; it is never ranked before one that converged.
     """
     began = time.perf_counter()
     solver = _solver(nlp, solver_options)
-    if not isinstance(solver, Solver):
+    if movable and not isinstance(solver, Solver):
         starts = _finite(nlp, solver, starts)
     outcomes = []
     for k, start in enumerate(starts):
@@ -46,7 +48,7 @@ def multistart(
             progress(k + 1, len(starts))
     if isinstance(solver, GaussNewton):
         if len(starts) > 1:
-            starts, outcomes = simulated_first(solver, starts, outcomes)
+            starts, outcomes = simulated_first(nlp, solver, starts, outcomes)
         if not any(outcome.converged for outcome in outcomes):
             outcomes = _by_ipopt(nlp, outcomes, solver_options)
         if len(starts) > 1:

@@ -91,9 +91,10 @@ def _accurate(
     advance: Columns, scheme: Integrator, count: int, states: Array, inputs: Array, p: Array, step: float
 ) -> int:
     """Return the number of substeps that makes the error of one sample small, from `count` that is stable."""
-    coarse, fine = (_sample(advance, n, states, inputs, p, step) for n in (count, 2 * count))
-    moved = np.abs(fine - coarse)
-    spread = np.std(fine, axis=1) + np.abs(fine - states).max(axis=1)
+    with np.errstate(all="ignore"):
+        coarse, fine = (_sample(advance, n, states, inputs, p, step) for n in (count, 2 * count))
+        moved = np.abs(fine - coarse)
+        spread = np.std(fine, axis=1) + np.abs(fine - states).max(axis=1)
     finite = np.isfinite(moved).all(axis=0)
     if not finite.any() or not np.all(np.isfinite(spread)):
         return count
@@ -104,9 +105,8 @@ def _accurate(
 
 def _sample(advance: Columns, count: int, states: Array, inputs: Array, p: Array, step: float) -> Array:
     x, constants = states, np.append(p, step / count)
-    with np.errstate(all="ignore"):
-        for _ in range(count):
-            (x,) = advance(x, inputs, constants)
+    for _ in range(count):
+        (x,) = advance(x, inputs, constants)
     return x
 
 

@@ -10,6 +10,7 @@ from greybox.iterate import Move, Point
 from greybox.limits import Limits
 from greybox.record_part import RecordPart
 from greybox.shooting import Blocks
+from greybox.solve import SMOOTHING
 
 Array = NDArray[np.float64]
 PULLS = 4  # of nodes that leave the domain of the model
@@ -34,10 +35,11 @@ class Points:
         """Return the point at z whose nodes come from the data."""
         return self.at(z, [part.first_nodes(part.place(z)) for part in self._records])
 
-    def simulated(self, point: Point) -> Point:
-        """Return the point with the nodes that follow from the first ones by simulation."""
-        three = zip(self._records, point.paths, point.places, strict=True)
-        return self.at(point.z, [part.predicted_nodes(path.nodes, place) for part, path, place in three])
+    def simulated(self, z: Array, nodes: Sequence[Array]) -> Point:
+        """Return the point at z with the nodes that follow by simulation from the first of every stretch."""
+        places = [part.place(z) for part in self._records]
+        three = zip(self._records, nodes, places, strict=True)
+        return self.at(z, [part.predicted_nodes(n, place) for part, n, place in three])
 
     def stays(self, point: Point) -> bool:
         """Tell whether the outputs stay where the data are, which those of an unstable simulation do not."""
@@ -46,7 +48,7 @@ class Points:
             for part, path in zip(self._records, point.paths, strict=True)
         )
 
-    def cost(self, point: Point, smoothing: float) -> float:
+    def cost(self, point: Point, smoothing: float = SMOOTHING) -> float:
         """Return the cost, infinite where anything diverges."""
         if not point.finite:
             return math.inf
