@@ -15,9 +15,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.gains import are_stable, best_gains, followed, predictor, within
 from greybox.iterate import (
+    LAST,
     SETTLED,
     SHORT,
+    TIGHTEN,
     Move,
     Point,
     Progress,
@@ -40,7 +43,8 @@ LOOSE = 3.0  # first standard deviation of continuity, relative to the size of t
 ITERATIONS = 100
 SHORTEST, SHRINK = 1e-3, 0.4  # step, as a share of the whole, that is tried; and what the next is of the last
 STUBBORN = 1e6  # damping beyond which nothing is tried any more
-PROCESS_NOISE = 10.0 ** np.arange(-12, 1)  # variance a sample, as shares of that of the states
+PREDICTING = 0.5  # scale of continuity below which predictors alone are followed
+BRIEF = 0.1  # of a step: where less is taken before, predictors had better be followed at once
 TOLERANCE = 1e-8  # of half a step's length squared, in standard errors, and of the decrease of the cost
 ROUNDING = 1e-9  # of the cost
 UNNOTICED = 0.1  # of the cost
@@ -66,7 +70,8 @@ class GaussNewton:
         self._nlp = nlp
         self._records: tuple[RecordPart, ...] = records or nlp.records
         self._weights = [part.part.weight for part in self._records]
-        added = {name for part in self._records for name in part.gain_names}
+        self._predictors = [predictor(part) for part in self._records]
+        added = {name for p in self._predictors if p is not None for name in p.names}
         self._gains = np.array([name in added for name in nlp.free])
         z, s = nlp.expressions["x"], nlp.expressions["p"]
         f, g = nlp.expressions["f"], nlp.expressions["g"]
@@ -106,7 +111,7 @@ class GaussNewton:
         point = self._points.simulated(*first.origin) if first.finite else first
         if not self._points.stays(point):
             return None
-        return self._solved(point, Progress(patience=0, scale=0.0, simulated=True), iterations, 0, began)
+        return self._solved(point, Progress(patience=0, scale=0.0), iterations, 0, began)
 
     def _solved(self, point: Point, at: Progress, iterations: int, before: int, began: float) -> Outcome:
         start = point
@@ -119,6 +124,8 @@ class GaussNewton:
         cost = self._points.cost(point, 0.0)
         if status == "converged" and self._limits.missed(point.z) > 0:
             status = "constraints missed"
+        if status == "converged" and not are_stable(self._predictors, point):
+            status = "unstable predictor"
         converged = status == "converged" and math.isfinite(cost)
         nodes = tuple(path.nodes for path in point.paths)
         seconds = time.perf_counter() - began
@@ -201,6 +208,7 @@ class GaussNewton:
         assumed = [np.diag(1 / (SPREAD * part.noise.spread)) for part in self._records]
         blocks = self._points.linearized(point, assumed)
         at.begin(point, self._soft(blocks))
+        at.least = PREDICTING if all(self._predictors) else at.least
         return self._iterate(point, None if at.exact else blocks, at, assumed, frozen, iterations)
 
     def _iterate(
@@ -237,7 +245,9 @@ class GaussNewton:
             at.damping = next_damping(at.damping, length, gained / move.predicted if move.predicted > 0 else 1.0)
             if not at.exact:
                 point = self._tightened(point, move, at, gained, length, before, frozen)
-            elif length == 1.0:
+                continue
+            point = followed(self._predictors, point)
+            if length == 1.0:
                 point, converged = self._led(last, point, move, merit, at)
                 if converged:
                     return point, "converged", iteration + 1
@@ -251,8 +261,12 @@ class GaussNewton:
         self, point: Point, move: Move, at: Progress, gained: float, length: float, before: float, frozen: bool
     ) -> Point:
         """Demand more continuity where it is time; gains are chosen once it is exact."""
-        at.stepped(point, move.predicted, gained, length, length == 0 or move.predicted <= SETTLED * abs(before))
-        return self._with_gains(point, at.soft) if at.exact and not frozen else point
+        done = move.predicted <= SETTLED * abs(before) or length == 0
+        at.damping = at.damping if length else 0.0
+        at.stepped(point, move.predicted, gained, length, done or (all(self._predictors) and length < BRIEF))
+        if not at.exact:
+            return point
+        return followed(self._predictors, point if frozen else self._with_gains(point, at))
 
     def _led(
         self, last: Point, point: Point, move: Move, merit: Callable[[Point], float], at: Progress
@@ -286,11 +300,9 @@ class GaussNewton:
         length, enough = 1.0, before + ROUNDING * max(1.0, abs(before))
         while length > SHORTEST:
             trial = self._points.moved(point, move, length)
-            if at.simulated:
-                trial = self._points.simulated(*trial.origin)
             if merit(trial) <= enough:
                 return trial, length
-            if at.exact and not at.simulated:
+            if at.exact:
                 trial = self._points.closed(trial, move, at.force, 0.01 * length * move.predicted)
                 if merit(trial) <= enough:
                     return trial, length
@@ -302,13 +314,13 @@ class GaussNewton:
 
         From here on every trial is simulated from its first nodes: a path that a stable model always has.
         """
-        if at.simulated or at.loose is None or at.start is None:
+        if at.loose is None or at.start is None:
             return None
         best = min((self._points.simulated(*origin) for origin in (at.loose, at.start)), key=self._points.cost)
         at.loose = None
         if not self._points.stays(best):
             return None
-        at.simulated, at.damping, at.last = True, 0.0, math.nan
+        at.damping, at.last = 0.0, math.nan
         at.force = [np.zeros_like(f) for f in at.force]
         return best
 
@@ -320,35 +332,18 @@ class GaussNewton:
         if reach == 1 or not move.dz.any():
             return None
         trial = self._points.moved(before, move, reach)
-        trial = (
-            self._points.simulated(*trial.origin)
-            if at.simulated
-            else self._points.closed(trial, move, at.force, 0.01 * move.predicted)
-        )
+        trial = self._points.closed(trial, move, at.force, 0.01 * move.predicted)
         return trial if merit(trial) < merit(point) else None
 
-    def _with_gains(self, point: Point, variances: Sequence[Array]) -> Point:
-        """Return the point with the gains of a steady Kalman filter, the best of some sizes of the process noise.
-
-        `variances` (n,) say for every record how much each state moves at all.
-        """
+    def _with_gains(self, point: Point, at: Progress) -> Point:
+        """Return the point with gains to begin with; without stable ones, continuity is tightened more slowly."""
         if not self._gains.any():
             return point
-        best, least = point, math.inf
-        for share in PROCESS_NOISE:
-            z, nodes = point.z.copy(), []
-            for part, path, place, variance in zip(self._records, point.paths, point.places, variances, strict=True):
-                for k, value in part.steady_gains(path, place, share * variance).items():
-                    of = np.flatnonzero(place.slope[k])
-                    if len(of) == 1:
-                        z[of] = value / place.slope[k, of]
-                z = self._limits.clipped(z)
-                nodes.append(part.predicted_nodes(path.nodes, part.place(z)))
-            trial = self._points.at(z, nodes)
-            cost = self._points.cost(trial)
-            if cost < least and self._predicts(trial):
-                best, least = trial, cost
-        return best
+        z = best_gains(self._predictors, self._weights, point, at.soft, self._limits.clipped)
+        point = self._points.at(z, [path.nodes for path in point.paths])
+        if at.least == PREDICTING and not are_stable(self._predictors, point):
+            at.scale, at.least = TIGHTEN, LAST  # as without a predictor: the model alone leads to the neighborhood
+        return point
 
     def _move(self, point: Point, blocks: Sequence[Blocks], at: Progress, still: bool) -> Move:
         """Return the step of nodes and z; with `still` of the nodes alone. Gains move where continuity is exact."""
@@ -369,6 +364,10 @@ class GaussNewton:
         damped = hessian + at.damping * np.diag(np.diag(hessian))
         rows, limits = self._limits.around(point.z, None if at.exact else self._gains)
         dz = solve_small_qp(damped, gradient, rows, limits)
+        inside, left = within(self._predictors, point, dz)
+        if len(left):
+            rows, limits = np.vstack([rows, inside]), np.concatenate([limits, left])
+            dz = solve_small_qp(damped, gradient, rows, limits)
         at.penalty = max(at.penalty, 1.2 * largest_multiplier(damped @ dz + gradient, rows, rows @ dz - limits))
         half = 0.5 * float(dz @ hessian @ dz)
         promise += at.penalty * self._limits.missed(point.z) - float(gradient @ dz) - half
@@ -383,7 +382,7 @@ class GaussNewton:
             return at.penalty * self._limits.missed(point.z)
 
         def exactly(point: Point) -> float:
-            if not point.finite or not self._predicts(point):
+            if not point.finite or not are_stable(self._predictors, point, followed=True):
                 return math.inf
             return self._points.cost(point) + self._points.gap_cost(point, at.force) + missed(point)
 
@@ -398,12 +397,3 @@ class GaussNewton:
             return total
 
         return exactly if at.exact else softly
-
-    def _predicts(self, point: Point) -> bool:
-        """Tell whether predictors are stable: an unstable one would look into the future through its free states."""
-        if not self._gains.any():
-            return True
-        return all(
-            part.predictor_radius(path, place) < 1
-            for part, path, place in zip(self._records, point.paths, point.places, strict=True)
-        )

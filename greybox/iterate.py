@@ -95,8 +95,8 @@ class Progress:
         On missed constraints, large enough for steps to decrease the merit.
     start, loose : z and nodes, or None
         Where all began, and where continuity began to be demanded, as long as Newton steps close its gaps.
-    simulated : bool
-        True where the nodes follow from the first ones by simulation.
+    least : float
+        Scale below which continuity is demanded.
     """
 
     soft: list[Array] = field(default_factory=list)
@@ -106,7 +106,7 @@ class Progress:
     scale: float = 1.0
     start: Origin | None = None
     loose: Origin | None = None
-    simulated: bool = False
+    least: float = LAST
     damping: float = 0.0
     penalty: float = PENALTY
     last: float = math.nan
@@ -142,7 +142,7 @@ class Progress:
             self.scale = 0.0 if self.near and not self.patience else self.scale
         elif ready:
             scale = self.scale * (TIGHTEN**2 if missed <= WELL else TIGHTEN)
-            self.scale = scale if scale > LAST else 0.0
+            self.scale = scale if scale > self.least else 0.0
         if self.exact:
             self.loose = point.origin
 

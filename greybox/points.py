@@ -25,10 +25,15 @@ class Points:
     def __init__(self, records: tuple[RecordPart, ...], rest: Callable[[Array, float], float], limits: Limits) -> None:
         self._records, self._rest, self._limits = records, rest, limits
 
-    def at(self, z: Array, nodes: Sequence[Array]) -> Point:
-        """Return the point at z with these nodes."""
+    def at(self, z: Array, nodes: Sequence[Array], like: Point | None = None) -> Point:
+        """Return the point at z with these nodes; followed from the first ones where the paths of `like` are."""
+        follow = [path.followed for path in like.paths] if like else [False] * len(nodes)
+        return self._at(z, nodes, follow)
+
+    def _at(self, z: Array, nodes: Sequence[Array], follow: Sequence[bool]) -> Point:
         places = tuple(part.place(z) for part in self._records)
-        paths = tuple(part.path(n, place) for part, n, place in zip(self._records, nodes, places, strict=True))
+        ways = zip(self._records, nodes, places, follow, strict=True)
+        paths = tuple(part.followed(n, place) if on else part.path(n, place) for part, n, place, on in ways)
         return Point(z, places, paths)
 
     def near_data(self, z: Array) -> Point:
@@ -36,10 +41,8 @@ class Points:
         return self.at(z, [part.first_nodes(part.place(z)) for part in self._records])
 
     def simulated(self, z: Array, nodes: Sequence[Array]) -> Point:
-        """Return the point at z with the nodes that follow by simulation from the first of every stretch."""
-        places = [part.place(z) for part in self._records]
-        three = zip(self._records, nodes, places, strict=True)
-        return self.at(z, [part.predicted_nodes(n, place) for part, n, place in three])
+        """Return the point at z followed from the first node of every stretch to its end."""
+        return self._at(z, nodes, [True] * len(nodes))
 
     def stays(self, point: Point) -> bool:
         """Tell whether the outputs stay where the data are, which those of an unstable simulation do not."""
@@ -87,7 +90,7 @@ class Points:
             for part, path, r in zip(self._records, point.paths, move.reduced, strict=True)
         ]
         z = self._limits.clipped(point.z + length * move.dz) if move.dz.any() else point.z
-        return self._kept(point, self.at(z, nodes))
+        return self._kept(point, self.at(z, nodes, point))
 
     def _kept(self, before: Point, after: Point) -> Point:
         """Return the point with the nodes pulled back from which a segment leaves the domain of the model.
@@ -96,13 +99,13 @@ class Points:
         """
         share = 0.5
         for _ in range(PULLS):
-            if after.finite:
+            if after.finite or all(path.followed for path in after.paths):
                 break
             nodes = [
                 np.where(part.lost(path, place)[:, None], old.nodes + share * (path.nodes - old.nodes), path.nodes)
                 for part, old, path, place in zip(self._records, before.paths, after.paths, after.places, strict=True)
             ]
-            after, share = self.at(after.z, nodes), 0.25 * share
+            after, share = self.at(after.z, nodes, after), 0.25 * share
         return after
 
     def closed(self, point: Point, move: Move, force: Sequence[Array], enough: float) -> Point:
@@ -118,7 +121,7 @@ class Points:
                 path.nodes + part.closing(blocks, path.gaps)
                 for part, path, blocks in zip(self._records, point.paths, move.blocks, strict=True)
             ]
-            closer = self.at(point.z, nodes)
+            closer = self.at(point.z, nodes, point)
             now = self.gap_cost(closer, force)
             if not closer.finite or now > 0.5 * cost:
                 break
