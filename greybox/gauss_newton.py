@@ -48,6 +48,7 @@ BRIEF = 0.1  # of a step: where less is taken before, predictors had better be f
 TOLERANCE = 1e-8  # of half a step's length squared, in standard errors, and of the decrease of the cost
 ROUNDING = 1e-9  # of the cost
 UNNOTICED = 0.1  # of the cost
+NEAR = 1.0  # decrease of the cost below which the estimated noise is known to follow the parameters
 LONG = 20000  # samples from which some stretches go before the whole record
 DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")  # trial steps may, and are then shortened
 
@@ -222,7 +223,9 @@ class GaussNewton:
     ) -> tuple[Point, str, int]:
         for iteration in range(iterations):
             weights = self._points.noise_weights(point) if at.exact else assumed
-            move = self._move(point, blocks or self._points.linearized(point, weights), at, frozen or at.patience > 0)
+            move = self._move(
+                point, blocks or self._points.linearized(point, weights, at.last < NEAR), at, frozen or at.patience > 0
+            )
             blocks = None
             merit = self._merit(weights, at)
             before = merit(point)

@@ -164,7 +164,8 @@ def promised(blocks: Blocks, reduced: Reduced, gaps: Array, soft: Array) -> floa
     """Return the decrease that the move of the nodes alone promises."""
     x = reduced.step
     curved = float((x * (blocks.corner @ x[:, :, None])[:, :, 0]).sum())
-    change = float((blocks.gradient * x).sum()) + 0.5 * curved
+    eased = np.tensordot(blocks.mixed[:, :, len(reduced.slope) :], x, ((0, 1), (0, 1)))
+    change = float((blocks.gradient * x).sum()) + 0.5 * (curved - float(eased @ eased))
     if np.all(soft > 0):
         missed = soft * reduced.force
         change += 0.5 * float(((missed**2 - gaps**2) / soft).sum())
