@@ -192,7 +192,7 @@ def test_a_fit_that_explains_almost_nothing_is_told():
     percent = float(re.search(r"of y \(fit (\S+) %\)", text)[1])
     assert percent < 10
     allowed = float(re.search(r"allow about (\d+) %", text)[1])
-    assert_allclose(allowed, fit(Late(), record).records[0].fit_percent("y"), atol=10)
+    assert_allclose(allowed, fit(Late(), record).records[0].fit_percent("y"), atol=15)  # fast movements count as noise
     assert not said(fit(Late(), record), "almost nothing")
 
 
