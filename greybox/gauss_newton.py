@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.gains import are_stable, best_gains, followed, predictor, within
 from greybox.iterate import (
     PENALTY,
     SETTLED,
@@ -36,12 +37,13 @@ from greybox.solve import SMOOTHING, Outcome
 Array = NDArray[np.float64]
 SPREAD = 0.1  # of a signal's spread: the output error assumed until continuity holds
 STAGES = 4  # in which continuity is tightened
+PREDICTING = 1  # of them where there are only predictors, which are followed from then on
+SHORT = 0.1  # of a step: where less is taken before, predictors had better be followed at once
 LOOSE = 3.0  # first standard deviation of continuity, relative to the size of the states
 PULLS = 4  # of nodes that leave the domain of the model
 ITERATIONS = 100
 STUBBORN = 1e6  # damping beyond which nothing is tried any more
 CLOSINGS = 5  # of gaps after a step
-PROCESS_NOISE = 10.0 ** np.arange(-12, 1)  # variance a sample, as shares of that of the states
 TOLERANCE = 1e-8  # of half a step's length squared, in standard errors, and of the decrease of the cost
 CONTINUOUS = 1e-9  # gap relative to the largest value of the state
 ROUNDING = 1e-9  # of the cost
@@ -67,7 +69,8 @@ class GaussNewton:
         self._nlp = nlp
         self._records: tuple[RecordPart, ...] = records or nlp.records
         self._weights = [part.part.weight for part in self._records]
-        added = {name for part in self._records for name in part.gain_names}
+        self._predictors = [predictor(part) for part in self._records]
+        added = {name for p in self._predictors if p is not None for name in p.names}
         self._gains = np.array([name in added for name in nlp.free])
         z, s = nlp.expressions["x"], nlp.expressions["p"]
         f, g = nlp.expressions["f"], nlp.expressions["g"]
@@ -96,6 +99,8 @@ class GaussNewton:
         cost = self._cost(point, smoothing=0.0)
         if status == "converged" and self._limits.missed(point.z) > 0:
             status = "constraints missed"
+        if status == "converged" and not are_stable(self._predictors, point):
+            status = "unstable predictor"
         converged = status == "converged" and math.isfinite(cost)
         nodes = tuple(path.nodes for path in point.paths)
         seconds = time.perf_counter() - began
@@ -152,9 +157,12 @@ class GaussNewton:
             rows.append((outputs / part.noise.spread[:, None]).ravel())
         return np.concatenate(rows)
 
-    def _point(self, z: Array, nodes: Sequence[Array]) -> Point:
+    def _point(self, z: Array, nodes: Sequence[Array], like: Point | None = None) -> Point:
+        """Return the point z with the paths from the nodes, followed by predictors where those of `like` are."""
         places = tuple(part.place(z) for part in self._records)
-        paths = tuple(part.path(n, place) for part, n, place in zip(self._records, nodes, places, strict=True))
+        chosen = [p if like and like.paths[k].followed else None for k, p in enumerate(self._predictors)]
+        ways = zip(self._records, chosen, nodes, places, strict=True)
+        paths = tuple(part.path(n, place) if p is None else p.followed(n, place) for part, p, n, place in ways)
         return Point(z, places, paths)
 
     def _cost(self, point: Point, smoothing: float) -> float:
@@ -201,9 +209,10 @@ class GaussNewton:
             kept = gained / move.predicted if exact and move.predicted > 0 else 1.0
             at.damping = next_damping(at.damping, length, kept)
             if not exact:
-                at.advance(move.predicted, gained, length, done=frozen or move.predicted <= SETTLED * abs(before))
-                point = self._with_gains(point, at.soft) if at.exact and not frozen else point
-            elif length == 1.0:
+                at.advance(move.predicted, gained, length, done=frozen or self._settled(move, before, length))
+                point = self._with_gains(point, at) if at.exact and not frozen else point
+            point = followed(self._predictors, point) if at.exact else point
+            if exact and length == 1.0:
                 # Gauss-Newton converges linearly at worst: the next decrease follows from the last two.
                 predicted = max(move.predicted, move.distance)
                 following = predicted**2 / at.last if predicted < at.last < 1 else math.inf
@@ -226,7 +235,7 @@ class GaussNewton:
             signal = part.experiment.segment * len(part.outputs) / SPREAD**2
             # A state that no output shows has no such scale: any will do.
             variances.append(np.where(seen > 1e-200, LOOSE**2 * signal / np.maximum(seen, 1e-200), 1.0))
-        stages = 0 if near else STAGES
+        stages = 0 if near else PREDICTING if all(self._predictors) else STAGES
         return Progress(variances, [np.zeros(part.states) for part in self._records], stages)
 
     def _search(
@@ -258,7 +267,7 @@ class GaussNewton:
                 path.nodes + part.closing(blocks, path.gaps)
                 for part, path, blocks in zip(self._records, point.paths, move.blocks, strict=True)
             ]
-            closer = self._point(point.z, nodes)
+            closer = self._point(point.z, nodes, point)
             now = self._gap_cost(closer, force)
             if not closer.finite or now > 0.5 * cost:
                 break
@@ -270,28 +279,19 @@ class GaussNewton:
             w * float((np.abs(p.gaps) * f).sum()) for w, p, f in zip(self._weights, point.paths, force, strict=True)
         )
 
-    def _with_gains(self, point: Point, variances: Sequence[Array]) -> Point:
-        """Return the point with the gains of a steady Kalman filter, the best of some sizes of the process noise.
+    def _settled(self, move: Move, before: float, length: float) -> bool:
+        """Tell whether a stage before continuity is exact has done its work."""
+        return move.predicted <= SETTLED * abs(before) or (all(self._predictors) and length < SHORT)
 
-        `variances` (n,) say for every record how much each state moves at all.
-        """
+    def _with_gains(self, point: Point, at: Progress) -> Point:
+        """Return the point with gains to begin with; without stable ones, more stages follow."""
         if not self._gains.any():
             return point
-        best, least = point, math.inf
-        for share in PROCESS_NOISE:
-            z, nodes = point.z.copy(), []
-            for part, path, place, variance in zip(self._records, point.paths, point.places, variances, strict=True):
-                for k, value in part.steady_gains(path, place, share * variance).items():
-                    of = np.flatnonzero(place.slope[k])
-                    if len(of) == 1:
-                        z[of] = value / place.slope[k, of]
-                z = self._limits.clipped(z)
-                nodes.append(part.predicted_nodes(path.nodes, part.place(z)))
-            trial = self._point(z, nodes)
-            cost = self._cost(trial, SMOOTHING)
-            if cost < least and self._predicts(trial):
-                best, least = trial, cost
-        return best
+        z = best_gains(self._predictors, self._weights, point, at.soft, self._limits.clipped)
+        point = self._point(z, [path.nodes for path in point.paths])
+        if at.stages == PREDICTING and not are_stable(self._predictors, point):
+            at.stages = STAGES  # as without a predictor: the model alone has to lead to the neighborhood
+        return point
 
     def _noise_weights(self, point: Point) -> list[Array]:
         return [part.noise.weight(path.products) for part, path in zip(self._records, point.paths, strict=True)]
@@ -330,6 +330,10 @@ class GaussNewton:
         damped = hessian + damping * np.diag(np.diag(hessian))
         rows, limits = self._limits.around(point.z, None if exact else self._gains)
         dz = solve_small_qp(damped, gradient, rows, limits)
+        inside, left = within(self._predictors, point, dz)
+        if len(left):
+            rows, limits = np.vstack([rows, inside]), np.concatenate([limits, left])
+            dz = solve_small_qp(damped, gradient, rows, limits)
         penalty = max(penalty, 1.2 * largest_multiplier(damped @ dz + gradient, rows, rows @ dz - limits))
         half = 0.5 * float(dz @ hessian @ dz)
         promise += penalty * self._limits.missed(point.z) - float(gradient @ dz) - half
@@ -341,7 +345,7 @@ class GaussNewton:
             for part, path, r in zip(self._records, point.paths, move.reduced, strict=True)
         ]
         z = self._limits.clipped(point.z + length * move.dz) if move.dz.any() else point.z
-        return self._kept(point, self._point(z, nodes))
+        return self._kept(point, self._point(z, nodes, point))
 
     def _kept(self, before: Point, after: Point) -> Point:
         """Return the point with the nodes pulled back from which a segment leaves the domain of the model.
@@ -350,13 +354,13 @@ class GaussNewton:
         """
         share = 0.5
         for _ in range(PULLS):
-            if after.finite:
+            if after.finite or all(path.followed for path in after.paths):
                 break
             nodes = [
                 np.where(part.lost(path, place)[:, None], old.nodes + share * (path.nodes - old.nodes), path.nodes)
                 for part, old, path, place in zip(self._records, before.paths, after.paths, after.places, strict=True)
             ]
-            after, share = self._point(after.z, nodes), 0.25 * share
+            after, share = self._point(after.z, nodes, after), 0.25 * share
         return after
 
     def _merit(
@@ -368,7 +372,7 @@ class GaussNewton:
             return at.penalty * self._limits.missed(point.z)
 
         def exactly(point: Point) -> float:
-            if not point.finite or not self._predicts(point):
+            if not point.finite or not are_stable(self._predictors, point, followed=True):
                 return math.inf
             return self._cost(point, SMOOTHING) + self._gap_cost(point, at.force) + missed(point)
 
@@ -383,12 +387,3 @@ class GaussNewton:
             return total
 
         return exactly if exact else softly
-
-    def _predicts(self, point: Point) -> bool:
-        """Tell whether predictors are stable: an unstable one would look into the future through its free states."""
-        if not self._gains.any():
-            return True
-        return all(
-            part.predictor_radius(path, place) < 1
-            for part, path, place in zip(self._records, point.paths, point.places, strict=True)
-        )

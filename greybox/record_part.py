@@ -18,7 +18,7 @@ from greybox.integrator import Integrator
 from greybox.linear import delay_order
 from greybox.model import Names
 from greybox.noise import Noise, noise_of
-from greybox.output_error import PredictionError, TimeCriterion
+from greybox.output_error import TimeCriterion
 from greybox.problem import Problem
 from greybox.record import Record
 from greybox.sample import SampleStep, sample_step
@@ -53,13 +53,17 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """What follows from nodes (s, n): states (n, columns), ends (s, n), gaps (s, n), residual products (k, k)."""
+    """What follows from nodes (s, n): states (n, columns), ends (s, n), gaps (s, n), residual products (k, k).
+
+    `followed` where a predictor went from the first node of every stretch to its end: no other node counts.
+    """
 
     nodes: Array
     states: Array
     end: Array
     gaps: Array
     products: Array
+    followed: bool = False
 
     @property
     def finite(self) -> bool:
@@ -271,62 +275,6 @@ class RecordPart:
         transition, column = blocks.to_state * unit / unit[:, None], unit[:, None]
         x, force = solve_chain(corner, transition, self.coupled, right * column, continuity / column, soft / unit**2)
         return x * column, force / column
-
-    @property
-    def gain_names(self) -> tuple[str, ...]:
-        """The entries of a predictor's gain, as the problem knows them."""
-        return tuple(self.part.rename.get(name, name) for name, _, _ in self._gain_entries())
-
-    def _gain_entries(self) -> list[tuple[str, int, int]]:
-        """Return the name, state and output of every entry of a gain."""
-        if not isinstance(self.criterion, PredictionError):
-            return []
-        return [
-            (f"K_{state}_{output}", self.system.states.index(state), self.outputs.index(output))
-            for state, output in self.criterion.gains(self.part.model, self.outputs)
-        ]
-
-    def steady_gains(self, path: Path, place: Place, process: Array) -> dict[int, float]:
-        """Return the gain of a steady Kalman filter by the place of its entries among the active parameters.
-
-        For process noise of the variances `process` (n,) a sample, and the residuals of the path as measurement noise.
-        Source: Simon (2006), Optimal State Estimation, section 7.3.
-        """
-        entries = self._gain_entries()
-        if not entries:
-            return {}
-        A, C = self.shooting.mean_derivatives(path.states, place.q, place.data)
-        Q, R = np.diag(process), self.noise.covariance(path.products)
-        P, K = Q.copy(), np.zeros((self.states, len(self.outputs)))
-        for _ in range(2000):
-            before, K = P, np.linalg.solve(C @ P @ C.T + R, C @ P).T
-            P = A @ (P - K @ C @ P) @ A.T + Q
-            if not np.all(np.isfinite(P)):
-                return {}
-            if np.allclose(P, before, rtol=1e-9, atol=0):
-                break
-        names, active = list(self.part.declared), self.active.tolist()
-        places = {name: names.index(name) for name, _, _ in entries}
-        return {active.index(places[name]): float(K[i, j]) for name, i, j in entries if places[name] in active}
-
-    def predictor_radius(self, path: Path, place: Place) -> float:
-        """Return the largest magnitude of the predictor's poles, per sample; 0 where it is none."""
-        if not self._gain_entries():
-            return 0.0
-        A, _ = self.shooting.mean_derivatives(path.states, place.q, place.data)
-        return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) if np.all(np.isfinite(A)) else math.inf
-
-    def predicted_nodes(self, nodes: Array, place: Place) -> Array:
-        """Return the nodes (s, n) of a predictor that runs from the first node of every stretch to its end."""
-        data, length = self.shooting.in_order(place.data), self.experiment.segment
-        result, at = np.empty_like(nodes), 0
-        for count in self.experiment.counts:
-            run = self.step.function.mapaccum("run", count * length)
-            states, *_ = run(nodes[at], place.q, data[:, at * length : (at + count) * length])
-            following = states.full().T[length - 1 :: length]
-            result[at : at + count] = np.vstack([nodes[at], following[:-1]])
-            at += count
-        return result
 
     def moved(self, nodes: Array, reduced: Reduced, dz: Array, length: float) -> Array:
         """Return the nodes after a step `dz` (p,), of which `length` is taken."""

@@ -1,13 +1,19 @@
 """What happens at one sample of a record: delayed inputs, residuals, innovations, and the step to the next sample."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
 from greybox.dynamics import Dynamics
 from greybox.experiment import input_over_step
 from greybox.integrator import Integrator, step_function
 from greybox.output_error import PredictionError, TimeCriterion
+
+Array = NDArray[np.float64]
+RUN = 100  # samples that one call follows
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +36,33 @@ class SampleStep:
     before: ca.Function
     system: Dynamics
     width: int
+
+    @cached_property
+    def _run(self) -> ca.Function:
+        """(x, q, d of RUN samples) -> x after each of them, residuals of each."""
+        x, q, d = (ca.SX.sym(name, self.function.numel_in(k)) for k, name in enumerate("xqd"))
+        one = ca.Function("one", [x, q, d], list(self.function(x, q, d)[:2]), {"cse": True})
+        first, Q, D = ca.MX.sym("x", x.numel()), ca.MX.sym("q", q.numel()), ca.MX.sym("d", d.numel(), RUN)
+        return ca.Function("run", [first, Q, D], one.mapaccum("run", RUN)(first, Q, D))
+
+    def follow(self, x: Array, q: Array, data: Array) -> tuple[Array, Array]:
+        """Return the states (m + 1, n) and residuals (m, k) of m samples from a first state (n,); data (m, width)."""
+        m, q = len(data), np.ascontiguousarray(q, dtype=float)
+        size = -(-m // RUN) * RUN
+        states, residuals = np.empty((size + 1, len(x))), np.empty((size, self.function.numel_out(1)))
+        states[0] = x
+        last = data[size - RUN :]
+        last = np.concatenate([last, np.repeat(data[-1:], size - m, axis=0)])  # a call takes RUN samples
+        buffer, evaluate = self._run.buffer()
+        buffer.set_arg(1, q.data)
+        for at in range(0, size, RUN):
+            some = data[at : at + RUN] if at + RUN < size else last
+            buffer.set_arg(0, states[at].data)
+            buffer.set_arg(2, some.data)
+            buffer.set_res(0, states[at + 1 : at + RUN + 1].data)
+            buffer.set_res(1, residuals[at : at + RUN].data)
+            evaluate()
+        return states[: m + 1], residuals[:m]
 
 
 def sample_step(

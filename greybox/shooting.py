@@ -23,6 +23,7 @@ from greybox.tape import Columns
 
 Array = NDArray[np.float64]
 COLUMNS = 20000  # samples whose derivatives are in memory at once
+SOME = 500  # samples whose derivatives make a mean
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +85,13 @@ class Shooting:
         free = ca.vertcat(x, q[self.active.tolist()])
         slopes = [ca.densify(ca.jacobian(after, free)), ca.densify(ca.jacobian(e, free)), e]
         return _columns("derivatives", [x, q, d], slopes)
+
+    @cached_property
+    def _by_state(self) -> Columns:
+        """Derivatives of the next state and of the residual by x."""
+        x, q, d = _arguments(self._step)
+        after, e, _ = self._step.function(x, q, d)
+        return _columns("by_state", [x, q, d], [ca.densify(ca.jacobian(after, x)), ca.densify(ca.jacobian(e, x))])
 
     def on(self, experiment: Experiment) -> "Shooting":
         """Return the same functions on another cut of the record."""
@@ -150,11 +158,9 @@ class Shooting:
 
     def _blocks_in_c(self, states: Array, q: Array, weight: Array, data: Array) -> Blocks:
         assert self._compiled is not None
-        if self._in_order is None or self._in_order[0] is not data:
-            self._in_order = (data, np.ascontiguousarray(self.in_order(data).T))
         n, v, s = self.n, self.n + len(self.active), self.experiment.segments
         nodes = states[:, :s].T
-        end, slopes, products, gradient = self._compiled(nodes, q, weight, self._in_order[1])
+        end, slopes, products, gradient = self._compiled(nodes, q, weight, self.rows(data))
         transition = slopes.reshape(s, v, n).transpose(0, 2, 1)
         place = np.zeros((v, v), dtype=int)
         place[np.triu_indices(v)] = np.arange(v * (v + 1) // 2)
@@ -197,11 +203,19 @@ class Shooting:
 
     def mean_derivatives(self, states: Array, q: Array, data: Array) -> tuple[Array, Array]:
         """Return the derivatives of the next state (n, n) and of the outputs (k, n) by the state, the mean of some."""
-        some = slice(None, None, max(states.shape[1] // 2000, 1))
-        A, E, _ = self._derivatives(states[:, some], q, data[:, some])
-        v = self.n + len(self.active)
-        A, E = A.reshape(v, self.n, -1).mean(axis=2).T, E.reshape(v, self.k, -1).mean(axis=2).T
-        return A[:, : self.n], -E[:, : self.n]
+        some = slice(None, None, max(states.shape[1] // SOME, 1))
+        A, E = self._by_state(states[:, some], q, data[:, some])
+        return A.reshape(self.n, self.n, -1).mean(axis=2).T, -E.reshape(self.n, self.k, -1).mean(axis=2).T
+
+    def rows(self, data: Array) -> Array:
+        """Return the data of all samples in their order, (samples, width)."""
+        if self._in_order is None or self._in_order[0] is not data:
+            self._in_order = (data, np.ascontiguousarray(self.in_order(data).T))
+        return self._in_order[1]
+
+    def columns(self, values: Array) -> Array:
+        """Return values (r, samples) in the order of the samples as columns."""
+        return _by_sample(values, self.experiment)
 
     def in_order(self, values: Array) -> Array:
         """Return columns (r, columns) in the order of the samples."""
