@@ -54,9 +54,10 @@ def fit(
     problem : Problem or a sum of problems
     starts : int, Starts, or list
         A number of Sobol points, a rule such as `LatinHypercube(200)`, or a list of ``{name: value}``; by default 200
-        Sobol points; where data are records, the declared values and 19 Sobol points. Of several starts on records,
-        the best end is left once more with every positive parameter four times larger and smaller; what ends better
-        is a run of its own.
+        Sobol points; where data are records, the declared values and 19 Sobol points. Drawn points at which a model of
+        records is not finite move toward the first at which it is. Of several starts on records, the first is also
+        begun with a simulation, and the best end left once more with every positive parameter four times larger and
+        smaller and along what the data do not determine; what ends better is a run of its own.
     seed : int, optional
         Of the Sobol points, 0 by default; a rule has its own. More starts of one seed begin with the same points.
     method : MultipleShooting, SingleShooting or Collocation, optional
@@ -87,13 +88,12 @@ def fit(
     parameters = problem.parameters
     rule = _rule(starts, seed, nlp)
     points = rule.draw({name: parameters[name] for name in nlp.free})
-    if callable(progress):
-        search = multistart(nlp, points, solver_options, progress)
-    elif not progress:
-        search = multistart(nlp, points, solver_options)
+    movable = not isinstance(rule, Listed)
+    if callable(progress) or not progress:
+        search = multistart(nlp, points, solver_options, progress or None, movable)
     else:
         with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
-            search = multistart(nlp, points, solver_options, lambda done, _: _advance(bar, done))
+            search = multistart(nlp, points, solver_options, lambda done, _: _advance(bar, done), movable)
     nlp, search, error = well_integrated(nlp, explained(nlp, search))
     return assemble(nlp, search, seed=rule.seed, starts=str(rule), began=began, error=error)
 

@@ -86,21 +86,6 @@ class Predictor:
         size = np.maximum(np.abs(poles), 1e-12)
         return np.real(np.conj(poles)[:, None] * slopes) / size[:, None], self.limit - np.abs(poles)
 
-    def followed(self, nodes: Array, place: Place) -> Path:
-        """Return the path from the first of the nodes (s, n) of every stretch to its end."""
-        part, length = self.part, self.part.experiment.segment
-        rows, nodes = part.shooting.rows(place.data), part.pinned(nodes, place)
-        states, end = np.empty((len(rows), part.states)), np.empty_like(nodes)
-        products, at = np.zeros((len(part.outputs), len(part.outputs))), 0
-        for count in part.experiment.counts:
-            some = slice(at * length, (at + count) * length)
-            run, residuals = part.step.follow(nodes[at], place.q, rows[some])
-            states[some], end[at : at + count] = run[:-1], run[length::length]
-            products += residuals.T @ residuals
-            at += count
-        columns, gaps = part.shooting.columns(states.T), np.zeros_like(end)
-        return Path(states[::length].copy(), columns, end, gaps, products, followed=True)
-
     def cost(self, nodes: Array, place: Place) -> float:
         """Return about what `followed` costs, by some pieces of the record that begin at their own nodes."""
         part, length = self.part, self.part.experiment.segment
@@ -252,7 +237,7 @@ def followed(predictors: Sequence[Predictor | None], point: Point) -> Point:
     paths = []
     for p, path, place in zip(predictors, point.paths, point.places, strict=True):
         if p is not None and not path.followed and p.is_stable(path, place):
-            along = p.followed(path.nodes, place)
+            along = p.part.followed(path.nodes, place)
             paths.append(along if along.finite else path)
         else:
             paths.append(path)

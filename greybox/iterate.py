@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +11,19 @@ from greybox.record_part import Path, Place, Reduced
 from greybox.shooting import Blocks
 
 Array = NDArray[np.float64]
+PATIENCE = 3  # iterations for the states alone, at parameters that may be far off
 TIGHTEN = 0.1  # the standard deviation by which continuity may be missed, from one stage to the next
+LAST = 2e-4  # scale of that deviation below which continuity is demanded
+SLOW, ALIKE, FARTHEST = 0.3, 0.9, 20.0  # steps: ratio and cosine from which they are extrapolated, and the limit
+SHORT = 0.05  # steps of less than this length are no progress
 SETTLED = 0.1  # relative: how well a step must keep its promise for the next stage to begin
 POOR = 0.25  # share of a promised decrease below which full steps are too long
 WELL = 0.01  # the same, for it to skip one
 HELD = 1e-9  # slack of a limit that holds a step
 PENALTY = 1e3  # on the amount by which constraints are missed, at least
+
+
+Origin = tuple[Array, list[Array]]  # z and the nodes of every record
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,13 +39,18 @@ class Point:
         """True when nothing diverged."""
         return all(path.finite for path in self.paths)
 
+    @property
+    def origin(self) -> Origin:
+        """What all else follows from."""
+        return self.z, [path.nodes for path in self.paths]
+
 
 @dataclass(frozen=True, eq=False)
 class Move:
     """One step: the systems it comes from, the change dz (p,) of the point, and the decrease of the merit it promises.
 
-    `distance` is half its length squared, in standard errors where the cost is a likelihood; `penalty` is large enough
-    on missed constraints for the step to decrease the merit.
+    `distance` is half its length squared, in standard errors where the cost is a likelihood; `hessian` (p, p) is
+    undamped.
     """
 
     blocks: Sequence[Blocks]
@@ -46,36 +58,93 @@ class Move:
     dz: Array
     predicted: float
     distance: float
-    penalty: float
+    hessian: Array
+
+    def reach(self, last: Array | None) -> float:
+        """Return the length to which steps that go the same way, ever shorter by one ratio, would add up.
+
+        `last` (p,) is the step before; 1 where they do not. Source: Aitken's extrapolation in the norm of the Hessian.
+        """
+        if last is None:
+            return 1.0
+        before, now = float(last @ self.hessian @ last), float(self.dz @ self.hessian @ self.dz)
+        both = float(self.dz @ self.hessian @ last)
+        if not (before > 0 and now > 0) or both < ALIKE * math.sqrt(before * now):
+            return 1.0
+        ratio = both / before
+        return 1 / (1 - min(ratio, 1 - 1 / FARTHEST)) if ratio > SLOW else 1.0
 
 
 @dataclass(eq=False)
 class Progress:
-    """What an iteration hands to the next: stage (-1: states alone), damping, multipliers, the last promise."""
+    """What an iteration hands to the next.
 
-    soft: list[Array]
-    force: list[Array]
-    stages: int
-    stage: int = -1
+    Attributes
+    ----------
+    soft : list of (n,) arrays
+        Variances by which continuity may be missed, at `scale` one.
+    force : list of (n,) arrays
+        Largest multipliers of the continuity so far.
+    near : bool
+        True where continuity is demanded from the first step of the parameters.
+    patience : int
+        Iterations left for the states alone.
+    scale : float
+        Of the standard deviation by which continuity may be missed; zero is exact.
+    penalty : float
+        On missed constraints, large enough for steps to decrease the merit.
+    start, loose : z and nodes, or None
+        Where all began, and where continuity began to be demanded, as long as Newton steps close its gaps.
+    least : float
+        Scale below which continuity is demanded.
+    """
+
+    soft: list[Array] = field(default_factory=list)
+    force: list[Array] = field(default_factory=list)
+    near: bool = False
+    patience: int = PATIENCE
+    scale: float = 1.0
+    start: Origin | None = None
+    loose: Origin | None = None
+    least: float = LAST
     damping: float = 0.0
     penalty: float = PENALTY
     last: float = math.nan
+    step: Array | None = None
+
+    def begin(self, point: Point, soft: list[Array]) -> None:
+        """Take the first point and its variances."""
+        self.start, self.soft, self.force = point.origin, soft, [np.zeros_like(s) for s in soft]
+
+    def aimed(self, move: "Move") -> "Move":
+        """Take over the multipliers of a move, which gaps must cost at least."""
+        if self.exact:
+            largest = [largest_force(r, move.dz) for r in move.reduced]
+            self.force = [np.maximum(f, 1.2 * now) for f, now in zip(self.force, largest, strict=True)]
+        return move
 
     @property
     def exact(self) -> bool:
         """True when continuity is demanded."""
-        return self.stage >= self.stages
-
-    def advance(self, predicted: float, gained: float, length: float, done: bool) -> None:
-        """Go to the next stage when a full step kept its promise, no step was found, or nothing is left to gain."""
-        missed = abs(gained - predicted) / predicted if length == 1 and predicted > 0 else math.inf
-        if done or length == 0 or missed <= SETTLED:
-            self.stage += 2 if missed <= WELL and self.stage >= 0 else 1
+        return self.scale == 0
 
     @property
     def softness(self) -> list[Array]:
         """The variances by which continuity may be missed now."""
-        return [np.zeros_like(s) if self.exact else s * TIGHTEN ** (2 * max(self.stage, 0)) for s in self.soft]
+        return [s * self.scale**2 for s in self.soft]
+
+    def stepped(self, point: Point, predicted: float, gained: float, length: float, done: bool) -> None:
+        """Go on to `point` after a step; tighten continuity where it kept its promise or nothing is left to gain."""
+        missed = abs(gained - predicted) / predicted if length == 1 and predicted > 0 else math.inf
+        ready = done or missed <= SETTLED
+        if self.patience:
+            self.patience = 0 if ready else self.patience - 1
+            self.scale = 0.0 if self.near and not self.patience else self.scale
+        elif ready:
+            scale = self.scale * (TIGHTEN**2 if missed <= WELL else TIGHTEN)
+            self.scale = scale if scale > self.least else 0.0
+        if self.exact:
+            self.loose = point.origin
 
 
 def largest_force(reduced: Reduced, dz: Array) -> Array:
@@ -100,6 +169,12 @@ def promised(blocks: Blocks, reduced: Reduced, gaps: Array, soft: Array) -> floa
         missed = soft * reduced.force
         change += 0.5 * float(((missed**2 - gaps**2) / soft).sum())
     return max(-change, 0.0)
+
+
+def held_back(reduced: Reduced, dz: Array) -> float:
+    """Return what damping adds to the cost at a step dz (p,) over what it adds at no step."""
+    x = reduced.step + reduced.follow @ (reduced.slope @ dz)
+    return 0.5 * float((reduced.held * (x**2 - reduced.step**2)).sum())
 
 
 def next_damping(damping: float, length: float, kept: float) -> float:

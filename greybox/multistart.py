@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.gauss_newton import GaussNewton
+from greybox.hops import hopped, simulated_first
 from greybox.nlp import Nlp
-from greybox.result import Minimum, Multistart, find_minima, same_cost
+from greybox.result import Minimum, Multistart, find_minima
 from greybox.solve import CONVERGED, INVALID, POLISH, Outcome, Run, Solver
 from greybox.whole_problem import WholeProblem
 
@@ -20,7 +21,7 @@ Progress = Callable[[int, int], None]
 """Called with the number of finished and of all runs."""
 
 RESCUED, RESCUE_SIZE = 3, 100_000  # runs, and measured numbers, that IPOPT takes over
-HOP = 4.0  # a parameter is made so many times larger or smaller to leave the neighborhood of a minimum
+SHARES = 0.5 ** np.arange(1, 7)  # of the way from a start that is finite to one that is not
 CLOSE = 1e-2  # relative cost up to which a minimum is polished too: smoothing may change the order of close ones
 
 
@@ -29,22 +30,29 @@ def multistart(
     starts: NDArray[np.float64],
     solver_options: Mapping[str, Any] = MappingProxyType({}),
     progress: Progress | None = None,
+    movable: bool = True,
 ) -> Multistart:
     """Run IPOPT from every row of `starts` (r, p), group the runs into minima, and polish the best.
 
-    Every run is kept. A run that fails is a result with its status; it is never ranked before one that converged.
+    Starts that are `movable` go to where a model of records is finite. Every run is kept. A run that fails is a result
+    with its status; it is never ranked before one that converged.
     """
     began = time.perf_counter()
     solver = _solver(nlp, solver_options)
+    if movable and not isinstance(solver, Solver):
+        starts = _finite(nlp, solver, starts)
     outcomes = []
     for k, start in enumerate(starts):
         outcomes.append(solver.run(start))
         if progress is not None:
             progress(k + 1, len(starts))
-    if isinstance(solver, GaussNewton) and not any(outcome.converged for outcome in outcomes):
-        outcomes = _by_ipopt(nlp, outcomes, solver_options)
-    if isinstance(solver, GaussNewton) and len(starts) > 1:
-        starts, outcomes = _hopped(nlp, solver, starts, outcomes)
+    if isinstance(solver, GaussNewton):
+        if len(starts) > 1:
+            starts, outcomes = simulated_first(nlp, solver, starts, outcomes)
+        if not any(outcome.converged for outcome in outcomes):
+            outcomes = _by_ipopt(nlp, outcomes, solver_options)
+        if len(starts) > 1:
+            starts, outcomes = hopped(nlp, solver, starts, outcomes)
     runs = _as_runs(nlp, starts, outcomes)
     minima = find_minima(nlp, runs, [outcome.trace for outcome in outcomes])
     if minima and isinstance(solver, Solver) and any(part.criterion.smoothed for part in nlp.problem.parts):
@@ -56,29 +64,20 @@ def multistart(
     return Multistart(runs, minima, time.perf_counter() - began, nodes)
 
 
-def _hopped(
-    nlp: Nlp, solver: GaussNewton, starts: NDArray[np.float64], outcomes: list[Outcome]
-) -> tuple[NDArray[np.float64], list[Outcome]]:
-    """Add runs from the best end with one positive parameter HOP times larger or smaller, where they end better.
-
-    Lags that swap places make minima whose neighborhoods take up shares of the start box that differ a hundredfold.
-    """
-    ended = [outcome for outcome in outcomes if outcome.converged]
-    while ended:
-        best = min(ended, key=lambda outcome: outcome.cost)
-        points = []
-        for k in np.flatnonzero(nlp.lower > 0):
-            for factor in (1 / HOP, HOP):
-                point = best.estimate.copy()
-                point[k] = np.clip(factor * point[k], nlp.lower[k], nlp.upper[k])
-                points.append(point)
-        tried = [(point, solver.run(point)) for point in points]
-        better = [(p, o) for p, o in tried if o.converged and o.cost < best.cost - same_cost(nlp, best.cost)]
-        if not better:
-            break
-        point, outcome = min(better, key=lambda pair: pair[1].cost)
-        starts, outcomes, ended = np.vstack([starts, point]), [*outcomes, outcome], [outcome]
-    return starts, outcomes
+def _finite(nlp: Nlp, solver: GaussNewton | WholeProblem, starts: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Move starts at which the model is not finite toward the first at which it is, until it is there too."""
+    begins = [solver.begins(start) for start in starts]
+    if not any(begins):
+        return starts
+    starts, home = starts.copy(), nlp.scaling.to_solver(starts[begins.index(True)])
+    for k in np.flatnonzero(np.logical_not(begins)):
+        away = nlp.scaling.to_solver(starts[k]) - home
+        for share in SHARES:
+            point = np.clip(nlp.scaling.to_parameters(home + share * away), nlp.lower, nlp.upper)
+            if solver.begins(point):
+                starts[k] = point
+                break
+    return starts
 
 
 def _by_ipopt(nlp: Nlp, outcomes: list[Outcome], options: Mapping[str, Any]) -> list[Outcome]:

@@ -19,6 +19,7 @@ from greybox.linear import delay_order
 from greybox.model import Names
 from greybox.noise import Noise, noise_of
 from greybox.output_error import TimeCriterion
+from greybox.pace import pace
 from greybox.problem import Problem
 from greybox.record import Record
 from greybox.sample import SampleStep, sample_step
@@ -55,7 +56,7 @@ class Place:
 class Path:
     """What follows from nodes (s, n): states (n, columns), ends (s, n), gaps (s, n), residual products (k, k).
 
-    `followed` where a predictor went from the first node of every stretch to its end: no other node counts.
+    `followed` where the first node of every stretch was followed to its end: no other node counts.
     """
 
     nodes: Array
@@ -82,6 +83,8 @@ class Reduced:
     step, follow : (s, n) and (s, n, active) arrays
     force, force_follow : (s, n) and (s, n, active) arrays
         Multipliers of the continuity, likewise.
+    held : (s, n) array
+        The damping of the nodes, by half the squares of their moves.
     """
 
     hessian: Array
@@ -91,6 +94,7 @@ class Reduced:
     follow: Array
     force: Array
     force_follow: Array
+    held: Array
 
 
 class RecordPart:
@@ -116,7 +120,8 @@ class RecordPart:
         )
         self._first_states = FirstStates(self.system, self.outputs)
         seen = at_samples(whole, max(whole.segments // LOOKS, 1))
-        substeps, segment = _chosen(part, method, self._first_states, seen, self.initial)
+        known = lambda q: self.initial(q)[0].full().ravel()  # noqa: E731  (of one line and one use)
+        substeps, segment = pace(part, method, self.system, self._first_states, seen, known)
         self.experiment: Experiment = replace(whole, segment=segment)
         self.substeps = substeps
         self.step: SampleStep = self._step(method.integrator, substeps)
@@ -241,9 +246,16 @@ class RecordPart:
             to_state[at, :, self.known_states] = 0
         return Blocks(b.end, to_state, to_parameters, corner, mixed, gradient, own, slope)
 
-    def reduce(self, blocks: Blocks, place: Place, gaps: Array, soft: Array) -> Reduced:
-        """Eliminate the nodes; `soft` (n,) is the variance by which continuity may be missed."""
+    def reduce(self, blocks: Blocks, place: Place, gaps: Array, soft: Array, damping: float = 0.0) -> Reduced:
+        """Eliminate the nodes; `soft` (n,) is the variance by which continuity may be missed.
+
+        Where it may be, `damping` holds the nodes, relative to their curvature (Levenberg-Marquardt).
+        """
         mixed, B = blocks.mixed, blocks.to_parameters
+        held = np.zeros_like(gaps)
+        if damping and np.all(soft > 0):
+            held = damping * self._curvature(blocks, soft)
+            blocks = replace(blocks, corner=blocks.corner + held[:, :, None] * np.eye(self.states))
         right = -np.concatenate([blocks.gradient[:, :, None], mixed], axis=2)
         continuity = -np.concatenate([gaps[:, :, None], B], axis=2)
         x, force = self._solved(blocks, right, continuity, soft)
@@ -258,7 +270,14 @@ class RecordPart:
             follow=x[:, :, 1:],
             force=force[:, :, 0],
             force_follow=force[:, :, 1:],
+            held=held,
         )
+
+    def _curvature(self, blocks: Blocks, soft: Array) -> Array:
+        """Return the second derivatives of outputs and missed continuity by every node state, (s, n)."""
+        linked = np.where(self.coupled[:, None], (blocks.to_state**2 / soft[:, None]).sum(axis=1), 0.0)
+        linked[1:] += np.where(self.coupled[:-1, None], 1 / soft, 0.0)
+        return blocks.corner.diagonal(axis1=1, axis2=2) + linked
 
     def closing(self, blocks: Blocks, gaps: Array) -> Array:
         """Return the change of the nodes (s, n) that closes gaps (s, n) with the least change of the outputs."""
@@ -276,6 +295,21 @@ class RecordPart:
         x, force = solve_chain(corner, transition, self.coupled, right * column, continuity / column, soft / unit**2)
         return x * column, force / column
 
+    def followed(self, nodes: Array, place: Place) -> Path:
+        """Return the path from the first of the nodes (s, n) of every stretch to its end."""
+        length = self.experiment.segment
+        rows, nodes = self.shooting.rows(place.data), self.pinned(nodes, place)
+        states, end = np.empty((len(rows), self.states)), np.empty_like(nodes)
+        products, at = np.zeros((len(self.outputs), len(self.outputs))), 0
+        for count in self.experiment.counts:
+            some = slice(at * length, (at + count) * length)
+            run, residuals = self.step.follow(nodes[at], place.q, rows[some])
+            states[some], end[at : at + count] = run[:-1], run[length::length]
+            products += residuals.T @ residuals
+            at += count
+        columns, gaps = self.shooting.columns(states.T), np.zeros_like(end)
+        return Path(states[::length].copy(), columns, end, gaps, products, followed=True)
+
     def moved(self, nodes: Array, reduced: Reduced, dz: Array, length: float) -> Array:
         """Return the nodes after a step `dz` (p,), of which `length` is taken."""
         return nodes + length * (reduced.step + reduced.follow @ (reduced.slope @ dz))
@@ -288,50 +322,6 @@ def _called(what: str, value: Any, local: Names) -> Any:
         return ca.SX(traced(what, value, local))
     except (AttributeError, KeyError, ArithmeticError) as error:
         raise ValueError(f"{what}: {error}") from error
-
-
-def _chosen(
-    part: Problem, method: Transcription, first: FirstStates, seen: tuple[Array, Array], known: Any
-) -> tuple[int, int]:
-    """Return substeps and samples per segment: what the method says, or what the poles over the start box ask for."""
-    assert isinstance(part.data, Record)
-    step = part.data.step
-    if method.integrator.substeps is not None and method.segment is not None:
-        return method.integrator.substeps, method.segment
-    fastest, growth = _pace(part, method.integrator, first, seen, known)
-    substeps = method.integrator.substeps or int(np.clip(math.ceil(fastest * step), 1, 20))
-    segment = method.segment or int(np.clip(2 / max(growth * step, 1e-12), 5, 10))
-    return substeps, segment
-
-
-def _pace(
-    part: Problem, scheme: Integrator, first: FirstStates, seen: tuple[Array, Array], known: Any
-) -> tuple[float, float]:
-    """Return the steps per second that the poles along the data ask for, and how unstable they are, rad/s.
-
-    Upper quartiles over the start box.
-    """
-    random = np.random.default_rng(0)
-    fastest, growth = [], []
-    for k in range(33):
-        outside = {name: p.start if k == 0 else _drawn(p, random) for name, p in part.parameters.items()}
-        q = np.array([float(value) for value in part.local_values(outside).values()])
-        p = q[: len(part.model.parameters)]
-        poles = first.poles(first.at(*seen, p, known(q)[0].full().ravel()), seen[1], p)
-        if poles.size:
-            fastest.append(np.maximum(np.abs(poles) / scheme.reach, np.abs(poles.imag) / scheme.wave).max())
-            growth.append(poles.real.max(axis=1).mean())
-    quartile = 3 * (len(fastest) - 1) // 4  # np.quantile imports masked arrays, which takes longer than all of this
-    return (float(sorted(fastest)[quartile]), float(sorted(growth)[quartile])) if fastest else (0.0, 0.0)
-
-
-def _drawn(parameter: Any, random: np.random.Generator) -> float:
-    if parameter.fixed:
-        return parameter.start
-    low, high = np.clip(parameter.box, parameter.start - 1e6, parameter.start + 1e6)
-    if parameter.scale == "log":
-        return float(np.exp(random.uniform(math.log(low), math.log(high))))
-    return float(random.uniform(low, high))
 
 
 def _longest_delay(part: Problem, system: Dynamics) -> Array:

@@ -7,6 +7,7 @@ gives: paths, ends and residuals, or the blocks of the Gauss-Newton system.
 Columns run over segments, sample by sample: column i · s + j is sample i of segment j.
 """
 
+import math
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -141,8 +142,8 @@ class Shooting:
 
     def blocks(self, states: Array, end: Array, q: Array, weight: Array, data: Array) -> Blocks:
         """Linearize along the states, the residuals multiplied by `weight`, a square root of the inverse covariance."""
-        if self._compiled is not None:
-            return self._blocks_in_c(states, q, weight, data)
+        if self._compiled is not None and (found := self._blocks_in_c(states, q, weight, data)) is not None:
+            return found
         s, v, n = len(end), self.n + len(self.active), self.n
         corner, mixed, gradient = np.empty((s, n, n)), np.empty((s, n, v - n)), np.empty((s, n))
         transition, own, slope = np.empty((s, n, v)), np.zeros((v - n, v - n)), np.zeros(v - n)
@@ -156,11 +157,14 @@ class Shooting:
             own, slope = own + H[:, n:, n:].sum(axis=0), slope + g[:, n:].sum(axis=0)
         return Blocks(end, transition[:, :, :n], transition[:, :, n:], corner, mixed, gradient, own, slope)
 
-    def _blocks_in_c(self, states: Array, q: Array, weight: Array, data: Array) -> Blocks:
+    def _blocks_in_c(self, states: Array, q: Array, weight: Array, data: Array) -> Blocks | None:
+        """Return the blocks by the compiled linearization, None where a derivative is not finite."""
         assert self._compiled is not None
         n, v, s = self.n, self.n + len(self.active), self.experiment.segments
         nodes = states[:, :s].T
         end, slopes, products, gradient = self._compiled(nodes, q, weight, self.rows(data))
+        if not (math.isfinite(slopes.sum()) and math.isfinite(products.sum())):
+            return None
         transition = slopes.reshape(s, v, n).transpose(0, 2, 1)
         place = np.zeros((v, v), dtype=int)
         place[np.triu_indices(v)] = np.arange(v * (v + 1) // 2)
@@ -189,7 +193,7 @@ class Shooting:
         def chosen(values: Array) -> Array:
             return values.reshape(len(values), length, s)[:, :, some].reshape(len(values), length * count)
 
-        A, C, e = self._derivatives(chosen(states), q, chosen(data))
+        A, C, e = _finite(self._derivatives(chosen(states), q, chosen(data)))
         # CasADi stacks matrices column by column.
         A = np.ascontiguousarray(A.reshape(v, n, length, count).transpose(2, 3, 1, 0))
         C = np.ascontiguousarray(C.reshape(v, k, length, count).transpose(3, 2, 1, 0))
@@ -204,7 +208,7 @@ class Shooting:
     def mean_derivatives(self, states: Array, q: Array, data: Array) -> tuple[Array, Array]:
         """Return the derivatives of the next state (n, n) and of the outputs (k, n) by the state, the mean of some."""
         some = slice(None, None, max(states.shape[1] // SOME, 1))
-        A, E = self._by_state(states[:, some], q, data[:, some])
+        A, E = _finite(self._by_state(states[:, some], q, data[:, some]))
         return A.reshape(self.n, self.n, -1).mean(axis=2).T, -E.reshape(self.n, self.k, -1).mean(axis=2).T
 
     def rows(self, data: Array) -> Array:
@@ -226,6 +230,11 @@ class Shooting:
         """Return slices of s segments whose derivatives fit into memory together."""
         size = max(COLUMNS // self.length, 1)
         return [slice(at, min(at + size, s)) for at in range(0, s, size)]
+
+
+def _finite(found: list[Array]) -> list[Array]:
+    """Return derivatives with zeros for what is not finite: that of a guarded root, sqrt(max(h, 0)), is 0 · inf."""
+    return [v if math.isfinite(v.sum()) else np.nan_to_num(v, nan=0.0, posinf=0.0, neginf=0.0) for v in found]
 
 
 def _arguments(step: SampleStep) -> list[ca.SX]:

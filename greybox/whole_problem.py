@@ -74,6 +74,10 @@ class WholeProblem:
             "ubg": np.concatenate([np.zeros(equations.numel()), np.full(limits.numel(), np.inf)]),
         }
 
+    def begins(self, start: Array) -> bool:
+        """Tell whether the model is finite at the parameters `start` (p,), near the data."""
+        return self._first.begins(start)
+
     def run(self, start: Array) -> Outcome:
         """Solve from the parameters `start` (p,)."""
         began = time.perf_counter()

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from test_output_error import SPRING, TILT, FullTilt, Spring, assert_true, fit, steps
 
 import greybox as gb
-from greybox.gains import predictor, steady_gain
+from greybox.gains import steady_gain
 from greybox.models.controller import AttitudeController
 from greybox.models.tilt import NonlinearTilt
 from greybox.nlp import compile_problem
@@ -78,7 +78,7 @@ def test_a_predictor_follows_every_stretch_as_segments_that_join_do():
     q = np.array([values.get(name, 0.0) for name in part.part.declared])
     place = part.place(np.zeros(7))
     place = type(place)(q, place.slope, place.data, place.initial, place.initial_slope)
-    followed = predictor(part).followed(np.random.default_rng(0).normal(size=(part.experiment.segments, 2)), place)
+    followed = part.followed(np.random.default_rng(0).normal(size=(part.experiment.segments, 2)), place)
     joined = part.path(followed.nodes, place)
     assert np.abs(joined.gaps).max() < 1e-12
     assert_allclose(followed.states, joined.states, atol=1e-12)

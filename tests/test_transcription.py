@@ -153,7 +153,10 @@ def test_ipopt_confirms_the_descended_minimum():
 def test_where_gauss_newton_does_not_converge_ipopt_takes_over(monkeypatch):
     cost = gb.fit(problem(), starts=[{}]).cost
     run = GaussNewton.run
-    monkeypatch.setattr(GaussNewton, "run", lambda self, x: replace(run(self, x), converged=False, status="stalled"))
+    monkeypatch.setattr(
+        GaussNewton, "run", lambda self, x, n=99: replace(run(self, x), converged=False, status="stalled")
+    )
+    monkeypatch.setattr(GaussNewton, "run_simulated", lambda *_: None)
     fit = gb.fit(problem(), starts=[{"k": 15.0, "c": 4.0, "b": 9.0}, {}])
     assert fit.converged
     assert [r.status for r in fit.runs] == ["Solve_Succeeded"] * 2
