@@ -52,9 +52,8 @@ class FirstStates:
         """
         states, seen = np.zeros((self._n, inputs.shape[1])), np.zeros((self._n, inputs.shape[1]))
         hidden = np.ones(self._n, dtype=bool)
-        for shown in self._shown:
-            seen[shown.state] = (measured[shown.output] - shown.offset) / shown.factor
-            hidden[shown.state] = False
+        seen = self.as_measured(seen, measured)
+        hidden[[shown.state for shown in self._shown]] = False
         given = hidden & np.isfinite(known)
         states[given] = seen[given] = known[given, None]
         away = np.abs(seen.mean(axis=1)) > AWAY * seen.std(axis=1)
@@ -64,6 +63,13 @@ class FirstStates:
             return states
         states = self._sized(seen, np.flatnonzero(hidden & ~given), measured, inputs, p)
         return self._mended(states, measured, inputs, p)
+
+    def as_measured(self, states: Array, measured: Array) -> Array:
+        """Return the states (n, s), those that outputs show as measured."""
+        states = states.copy()
+        for shown in self._shown:
+            states[shown.state] = (measured[shown.output] - shown.offset) / shown.factor
+        return states
 
     def poles(self, states: Array, inputs: Array, p: Array) -> NDArray[np.complex128]:
         """Return the poles (s, n) of the linearizations at states (n, s), without those that are not finite."""

@@ -17,8 +17,9 @@ from greybox.transcription.method import Transcription
 
 Array = NDArray[np.float64]
 MOST = 64  # substeps
-DRAWS, LOOKED = 33, 9  # points of the start box whose poles, and whose integration, are looked at; the declared first
-ACCURACY = 1e-5  # error of one sample, relative to the spread of a state: what is left is mended after the search
+DRAWS, LOOKED = 33, 3  # points of the start box whose poles, and whose integration, are looked at; the declared first
+SPAN = 10  # samples over which the integration is looked at
+ACCURACY = 1e-4  # error over them, relative to the spread of a state: what is left is mended after the search
 
 
 def pace(
@@ -31,8 +32,8 @@ def pace(
 ) -> tuple[int, int]:
     """Return substeps a sample and samples a segment: what the method says, or what the model asks for.
 
-    That is by its poles along the data, the upper quartile of the start box, or by the error of one sample, the median
-    of some points, whichever is more; and no less than what the declared values ask for.
+    That is by its poles along the data, the upper quartile of the start box, or by the error over some samples, the
+    median of some points, whichever is more; and no less than what the declared values ask for.
 
     Parameters
     ----------
@@ -59,7 +60,8 @@ def pace(
         count = _clipped(fastest * step)
         counts.append(count)
         if advance is not None and k < LOOKED:
-            exact.append(_accurate(advance, scheme, count, states, seen[1], p, step) if count < MOST else count)
+            along = first.as_measured(states, seen[0])
+            exact.append(_accurate(advance, scheme, count, along, seen[1], p, step) if count < MOST else count)
         growths.append(float(poles.real.max(axis=1).mean()))
     growth = _quantile(growths, 3 / 4)
     segment = method.segment or int(np.clip(2 / max(growth * step, 1e-12), 5, 10))
@@ -90,22 +92,21 @@ def _advance(system: Dynamics, scheme: Integrator) -> Columns:
 def _accurate(
     advance: Columns, scheme: Integrator, count: int, states: Array, inputs: Array, p: Array, step: float
 ) -> int:
-    """Return the number of substeps that makes the error of one sample small, from `count` that is stable."""
+    """Return the number of substeps that makes the error over SPAN samples small, from `count` that is stable."""
     with np.errstate(all="ignore"):
-        coarse, fine = (_sample(advance, n, states, inputs, p, step) for n in (count, 2 * count))
-        moved = np.abs(fine - coarse)
-        spread = np.std(fine, axis=1) + np.abs(fine - states).max(axis=1)
-    finite = np.isfinite(moved).all(axis=0)
-    if not finite.any() or not np.all(np.isfinite(spread)):
+        coarse, fine = (_after(advance, n, states, inputs, p, step) for n in (count, 2 * count))
+    there = np.isfinite(coarse).all(axis=0) & np.isfinite(fine).all(axis=0)
+    if not there.any():
         return count
-    size = np.where(spread > 0, spread, 1.0)
-    error = (moved / size[:, None])[:, finite].max() / ACCURACY
+    coarse, fine, states = coarse[:, there], fine[:, there], states[:, there]
+    spread = np.std(fine, axis=1) + np.abs(fine - states).max(axis=1)
+    error = (np.abs(fine - coarse).max(axis=1) / np.where(spread > 0, spread, 1.0)).max() / ACCURACY
     return count if error <= 1 else _clipped(count * error ** (1 / scheme.order))
 
 
-def _sample(advance: Columns, count: int, states: Array, inputs: Array, p: Array, step: float) -> Array:
+def _after(advance: Columns, count: int, states: Array, inputs: Array, p: Array, step: float) -> Array:
     x, constants = states, np.append(p, step / count)
-    for _ in range(count):
+    for _ in range(SPAN * count):
         (x,) = advance(x, inputs, constants)
     return x
 
