@@ -370,13 +370,13 @@ def _called(what: str, value: Any, local: Names) -> Any:
         raise ValueError(f"{what}: {error}") from error
 
 
-def _longest_delay(part: Problem, system: Dynamics) -> float:
-    """Return the longest delay within the bounds, s; what is unbounded counts with its start."""
+def _longest_delay(part: Problem, system: Dynamics) -> Array:
+    """Return the longest delay of every input within the bounds (m,), s; what is unbounded counts with its start."""
     if not system.delayed:
-        return 0.0
+        return np.zeros(len(system.inputs))
     values: dict[str, float] = {}
     for name, p in part.parameters.items():
         high = p.bounds[1] if math.isfinite(p.bounds[1]) else max(p.box[1], p.start)
         values[name] = p.start if p.fixed or not math.isfinite(high) else high
     q = list(part.local_values(values).values())[: len(system.parameters)]
-    return float(np.max(system.delay(q).full(), initial=0.0))
+    return np.maximum(system.delay(q).full().ravel(), 0.0)
