@@ -193,9 +193,8 @@ class GaussNewton:
     def trace(self, x: Array) -> Array | None:
         """Return what `Outcome.trace` holds, at the best states for x (p,); None where there are none."""
         found = self.profile(x)
-        if not found.converged:
-            return None
-        return self._points.trace(Point(self._nlp.scaling.to_solver(x), found.places, found.paths))
+        point = Point(self._nlp.scaling.to_solver(x), found.places, found.paths)
+        return self._points.trace(point) if found.converged and are_stable(self._predictors, point) else None
 
     def _rest(self, value: float) -> list[Array]:
         return [np.full((part.experiment.segments, part.states), value) for part in self._records]

@@ -18,6 +18,8 @@ MASKED = 0.05  # share of the samples of a record from which their loss is told
 LITTLE = 10.0  # fit in percent below which a model explains almost nothing
 SHARE = 0.5  # of the fit that noise allows, from which a model explains what it can
 FACTOR = 5.0  # between standard deviations of one output in several records
+COLORED, GREY = 0.9, 0.2  # correlation of successive residuals of output and prediction error that is told
+CERTAIN = 5.0  # standard deviations of the correlation of white residuals, beyond which there is one
 HUGE = 1e6  # what is beyond is rounding: there is no noise
 
 
@@ -26,6 +28,7 @@ def record_warnings(nlp: Nlp, records: Sequence[FittedRecord]) -> tuple[str, ...
     pairs = list(zip(nlp.records, records, strict=True))
     return (
         *(text for part, fitted in pairs for text in _unexplained(part, fitted, alone=len(pairs) == 1)),
+        *(text for part, fitted in pairs for text in _colored(part, fitted, alone=len(pairs) == 1)),
         *(text for part, _ in pairs for text in _masked(nlp, part)),
         *_resting(nlp),
         *_weights([_Residuals.of(part, fitted) for part, fitted in pairs if part.noise.known is None]),
@@ -53,6 +56,35 @@ def _unexplained(part: RecordPart, fitted: FittedRecord, *, alone: bool) -> Iter
                 f"sample would allow about {found.explicable:.0f} %: try other starts, narrower boxes for them, or "
                 "another structure."
             )
+
+
+def _colored(part: RecordPart, fitted: FittedRecord, *, alone: bool) -> Iterator[str]:
+    """Say where residuals are correlated in time more than the criterion bears."""
+    measured = isinstance(part.criterion, OutputError)
+    found = {}
+    for output in fitted.outputs:
+        error = fitted.residual(output)
+        both = np.isfinite(error[1:]) & np.isfinite(error[:-1])
+        squares = float(np.nansum(error**2))
+        value = float(error[1:][both] @ error[:-1][both]) / squares if squares else 0.0
+        if abs(value) > max(COLORED if measured else GREY, CERTAIN / math.sqrt(max(int(both.sum()), 1))):
+            found[output] = value
+    if not found:
+        return
+    each = ", ".join(f"{value:.3g} for {output}" for output, value in found.items())
+    where = "" if alone else f" of {fitted.name!r}"
+    if measured:
+        yield (
+            f"the residuals{where} are correlated from one sample to the next ({each}), as a disturbance of the states "
+            "leaves them: where the inputs respond to it, as in a closed loop, the estimate is biased beyond its "
+            "errors; compare with criterion=PredictionError()."
+        )
+    else:
+        yield (
+            f"the prediction errors{where} are not white ({each} from one sample to the next): the signals were "
+            "low-passed, a state that the noise reaches is not corrected, or the model misses something; the errors, "
+            "which take them to be white, are then not right."
+        )
 
 
 def _masked(nlp: Nlp, part: RecordPart) -> Iterator[str]:

@@ -282,3 +282,62 @@ def test_no_branch_is_told_of_where_the_model_has_none():
 
     (text,) = said(fit(Dead(), driven(200), starts=[{}]), "mass is not determined")
     assert text.endswith("at this estimate at all; fix it.")
+
+
+# --- residuals that are correlated in time ----------------------------------------------------------------------------
+
+
+class Drift(gb.StateSpace):
+    """A lag."""
+
+    states, inputs, outputs = ("x",), ("u",), ("x",)
+    a = gb.Parameter(2.0, bounds=(0.1, 20), unit="1/s")
+    b = gb.Parameter(2.0, bounds=(0.1, 20), unit="1/s")
+
+    def derivative(self, x, u, p):
+        return (p.b * u.u - p.a * x.x,)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+def drifting(loop, n=6000, step=0.01):
+    """A disturbance of the state; with a `loop` the input answers to it."""
+    random = np.random.default_rng(0)
+    x, states, inputs = 0.0, [], []
+    for k in range(n):
+        states.append(x + 0.002 * random.normal())
+        inputs.append(np.sign(np.sin(0.5 * step * k)) - loop * x)
+        x += step * (3.0 * inputs[-1] - 3.0 * x) + 0.07 * random.normal()
+    return gb.Record(step * np.arange(n), {"u": inputs, "x": states})
+
+
+def colors(record, criterion):
+    fit = gb.fit(gb.Problem(Drift(), record, criterion), starts=3, progress=False)
+    return fit, [text for text in fit.warnings if "from one sample to the next" in text]
+
+
+def test_a_disturbance_in_a_closed_loop_is_told_and_the_criterion_for_it_does_better():
+    record = drifting(loop=2.0)
+    biased, (said,) = colors(record, gb.OutputError(inputs="held"))
+    assert "the residuals are correlated from one sample to the next (0.9" in said
+    assert said.endswith("compare with criterion=PredictionError().")
+    better, _ = colors(record, gb.PredictionError(inputs="held"))
+    assert abs(better.estimate["b"] - 3.0) < abs(biased.estimate["b"] - 3.0) / 3
+
+
+def test_prediction_errors_of_signals_that_were_smoothed_are_told_not_to_be_white():
+    record = drifting(loop=0.0)
+    smooth = np.convolve(record["x"], np.ones(9) / 9, "same")
+    _, (said,) = colors(record.with_signals(x=smooth), gb.PredictionError(inputs="held"))
+    assert "the prediction errors are not white" in said
+    assert "for x from one sample to the next): the signals were low-passed" in said
+
+
+def test_white_residuals_are_not_blamed():
+    random, n = np.random.default_rng(1), 500
+    u = np.repeat(random.normal(size=n // 10), 10)
+    record = gb.Record(0.05 * np.arange(n), {"u": u})
+    x = gb.simulate(Drift(), {"a": 2.5, "b": 3.0}, record, inputs="held")["x"] + 0.05 * random.normal(size=n)
+    for criterion in (gb.OutputError(inputs="held"), gb.PredictionError(inputs="held")):
+        assert not colors(record.with_signals(x=x), criterion)[1]
