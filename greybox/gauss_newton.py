@@ -212,8 +212,8 @@ class GaussNewton:
         end, status, count = self._iterate(point, None if at.exact else blocks, at, assumed, frozen, iterations)
         if status != "stalled" or frozen or again:
             return end, status, count
-        # The parameters that were found may do with nodes that are closer to the data.
-        later, status, more = self._descend(self._points.near_data(end.z), Progress(), frozen, iterations, again=True)
+        left = iterations - count  # the parameters that were found may do with nodes that are closer to the data
+        later, status, more = self._descend(self._points.near_data(end.z), Progress(), frozen, left, again=True)
         return (later, status, count + more) if status == "converged" else (end, "stalled", count + more)
 
     def _iterate(

@@ -15,7 +15,7 @@ from greybox.dynamics import Dynamics
 
 @dataclass(frozen=True)
 class Integrator(ABC):
-    """A scheme with `substeps` equal steps from one sample to the next; None chooses them by the model's poles.
+    """A scheme with `substeps` equal steps from one sample to the next; None chooses them, see `greybox.pace`.
 
     Attributes
     ----------

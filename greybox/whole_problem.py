@@ -21,7 +21,7 @@ from greybox.solve import CONVERGED, SMOOTHING, Outcome, checked_nlpsol
 from greybox.transcription.method import Transcribed, Transcription
 
 Array = NDArray[np.float64]
-RELAXATIONS = 30
+RELAXATIONS = 100
 SAME = 1e-9  # relative change of the cost between relaxations that ends them
 
 
