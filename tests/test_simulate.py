@@ -253,6 +253,100 @@ def test_a_fit_of_a_response_predicts_a_record():
     assert np.all(found.error > 0)
 
 
+class Tanks(gb.StateSpace):
+    """Two tanks below one another by Torricelli's law, of which the lower level is measured."""
+
+    states, inputs, outputs = ("upper", "lower"), ("flow",), ("lower",)
+    k1 = gb.Parameter(0.5, bounds=(0.1, 2))
+    k2 = gb.Parameter(0.6, bounds=(0.1, 2))
+
+    def root(self, level):
+        return gb.sqrt(level)
+
+    def derivative(self, x, u, p):
+        between = p.k1 * self.root(x.upper)
+        return (u.flow - between, between - p.k2 * self.root(x.lower))
+
+    def output(self, x, u, p):
+        return (x.lower,)
+
+
+class SafeTanks(Tanks):
+    """The same with roots below zero."""
+
+    def root(self, level):
+        return gb.sqrt(gb.maximum(level, 0))
+
+
+def tanks(model, flow, noise=0.02):
+    record = gb.Record(np.arange(flow.size) / 5.0, {"flow": flow}, name="tanks")
+    lower = gb.simulate(model, {}, record, initial={"upper": 2.0, "lower": 1.5})["lower"]
+    return record.with_signals(lower=lower + noise * np.random.default_rng(0).normal(size=flow.size))
+
+
+def test_lead_ins_stay_where_the_model_is_finite():
+    flow = 0.6 + 0.3 * np.repeat(np.random.default_rng(1).uniform(-1, 1, 25), 20)
+    record = tanks(Tanks(), flow)
+    found = gb.predict(Tanks(), {}, record, horizon=2.0, lead=6.0)
+    exact = gb.simulate(Tanks(), {}, record, initial={"upper": 2.0, "lower": 1.5})["lower"][found.rows]
+    assert np.sqrt(np.mean((found.predicted[0] - exact) ** 2)) < 0.02
+    assert np.all(found.trajectory > 0)
+
+
+def test_what_is_not_finite_is_named_with_its_place():
+    flow = np.where(np.arange(300) < 150, 0.6, 0.0)
+    record = tanks(SafeTanks(), flow)
+    with pytest.raises(
+        ValueError, match=r"not finite in \d+ windows of 58: (upper|lower) at 3\d.\d* s, .*after upper = "
+    ):
+        gb.predict(Tanks(), {}, record, horizon=1.0, lead=2.0)
+    with pytest.raises(ValueError, match=r"is not finite from 3\d\.?\d* s on, \w+ first, after upper = .*gb.maximum"):
+        gb.simulate(Tanks(), {}, record, initial={"upper": 2.0, "lower": 1.5})
+
+
+class Heated(Spring):
+    """A spring with a second sensor, of a gain that nothing else depends on."""
+
+    outputs = ("position", "warmth")
+    heating = gb.Parameter(1.0, bounds=(0, 10))
+
+    def output(self, x, u, p):
+        return (x.position, p.heating * x.velocity**2)
+
+
+def test_a_parameter_at_its_bound_counts_as_exact():
+    class Narrow(Spring):
+        damping = gb.Parameter(0.4, bounds=(0, 0.5), unit="1/s")
+
+    record = driven(8.0, noise=0.05, damping=0.8)
+    options = {"starts": [{"stiffness": 4.0}], "progress": False}
+    bound = gb.fit(gb.Problem(Narrow(), record), **options)
+    fixed = gb.fit(gb.Problem(Spring(), record, fixed={"damping": 0.5}), **options)
+    assert np.isnan(bound.standard_error["damping"])
+    told, wanted = (gb.simulate(fit)["position_error"] for fit in (bound, fixed))
+    assert np.all(wanted > 0)
+    assert np.allclose(told, wanted, rtol=0.01)
+    told, wanted = (gb.predict(fit, record=record, horizon=1.0).error for fit in (bound, fixed))
+    assert np.allclose(told, wanted, rtol=0.01)
+
+
+def test_what_the_data_do_not_determine_is_told_where_it_matters():
+    fit = gb.fit(gb.Problem(Heated(), driven(8.0, noise=0.05)), starts=[{}], progress=False)
+    assert np.isnan(fit.standard_error["heating"])
+    found = gb.simulate(fit)
+    assert np.all(found["position_error"] > 0)
+    assert np.isnan(found["warmth_error"]).mean() > 0.9
+    sentence = "the errors of Heated are not known where they depend on heating, which the data of the fit do not"
+    assert sentence in found.name
+    both = driven(8.0, noise=0.05).with_signals(warmth=found["warmth"])
+    predicted = gb.predict(fit, record=both, horizon=1.0)
+    assert sentence in str(predicted)
+    assert np.isnan(predicted.error[1]).any()
+    own = gb.predict(fit, horizon=1.0)
+    assert own.notes == ()
+    assert np.all(own.error > 0)
+
+
 def test_answers_print_themselves():
     found = gb.predict(Spring(), {}, driven(noise=0.01), horizon=1.0)
     text = str(found)
