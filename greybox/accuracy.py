@@ -361,14 +361,13 @@ def _combinations(
     unit: NDArray[np.float64], active: NDArray[np.float64], names: tuple[str, ...], at_bound: Sequence[str]
 ) -> tuple[Combination, ...]:
     """Return the suspect combinations of a Jacobian with unit columns (2N, p)."""
-    inside = [k for k, name in enumerate(names) if name not in at_bound]
-    if not inside:
-        return ()
+    dead = [k for k in range(len(names)) if not (unit[:, k].any() or active[:, k].any())]
+    inside = [k for k, name in enumerate(names) if name not in at_bound and k not in dead]
+    found = [Combination((names[k],), math.inf) for k in dead]
     limits = active[:, inside]
     unit = np.vstack([unit[:, inside], limits / np.maximum(np.linalg.norm(limits, axis=1, keepdims=True), 1e-300)])
     _, singular, rows = np.linalg.svd(np.linalg.qr(unit, mode="r"), full_matrices=True)
     singular = np.concatenate([singular, np.zeros(len(rows) - len(singular))])
-    found = []
     for value, row in zip(singular, np.abs(rows), strict=True):
         if value <= 1 / COLLINEAR:
             # What is invisible takes the error from everything that it involves, however little.

@@ -146,6 +146,11 @@ class FittedRecord(FittedPart):
     gains: tuple[tuple[str, str], ...] = ()
     nuisances: int = 0
 
+    @property
+    def compared(self) -> int:
+        """How many samples the fit used: those of which at least one output was compared."""
+        return int(np.any([np.isfinite(self.residual(name)) for name in self.outputs], axis=0).sum())
+
     def residual(self, output: str) -> NDArray[np.float64]:
         """Return measured less fitted values of an output, (n,)."""
         return self.data[output] - self.simulated[output]
@@ -348,8 +353,9 @@ def _data_text(fit: Fit) -> str:
         points = counted(sum(len(p.data) for p in fit.responses), "point")
         texts.append(f"{points} in {counted(len(fit.responses), 'response')}")
     if fit.records:
-        samples = counted(sum(len(p.data) for p in fit.records), "sample")
-        texts.append(f"{samples} in {counted(len(fit.records), 'record')}")
+        samples, used = (sum(v) for v in zip(*((len(p.data), p.compared) for p in fit.records), strict=True))
+        some = "" if used == samples else f"{used} of "
+        texts.append(f"{some}{counted(samples, 'sample')} in {counted(len(fit.records), 'record')}")
     return " and ".join(texts)
 
 

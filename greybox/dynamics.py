@@ -10,6 +10,8 @@ from greybox.model import Model, StateSpace, TransferFunction
 from greybox.symbolic import Rational, pade_coefficients
 from greybox.trace import parameter_names, require_no_nan, traced, traced_derivative, traced_output
 
+SWITCHES = {ca.OP_LT, ca.OP_LE, ca.OP_IF_ELSE_ZERO, ca.OP_FMIN, ca.OP_FMAX}
+
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
@@ -72,6 +74,15 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
         ),
         pade,
     )
+
+
+def has_branches(model: Model) -> bool:
+    """Tell whether the equations of a `StateSpace` hold comparisons or limits, such as `gb.where` and `gb.maximum`."""
+    if not isinstance(model, StateSpace):
+        return False
+    form = dynamics(model)
+    found = [f.instruction_id(k) for f in (form.derivative, form.output) for k in range(f.n_instructions())]
+    return bool(SWITCHES & set(found))
 
 
 def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:

@@ -11,27 +11,32 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from greybox.movement import movement
 from greybox.record import Record
 
 Array = NDArray[np.float64]
 JITTER = 0.25  # of a step: how far samples may lie from uniform ones
 WHOLE = 1e-3  # of a step, by which a delay may exceed whole samples and be taken as these: steps are known no better
 LOST = 1.5  # steps: what is longer misses a sample, which ends a stretch
+REST = 5  # samples at the beginning of a stretch over which an input must be constant to have rested before it
+SOME, LONGER = 3, 2.0  # and so many times longer than its usual hold, where it holds at least so many values after that
 
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
     """Uniform samples without a gap: inputs (m, n), outputs (k, n) with NaN where missing, step in s.
 
-    `first` is the index of its first sample in the record.
+    `first` is the index of its first sample in the record; the first `masked` samples are not compared, since an
+    input that moves at the beginning reaches them from before it.
     """
 
     inputs: Array
     outputs: Array
     first: int
     step: float
+    masked: int = 0
 
     def __len__(self) -> int:
         return self.inputs.shape[1]
@@ -42,12 +47,15 @@ class Experiment:
     """All stretches of a record, samples one after the other, in segments of `segment` samples.
 
     The last segment of a stretch is filled up with samples without outputs. `first` (s,) tells which segments begin a
-    stretch, `coupled` (s,) which are followed by another of the same stretch.
+    stretch, `coupled` (s,) which are followed by another of the same stretch. `masked` samples of the record with a
+    measured output are not compared, see `Stretch`; `resting` tells that no input ever moves.
     """
 
     stretches: tuple[Stretch, ...]
     outputs: tuple[str, ...]
     segment: int
+    masked: int = 0
+    resting: bool = False
 
     @property
     def counts(self) -> list[int]:
@@ -137,17 +145,17 @@ class Experiment:
 
 
 def experiment(
-    record: Record, inputs: tuple[str, ...], outputs: tuple[str, ...], *, lead: float, segment: int, complete: bool
+    record: Record, inputs: tuple[str, ...], outputs: tuple[str, ...], *, lead: ArrayLike, segment: int, complete: bool
 ) -> Experiment:
     """Cut a record into stretches and these into segments.
 
-    The first `lead` seconds of a stretch give the delayed inputs their past and are not compared. With `complete`, a
-    sample counts only where all outputs are there.
+    The first `lead` (m,) seconds of a stretch give the delayed inputs their past and are not compared, see `gapless`.
+    With `complete`, a sample counts only where all outputs are there.
 
     Raises
     ------
     ValueError
-        If the record is too short, empty, not uniformly sampled, or no input ever moves.
+        If the record is too short, empty, not uniformly sampled, or nothing ever moves.
     """
     names = ", ".join(inputs)
     empty = [name for name in inputs if not np.isfinite(record[name]).any()]
@@ -156,28 +164,38 @@ def experiment(
             f"the record {record.name!r} has no measured value of {empty[0] if empty else ', '.join(outputs)}: "
             "every sample is missing."
         )
-    if inputs and all(_is_constant(record[name]) for name in inputs):
-        raise ValueError(f"the inputs of the record never move ({names}): nothing can be estimated from it.")
     stretches = gapless(record, inputs, outputs, lead=lead, complete=complete)
+    resting = bool(inputs) and all(_is_constant(record[name]) for name in inputs)
+    if resting and not any(movement([s.outputs[k] for s in stretches]).smooth for k in range(len(outputs))):
+        raise ValueError(
+            f"the inputs of the record never move ({names}): nothing can be estimated from it, since "
+            f"{_listed(outputs)} moves no more than noise does."
+        )
     usable = tuple(s for s in stretches if np.isfinite(s.outputs).any() and len(s) > 2)
     if not usable:
-        longest = max((len(s) * s.step for s in stretches), default=0.0)
-        taken = f", of which the longest delay in the bounds takes {lead:.3g} s" if lead else ""
+        longest, taken = max((len(s) * s.step for s in stretches), default=0.0), float(np.max(lead, initial=0.0))
+        taking = f", of which the longest delay in the bounds takes {taken:.3g} s" if taken else ""
         raise ValueError(
             f"the record {record.name!r} has no usable stretch: its longest with all inputs and without a gap lasts "
-            f"{longest:.3g} s{taken}; give a longer record{' or a smaller upper bound' if lead else ''}."
+            f"{longest:.3g} s{taking}; give a longer record{' or a smaller upper bound' if taken else ''}."
         )
     if all(_is_constant(record[name]) for name in outputs):
         raise ValueError(
             f"the outputs of the record never move ({', '.join(outputs)}): nothing can be estimated from it."
         )
-    return Experiment(usable, outputs, segment)
+    there = np.any([np.isfinite(record[name]) for name in outputs], axis=0)
+    masked = sum(int(there[s.first : s.first + s.masked].sum()) for s in stretches)
+    return Experiment(usable, outputs, segment, masked, resting)
 
 
 def gapless(
-    record: Record, inputs: tuple[str, ...], outputs: tuple[str, ...], *, lead: float = 0.0, complete: bool = False
+    record: Record, inputs: tuple[str, ...], outputs: tuple[str, ...], *, lead: ArrayLike = 0.0, complete: bool = False
 ) -> list[Stretch]:
-    """Return the stretches of a record in which all inputs are there; outputs of the first `lead` seconds are left out.
+    """Return the stretches of a record in which all inputs are there, the first, unexplained outputs left out.
+
+    What an input did before a stretch is not known, so outputs of its first seconds, as many as its entry of `lead`
+    (m,), the longest delay that it may have, are left out: unless it rests, exactly constant, over the first 5 samples
+    and clearly longer than it holds its values later. Then it is taken to have rested before.
 
     Raises
     ------
@@ -185,6 +203,7 @@ def gapless(
         If a stretch is not uniformly sampled.
     """
     stretches, before = [], 0
+    leads = np.broadcast_to(np.asarray(lead, dtype=float), (len(inputs),))
     for piece in record.pieces:
         u = np.array([piece[name] for name in inputs]).reshape(len(inputs), len(piece))
         y = np.array([piece[name] for name in outputs]).reshape(len(outputs), len(piece))
@@ -193,9 +212,13 @@ def gapless(
         ends = (np.diff(whole.astype(int)) != 0) | (np.diff(piece.time) > LOST * record.step)
         for rows in np.split(np.arange(len(piece)), np.flatnonzero(ends) + 1):
             if whole[rows[0]] and rows.size > 1:
-                stretches.append(_stretch(piece.time[rows], u[:, rows], y[:, rows], before + int(rows[0]), lead))
+                stretches.append(_stretch(piece.time[rows], u[:, rows], y[:, rows], before + int(rows[0]), leads))
         before += len(piece)
     return stretches
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return names[0] if len(names) == 1 else f"none of {', '.join(names)}"
 
 
 def _is_constant(values: Array) -> bool:
@@ -203,7 +226,7 @@ def _is_constant(values: Array) -> bool:
     return there.size == 0 or there.min() == there.max()
 
 
-def _stretch(time: Array, inputs: Array, outputs: Array, first: int, lead: float) -> Stretch:
+def _stretch(time: Array, inputs: Array, outputs: Array, first: int, leads: Array) -> Stretch:
     step = float((time[-1] - time[0]) / (time.size - 1))
     off = np.abs(time - time[0] - step * np.arange(time.size)).max() / step
     if off > JITTER:
@@ -212,9 +235,19 @@ def _stretch(time: Array, inputs: Array, outputs: Array, first: int, lead: float
             "bring them to one rate first, gb.prepare(..., rate=...); a few irregular samples go on a fine uniform "
             "time base with NaN where nothing was measured."
         )
-    masked = outputs.copy()
-    masked[:, : math.ceil(lead / step)] = np.nan
-    return Stretch(inputs, masked, first, step)
+    moving = [float(lead) for lead, values in zip(leads, inputs, strict=True) if not _rests(values)]
+    masked, compared = min(math.ceil(max(max(moving, default=0.0) / step - WHOLE, 0.0)), time.size), outputs.copy()
+    compared[:, :masked] = np.nan
+    return Stretch(inputs, compared, first, step, masked)
+
+
+def _rests(values: Array) -> bool:
+    """Tell whether an input rests at the beginning: constant for longer than it usually holds a value after that."""
+    if values.size < REST or not _is_constant(values[:REST]):
+        return False
+    runs = np.diff(np.flatnonzero(np.diff(values)), prepend=-1)
+    # Commands at a lower rate, or of random length, are constant for some samples in the middle of their movement too.
+    return runs.size <= SOME or bool(runs[0] > LONGER * sorted(runs[1:])[len(runs) // 2 - 1])
 
 
 def input_over_step(window: Any, fraction: Any, held: bool) -> tuple[Any, Any, Any]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from greybox.accuracy import Accuracy, assess
-from greybox.answer import Fit, FittedResponse
+from greybox.answer import Fit, FittedRecord, FittedResponse
 from greybox.criterion import CRITERIA, evaluate
 from greybox.fitted_record import fitted_record, stated
 from greybox.frequency_response import FrequencyResponse
@@ -28,6 +28,7 @@ from greybox.nlp import AnyProblem, Nlp, compile_problem
 from greybox.not_finite import explained, not_finite_warnings
 from greybox.problem import Problem, Sum
 from greybox.quantities import quantities
+from greybox.record_words import record_warnings
 from greybox.result import Multistart
 from greybox.starts import Chained, Listed, Sobol, Starts, as_starts
 from greybox.transcription.method import Transcription
@@ -120,12 +121,14 @@ def assemble(
     found = nlp.split(nlp.response_rows(best[None])[0]) if nlp.responding else []
     responses = dict(zip(nlp.responding, found, strict=True))
     lines, names, covariance = quantities(nlp, accuracy, estimate)
+    parts = tuple(
+        _response(part, values, responses[part], error) if part in responses else fitted_record(nlp, part, profile)
+        for part, values, error in zip(problem.parts, local, errors, strict=True)
+    )
+    records = [part for part in parts if isinstance(part, FittedRecord)]
     return Fit(
         name=problem.name,
-        parts=tuple(
-            _response(part, values, responses[part], error) if part in responses else fitted_record(nlp, part, profile)
-            for part, values, error in zip(problem.parts, local, errors, strict=True)
-        ),
+        parts=parts,
         quantities=lines,
         free=nlp.free,
         names=names,
@@ -138,6 +141,7 @@ def assemble(
         warnings=(
             *not_finite_warnings(nlp, search),
             *integration_warnings(nlp, profile, error),
+            *(record_warnings(nlp, records) if search.minima else ()),
             *(harmonic_warnings(nlp, best, accuracy) if search.minima else ()),
             *(warnings(nlp, search, accuracy, errors, profile) if search.minima else ()),
         ),

@@ -89,7 +89,8 @@ class Predictor:
     def cost(self, nodes: Array, place: Place) -> float:
         """Return about what `followed` costs, by some pieces of the record that begin at their own nodes."""
         part, length = self.part, self.part.experiment.segment
-        rows, products, samples = part.shooting.rows(place.data), 0.0, 0
+        rows, samples = part.shooting.rows(place.data), 0
+        products = np.zeros((len(part.outputs), len(part.outputs)))
         for first, count in self._pieces:
             some = slice(first * length, (first + count) * length)
             _, residuals = part.step.follow(nodes[first], place.q, rows[some])
@@ -175,7 +176,7 @@ def steady_gain(F: Array, C: Array, process: Array) -> Array:
         A, G, H = A @ step, G + A @ seen_later @ A.T, H + (more + more.T) / 2
         if np.abs(more).max() <= STEADY * np.abs(H).max():
             P = H * size * size[:, None]
-            return np.linalg.solve(C @ P @ C.T + np.eye(len(C)), C @ P).T
+            return np.linalg.solve(C @ P @ C.T + np.eye(len(C)), C @ P).T.astype(float)
     return np.full((n, len(C)), np.nan)
 
 
@@ -191,10 +192,8 @@ def best_gains(
     For some sizes of the process noise; `variances` (n,) say for every record how much each state moves at all.
     """
     ways = zip(predictors, point.paths, point.places, weights, variances, strict=True)
-    used = [(p, *way) for p, *way in ways if p is not None]
-    filters = [
-        p.steady(path, place, [share * variance for share in PROCESS_NOISE]) for p, path, place, _, variance in used
-    ]
+    used = [(p, path, place, weight, size) for p, path, place, weight, size in ways if p is not None]
+    filters = [p.steady(path, place, [share * size for share in PROCESS_NOISE]) for p, path, place, _, size in used]
     candidates = [point.z] if are_stable(predictors, point) else []
     for entries in zip(*filters, strict=True):
         trial = point.z

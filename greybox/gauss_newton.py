@@ -48,6 +48,7 @@ BRIEF = 0.1  # of a step: where less is taken before, predictors had better be f
 TOLERANCE = 1e-8  # of half a step's length squared, in standard errors, and of the decrease of the cost
 ROUNDING = 1e-9  # of the cost
 UNNOTICED = 0.1  # of the cost
+NEAR = 1.0  # decrease of the cost below which the estimated noise is known to follow the parameters
 LONG = 20000  # samples from which some stretches go before the whole record
 DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")  # trial steps may, and are then shortened
 
@@ -192,15 +193,14 @@ class GaussNewton:
     def trace(self, x: Array) -> Array | None:
         """Return what `Outcome.trace` holds, at the best states for x (p,); None where there are none."""
         found = self.profile(x)
-        if not found.converged:
-            return None
-        return self._points.trace(Point(self._nlp.scaling.to_solver(x), found.places, found.paths))
+        point = Point(self._nlp.scaling.to_solver(x), found.places, found.paths)
+        return self._points.trace(point) if found.converged and are_stable(self._predictors, point) else None
 
     def _rest(self, value: float) -> list[Array]:
         return [np.full((part.experiment.segments, part.states), value) for part in self._records]
 
     def _descend(
-        self, point: Point, at: Progress, frozen: bool, iterations: int = ITERATIONS
+        self, point: Point, at: Progress, frozen: bool, iterations: int = ITERATIONS, again: bool = False
     ) -> tuple[Point, str, int]:
         """Iterate from a point; with `frozen` the states alone."""
         if not point.finite:
@@ -209,7 +209,12 @@ class GaussNewton:
         blocks = self._points.linearized(point, assumed)
         at.begin(point, self._soft(blocks))
         at.least = PREDICTING if all(self._predictors) else at.least
-        return self._iterate(point, None if at.exact else blocks, at, assumed, frozen, iterations)
+        end, status, count = self._iterate(point, None if at.exact else blocks, at, assumed, frozen, iterations)
+        if status != "stalled" or frozen or again:
+            return end, status, count
+        # The parameters that were found may do with nodes that are closer to the data.
+        later, status, more = self._descend(self._points.near_data(end.z), Progress(), frozen, iterations, again=True)
+        return (later, status, count + more) if status == "converged" else (end, "stalled", count + more)
 
     def _iterate(
         self,
@@ -222,7 +227,9 @@ class GaussNewton:
     ) -> tuple[Point, str, int]:
         for iteration in range(iterations):
             weights = self._points.noise_weights(point) if at.exact else assumed
-            move = self._move(point, blocks or self._points.linearized(point, weights), at, frozen or at.patience > 0)
+            move = self._move(
+                point, blocks or self._points.linearized(point, weights, at.last < NEAR), at, frozen or at.patience > 0
+            )
             blocks = None
             merit = self._merit(weights, at)
             before = merit(point)
@@ -241,16 +248,14 @@ class GaussNewton:
             if at.exact and (trial is None or at.damping > STUBBORN):
                 return point, "stalled", iteration
             gained = 0.0 if trial is None else before - merit(trial)
-            last, point = point, trial or point
+            point = trial or point
             at.damping = next_damping(at.damping, length, gained / move.predicted if move.predicted > 0 else 1.0)
             if not at.exact:
                 point = self._tightened(point, move, at, gained, length, before, frozen)
                 continue
             point = followed(self._predictors, point)
-            if length == 1.0:
-                point, converged = self._led(last, point, move, merit, at)
-                if converged:
-                    return point, "converged", iteration + 1
+            if length == 1.0 and self._has_converged(point, move, at):
+                return point, "converged", iteration + 1
         return point, "iterations exceeded", iterations
 
     def _is_settled(self, point: Point, move: Move, before: float, at: Progress) -> bool:
@@ -268,20 +273,12 @@ class GaussNewton:
             return point
         return followed(self._predictors, point if frozen else self._with_gains(point, at))
 
-    def _led(
-        self, last: Point, point: Point, move: Move, merit: Callable[[Point], float], at: Progress
-    ) -> tuple[Point, bool]:
-        """Return where full steps from `last` to `point` lead to, and whether that is the end.
-
-        Gauss-Newton converges linearly at worst: the next decrease follows from the last two, and slow steps add up.
-        """
+    def _has_converged(self, point: Point, move: Move, at: Progress) -> bool:
+        """Tell whether a full step to `point` was the last: at worst, the next decrease follows from the last two."""
         predicted = max(move.predicted, move.distance)
         following = predicted**2 / at.last if predicted < at.last < 1 else math.inf
-        if following <= TOLERANCE and self._points.is_continuous(point):
-            return point, True
-        farther = self._extrapolated(last, point, move, merit, at)
-        at.last, at.step = (predicted, move.dz) if farther is None else (math.nan, None)
-        return farther or point, False
+        at.last = predicted
+        return following <= TOLERANCE and self._points.is_continuous(point)
 
     def _soft(self, blocks: Sequence[Blocks]) -> list[Array]:
         """Return the variances by which states must change to change the outputs of a segment by their spread."""
@@ -323,17 +320,6 @@ class GaussNewton:
         at.damping, at.last = 0.0, math.nan
         at.force = [np.zeros_like(f) for f in at.force]
         return best
-
-    def _extrapolated(
-        self, before: Point, point: Point, move: Move, merit: Callable[[Point], float], at: Progress
-    ) -> Point | None:
-        """Return where slow steps lead to, if that is better than `point`, one step from `before`."""
-        reach = move.reach(at.step)
-        if reach == 1 or not move.dz.any():
-            return None
-        trial = self._points.moved(before, move, reach)
-        trial = self._points.closed(trial, move, at.force, 0.01 * move.predicted)
-        return trial if merit(trial) < merit(point) else None
 
     def _with_gains(self, point: Point, at: Progress) -> Point:
         """Return the point with gains to begin with; without stable ones, continuity is tightened more slowly."""

@@ -14,7 +14,6 @@ Array = NDArray[np.float64]
 PATIENCE = 3  # iterations for the states alone, at parameters that may be far off
 TIGHTEN = 0.1  # the standard deviation by which continuity may be missed, from one stage to the next
 LAST = 2e-4  # scale of that deviation below which continuity is demanded
-SLOW, ALIKE, FARTHEST = 0.3, 0.9, 20.0  # steps: ratio and cosine from which they are extrapolated, and the limit
 SHORT = 0.05  # steps of less than this length are no progress
 SETTLED = 0.1  # relative: how well a step must keep its promise for the next stage to begin
 POOR = 0.25  # share of a promised decrease below which full steps are too long
@@ -49,8 +48,8 @@ class Point:
 class Move:
     """One step: the systems it comes from, the change dz (p,) of the point, and the decrease of the merit it promises.
 
-    `distance` is half its length squared, in standard errors where the cost is a likelihood; `hessian` (p, p) is
-    undamped.
+    `distance` is half its length squared, in standard errors where the cost is a likelihood; `hessian` (p, p) is that
+    of the cost without damping.
     """
 
     blocks: Sequence[Blocks]
@@ -59,20 +58,6 @@ class Move:
     predicted: float
     distance: float
     hessian: Array
-
-    def reach(self, last: Array | None) -> float:
-        """Return the length to which steps that go the same way, ever shorter by one ratio, would add up.
-
-        `last` (p,) is the step before; 1 where they do not. Source: Aitken's extrapolation in the norm of the Hessian.
-        """
-        if last is None:
-            return 1.0
-        before, now = float(last @ self.hessian @ last), float(self.dz @ self.hessian @ self.dz)
-        both = float(self.dz @ self.hessian @ last)
-        if not (before > 0 and now > 0) or both < ALIKE * math.sqrt(before * now):
-            return 1.0
-        ratio = both / before
-        return 1 / (1 - min(ratio, 1 - 1 / FARTHEST)) if ratio > SLOW else 1.0
 
 
 @dataclass(eq=False)
@@ -110,7 +95,6 @@ class Progress:
     damping: float = 0.0
     penalty: float = PENALTY
     last: float = math.nan
-    step: Array | None = None
 
     def begin(self, point: Point, soft: list[Array]) -> None:
         """Take the first point and its variances."""
@@ -164,7 +148,8 @@ def promised(blocks: Blocks, reduced: Reduced, gaps: Array, soft: Array) -> floa
     """Return the decrease that the move of the nodes alone promises."""
     x = reduced.step
     curved = float((x * (blocks.corner @ x[:, :, None])[:, :, 0]).sum())
-    change = float((blocks.gradient * x).sum()) + 0.5 * curved
+    eased = np.tensordot(blocks.mixed[:, :, len(reduced.slope) :], x, ((0, 1), (0, 1)))
+    change = float((blocks.gradient * x).sum()) + 0.5 * (curved - float(eased @ eased))
     if np.all(soft > 0):
         missed = soft * reduced.force
         change += 0.5 * float(((missed**2 - gaps**2) / soft).sum())

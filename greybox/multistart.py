@@ -1,4 +1,4 @@
-"""Many IPOPT runs of one compiled problem."""
+"""Many runs of one compiled problem."""
 
 import math
 import time
@@ -20,7 +20,8 @@ from greybox.whole_problem import WholeProblem
 Progress = Callable[[int, int], None]
 """Called with the number of finished and of all runs."""
 
-RESCUED, RESCUE_SIZE = 3, 100_000  # runs, and measured numbers, that IPOPT takes over
+RESCUED, RESCUE_SIZE = 3, 30_000  # runs, and measured numbers, that IPOPT takes over
+RESCUE = {"max_iter": 150}  # unless a user says more
 SHARES = 0.5 ** np.arange(1, 7)  # of the way from a start that is finite to one that is not
 CLOSE = 1e-2  # relative cost up to which a minimum is polished too: smoothing may change the order of close ones
 
@@ -32,7 +33,7 @@ def multistart(
     progress: Progress | None = None,
     movable: bool = True,
 ) -> Multistart:
-    """Run IPOPT from every row of `starts` (r, p), group the runs into minima, and polish the best.
+    """Run the solver from every row of `starts` (r, p), group the runs into minima, and polish the best.
 
     Starts that are `movable` go to where a model of records is finite. Every run is kept. A run that fails is a result
     with its status; it is never ranked before one that converged.
@@ -86,7 +87,7 @@ def _by_ipopt(nlp: Nlp, outcomes: list[Outcome], options: Mapping[str, Any]) -> 
     best = sorted(ended, key=lambda k: outcomes[k].cost)[:RESCUED]
     if not best or sum(part.experiment.measured.size for part in nlp.records) > RESCUE_SIZE:
         return outcomes
-    solver = WholeProblem(nlp, options)
+    solver = WholeProblem(nlp, {**RESCUE, **options})
     return [solver.run(o.estimate) if k in best else o for k, o in enumerate(outcomes)]
 
 

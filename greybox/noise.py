@@ -52,6 +52,20 @@ class Noise:
         """Return W (k, k) with WᵀW the inverse of the covariance."""
         return np.linalg.inv(np.linalg.cholesky(self.covariance(products))).astype(float)
 
+    def flexibility(self, moments: Array) -> Array:
+        """Return vectors u (..., v, r) whose squares uuᵀ an estimated covariance takes from the Hessian of a known one.
+
+        `moments` (..., k, k, v) are sums of e_a · de_b, of weighted residuals e. The covariance follows the parameters:
+        d² (n/2 log det R) = n/2 tr(R⁻¹ d²R) - n/2 tr(R⁻¹ dR R⁻¹ dR), of which Gauss-Newton takes the first term alone.
+        """
+        counts = np.maximum(self.counts, 1)
+        own = np.einsum("...kkv->...vk", moments) * np.sqrt(2 / counts)
+        if not self.full:
+            return own
+        a, b = np.triu_indices(len(counts), 1)
+        both = moments[..., a, b, :] + moments[..., b, a, :]
+        return np.concatenate([own, np.swapaxes(both, -1, -2) / np.sqrt(counts.max())], axis=-1)
+
 
 def noise_of(criterion: TimeCriterion, outputs: tuple[str, ...], measured: Array) -> Noise:
     """Read the criterion's option for the outputs (k, samples) that are compared."""

@@ -32,6 +32,12 @@ class TimeCriterion(ABC):
     initial : mapping of state to value or function of the parameters
         Known states at the first sample of the record; all others, and those after a gap, are unknown.
 
+    What a delayed input did before the record, or during a gap, is not known. If the input rests at the beginning of a
+    stretch without a gap, exactly constant over the first 5 samples and clearly longer than it holds its values later,
+    it is taken to have rested before. If it moves, the outputs of the first seconds, as many as the longest delay that
+    the bounds of its parameter allow, are not compared: a lazy upper bound costs data, and a warning says when it costs
+    more than 5 % of a record.
+
     Source: Klein and Morelli, Aircraft System Identification, 2nd ed., chapter 6.
     """
 
@@ -128,7 +134,11 @@ class TimeCriterion(ABC):
 
 @dataclass(frozen=True, eq=False)
 class OutputError(TimeCriterion):
-    """Maximum likelihood with all errors in the measured outputs: the model is simulated from its initial state."""
+    """Maximum likelihood with all errors in the measured outputs: the model is simulated from its initial state.
+
+    Outputs at the beginning of a record are left out where a delayed input reaches them from before it, unless that
+    input rests there, see `TimeCriterion`.
+    """
 
     rule: ClassVar[str] = "output error"
 
@@ -139,6 +149,8 @@ class PredictionError(TimeCriterion):
 
     Innovations form: x[k+1] = F(x[k] + K e[k], u), with e the difference of measured and predicted outputs and a
     constant gain K that is estimated with the parameters; its entries are named ``K_<state>_<output>``.
+    Outputs at the beginning of a record are left out where a delayed input reaches them from before it, unless that
+    input rests there, see `TimeCriterion`.
 
     Source: Ljung, System Identification, 2nd ed., section 4.3; Klein and Morelli, chapter 6.
 

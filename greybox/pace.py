@@ -99,7 +99,7 @@ def _accurate(
     if not there.any():
         return count
     coarse, fine, states = coarse[:, there], fine[:, there], states[:, there]
-    spread = np.std(fine, axis=1) + np.abs(fine - states).max(axis=1)
+    spread = np.abs(fine - fine.mean(axis=1, keepdims=True)).mean(axis=1) + np.abs(fine - states).max(axis=1)
     error = (np.abs(fine - coarse).max(axis=1) / np.where(spread > 0, spread, 1.0)).max() / ACCURACY
     return count if error <= 1 else _clipped(count * error ** (1 / scheme.order))
 

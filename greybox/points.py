@@ -76,10 +76,10 @@ class Points:
             for p in point.paths
         )
 
-    def linearized(self, point: Point, weights: Sequence[Array]) -> list[Blocks]:
-        """Return the blocks of every record."""
+    def linearized(self, point: Point, weights: Sequence[Array], moments: bool = False) -> list[Blocks]:
+        """Return the blocks of every record, with `moments` where the noise is estimated."""
         return [
-            part.linearize(path, place, weight)
+            part.linearize(path, place, weight, moments)
             for part, path, place, weight in zip(self._records, point.paths, point.places, weights, strict=True)
         ]
 

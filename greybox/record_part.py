@@ -29,6 +29,7 @@ from greybox.transcription.method import Transcription
 
 Array = NDArray[np.float64]
 LOOKS = 20  # samples at which the poles are looked at
+RIGID = 0.05  # share of the curvature that an estimated covariance leaves, at least
 RIDGE = 1e-10  # on node states relative to their curvature: what no output shows keeps its value
 
 
@@ -222,14 +223,33 @@ class RecordPart:
         inside = np.isfinite(residuals).reshape(len(residuals), self.experiment.segment, -1).all(axis=(0, 1))
         return np.asarray(~(inside & np.isfinite(path.end).all(axis=1)))
 
-    def linearize(self, path: Path, place: Place, weight: Array) -> Blocks:
-        """Return the blocks, known initial states eliminated."""
-        blocks = self.shooting.blocks(path.states, path.end, place.q, weight, place.data)
+    def linearize(self, path: Path, place: Place, weight: Array, moments: bool = False) -> Blocks:
+        """Return the blocks, known initial states eliminated; with `moments` where the noise is estimated."""
+        moments = moments and self.noise.known is None and len(self.outputs) > 1
+        blocks = self.shooting.blocks(path.states, path.end, place.q, weight, place.data, moments)
+        blocks = self._flexible(blocks)
         return self._without_known(blocks, place) if self.known_states.any() else blocks
+
+    def _flexible(self, b: Blocks) -> Blocks:
+        """Add variables t to the parameters, of the cost t²/2 - t · uᵀx: its least is -(uᵀx)²/2, see `flexibility`."""
+        if b.moments is None:
+            return b
+        of_nodes, of_parameters = (self.noise.flexibility(m) for m in b.moments)
+        r = of_parameters.shape[1]
+        own = np.block([[b.own, -of_parameters], [-of_parameters.T, np.eye(r)]])
+        still = np.zeros((*b.to_parameters.shape[:2], r))
+        return replace(
+            b,
+            to_parameters=np.concatenate([b.to_parameters, still], axis=2),
+            mixed=np.concatenate([b.mixed, -of_nodes], axis=2),
+            own=own,
+            slope=np.concatenate([b.slope, np.zeros(r)]),
+        )
 
     def _without_known(self, b: Blocks, place: Place) -> Blocks:
         """Let known initial states follow the parameters: x = x' + (dx/dq) dq, of which x' does not move."""
         follow = np.where(self.known_states[:, None], place.initial_slope, 0.0)
+        follow = np.pad(follow, ((0, 0), (0, b.mixed.shape[2] - follow.shape[1])))
         corner, mixed, gradient = b.corner.copy(), b.mixed.copy(), b.gradient.copy()
         to_state, to_parameters = b.to_state.copy(), b.to_parameters.copy()
         own, slope = b.own.copy(), b.slope.copy()
@@ -262,6 +282,12 @@ class RecordPart:
         linked = np.where(self.coupled[:, None, None], B, 0.0)
         both = np.tensordot(mixed, x, ((0, 1), (0, 1))) + np.tensordot(linked, force, ((0, 1), (0, 1)))
         hessian, gradient = blocks.own + both[:, 1:], blocks.slope + both[:, 0]
+        q = place.slope.shape[0]
+        if len(gradient) > q:
+            eased = _eased(hessian[q:, q:], np.concatenate([gradient[q:, None], hessian[q:, :q]], axis=1))
+            gradient = gradient[:q] + hessian[:q, q:] @ eased[:, 0]
+            hessian = _lessened(hessian[:q, :q], -hessian[:q, q:] @ eased[:, 1:])
+            x, force = (v[:, :, : 1 + q] + v[:, :, 1 + q :] @ eased for v in (x, force))
         return Reduced(
             hessian=place.slope.T @ ((hessian + hessian.T) / 2) @ place.slope,
             gradient=place.slope.T @ gradient,
@@ -315,6 +341,26 @@ class RecordPart:
         return nodes + length * (reduced.step + reduced.follow @ (reduced.slope @ dz))
 
 
+def _eased(hessian: Array, right: Array) -> Array:
+    """Return -H⁻¹ right, with no less than a share RIGID of the stiffness one, at which nothing would be eased."""
+    values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
+    return -(vectors / np.maximum(values, RIGID)) @ vectors.T @ right
+
+
+def _lessened(hessian: Array, by: Array) -> Array:
+    """Return a Hessian (q, q) less another, of which a share RIGID is left in every direction."""
+    size = np.sqrt(np.maximum(np.diag(hessian), 0.0))
+    unit = 1 / np.where(size > 0, size, 1.0)
+    try:
+        root = np.linalg.cholesky(hessian * unit * unit[:, None] + RIDGE * np.eye(len(hessian)))
+    except np.linalg.LinAlgError:
+        return hessian
+    inverse = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(inverse @ ((by + by.T) / 2 * unit * unit[:, None]) @ inverse.T)
+    axes = (root @ vectors) / unit[:, None]
+    return hessian - (axes * np.minimum(values, 1 - RIGID)) @ axes.T
+
+
 def _called(what: str, value: Any, local: Names) -> Any:
     if not callable(value):
         return value
@@ -324,13 +370,13 @@ def _called(what: str, value: Any, local: Names) -> Any:
         raise ValueError(f"{what}: {error}") from error
 
 
-def _longest_delay(part: Problem, system: Dynamics) -> float:
-    """Return the longest delay within the bounds, s; what is unbounded counts with its start."""
+def _longest_delay(part: Problem, system: Dynamics) -> Array:
+    """Return the longest delay of every input within the bounds (m,), s; what is unbounded counts with its start."""
     if not system.delayed:
-        return 0.0
+        return np.zeros(len(system.inputs))
     values: dict[str, float] = {}
     for name, p in part.parameters.items():
         high = p.bounds[1] if math.isfinite(p.bounds[1]) else max(p.box[1], p.start)
         values[name] = p.start if p.fixed or not math.isfinite(high) else high
     q = list(part.local_values(values).values())[: len(system.parameters)]
-    return float(np.max(system.delay(q).full(), initial=0.0))
+    return np.maximum(system.delay(q).full().ravel(), 0.0)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -43,7 +44,8 @@ class SampleStep:
         x, q, d = (ca.SX.sym(name, self.function.numel_in(k)) for k, name in enumerate("xqd"))
         one = ca.Function("one", [x, q, d], list(self.function(x, q, d)[:2]), {"cse": True})
         first, Q, D = ca.MX.sym("x", x.numel()), ca.MX.sym("q", q.numel()), ca.MX.sym("d", d.numel(), RUN)
-        return ca.Function("run", [first, Q, D], one.mapaccum("run", RUN)(first, Q, D))
+        found: Any = one.mapaccum("run", RUN)(first, Q, D)
+        return ca.Function("run", [first, Q, D], list(found))
 
     def follow(self, x: Array, q: Array, data: Array) -> tuple[Array, Array]:
         """Return the states (m + 1, n) and residuals (m, k) of m samples from a first state (n,); data (m, width)."""
@@ -53,7 +55,8 @@ class SampleStep:
         states[0] = x
         last = data[size - RUN :]
         last = np.concatenate([last, np.repeat(data[-1:], size - m, axis=0)])  # a call takes RUN samples
-        buffer, evaluate = self._run.buffer()
+        run: Any = self._run
+        buffer, evaluate = run.buffer()
         buffer.set_arg(1, q.data)
         for at in range(0, size, RUN):
             some = data[at : at + RUN] if at + RUN < size else last

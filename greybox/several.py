@@ -22,6 +22,11 @@ def several(model: Model, records: Sequence[Record], own: Sequence[str] = (), **
     options
         Of every `Problem`: criterion, fixed, tied, constraints ...
 
+    Every record has its own estimated variances, by which it weighs: a record that the model fits badly weighs little.
+    Records of one sensor weigh alike with given standard deviations, ``criterion=OutputError(noise={"y": 0.1})``, of a
+    single output any: the standard errors follow the residuals. One record that holds them all, with gaps in its time
+    between, has one estimated variance.
+
     Raises
     ------
     ValueError

@@ -39,6 +39,8 @@ class Blocks:
         JᵀJ of the node with itself and with the parameters, and Jᵀe, of every segment.
     own, slope : (q, q) and (q,) arrays
         JᵀJ and Jᵀe of the parameters, of all segments together.
+    moments : (s, k, k, n) and (k, k, q) arrays, or None
+        Sums over samples of e_a · de_b by every node and by the parameters, where they were asked for.
     """
 
     end: Array
@@ -49,6 +51,7 @@ class Blocks:
     gradient: Array
     own: Array
     slope: Array
+    moments: tuple[Array, Array] | None = None
 
 
 class Shooting:
@@ -140,22 +143,32 @@ class Shooting:
         """Return simulated outputs (k, columns)."""
         return self._output(states, q, data)[1]
 
-    def blocks(self, states: Array, end: Array, q: Array, weight: Array, data: Array) -> Blocks:
+    def blocks(self, states: Array, end: Array, q: Array, weight: Array, data: Array, moments: bool = False) -> Blocks:
         """Linearize along the states, the residuals multiplied by `weight`, a square root of the inverse covariance."""
-        if self._compiled is not None and (found := self._blocks_in_c(states, q, weight, data)) is not None:
+        if (
+            self._compiled is not None
+            and not moments
+            and (found := self._blocks_in_c(states, q, weight, data)) is not None
+        ):
             return found
         s, v, n = len(end), self.n + len(self.active), self.n
         corner, mixed, gradient = np.empty((s, n, n)), np.empty((s, n, v - n)), np.empty((s, n))
         transition, own, slope = np.empty((s, n, v)), np.zeros((v - n, v - n)), np.zeros(v - n)
+        k = self.k if moments else 0
+        of_nodes, of_parameters = np.empty((s, k, k, n)), np.zeros((k, k, v - n))
         for some in self.chunks(s):
             part, J, e = self.sensitivities(states, q, data, some)
             transition[some] = part
             J, e = weight @ J, weight @ e[..., None]
+            if moments:
+                M = (e[..., 0].transpose(0, 2, 1) @ J.reshape(*J.shape[:2], k * v)).reshape(-1, k, k, v)
+                of_nodes[some], of_parameters = M[..., :n], of_parameters + M[..., n:].sum(axis=0)
             J, e = J.reshape(len(J), -1, v), e.reshape(len(e), -1)
             H, g = J.transpose(0, 2, 1) @ J, (e[:, None, :] @ J)[:, 0]
             corner[some], mixed[some], gradient[some] = H[:, :n, :n], H[:, :n, n:], g[:, :n]
             own, slope = own + H[:, n:, n:].sum(axis=0), slope + g[:, n:].sum(axis=0)
-        return Blocks(end, transition[:, :, :n], transition[:, :, n:], corner, mixed, gradient, own, slope)
+        both = (of_nodes, of_parameters) if moments else None
+        return Blocks(end, transition[:, :, :n], transition[:, :, n:], corner, mixed, gradient, own, slope, both)
 
     def _blocks_in_c(self, states: Array, q: Array, weight: Array, data: Array) -> Blocks | None:
         """Return the blocks by the compiled linearization, None where a derivative is not finite."""

@@ -107,10 +107,11 @@ def cut(
 def sample_data(windows: Windows, inputs: tuple[str, ...], outputs: tuple[str, ...], delays: Array) -> dict[str, Array]:
     """Return ``whole, around, measured, step``, each (rows, w, samples), of all samples in the windows.
 
-    Inputs before a window are those of its stretch. What was measured before the delayed input has a past is left out.
+    Inputs before a window are those of its stretch. What was measured before the delayed input has a past
+    is left out, see `gapless`.
     """
     record = windows.record
-    stretches = gapless(record, inputs, outputs, lead=float(np.max(delays, initial=0.0)))
+    stretches = gapless(record, inputs, outputs, lead=np.maximum(delays, 0.0))
     whole, around = Experiment(tuple(stretches), outputs, 1).windows(delays)
     column = np.full(len(record), -1)
     column[np.concatenate([s.first + np.arange(len(s)) for s in stretches])] = np.arange(whole.shape[1])

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.accuracy import Accuracy
+from greybox.dynamics import has_branches
 from greybox.gauss_newton import Profile
 from greybox.linear import delay_order, frequency_response
 from greybox.nlp import Nlp
@@ -32,7 +33,7 @@ def warnings(
 ) -> tuple[str, ...]:
     """Return everything a reader should know before believing the estimate, most serious first."""
     return (
-        *_undetermined(accuracy),
+        *_undetermined(nlp, accuracy),
         *_unknown_constants(nlp, accuracy),
         *_size(nlp),
         *_bounds(nlp, search.minima[0], accuracy),
@@ -58,15 +59,18 @@ def pade_error(part: Problem, values: dict[str, float]) -> float | None:
     return float(np.degrees(np.abs(np.angle(approximate.response / exact.response))).max())
 
 
-def _undetermined(accuracy: Accuracy) -> Iterator[str]:
+def _undetermined(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
     for combination in sorted(accuracy.combinations, key=lambda c: -c.index):
         names = _listed(combination.names)
         if math.isinf(combination.index) and len(combination.names) == 1:
-            yield f"{names} is not determined: it does not change the response at these data at all; fix it."
+            yield (
+                f"{names} is not determined: it does not change the response to these data at this estimate at all; "
+                f"fix it{_inactive(nlp, combination.names)}."
+            )
         elif math.isinf(combination.index):
             yield (
-                f"{names} are not determined: the data see only a combination of them, so no standard error is given; "
-                "fix one of them."
+                f"{names} are not determined: at this estimate the data see only a combination of them, so no standard "
+                f"error is given; fix one of them{_inactive(nlp, combination.names)}."
             )
         else:
             yield (
@@ -74,6 +78,17 @@ def _undetermined(accuracy: Accuracy) -> Iterator[str]:
                 f"compensate one another (collinearity index {combination.index:.0f}); fix one of them or add data "
                 "that tell them apart."
             )
+
+
+def _inactive(nlp: Nlp, names: tuple[str, ...]) -> str:
+    """Return what to do besides where a model of these parameters has branches."""
+    parts = [part for part in nlp.problem.parts if any(part.rename.get(n, n) in names for n in part.declared)]
+    if not any(has_branches(part.model) for part in parts):
+        return ""
+    return (
+        ", unless it acts in a branch or beyond a limit of the model (gb.where, gb.minimum, gb.maximum) that is not "
+        "active at this estimate: then try starts at which it is active"
+    )
 
 
 def _unknown_constants(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
@@ -87,7 +102,8 @@ def _unknown_constants(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
 
 
 def _size(nlp: Nlp) -> Iterator[str]:
-    numbers, unknowns = sum(part.numbers for part in nlp.problem.parts), len(nlp.free)
+    numbers = sum(part.numbers for part in nlp.responding)
+    numbers, unknowns = numbers + sum(int(part.shooting.counts.sum()) for part in nlp.records), len(nlp.free)
     initial = sum(part.unknown_initial for part in nlp.records)
     if numbers <= unknowns + initial:
         states = f" and {counted(initial, 'initial state')}" if initial else ""
@@ -99,7 +115,8 @@ def _size(nlp: Nlp) -> Iterator[str]:
 
 
 def _bounds(nlp: Nlp, best: Minimum, accuracy: Accuracy) -> Iterator[str]:
-    for name in accuracy.at_bound:
+    dead = [c.names[0] for c in accuracy.combinations if len(c.names) == 1]
+    for name in (n for n in accuracy.at_bound if n not in dead):
         k = nlp.free.index(name)
         side = "lower" if best.estimate[k] - nlp.lower[k] < nlp.upper[k] - best.estimate[k] else "upper"
         bound = nlp.lower[k] if side == "lower" else nlp.upper[k]

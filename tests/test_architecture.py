@@ -12,14 +12,14 @@ ROOT = Path(__file__).parents[1]
 # A file may import only files listed above it.
 ORDER = """
 table atomic parameter record frequency_response sealed response_file record_file
-readers signals segment segments fourier spectra excitation multisine quality
+readers signals segment segments fourier spectra excitation multisine quality movement
 symbolic model trace controller trim elimination linear dynamics virtual_flight criterion
 sine harmonic output_error estimated own_biases given_data problem several
 integrator experiment sample transcription noise tape compiled shooting chain first_states pace record_part
 nlp levy starts solve small_qp limits iterate gains points gauss_newton cost whole_problem result hops multistart
 integration_error not_finite smoothing equations regression regressors projection equation_error
-residuals validation record_accuracy accuracy harmonic_error words reference answer fitted_record quantities store fit
-case windows flow lead_in prediction runner simulate same_windows comparison same_data verdict compare
+residuals validation record_accuracy accuracy harmonic_error words reference answer fitted_record record_words
+quantities store fit case windows flow lead_in prediction runner simulate same_windows comparison same_data verdict compare
 page nyquist histories plotting traces shelf command list_command log_commands cli __main__
 """.split()
 

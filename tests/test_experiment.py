@@ -137,6 +137,48 @@ def test_the_past_of_a_delay_is_not_compared():
     assert np.isfinite(made.measured[0, 3:60]).all()
 
 
+@pytest.mark.parametrize(
+    ("u", "masked"),
+    [
+        (np.repeat([0.0, 1.0], [10, 50]), 0),  # a step
+        (np.concatenate([np.zeros(5), RANDOM.normal(size=55)]), 0),
+        (np.concatenate([np.zeros(4), RANDOM.normal(size=56)]), 20),
+        (np.repeat(RANDOM.normal(size=8), 8)[:60], 20),  # commands at a lower rate: the past is as unknown
+        (np.concatenate([np.zeros(20), np.repeat(RANDOM.normal(size=8), 5)]), 0),
+        (np.ones(60), 0),
+    ],
+)
+def test_an_input_that_rests_at_the_beginning_has_rested_before(u, masked):
+    made = cut(record(60, u=u), lead=20 * STEP)
+    assert np.isnan(made.measured[0, :masked]).all()
+    assert np.isfinite(made.measured[0, masked:60]).all()
+    assert made.masked == masked
+
+
+def test_every_input_asks_for_the_past_that_its_own_delay_reaches():
+    made = cut(record(60, w=np.repeat([0.0, 1.0], [30, 30])), inputs=("u", "w"), lead=[3 * STEP, 20 * STEP])
+    assert made.masked == 3
+    made = cut(record(60, w=np.arange(60.0)), inputs=("u", "w"), lead=[3 * STEP, 20 * STEP])
+    assert made.masked == 20
+
+
+def test_after_a_gap_the_past_is_unknown_again():
+    u = np.concatenate([np.zeros(30), RANDOM.normal(size=60), np.zeros(10), RANDOM.normal(size=20)])
+    data = record(120, u=u)
+    time = data.time.copy()
+    time[60:] += 1.0
+    time[90:] += 1.0
+    y = np.arange(120.0)
+    y[62] = np.nan
+    made = cut(gb.Record(time, {"u": u, "y": y}), lead=10 * STEP)
+    there = [np.isfinite(s.outputs[0]) for s in made.stretches]
+    assert there[0].all()
+    assert not there[1][:10].any()
+    assert there[1][10:].all()
+    assert there[2].all()
+    assert made.masked == 9  # of the ten, one was not measured
+
+
 def test_no_inputs():
     data = record(60)
     made = cut(data, inputs=())
@@ -184,7 +226,9 @@ def test_small_jitter_counts_as_uniform_and_large_does_not():
 
 def test_bad_records():
     with pytest.raises(ValueError, match=r"never move \(u\): nothing can be estimated"):
-        cut(record(u=np.ones(60)))
+        cut(record(u=np.ones(60), y=RANDOM.normal(size=60)))
+    assert cut(record(u=np.ones(60))).resting
+    assert not cut(record()).resting
     with pytest.raises(ValueError, match="longest delay in the bounds takes 5 s; give a longer record or a smaller"):
         cut(record(), lead=5.0)
     with pytest.raises(ValueError, match="no measured value of y"):

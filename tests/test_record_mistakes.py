@@ -13,6 +13,10 @@ def record(**changes):
     return DATA.with_signals(**changes)
 
 
+def noise(n=100):
+    return dict(zip(("x", "v"), np.random.default_rng(1).normal(size=(2, n)), strict=True))
+
+
 def irregular():
     time = DATA.time[0] + np.cumsum(np.random.default_rng(0).uniform(0.6, 1.4, len(DATA))) * DATA.step
     return gb.Record(time, DATA.signals)
@@ -41,7 +45,7 @@ class Wild(gb.StateSpace):
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: fit(gb.Problem(Spring(), record(F=np.ones(100)))), r"inputs of the record never move \(F\)"),
+        (lambda: fit(gb.Problem(Spring(), record(F=np.ones(100), **noise()))), r"inputs .* never move \(F\): nothing"),
         (lambda: fit(gb.Problem(Spring(), record(x=np.zeros(100), v=np.ones(100)))), r"outputs .* never move \(x, v\)"),
         (lambda: fit(gb.Problem(Spring(), record(x=np.nan * np.ones(100), v=np.nan * np.ones(100)))), "of x, v"),
         (lambda: fit(gb.Problem(Spring(), record(F=np.nan * np.ones(100)))), "no measured value of F"),

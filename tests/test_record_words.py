@@ -1,0 +1,343 @@
+"""What fits of records say of samples that they did not see, of rest, of poor fits and of unequal records."""
+
+import re
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.signal import lfilter
+
+import greybox as gb
+
+TRUTH = {"K": 2.0, "T": 0.1, "d": 0.023}
+STEP = 0.01
+
+
+class Late(gb.StateSpace):
+    """First order with a late input."""
+
+    states = outputs = ("y",)
+    inputs = ("u",)
+    delays = {"u": "d"}
+    K = gb.Parameter(1.0, bounds=(0, 50))
+    T = gb.Parameter(0.3, bounds=(0.005, 10), unit="s")
+    d = gb.Parameter(0.01, bounds=(0, 0.05), unit="s")
+
+    def derivative(self, x, u, p):
+        return ((p.K * u.u - x.y) / p.T,)
+
+    def output(self, x, u, p):
+        return (x.y,)
+
+
+class Later(Late):
+    """With a lazy bound."""
+
+    d = gb.Parameter(0.01, bounds=(0, 0.3), unit="s")
+
+
+class Latest(Late):
+    """With a very lazy bound."""
+
+    d = gb.Parameter(0.01, bounds=(0, 0.7), unit="s")
+
+
+HELD = gb.OutputError(inputs="held")
+
+
+def fit(model, record, starts=4, criterion=HELD, **statement):
+    return gb.fit(gb.Problem(model, record, criterion, **statement), starts=starts, progress=False)
+
+
+def stepped(noise=0.01, n=120, before=10, seed=0):
+    """The response to a step at `before` samples, analytic."""
+    time = STEP * np.arange(n)
+    since = np.maximum(time - STEP * before - TRUTH["d"], 0)
+    y = TRUTH["K"] * (1 - np.exp(-since / TRUTH["T"]))
+    u = np.where(np.arange(n) < before, 0.0, 1.0)
+    return gb.Record(time, {"u": u, "y": y + noise * np.random.default_rng(seed).normal(size=n)}, name="step")
+
+
+def driven(n=600, noise=0.02, seed=0, hold=4, delay=2):
+    """Held inputs that moved before the record began, exact between whole samples."""
+    random, before = np.random.default_rng([seed, 5]), 200
+    u = np.repeat(random.normal(size=(n + before) // hold + 1), hold)[: n + before]
+    decay = np.exp(-STEP / TRUTH["T"])
+    late = np.concatenate([np.zeros(delay + 1), u])[: n + before]
+    y = lfilter([TRUTH["K"] * (1 - decay)], [1, -decay], late) + noise * random.normal(size=n + before)
+    return gb.Record(STEP * np.arange(n), {"u": u[before:], "y": y[before:]}, name="driven")
+
+
+def said(found, words):
+    return [text for text in found.warnings if words in text]
+
+
+def test_a_lazy_bound_of_a_delay_does_not_change_the_answer_of_a_step():
+    record = stepped()
+    found = [fit(model, record, starts=6) for model in (Late(), Later(), Latest())]
+    for one in found:
+        assert one.records[0].compared == len(record)
+        assert "120 samples in 1 record" in str(one)
+        for name, value in TRUTH.items():
+            assert abs(one.estimate[name] - value) < 4 * one.standard_error[name] < 0.2 * value
+            assert one.estimate[name] == pytest.approx(found[0].estimate[name], rel=1e-4)
+        assert one.cost == pytest.approx(found[0].cost, abs=1e-4)
+
+
+def test_what_a_delay_takes_from_a_moving_record_is_counted_and_told():
+    record = driven(400)
+    tight, lazy = fit(Late(), record), fit(Later(), record)
+    assert not said(tight, "not compared")
+    assert "395 of 400 samples in 1 record" in str(tight)
+    (text,) = said(lazy, "not compared")
+    assert text.startswith("30 of 400 samples of 'driven' were not compared")
+    assert "lower the upper bound of d (up to 0.3 s)" in text
+    assert lazy.records[0].compared == np.isfinite(lazy.records[0].residual("y")).sum() == 370
+    assert "370 of 400 samples in 1 record" in str(lazy)
+    assert lazy.dof < tight.dof <= 395
+    for found in (tight, lazy):
+        for name, value in {"K": 2.0, "T": 0.1, "d": 0.02}.items():
+            assert abs(found.estimate[name] - value) < 4 * found.standard_error[name]
+
+
+def test_the_past_of_a_known_delay_is_not_to_be_had_and_not_told():
+    found = fit(Later(), driven(200, delay=20), starts=[{}], fixed={"d": 0.2})
+    assert found.records[0].compared == 180
+    assert not said(found, "not compared")
+
+
+def test_a_delay_of_another_name_is_told_by_that():
+    record = driven(300)
+    found = fit(Later(), record, starts=2, rename={"d": "delay"})
+    assert "upper bound of delay (up to 0.3 s)" in said(found, "not compared")[0]
+    with pytest.raises(ValueError, match=r"has no usable stretch.* 0.7 s; give a longer record or a smaller upper"):
+        fit(Latest(), driven(50))
+
+
+def test_numbers_that_no_fit_saw_are_no_data():
+    """Of the 33 samples the bound leaves three, which is as many as there are unknowns."""
+    (text,) = said(fit(Later(), driven(33), starts=[{}], fixed={"T": 0.1}), "leave nothing to judge the errors by")
+    assert text.startswith("3 real numbers of data for 2 unknowns and 1 initial state")
+
+
+class Slide(gb.StateSpace):
+    """A body that a motor drives, against drag."""
+
+    states = ("x", "v")
+    inputs = ("u",)
+    outputs = ("x",)
+    tau = gb.Parameter(1.0, bounds=(0.01, 10), unit="s")
+    K = gb.Parameter(1.0, bounds=(0, 50), unit="m/s")
+
+    def derivative(self, x, u, p):
+        return (x.v, (p.K * u.u - x.v) / p.tau)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+def slid(level, speed, n=200, noise=0.002, seed=0):
+    """A record with a constant input, analytic: tau 0.4 s, K 3 m/s."""
+    time = 0.01 * np.arange(n)
+    end, gone = 3.0 * level, 1 - np.exp(-time / 0.4)
+    x = end * time + (speed - end) * 0.4 * gone + noise * np.random.default_rng(seed).normal(size=n)
+    return gb.Record(time, {"u": np.full(n, level), "x": x}, name=f"from {speed:g} m/s")
+
+
+def test_a_coast_down_tells_the_time_constant():
+    found = fit(Slide(), slid(0.0, 2.0), fixed={"K": 3.0})
+    assert abs(found.estimate["tau"] - 0.4) < 4 * found.standard_error["tau"] < 0.1
+    (text,) = said(found, "never move")
+    assert text == (
+        "the inputs never move in the record (u): only the movement from the initial state tells of the model."
+    )
+    free = fit(Slide(), slid(0.0, 2.0))
+    assert said(free, "K is not determined: it does not change the response")
+
+
+def test_a_response_from_rest_to_a_constant_input_tells_the_gain_too():
+    found = fit(Slide(), slid(0.8, 0.0), criterion=gb.OutputError(initial={"v": 0.0}))
+    for name, value in {"tau": 0.4, "K": 3.0}.items():
+        assert abs(found.estimate[name] - value) < 4 * found.standard_error[name] < 0.2 * value
+
+
+def test_rest_in_one_of_several_records_is_no_matter():
+    moving = gb.virtual_flight(
+        Slide(), {"tau": 0.4, "K": 3.0}, excitation={"u": np.sign(np.sin(np.arange(300) / 20))}, rate=100.0
+    )
+    noisy = moving.with_signals(x=moving["x"] + 0.002 * np.random.default_rng(2).normal(size=300))
+    found = gb.fit(gb.several(Slide(), [noisy, slid(0.0, 2.0)]), starts=3, progress=False)
+    assert not said(found, "never move")
+    for name, value in {"tau": 0.4, "K": 3.0}.items():
+        assert abs(found.estimate[name] - value) < 4 * found.standard_error[name]
+    both = gb.fit(gb.several(Slide(), [slid(0.5, 2.0), slid(0.0, 2.0)]), starts=2, progress=False)
+    assert said(both, "the inputs never move in any record (u)")
+
+
+def test_a_record_in_which_nothing_happens_is_refused():
+    still = slid(0.0, 0.0)
+    with pytest.raises(ValueError, match=r"never move \(u\): nothing can be estimated from it, since x moves no more"):
+        fit(Slide(), still)
+
+
+def test_a_fit_that_explains_almost_nothing_is_told():
+    class Wrong(Late):
+        """With a gain of the other sign."""
+
+        K = gb.Parameter(-1.0, bounds=(-50, -0.001))
+
+    record = driven(300)
+    known = {"T": TRUTH["T"], "d": 0.02}
+    (text,) = said(fit(Wrong(), record, fixed=known), "almost nothing")
+    percent = float(re.search(r"of y \(fit (\S+) %\)", text)[1])
+    assert percent < 10
+    allowed = float(re.search(r"allow about (\d+) %", text)[1])
+    assert_allclose(allowed, fit(Late(), record).records[0].fit_percent("y"), atol=15)  # fast movements count as noise
+    assert not said(fit(Late(), record), "almost nothing")
+
+
+def test_a_right_model_of_a_record_that_is_mostly_noise_is_not_blamed():
+    """The fit is low, since it cannot be higher, and the estimate is right within its errors."""
+    u = np.sin(np.arange(6000) / 100)
+    y = 0.02 * lfilter([TRUTH["K"] * 0.1], [1, -0.9], u) + 0.1 * np.random.default_rng(3).normal(size=6000)
+    record = gb.Record(STEP * np.arange(6000), {"u": u, "y": y}, name="quiet")
+    found = fit(Late(), record, starts=2, fixed={"T": STEP / -np.log(0.9), "d": 0.0})
+    assert found.records[0].fit_percent("y") < 10
+    assert abs(found.estimate["K"] - 0.04) < 4 * found.standard_error["K"] < 0.01
+    assert not said(found, "almost nothing")
+
+
+def test_an_output_that_is_noise_is_said_to_be_so():
+    random = np.random.default_rng(4)
+    record = gb.Record(STEP * np.arange(400), {"u": driven(400)["u"], "y": random.normal(size=400)})
+    (text,) = said(fit(Late(), record, starts=2), "almost nothing")
+    assert text.startswith("y moves no more than noise does from sample to sample, and the model explains almost")
+
+
+def test_records_of_one_sensor_that_weigh_very_differently_are_told():
+    """One of the records has a disturbance that the model does not know, which its variance hides."""
+    clean, other = driven(300), driven(300, seed=1)
+    disturbed = other.with_signals(y=other["y"] + np.sin(np.arange(300) / 15))
+    disturbed = gb.Record(disturbed.time, disturbed.signals, name="disturbed")
+    found = gb.fit(gb.several(Late(), [clean, disturbed], criterion=HELD), starts=2, progress=False)
+    (text,) = said(found, "fitted standard deviation")
+    sigma = [float(np.sqrt(part.noise[0, 0])) for part in found.records]
+    assert text.startswith(f"the fitted standard deviation of y is {sigma[1]:.2g} in 'disturbed' and {sigma[0]:.2g} in")
+    assert f"weighs {float(f'{(sigma[1] / sigma[0]) ** 2:.2g}'):g} times as much" in text
+    # The cure as it is written there: one standard deviation, of all residuals.
+    common = float(re.search(r"noise=\{'y': (\S+)\}", text)[1])
+    residuals = np.concatenate([part.residual("y") for part in found.records])
+    assert_allclose(common, np.sqrt(np.nanmean(residuals**2)), rtol=0.05)
+    equal = gb.OutputError(inputs="held", noise={"y": common})
+    cured = gb.fit(gb.several(Late(), [clean, disturbed], criterion=equal), starts=2, progress=False)
+    assert not said(cured, "fitted standard deviation")
+    alike = gb.fit(gb.several(Late(), [clean, other], criterion=HELD), starts=2, progress=False)
+    assert not said(alike, "fitted standard deviation")
+
+
+class Limited(gb.StateSpace):
+    """A lag whose sensor ends at a limit, and a leak above a level."""
+
+    states = outputs = ("y",)
+    inputs = ("u",)
+    T = gb.Parameter(0.3, bounds=(0.01, 10), unit="s")
+    top = gb.Parameter(5.0, bounds=(0.1, 10))
+    leak = gb.Parameter(1.0, bounds=(0, 10))
+
+    def derivative(self, x, u, p):
+        return ((u.u - x.y) / p.T - p.leak * gb.where(x.y > 3.0, x.y - 3.0, 0.0),)
+
+    def output(self, x, u, p):
+        return (gb.minimum(x.y, p.top),)
+
+
+def test_a_parameter_of_an_inactive_branch_is_dead_at_this_estimate_only():
+    """The limit of 0.8 is found from starts at which it is active; each dead parameter is named by itself."""
+    n = 300
+    u = np.sign(np.sin(np.arange(n) / 40)) + 0.3
+    y = lfilter([1 - np.exp(-0.02 / 0.2)], [1, -np.exp(-0.02 / 0.2)], np.concatenate([[0.0], u[:-1]]))
+    y = np.minimum(y, 0.8) + 0.01 * np.random.default_rng(0).normal(size=n)
+    record = gb.Record(0.02 * np.arange(n), {"u": u, "y": y})
+    beyond = fit(Limited(), record, starts=[{}])
+    texts = said(beyond, "not determined")
+    assert sorted(text.split(" is ")[0] for text in texts) == ["leak", "top"]
+    assert all("at this estimate" in text and "try starts at which it is active" in text for text in texts)
+    within = fit(Limited(), record, starts=[{"top": 0.7}])
+    assert within.cost < beyond.cost - 100
+    assert abs(within.estimate["top"] - 0.8) < 4 * within.standard_error["top"]
+    assert [text.split(" is ")[0] for text in said(within, "not determined")] == ["leak"]
+    at_bound = fit(Limited(), record, starts=[{"top": 10.0}])
+    assert said(at_bound, "top is not determined: it does not change the response")
+    assert not said(at_bound, "top ended at its upper bound")
+
+
+def test_no_branch_is_told_of_where_the_model_has_none():
+    class Dead(Late):
+        """With a parameter that does nothing."""
+
+        mass = gb.Parameter(1.0, bounds=(0, 5))
+
+        def output(self, x, u, p):
+            return (x.y + 0 * p.mass,)
+
+    (text,) = said(fit(Dead(), driven(200), starts=[{}]), "mass is not determined")
+    assert text.endswith("at this estimate at all; fix it.")
+
+
+# --- residuals that are correlated in time ----------------------------------------------------------------------------
+
+
+class Drift(gb.StateSpace):
+    """A lag."""
+
+    states, inputs, outputs = ("x",), ("u",), ("x",)
+    a = gb.Parameter(2.0, bounds=(0.1, 20), unit="1/s")
+    b = gb.Parameter(2.0, bounds=(0.1, 20), unit="1/s")
+
+    def derivative(self, x, u, p):
+        return (p.b * u.u - p.a * x.x,)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+def drifting(loop, n=6000, step=0.01):
+    """A disturbance of the state; with a `loop` the input answers to it."""
+    random = np.random.default_rng(0)
+    x, states, inputs = 0.0, [], []
+    for k in range(n):
+        states.append(x + 0.002 * random.normal())
+        inputs.append(np.sign(np.sin(0.5 * step * k)) - loop * x)
+        x += step * (3.0 * inputs[-1] - 3.0 * x) + 0.07 * random.normal()
+    return gb.Record(step * np.arange(n), {"u": inputs, "x": states})
+
+
+def colors(record, criterion):
+    fit = gb.fit(gb.Problem(Drift(), record, criterion), starts=3, progress=False)
+    return fit, [text for text in fit.warnings if "from one sample to the next" in text]
+
+
+def test_a_disturbance_in_a_closed_loop_is_told_and_the_criterion_for_it_does_better():
+    record = drifting(loop=2.0)
+    biased, (said,) = colors(record, gb.OutputError(inputs="held"))
+    assert "the residuals are correlated from one sample to the next (0.9" in said
+    assert said.endswith("compare with criterion=PredictionError().")
+    better, _ = colors(record, gb.PredictionError(inputs="held"))
+    assert abs(better.estimate["b"] - 3.0) < abs(biased.estimate["b"] - 3.0) / 3
+
+
+def test_prediction_errors_of_signals_that_were_smoothed_are_told_not_to_be_white():
+    record = drifting(loop=0.0)
+    smooth = np.convolve(record["x"], np.ones(9) / 9, "same")
+    _, (said,) = colors(record.with_signals(x=smooth), gb.PredictionError(inputs="held"))
+    assert "the prediction errors are not white" in said
+    assert "for x from one sample to the next): the signals were low-passed" in said
+
+
+def test_white_residuals_are_not_blamed():
+    random, n = np.random.default_rng(1), 500
+    u = np.repeat(random.normal(size=n // 10), 10)
+    record = gb.Record(0.05 * np.arange(n), {"u": u})
+    x = gb.simulate(Drift(), {"a": 2.5, "b": 3.0}, record, inputs="held")["x"] + 0.05 * random.normal(size=n)
+    for criterion in (gb.OutputError(inputs="held"), gb.PredictionError(inputs="held")):
+        assert not colors(record.with_signals(x=x), criterion)[1]
