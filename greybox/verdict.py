@@ -16,6 +16,7 @@ from greybox.validation import mean_test, whiteness
 Array = NDArray[np.float64]
 Predictions = tuple[tuple[Prediction, ...], ...]
 LEVEL = 0.05
+FEW = 3  # windows below which there is no test
 ALIKE = 1e-3  # of the mean squared error: predictions that differ by less are alike
 ACCURATE = 1e-6  # of an output's spread, to which simulations are accurate
 EQUAL = 2.0  # difference of AIC below which two models are supported alike
@@ -101,6 +102,11 @@ def _windows(names: Sequence[str], found: Predictions, a: int, b: int, place: st
     every = np.concatenate(differences)
     ours, theirs, rounding = (float(np.mean(np.concatenate(values))) for values in zip(*squares, strict=True))
     data = "its own data" if place == IDENTIFICATION else "held-out data"
+    if every.size < FEW:
+        return 0.0, (
+            f"whether {names[a]} or {names[b]} predicts {data.replace('its', 'their')} better cannot be told from "
+            f"{counted(every.size, 'window')}: give a shorter window, or longer records."
+        )
     if abs(theirs - ours) <= max(ALIKE * min(ours, theirs), rounding):
         share = 100 * abs(theirs - ours) / max(ours, theirs, 1e-300)
         return 0.0, (

@@ -1,5 +1,6 @@
 """Windows of equal length in a record: a lead-in, from which a state is estimated, and the samples to be predicted."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -85,7 +86,8 @@ def cut(
                 f"{seconds(record.step)} s: give some samples, e.g. {name}={seconds(FEWEST * record.step)}, or leave "
                 "it out."
             )
-    first, after = (max(1, round(min(length / record.step, len(record)))) for length in (lead, horizon))
+    # Half a sample is rounded down in all records alike, however their times are rounded.
+    first, after = (max(1, math.floor(min(n / record.step, len(record)) + 0.5 - WHOLE)) for n in (lead, horizon))
     places = []
     for stretch in stretches:
         starts = np.arange(0, len(stretch) - first - after + 1, after)
