@@ -1,7 +1,7 @@
 """A model at one estimate, as simulation and prediction take it: values, their covariance, and what the fit assumed."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -33,7 +33,8 @@ class Case:
     names, q : tuple of str, (declared,) array
         The model's parameters, then biases of sensors and gains of the innovations, and their values.
     covariance : (declared, declared) array or None
-        Of these values; None where they came as plain numbers.
+        Of these values; None where they came as plain numbers. What ended at its bound counts as exact, and what the
+        data do not determine has NaN.
     criterion : TimeCriterion
         How inputs run, which signals are biased, and whether innovations correct the states.
     part : FittedRecord or None
@@ -145,10 +146,17 @@ def _of_fit(model: Model, fit: Fit, part: FittedRecord | FittedResponse, inputs:
         dynamics(model, delay_order(part.delay)),
         tuple(names),
         np.array([fit.estimate[name] for name in outside]),
-        fit.covariance_of(outside),
+        _covariance(fit, outside),
         _criterion(inputs or (record.inputs if record else "linear"), biases, gains),
         record,
     )
+
+
+def _covariance(fit: Fit, names: Sequence[str]) -> Array:
+    """Return the covariance of these values, zero for those at a bound: the errors of all others take them as exact."""
+    at_bound = {q.name for q in fit.quantities if q.at_bound and q.kind == "free"}
+    exact = np.array([name in at_bound for name in names], dtype=bool)
+    return np.where(exact | exact[:, None], 0.0, fit.covariance_of(names))
 
 
 def _criterion(inputs: Inputs, biases: tuple[str, ...], gains: tuple[tuple[str, str], ...]) -> TimeCriterion:

@@ -7,34 +7,46 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.answer import Fit, FittedRecord, FittedResponse
-from greybox.case import Case, case
+from greybox.answer import Fit
 from greybox.comparison import HELD_OUT, IDENTIFICATION, Comparison, NestedTest, Row
-from greybox.criterion import MaximumLikelihood
-from greybox.prediction import AHEAD, Prediction
+from greybox.prediction import Prediction, samples_ahead, told_shares
 from greybox.record import Record
-from greybox.simulate import predict_windows
-from greybox.table import number
+from greybox.same_data import (
+    LIKELIHOOD,
+    count_numbers,
+    described,
+    difference,
+    is_likelihood,
+    labels_of,
+    not_comparable,
+    other_samples,
+)
+from greybox.same_windows import Predictions, lengths_of, predicted
 from greybox.validation import fit_percent, input_correlation, rms, theil, variance_accounted_for, whiteness
 from greybox.verdict import verdicts
-from greybox.windows import cut, require_lengths
+from greybox.windows import require_lengths, seconds
 
 Array = NDArray[np.float64]
-Predictions = tuple[tuple[Prediction, ...], ...]
 
 
 def compare(
     *fits: Fit,
     records: Record | Sequence[Record] | None = None,
-    window: float = 1.0,
-    lead: float = 0.5,
+    window: float | None = None,
+    lead: float | None = None,
     labels: Sequence[str] = (),
 ) -> Comparison:
     """Compare fits of different structures: which describes its data best, and which predicts others best.
 
-    Cost, number of parameters, AIC and BIC are told where the fits have the same data and their costs are likelihoods.
-    In time, models are judged by predictions over windows, the same ones for all, see `predict`: on the data of the
-    fits, and on `records`. Whiteness and correlation with the inputs are those of predictions one sample ahead.
+    Cost, number of parameters, AIC and BIC are told where the fits have the same data and their costs are likelihoods,
+    as all in time are; else a sentence says why not. In time, models are judged by predictions over windows, the same
+    ones for all, see `predict`: on the data of the fits, and on `records`. Windows in which one of the models has no
+    finite value are left out for all and counted. Whiteness and correlation with the inputs are those of predictions
+    one sample ahead.
+
+    Two models predict alike where their mean squared errors differ by less than 0.1 % of the smaller one, or by less
+    than a millionth of the spread of an output (what simulations are accurate to): only beyond that does a test decide.
+    They describe their data alike where AIC differs by less than 2 (Burnham and Anderson, section 2.6).
 
     Parameters
     ----------
@@ -42,46 +54,61 @@ def compare(
     records : Record or sequence of them, optional
         Held out from all fits. Without them the fits must have the same data.
     window, lead : float, s
-        What is predicted, and what is measured before it to tell the state.
+        What is predicted, and what is measured before it to tell the state, rounded to whole samples. By default 1 s
+        and 0.5 s, or 10 samples of the slowest record where that is longer, for the lead-in also at least twice the
+        longest delay.
     labels : sequence of str, optional
         One for each fit; by default the names of the models.
 
     Raises
     ------
     TypeError, ValueError
-        For what is no fit, a fit without an answer, data that differ and no records, or records that do not fit.
+        For what is no fit, a fit without an answer, data that differ and no records, records that do not fit, lengths
+        shorter than a sample, or a model without finite values in half of the windows.
 
     Sources: Klein and Morelli, Aircraft System Identification, 2nd ed., chapters 5, 6 and 11; Ljung (1999), System
     Identification, 2nd ed., sections 16.4 to 16.6; Jategaonkar (2006), Flight Vehicle System Identification, chapter
     11; Burnham and Anderson (2002), Model Selection and Multimodel Inference.
     """
     _check(fits, labels)
-    require_lengths(window=window, lead=lead)
-    names = tuple(labels) or _labels(fits)
+    require_lengths(**{name: v for name, v in (("window", window), ("lead", lead)) if v is not None})
+    names = tuple(labels) or labels_of(fits)
     held_out = _records(records)
-    different = _difference(fits, names)
+    different = difference(fits, names)
     if different and not held_out:
         raise ValueError(f"{different}: fit them to the same data, or give records=[...] on which to judge them.")
-    rows = _whole(fits, same=not different)
-    found: dict[str, Predictions] = {}
+    apart = different or not_comparable(fits, names)
+    rows = _whole(fits, same=not different, comparable=not apart)
+    data: dict[str, list[list[Record]]] = {}  # of every fit
     if not different and fits[0].records:
-        data = [[part.data for part in fit.records] for fit in fits]
-        found[IDENTIFICATION] = _predicted(fits, data, window, lead, own=True)
+        data[IDENTIFICATION] = [[part.data for part in fit.records] for fit in fits]
     if held_out:
-        found[HELD_OUT] = _predicted(fits, [held_out] * len(fits), window, lead, own=False)
+        data[HELD_OUT] = [held_out] * len(fits)
+    lengths = lengths_of(fits, [record for given in data.values() for record in given[0]], window, lead)
+    found: dict[str, Predictions] = {}
+    said = [_uncompared(apart, fits)] if apart and not different else []
+    said += _seen(fits, names, held_out)
+    for place, given in data.items():
+        found[place], left = predicted(fits, names, given, lengths, own=place == IDENTIFICATION)
+        said += left
     for place, predictions in found.items():
         rows += _measured(place, predictions, fits)
-    seen = _seen(fits, names, held_out)
+    first = next(iter(found.values()))[0][0] if found else None
     return Comparison(
         labels=names,
-        data=f"{different}: their costs are not compared" if different else _data(fits),
+        data=f"{different}: their costs are not compared" if different else described(fits),
         rows=tuple(rows),
-        statements=(*seen, *verdicts(fits, names, found, same=not different)),
-        window=window if found else None,
-        lead=lead if found else None,
+        statements=(*said, *verdicts(fits, names, found, same=not different, comparable=not apart)),
+        window=first.horizon if first else None,
+        lead=first.lead if first else None,
         windows={place: sum(len(p) for p in predictions[0]) for place, predictions in found.items()},
         predictions=found,
     )
+
+
+def _uncompared(apart: str, fits: Sequence[Fit]) -> str:
+    more = "; the table has each criterion for all of them" if any(fit.costs for fit in fits) else ""
+    return f"Costs, AIC and BIC are not compared: {apart}{more}."
 
 
 def nested_test(small: Fit, large: Fit) -> NestedTest:
@@ -101,7 +128,7 @@ def nested_test(small: Fit, large: Fit) -> NestedTest:
     """
     _check((small, large), ())
     names = _nested_labels(small, large)
-    different = _difference((small, large), names)
+    different = difference((small, large), names) or other_samples((small, large), names)
     if different:
         raise ValueError(f"{different}: a nested test needs fits of the same data.")
     extra = tuple(name for name in large.free if name not in small.free)
@@ -114,7 +141,7 @@ def nested_test(small: Fit, large: Fit) -> NestedTest:
     if not np.all(np.isfinite(covariance)):
         raise ValueError(f"the data do not determine {', '.join(extra)} of {names[1]}: nothing can be tested.")
     r, scale, ratio = len(extra), 1.0, math.nan
-    if _is_likelihood(small) and _is_likelihood(large) and large.white is not None:
+    if is_likelihood(small) and is_likelihood(large) and large.white is not None:
         ratio = 2 * (small.cost - large.cost)
         if ratio < -1e-3 * max(1.0, abs(large.cost) * 1e-6):
             raise ValueError(
@@ -159,18 +186,9 @@ def _records(given: Any) -> list[Record]:
     return list(found)
 
 
-def _labels(fits: Sequence[Fit]) -> tuple[str, ...]:
-    """Return the names of the models, with those of the problems or numbers where they do not tell the fits apart."""
-    models = [", ".join(dict.fromkeys(part.label for part in fit.parts)) for fit in fits]
-    for said in (models, [f"{m} ({fit.name})" for m, fit in zip(models, fits, strict=True)]):
-        if len(set(said)) == len(said):
-            return tuple(said)
-    return tuple(f"{model} {k}" for k, model in enumerate(models, 1))
-
-
 def _nested_labels(small: Fit, large: Fit) -> tuple[str, str]:
     """Return the names of the models; that of one model with fewer parameters free says which."""
-    names = _labels((small, large))
+    names = labels_of((small, large))
     models = [fit.parts[0].label for fit in (small, large)]
     held = [name for name in large.free if name not in small.free and name in small.estimate]
     if models[0] != models[1] or not held:
@@ -178,71 +196,16 @@ def _nested_labels(small: Fit, large: Fit) -> tuple[str, str]:
     return f"{models[0]} with {', '.join(held)} fixed", models[1]
 
 
-def _difference(fits: Sequence[Fit], names: Sequence[str]) -> str:
-    """Return in words how the data of a fit differ from those of the first, or nothing."""
-    first = fits[0]
-    for fit, name in zip(fits[1:], names[1:], strict=True):
-        if len(fit.parts) != len(first.parts):
-            return f"{name} was fitted to {len(fit.parts)} sets of data and {names[0]} to {len(first.parts)}"
-        for a, b in zip(first.parts, fit.parts, strict=True):
-            if not _same(a, b):
-                return (
-                    f"{name} was fitted to other data than {names[0]} ({b.data.name or b.name!r}, checksum "
-                    f"{b.data.checksum[:8]}, and {a.data.name or a.name!r}, {a.data.checksum[:8]})"
-                )
-            if isinstance(a, FittedRecord) and isinstance(b, FittedRecord) and a.outputs != b.outputs:
-                return (
-                    f"{name} was fitted to the outputs {', '.join(b.outputs)} and {names[0]} to {', '.join(a.outputs)}"
-                )
-            if _count(a) != _count(b):
-                return (
-                    f"{name} was fitted to {_count(b)} numbers of the record and {names[0]} to {_count(a)}, since the "
-                    "longest delay in the bounds keeps the first samples out (give both the same bounds)"
-                )
-    return ""
-
-
-def _same(a: FittedResponse | FittedRecord, b: FittedResponse | FittedRecord) -> bool:
-    """Tell whether two parts have the same data: a stretch of a log has the checksum of the whole log."""
-    if a.data.checksum != b.data.checksum:
-        return False
-    if isinstance(a.data, Record) and isinstance(b.data, Record):
-        return np.array_equal(a.data.time, b.data.time) and all(
-            np.array_equal(a.data[n], b.data[n], equal_nan=True) for n in a.data.signals if n in b.data.signals
-        )
-    return type(a) is type(b)
-
-
-def _data(fits: Sequence[Fit]) -> str:
-    parts = [f"{part.data.name or part.name} ({part.data.checksum[:8]})" for part in fits[0].parts]
-    count = sum(_count(part) for part in fits[0].parts)
-    return f"the same for all: {', '.join(parts)}, {count} numbers"
-
-
-def _count(part: FittedResponse | FittedRecord) -> int:
-    if isinstance(part, FittedResponse):
-        return 2 * len(part.data)
-    return sum(int(np.isfinite(part.residual(name)).sum()) for name in part.outputs)
-
-
-def _is_likelihood(fit: Fit) -> bool:
-    """Tell whether the cost is the negative logarithm of a likelihood."""
-    return all(
-        part.weight == 1 and (isinstance(part, FittedRecord) or part.rule == MaximumLikelihood().description)
-        for part in fit.parts
-    )
-
-
-def _whole(fits: Sequence[Fit], same: bool) -> list[Row]:
+def _whole(fits: Sequence[Fit], same: bool, comparable: bool) -> list[Row]:
     """Return what belongs to the fits as a whole."""
-    likelihood = same and all(_is_likelihood(fit) for fit in fits)
+    likelihood = comparable and all(is_likelihood(fit) for fit in fits)
     rules = list(dict.fromkeys(fit.criterion for fit in fits))
-    comparable = same and len(rules) == 1
+    rule = rules[0] if len(rules) == 1 else LIKELIHOOD
     unknowns = [len(fit.free) + sum(part.nuisances for part in fit.records) for fit in fits]
-    numbers = [sum(_count(part) for part in fit.parts) for fit in fits]
+    numbers = [sum(count_numbers(part) for part in fit.parts) for fit in fits]
     costs = [fit.cost for fit in fits]
     rows = [
-        _row("fit", "", f"cost: {rules[0]}" if comparable else "cost", "", costs if comparable else None, fits),
+        _row("fit", "", f"cost: {rule}" if comparable else "cost", "", costs if comparable else None, fits),
         _row("fit", "", "free parameters", "", [len(fit.free) for fit in fits], fits),
         _row("fit", "", "numbers in the data", "", numbers, fits),
         _row("fit", "", "degrees of freedom", "", [fit.dof for fit in fits], fits),
@@ -253,54 +216,15 @@ def _whole(fits: Sequence[Fit], same: bool) -> list[Row]:
         rows.append(_row("fit", "", name, "", values if likelihood else None, fits))
         least = [value - min(values) for value in values]
         rows.append(_row("fit", "", f"{name} less the least", "", least if likelihood else None, fits))
-    others = dict.fromkeys(rule for fit in fits for rule in fit.costs if same)
-    for rule in others:
-        if not (comparable and rule == rules[0]):
-            rows.append(_row("fit", "", f"cost: {rule}", "", [f.costs.get(rule, math.nan) for f in fits], fits))
+    for other in dict.fromkeys(name for fit in fits for name in fit.costs if same):
+        if not (comparable and other == rule):
+            rows.append(_row("fit", "", f"cost: {other}", "", [f.costs.get(other, math.nan) for f in fits], fits))
     return [row for row in rows if any(v is not None for v in row.values) or row.measure in ("cost", "AIC", "BIC")]
 
 
 def _row(data: str, output: str, measure: str, unit: str, values: Sequence[float] | None, fits: Sequence[Any]) -> Row:
     known = [None] * len(fits) if values is None else [float(v) if math.isfinite(v) else None for v in values]
     return Row(data, output, measure, unit, tuple(known))
-
-
-def _predicted(
-    fits: Sequence[Fit], data: Sequence[Sequence[Record]], window: float, lead: float, own: bool
-) -> Predictions:
-    """Return for every fit the predictions of every record, over windows that all fits can use."""
-    columns = []
-    for k in range(len(data[0])):
-        cases = [_case(fit, k if own else None) for fit in fits]
-        record = _joined([records[k] for records in data])
-        inputs = dict.fromkeys(name for at in cases for name in at.system.inputs)
-        common = [name for name in cases[0].system.outputs if all(name in at.system.outputs for at in cases)]
-        outputs = tuple(name for name in common if name in record.signals)
-        if not outputs:
-            raise ValueError(
-                f"{record.name or 'the record'} has no output that all fits have ({', '.join(common) or 'none'}); "
-                f"it has {', '.join(record.signals)}."
-            )
-        windows = cut(record, tuple(inputs), outputs, lead=lead, horizon=window, called="window")
-        columns.append([predict_windows(at, windows, outputs, lead, window, called="window") for at in cases])
-    return tuple(zip(*columns, strict=True))
-
-
-def _case(fit: Fit, record: int | None) -> Case:
-    """Return a fit as it is simulated, for its own k-th record or for one that it has not seen."""
-    if record is None:
-        return case(fit)
-    return case(fit, part=[k for k, part in enumerate(fit.parts) if isinstance(part, FittedRecord)][record])
-
-
-def _joined(records: Sequence[Record]) -> Record:
-    """Return one record with the signals of all, which are of the same data."""
-    first = records[0]
-    more = {name: r[name] for r in records[1:] for name in r.signals if name not in first.signals}
-    if not more:
-        return first
-    units = {name: r.units.get(name, "") for r in records for name in r.signals}
-    return Record(first.time, {**first.signals, **more}, units, first.name, first.source, first.checksum)
 
 
 def _measured(place: str, predictions: Predictions, fits: Sequence[Fit]) -> list[Row]:
@@ -324,9 +248,8 @@ def _measured(place: str, predictions: Predictions, fits: Sequence[Fit]) -> list
         for share in ("bias", "variance", "covariance"):
             add(f"  its share of {share}", "", [getattr(t, share) for t in coefficients])
         add("error (rms)", unit, [rms(y - p) for y, p in pairs])
-        for ahead in AHEAD:
-            grown = [_grown(ps, output, ahead) for ps in of]
-            add(f"  {number(ahead * of[0][0].horizon, 3)} s ahead", unit, grown)
+        for share in told_shares([p.rows.shape[1] for p in of[0]]):
+            add(f"  {_how_far(of[0], share)} s ahead", unit, [_grown(ps, output, share) for ps in of])
         tests = [whiteness(_one_step(ps, output), fitted=_gains(fit, output)) for ps, fit in zip(of, fits, strict=True)]
         add("one step ahead: error over noise", "", [rms(np.concatenate(_one_step(ps, output))) for ps in of])
         add("  white (p)", "", [t.p_value for t in tests])
@@ -340,8 +263,14 @@ def _measured(place: str, predictions: Predictions, fits: Sequence[Fit]) -> list
 
 def _grown(predictions: Sequence[Prediction], output: str, share: float) -> float:
     """Return the root mean square error at a share of the horizon."""
-    place = [max(1, math.ceil(share * p.rows.shape[1] - 1e-9)) - 1 for p in predictions]
+    place = [samples_ahead(share, p.rows.shape[1]) - 1 for p in predictions]
     return rms(np.concatenate([p.residual(output)[:, k] for p, k in zip(predictions, place, strict=True)]))
+
+
+def _how_far(predictions: Sequence[Prediction], share: float) -> str:
+    """Say how far ahead a share of the horizon is, in s, in records that may have different sample times."""
+    ahead = [float(p.ahead[samples_ahead(share, p.rows.shape[1]) - 1]) for p in predictions]
+    return " to ".join(dict.fromkeys((seconds(min(ahead)), seconds(max(ahead)))))
 
 
 def _one_step(predictions: Sequence[Prediction], output: str) -> list[Array]:

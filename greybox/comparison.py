@@ -7,6 +7,7 @@ from typing import Any
 
 from greybox.prediction import Prediction
 from greybox.table import counted, number, text_table
+from greybox.windows import seconds
 
 IDENTIFICATION, HELD_OUT = "identification", "held-out"
 SIGNIFICANT = 0.05
@@ -49,7 +50,7 @@ class Comparison:
     statements : tuple of str
         What they mean, in sentences.
     window, lead : float or None
-        Lengths of the windows in s; None without records.
+        Lengths of the windows in s, as used in the first record: whole samples; None without records.
     windows : mapping of str to int
         How many there are on identification data and on held-out records.
     predictions : mapping of str to tuple of tuples
@@ -93,14 +94,20 @@ class Comparison:
         for data in (IDENTIFICATION, HELD_OUT):
             rows = [r for r in self.rows if r.data == data]
             if rows:
-                count = counted(self.windows.get(data, 0), "window")
-                lines += [
-                    f"  {data} data: {count} of {self.window:g} s, each from {self.lead:g} s before it",
-                    "",
-                ]
+                lines += [f"  {data} data: {self._windows(data)}", ""]
             for output in dict.fromkeys(r.output for r in rows):
                 lines += self._section([r for r in rows if r.output == output], output)
         return "\n".join([*lines, *(f"  {text}" for text in self.statements)]).rstrip()
+
+    def _windows(self, data: str) -> str:
+        """Say how many windows there are and how long, as used: whole samples of records that may differ."""
+        of = self.predictions[data][0]
+        window, lead = (
+            " to ".join(dict.fromkeys((seconds(min(lengths)), seconds(max(lengths)))))
+            for lengths in ([p.horizon for p in of], [p.lead for p in of])
+        )
+        samples = f" ({counted(of[0].rows.shape[1], 'sample')})" if len(of) == 1 else ""
+        return f"{counted(self.windows.get(data, 0), 'window')} of {window} s{samples}, each from {lead} s before it"
 
     def _section(self, rows: Sequence[Row], title: str = "") -> list[str]:
         if not rows:

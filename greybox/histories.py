@@ -14,6 +14,7 @@ from greybox.answer import Fit, FittedRecord
 from greybox.page import COLORS, finish, legend_below, page, plain, symbol
 from greybox.prediction import Prediction
 from greybox.record import GAP, Record
+from greybox.windows import seconds
 
 Array = NDArray[np.float64]
 MEASURED, INPUT = "#AAAAAA", "#222222"
@@ -130,7 +131,7 @@ def _of_prediction(prediction: Prediction) -> _History:
     along = prediction.record
     values = {name: along[name] for name in prediction.outputs}
     half = {name: float(ndtri(0.975)) * along[f"{name}_error"] for name in prediction.outputs}
-    label = f"{prediction.label}, {prediction.horizon:g} s ahead"
+    label = f"{prediction.label}, {seconds(prediction.horizon)} s ahead"
     rows, outputs = prediction.rows, prediction.outputs
     return _History(label, prediction.data, outputs, prediction.inputs, values, half, list(rows), rows[:, 0])
 

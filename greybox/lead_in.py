@@ -3,11 +3,13 @@
 Each is the maximum a posteriori estimate, by Gauss-Newton steps, under the noise of the outputs and a prior that the
 windows share. The prior's mean and spread of each state are those of all windows (empirical Bayes by expectation and
 maximization), so that a state which a short lead-in hardly shows stays where the record as a whole has it.
+Formulas need not be finite everywhere (a root of a level): a window begins with the first of several guesses from which
+its lead-in is finite, or else where the others are on average, and no step leaves the values with finite outputs.
 Source: Jazwinski (1970), Stochastic Processes and Filtering Theory, section 5.3; Dempster, Laird and Rubin (1977),
 Maximum likelihood from incomplete data via the EM algorithm, Journal of the Royal Statistical Society B 39.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +42,8 @@ class LeadIn:
         Covariance of the outputs' errors, given or estimated from the lead-ins.
     mean, precision : (n,) arrays
         Of the prior.
+    lost : (w,) bool array
+        Windows for which no states with finite outputs were found; their states mean nothing.
     """
 
     states: Array
@@ -47,38 +51,44 @@ class LeadIn:
     noise: Array
     mean: Array
     precision: Array
+    lost: NDArray[np.bool_]
 
 
 def estimate_states(
-    simulate: Simulate, slopes: Slopes, measured: Array, start: Array, noise: Array | None, spread: Array
+    simulate: Simulate, slopes: Slopes, measured: Array, starts: Sequence[Array], noise: Array | None, spread: Array
 ) -> LeadIn:
-    """Estimate the states (w, n) from `measured` (w, samples, k), NaN where missing, beginning at `start`.
+    """Estimate the states (w, n) from `measured` (w, samples, k), NaN where missing, beginning at one of `starts`.
 
     `noise` (k, k) is None where it is to be estimated; `spread` (k,) is that of the outputs over the record.
     """
-    known, w, n = noise is not None, *start.shape
+    known, (w, n) = noise is not None, starts[0].shape
+    local = _Local(simulate, slopes, measured)
     R = noise if noise is not None else np.diag((FIRST * spread) ** 2)
     R = R + np.diag((FLOOR * spread) ** 2)
-    x, mean, precision = start.copy(), start.mean(axis=0), np.zeros(n)
+    x, e, S, there = local.begin(starts)
+    if not there.any():
+        nothing = np.full((w, n, n), np.nan)
+        return LeadIn(x, nothing, R, np.full(n, np.nan), np.full(n, np.nan), ~there)
+    mean, precision = x[there].mean(axis=0), np.zeros(n)
     posterior = np.zeros((w, n, n))
-    e = _residual(measured, simulate(x))
     for iteration in range(ITERATIONS):
-        S = slopes(x)
         adapting = iteration < ADAPTING
         if not known and 0 < iteration < ADAPTING:
             R = _noise_of(e, S, posterior, R, spread)
         H, b = _information(e, S, R)
         if adapting:
-            mean, precision = _prior(H, np.einsum("wij,wj->wi", H, x) + b, mean, measured, R, spread)
+            told = np.einsum("wij,wj->wi", H, x) + b
+            mean, precision = _prior(H[there], told[there], mean, measured[there], R, spread)
         posterior = _inverse(H, precision)
         step = np.einsum("wij,wj->wi", posterior, b - precision * (x - mean))
         odds = _Odds(R, mean, precision)
-        x, e, taken = _searched(lambda at: _residual(measured, simulate(at)), odds, x, e, step)
+        x, e, taken = _searched(local.residual, odds, x, e, step, there)
+        x, e, S, there = local.linear(x, e)
         size = np.sqrt(np.maximum(np.diagonal(posterior, axis1=1, axis2=2), 1e-300))
         if not adapting and np.all(np.abs(taken) <= SETTLED * size):
             break
-    H, _ = _information(e, slopes(x), R)
-    return LeadIn(x, _inverse(H, precision), R, mean, precision)
+    H, _ = _information(e, S, R)
+    return LeadIn(x, _inverse(H, precision), R, mean, precision, ~there)
 
 
 def one_step_errors(e: Array, slopes: Array, offset: Array, precision: Array, noise: Array) -> Array:
@@ -108,10 +118,51 @@ def one_step_errors(e: Array, slopes: Array, offset: Array, precision: Array, no
     return result
 
 
-def _residual(measured: Array, simulated: Array) -> Array:
-    """Return measured less simulated, zero where nothing was measured and infinite where the model has left."""
-    e = measured - simulated
-    return np.where(np.isfinite(measured), np.where(np.isfinite(e), e, np.inf), 0.0)
+@dataclass(frozen=True, eq=False)
+class _Local:
+    """The lead-ins at given states: residuals and slopes, and where both are finite."""
+
+    simulate: Simulate
+    slopes: Slopes
+    measured: Array
+
+    def residual(self, x: Array) -> Array:
+        """Return measured less simulated, zero where nothing was measured and infinite where the model has left."""
+        e = self.measured - self.simulate(x)
+        return np.where(np.isfinite(self.measured), np.where(np.isfinite(e), e, np.inf), 0.0)
+
+    def begin(self, starts: Sequence[Array]) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+        """Return states, residuals and slopes of the first of the starts from which a window is finite."""
+        x = starts[0]
+        e, S, there = self._at(x)
+        for start in starts[1:]:
+            if there.all():
+                break
+            x = np.where(there[:, None], x, start)
+            e, S, there = self._at(x)
+        return self._joined(x, e, S, there)
+
+    def linear(self, x: Array, e: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+        """Return states, residuals and slopes where the residuals are `e`."""
+        S = self.slopes(x)
+        return self._joined(x, e, S, _finite(e, S))
+
+    def _at(self, x: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        e, S = self.residual(x), self.slopes(x)
+        return e, S, _finite(e, S)
+
+    def _joined(
+        self, x: Array, e: Array, S: Array, there: NDArray[np.bool_]
+    ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+        """Put windows that are not finite where the others are on average; where that fails they tell nothing."""
+        if not there.all() and there.any():
+            x = np.where(there[:, None], x, x[there].mean(axis=0))
+            e, S, there = self._at(x)
+        return x, np.where(there[:, None, None], e, 0.0), np.where(there[:, None, None, None], S, 0.0), there
+
+
+def _finite(e: Array, S: Array) -> NDArray[np.bool_]:
+    return np.all(np.isfinite(e), axis=(1, 2)) & np.all(np.isfinite(S), axis=(1, 2, 3))
 
 
 def _information(e: Array, S: Array, R: Array) -> tuple[Array, Array]:
@@ -175,13 +226,18 @@ class _Odds:
         return np.where(np.isfinite(squares), squares, np.inf) + (self.precision * (x - self.mean) ** 2).sum(axis=1)
 
 
-def _searched(residual: Simulate, odds: _Odds, x: Array, e: Array, step: Array) -> tuple[Array, Array, Array]:
-    """Take the step of every window, halved until it does not cost more; return states, residuals, what was taken."""
-    before, length, worse = odds.cost(e, x), np.ones(len(x)), np.ones(len(x), dtype=bool)
+def _searched(
+    residual: Simulate, odds: _Odds, x: Array, e: Array, step: Array, there: NDArray[np.bool_]
+) -> tuple[Array, Array, Array]:
+    """Take the step of every window that is `there`, halved until it does not cost more.
+
+    Returns states, residuals, and what was taken.
+    """
+    before, length, worse = odds.cost(e, x), np.where(there, 1.0, 0.0), there
     for _ in range(HALVINGS):
         moved = x + length[:, None] * step
         e = residual(moved)
-        worse = ~(odds.cost(e, moved) <= before * (1 + 1e-9) + 1e-9)
+        worse = there & ~(odds.cost(e, moved) <= before * (1 + 1e-9) + 1e-9)
         if not worse.any():
             return moved, e, length[:, None] * step
         length = np.where(worse, length / 2, length)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +10,21 @@ from numpy.typing import NDArray
 from greybox.record import Record
 from greybox.table import counted, number, text_table
 from greybox.validation import fit_percent, rms
+from greybox.windows import seconds
 
 Array = NDArray[np.float64]
 AHEAD = (0.1, 0.25, 0.5, 1.0)  # shares of the horizon at which the growth of the error is told
+
+
+def samples_ahead(share: float, samples: int) -> int:
+    """Return how many samples ahead a share (0 to 1] of a horizon is, at least one."""
+    return max(1, math.ceil(share * samples - 1e-9))
+
+
+def told_shares(horizons: Sequence[int]) -> list[float]:
+    """Return the shares at which the error is told of horizons of so many samples, each sample once."""
+    places = {share: tuple(samples_ahead(share, h) for h in horizons) for share in AHEAD}
+    return [share for share, at in places.items() if at not in [places[s] for s in AHEAD if s > share]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,12 +39,13 @@ class Prediction:
         What was measured.
     inputs, outputs, states : tuple of str
     lead, horizon : float
-        Lengths in s.
+        Lengths in s, as used: whole samples.
     rows : (w, h) int array
         Indices in `data` of the predicted samples; sample j is j + 1 steps after the last one that informed it.
     predicted, error : (k, w, h) arrays
         Of the outputs as their sensors show them, and the standard errors: of the parameters (with the states that
-        they imply, first order) and of the state at the beginning. The noise of the outputs comes on top.
+        they imply, first order) and of the state at the beginning. The noise of the outputs comes on top. A parameter
+        at its bound counts as exact; NaN where an output depends on one that the data of the fit do not determine.
     noise : (k, k) array
         Covariance of the outputs' errors, that of the fit or else estimated from the lead-ins.
     trajectory : (n, w, h) array
@@ -40,6 +53,8 @@ class Prediction:
     one_step : (k, w, h) array
         Errors of predictions one sample ahead, from all that the window had measured before, in units of the standard
         deviations that they should have: white with unit variance for the right model. NaN where nothing was measured.
+    notes : tuple of str
+        What there is to say of it, in sentences: why an error is not known.
     """
 
     label: str
@@ -55,6 +70,7 @@ class Prediction:
     noise: Array
     trajectory: Array
     one_step: Array
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -78,7 +94,12 @@ class Prediction:
             if name not in signals:
                 signals[name] = self._spread(self.trajectory[i])
                 units[name] = self.data.units.get(name, "")
-        return Record(self.data.time, signals, units, name=f"{self.label}, {self.horizon:g} s ahead")
+        return Record(self.data.time, signals, units, name=f"{self.label}, {seconds(self.horizon)} s ahead")
+
+    def kept(self, windows: NDArray[np.bool_]) -> "Prediction":
+        """Return the prediction of some of the windows, (w,)."""
+        named = {name: getattr(self, name)[:, windows] for name in ("predicted", "error", "trajectory", "one_step")}
+        return replace(self, rows=self.rows[windows], **named)
 
     def measured(self, output: str) -> Array:
         """Return what was measured in the windows, (w, h), NaN where nothing was."""
@@ -106,9 +127,7 @@ class Prediction:
     def rms(self, output: str, share: float | None = None) -> float:
         """Return the root mean square error over all samples, or at one share (0 to 1] of the horizon."""
         e = self.residual(output)
-        if share is not None:
-            e = e[:, max(1, math.ceil(share * e.shape[1] - 1e-9)) - 1]
-        return rms(e)
+        return rms(e if share is None else e[:, samples_ahead(share, e.shape[1]) - 1])
 
     def fit_percent(self, output: str) -> float:
         """Return 100 (1 - |error| / |measured - mean|) over all windows."""
@@ -126,19 +145,21 @@ class Prediction:
 
     def __str__(self) -> str:
         head = (
-            f"{self.label}: {counted(len(self), 'window')} of {self.horizon:g} s in "
-            f"{self.data.name or 'the record'}, the state of each from {self.lead:g} s before it"
+            f"{self.label}: {counted(len(self), 'window')} of {seconds(self.horizon)} s in "
+            f"{self.data.name or 'the record'}, the state of each from {seconds(self.lead)} s before it"
         )
-        ends = [f"after {number(s * self.horizon, 3)} s" for s in AHEAD]
-        rows = [self._row(name) for name in self.outputs]
+        shares = told_shares([self.rows.shape[1]])
+        ends = [f"after {seconds(self.ahead[samples_ahead(s, self.rows.shape[1]) - 1])} s" for s in shares]
+        rows = [self._row(name, shares) for name in self.outputs]
         table = text_table(
             ["output", "unit", "fit %", "error (rms)", *ends, "noise", "error as told"], rows, left=(0, 1)
         )
-        return "\n".join([head, "", *("  " + line for line in table.splitlines())])
+        notes = ["", *("  " + note for note in self.notes)] if self.notes else []
+        return "\n".join([head, "", *("  " + line for line in table.splitlines()), *notes])
 
-    def _row(self, name: str) -> Sequence[str]:
+    def _row(self, name: str, shares: Sequence[float]) -> Sequence[str]:
         k = self._place(name)
-        grown = [number(self.rms(name, share), 3) for share in AHEAD]
+        grown = [number(self.rms(name, share), 3) for share in shares]
         told = float(np.sqrt(np.mean(self.error[k] ** 2)))
         values = [number(self.fit_percent(name), 4), number(self.rms(name), 3), *grown]
         return [name, self.data.units.get(name, ""), *values, number(math.sqrt(self.noise[k, k]), 3), number(told, 3)]

@@ -26,18 +26,29 @@ CHECKED = 400  # samples at which the substeps are checked
 DIVERGED = 1e9  # no state in SI units is that large
 LARGEST = 1e100  # derivative of an output that still means something
 SINGULAR = 1e-10  # relative singular value from which a free simulation does not show its initial state
+FACTORS = (1.0, 0.1, 10.0, -1.0)  # times the size of the outputs: states where a model may have finite values
+DEPENDS = 1e-9  # of the largest effect on an output: a smaller one is rounding
 ERROR = "_error"
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Of every sample in the windows, lead-ins included: (w, samples, k) or (w, samples, n)."""
+    """Of every sample in the windows, lead-ins included: (w, samples, k) or (w, samples, n).
+
+    `unknown` are parameters without an error on which an output depends.
+    """
 
     lead_in: LeadIn
     outputs: Array
     states: Array
     error: Array
     one_step: Array
+    unknown: tuple[str, ...]
+
+    @property
+    def lost(self) -> NDArray[np.bool_]:
+        """Windows (w,) in which an output is not finite."""
+        return self.lead_in.lost | ~np.all(np.isfinite(self.outputs), axis=(1, 2))
 
 
 class Runner:
@@ -50,8 +61,11 @@ class Runner:
         self._substeps = integrator.substeps or 0
         self._samples: dict[int, SampleStep] = {}
 
-    def free_run(self, stretch: Stretch, start: Array, own: bool) -> dict[str, Array]:
-        """Simulate one stretch from the states `start` (n,); return outputs, errors and states by name."""
+    def free_run(self, stretch: Stretch, start: Array, own: bool) -> tuple[dict[str, Array], tuple[str, ...]]:
+        """Simulate one stretch from the states `start` (n,).
+
+        Returns outputs, errors and states by name, and the parameters without an error on which an output depends.
+        """
         at, count = self._at, len(stretch)
         whole, around = Experiment((stretch,), (), 1).windows(at.delays)
         nothing = np.zeros((2 * len(self._outputs), count))
@@ -64,11 +78,12 @@ class Runner:
         flow, _, states, outputs = self._accurate(stretch.step, run)
         found = dict(zip(at.system.states, states[0].T, strict=True))
         found |= dict(zip(self._outputs, outputs[0].T, strict=True))
+        unknown: tuple[str, ...] = ()
         if at.covariance is not None and not has_left(found).any():
             slopes = flow.slopes(start[None], at.q, data)[0]
-            error = _errors(*_initial_by_parameters(at, stretch, slopes, self._outputs, own), at)
+            error, unknown = _errors(*_initial_by_parameters(at, stretch, slopes, self._outputs, own), at)
             found |= {name + ERROR: row for name, row in zip(self._outputs, error.T, strict=True)}
-        return found
+        return found, unknown
 
     def windows(self, windows: Windows) -> Found:
         """Estimate the state of every window and run on from it."""
@@ -88,7 +103,7 @@ class Runner:
                 lambda x: first.simulate(x, at.q, before)[1],
                 lambda x: np.where(masked[..., None], first.slopes(x, at.q, before), 0.0),
                 past,
-                _first_guess(at, self._outputs, past),
+                _first_guesses(at, self._outputs, past),
                 at.noise(self._outputs),
                 spread,
             )
@@ -97,14 +112,14 @@ class Runner:
 
         (found, whole), columns, states, outputs = self._accurate(windows.record.step, run)
         slopes = whole.slopes(found.states, at.q, columns)
-        error = _window_errors(found, slopes, known, at, n)
+        error, unknown = _window_errors(found, slopes, known, at, n)
         e, by_state = measured - outputs, slopes[..., :n]
         if isinstance(self._criterion, PredictionError):  # whose corrections go on where one step ahead is meant
             columns = _columns(data, there, length)
             e = measured - whole.simulate(found.states, at.q, columns)[1]
             by_state = whole.slopes(found.states, at.q, columns)[..., :n]
         one_step = one_step_errors(e, by_state, found.mean - found.states, found.precision, found.noise)
-        return Found(found, outputs, states, error, one_step)
+        return Found(found, outputs, states, error, one_step, unknown)
 
     def _accurate(self, step: float, run: Any) -> Any:
         """Run with more and more substeps until half as long ones change no sample noticeably."""
@@ -112,19 +127,22 @@ class Runner:
         self._substeps = self._substeps or _substeps(self._at, step)
         while True:
             found, data, states, outputs = run(self._sample(self._substeps))
-            if fixed or not states.size or self._substeps >= MOST or not np.all(np.isfinite(states)):
+            if fixed or not states.size or self._substeps >= MOST:
                 return found, data, states, outputs
             error = self._local_error(states, data)
-            if error <= TOLERANCE:
+            if error <= TOLERANCE and np.all(np.isfinite(states)):
                 return found, data, states, outputs
-            growth = (error / TOLERANCE) ** (1 / self._integrator.order)
+            # What is not finite may be so for steps that are too long.
+            growth = (error / TOLERANCE) ** (1 / self._integrator.order) if error > TOLERANCE else FIRST
             self._substeps = min(MOST, self._substeps * int(np.clip(math.ceil(growth), 2, 8)))
 
     def _local_error(self, states: Array, data: ca.DM) -> float:
         """Return the largest change of a state in one sample by half as long substeps, relative to its size."""
         flat = states.reshape(-1, states.shape[2]).T
-        count = flat.shape[1]
-        some = np.unique(np.linspace(0, count - 1, min(count, CHECKED)).astype(int)).tolist()
+        usable = np.flatnonzero(np.all(np.abs(flat) < DIVERGED, axis=0))
+        some = usable[np.unique(np.linspace(0, usable.size - 1, min(usable.size, CHECKED)).astype(int))].tolist()
+        if not some:
+            return 0.0
         x = flat[:, some]
         coarse, fine = (
             np.asarray(self._sample(k).function(x, self._at.q, data[:, some])[0])
@@ -133,7 +151,8 @@ class Runner:
         size = np.abs(x).max(axis=1, initial=0.0)
         size = np.maximum(size, 1e-6 * size.max(initial=0.0))
         size = np.where(size > 0, size, 1.0)
-        return float(np.max(np.abs(fine - coarse) / size[:, None], initial=0.0))
+        change = np.abs(fine - coarse) / size[:, None]
+        return float(np.max(change, initial=0.0, where=np.isfinite(change)))
 
     def _sample(self, substeps: int) -> SampleStep:
         if substeps not in self._samples:
@@ -184,15 +203,32 @@ def _initial_by_parameters(
     return by_value + by_state @ follow, own_error
 
 
-def _errors(by_value: Array, variance: Array, at: Case) -> Array:
-    """Return the standard errors (..., k) from derivatives (..., k, a) and the variance (..., k) of the states."""
+def _errors(by_value: Array, variance: Array, at: Case) -> tuple[Array, tuple[str, ...]]:
+    """Return the standard errors (..., k) from derivatives (..., k, a) and the variance (..., k) of the states.
+
+    A value without an error takes that of the samples which depend on it; their names are returned too.
+    """
+    unknown: tuple[str, ...] = ()
     if at.covariance is not None and len(at.uncertain):
         covariance = at.covariance[np.ix_(at.uncertain, at.uncertain)]
-        variance = variance + np.einsum("...a,ab,...b->...", by_value, covariance, by_value)
-    return np.sqrt(np.maximum(variance, 0.0))
+        blind = np.isnan(np.diag(covariance))
+        variance = variance + np.einsum("...a,ab,...b->...", by_value, np.nan_to_num(covariance), by_value)
+        if blind.any():
+            depends = _depends(by_value, at.q[at.uncertain]) & blind
+            variance = np.where(depends.any(axis=-1), np.nan, variance)
+            met = depends.reshape(-1, blind.size).any(axis=0)
+            unknown = tuple(at.names[i] for i in at.uncertain[met])
+    return np.sqrt(np.maximum(variance, 0.0)), unknown
 
 
-def _window_errors(found: LeadIn, slopes: Array, known: Array, at: Case, n: int) -> Array:
+def _depends(by_value: Array, q: Array) -> NDArray[np.bool_]:
+    """Tell which samples of an output depend on which values (..., k, a), beyond rounding."""
+    effect = np.abs(by_value) * np.where(q != 0, np.abs(q), 1.0)
+    largest = np.nanmax(effect, axis=(*range(effect.ndim - 2), -1), initial=0.0)  # of every output
+    return ~(effect <= DEPENDS * largest[:, None])
+
+
+def _window_errors(found: LeadIn, slopes: Array, known: Array, at: Case, n: int) -> tuple[Array, tuple[str, ...]]:
     """Return the standard errors (w, samples, k) of the outputs; the states follow the parameters by the lead-in."""
     by_state, by_value = slopes[..., :n], slopes[..., n:]
     weight = np.linalg.inv(np.linalg.cholesky(found.noise))
@@ -205,15 +241,24 @@ def _window_errors(found: LeadIn, slopes: Array, known: Array, at: Case, n: int)
     return _errors(by_value + np.einsum("wtkn,wna->wtka", by_state, follow), variance, at)
 
 
-def _first_guess(at: Case, outputs: tuple[str, ...], past: Array) -> Array:
-    """Return states (w, n) to begin with: zero, or what was first measured where an output bears the state's name."""
-    start = np.zeros((len(past), len(at.system.states)))
+def _first_guesses(at: Case, outputs: tuple[str, ...], past: Array) -> list[Array]:
+    """Return states (w, n) to begin with, the next ones for windows in which a model has no finite value there.
+
+    States of an output's name are what was first measured; others zero, as the fit found them, or of the outputs' size.
+    """
+    initial = {} if at.part is None else at.part.initial
+    size = float(np.nanmean(np.abs(past))) or 1.0
+    others = [np.zeros(len(at.system.states))]
+    others.append(np.array([np.mean(initial.get(name, 0.0)) for name in at.system.states]))
+    others += [np.full(len(at.system.states), factor * size) for factor in FACTORS]
+    guesses = [np.tile(values, (len(past), 1)) for values in others]
     for i, name in enumerate(at.system.states):
         if name in outputs:
             values = past[:, :, outputs.index(name)]
             first = np.isfinite(values).argmax(axis=1)
-            start[:, i] = np.nan_to_num(values[np.arange(len(values)), first])
-    return start
+            for guess in guesses:
+                guess[:, i] = np.nan_to_num(values[np.arange(len(values)), first])
+    return guesses
 
 
 def _spread(values: Array) -> float:

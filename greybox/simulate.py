@@ -13,11 +13,13 @@ from greybox.integrator import Integrator, RungeKutta
 from greybox.model import Model, require_known
 from greybox.prediction import Prediction
 from greybox.record import Record
-from greybox.runner import ERROR, Runner, has_left
+from greybox.runner import DIVERGED, ERROR, Found, Runner, has_left
 from greybox.table import counted
-from greybox.windows import Windows, cut, require_lengths
+from greybox.windows import Windows, cut, default_length, require_lengths
 
 Array = NDArray[np.float64]
+GROWN = 1e6  # before a value that is not finite: what has grown so far is unstable, in SI units
+USUAL = 0.5  # s: shortest default of a horizon and a lead-in
 
 
 def simulate(
@@ -57,13 +59,15 @@ def simulate(
         At the times of `record`: the outputs as their sensors show them (biases included), then the states that do not
         bear the name of an output; NaN where an input is missing. A gap begins a new simulation. With a `Fit` also
         ``<output>_error``: the standard error of an output, of the parameters to first order; of the initial states
-        only where they are those of the fit; NaN where an unstable model runs too long to tell these. The noise of the
-        sensors is not in it.
+        only where they are those of the fit; NaN where an unstable model runs too long to tell these. A parameter at
+        its bound counts as exact, as in the errors of the fit; an output that depends on a parameter which the data of
+        the fit do not determine has NaN, and the name of the record says which. The noise of the sensors is not in it.
 
     Raises
     ------
     ValueError
-        If an input is missing, the samples are not uniform, or the simulation leaves all bounds.
+        If an input is missing, the samples are not uniform, or the simulation leaves all bounds or the values in which
+        the model's formulas are finite.
     """
     at = case(model, estimate, inputs=inputs, part=part)
     record = _record(record, at)
@@ -76,16 +80,19 @@ def simulate(
     own = initial is None and _is_own(record, at)
     columns = {name: np.full(len(record), np.nan) for name in _columns(at)}
     solver = Runner(at, at.free_running(), outputs, integrator or RungeKutta())
+    unknown: dict[str, None] = {}
     for k, stretch in enumerate(stretches):
         start = _initial(at, given, k, own)
-        found = solver.free_run(stretch, start, own)
+        found, some = solver.free_run(stretch, start, own)
+        unknown |= dict.fromkeys(some)
         rows = stretch.first + np.arange(len(stretch))
         _require_bounded(found, record.time[rows], at)
         for name, values in found.items():
             if name in columns:
                 columns[name][rows] = values
     units = {n: record.units[n.removesuffix(ERROR)] for n in columns if n.removesuffix(ERROR) in record.units}
-    return Record(record.time, columns, units, name=f"simulation of {at.label}")
+    said = f", {_not_known(tuple(unknown), at)}" if unknown else ""
+    return Record(record.time, columns, units, name=f"simulation of {at.label}{said}")
 
 
 def predict(
@@ -93,8 +100,8 @@ def predict(
     estimate: Mapping[str, float] | Fit | None = None,
     record: Record | None = None,
     *,
-    horizon: float = 0.5,
-    lead: float = 0.5,
+    horizon: float | None = None,
+    lead: float | None = None,
     inputs: Inputs | None = None,
     integrator: Integrator | None = None,
     part: int | None = None,
@@ -110,20 +117,23 @@ def predict(
     Parameters
     ----------
     horizon, lead : float, s
-        Lengths of what is predicted and of what is measured before it.
+        Lengths of what is predicted and of what is measured before it, rounded to whole samples. By default 0.5 s or 10
+        samples, whichever is longer, for the lead-in also at least twice the longest delay.
 
     The other parameters are those of `simulate`.
 
     Raises
     ------
     ValueError
-        If an input or all outputs are missing, no stretch is long enough, the delay is longer than the lead-in, or the
-        model runs away within a window.
+        If an input or all outputs are missing, a length is shorter than a sample, no stretch is long enough, the delay
+        is longer than the lead-in, or the model has no finite value in a window.
     """
-    require_lengths(horizon=horizon, lead=lead)
+    require_lengths(**{n: v for n, v in (("horizon", horizon), ("lead", lead)) if v is not None})
     at = case(model, estimate, inputs=inputs, part=part)
     record = _record(record, at)
     _require(record, at)
+    horizon = default_length([record], USUAL) if horizon is None else horizon
+    lead = default_length([record], USUAL, float(np.max(at.delays, initial=0.0))) if lead is None else lead
     outputs = tuple(name for name in at.system.outputs if name in record.signals)
     if not outputs:
         raise ValueError(
@@ -131,22 +141,20 @@ def predict(
             f"it has {', '.join(record.signals)}."
         )
     windows = cut(record, at.system.inputs, outputs, lead=lead, horizon=horizon)
-    return predict_windows(at, windows, outputs, lead, horizon, integrator)
+    prediction, _, trouble = predict_windows(at, windows, outputs, integrator)
+    if trouble:
+        raise ValueError(f"{trouble}: {cure('horizon')}.")
+    return prediction
 
 
 def predict_windows(
-    at: Case,
-    windows: Windows,
-    outputs: tuple[str, ...],
-    lead: float,
-    horizon: float,
-    integrator: Integrator | None = None,
-    called: str = "horizon",
-) -> Prediction:
+    at: Case, windows: Windows, outputs: tuple[str, ...], integrator: Integrator | None = None
+) -> tuple[Prediction, NDArray[np.bool_], str]:
     """Predict `outputs`, which the record has, over given windows: the same ones for models that are compared.
 
-    The user knows the horizon as `called`.
+    Returns also which windows (w,) are not finite, and what is not finite there, in words without an end.
     """
+    lead, horizon = windows.lead * windows.record.step, windows.horizon * windows.record.step
     if np.max(at.delays, initial=0.0) >= lead:
         raise ValueError(
             f"the delay of {at.label} is {np.max(at.delays):.3g} s and lead={lead:.3g} s does not cover it: give a "
@@ -155,11 +163,7 @@ def predict_windows(
     solver = Runner(at, at.criterion, outputs, integrator or RungeKutta())
     found = solver.windows(windows)
     ahead = slice(windows.lead, None)
-    if not np.all(np.isfinite(found.outputs[:, ahead])):
-        raise ValueError(
-            f"{at.label} runs away within {horizon:g} s of a state that its lead-in told: give a shorter {called}."
-        )
-    return Prediction(
+    prediction = Prediction(
         label=at.label,
         data=windows.record,
         inputs=at.system.inputs,
@@ -173,6 +177,48 @@ def predict_windows(
         noise=found.lead_in.noise,
         trajectory=np.moveaxis(found.states[:, ahead], -1, 0),
         one_step=np.moveaxis(found.one_step[:, ahead], -1, 0),
+        notes=(f"{_not_known(found.unknown, at)}.",) if found.unknown else (),
+    )
+    return prediction, found.lost, _trouble(found, windows, outputs, at)
+
+
+def _trouble(found: Found, windows: Windows, outputs: tuple[str, ...], at: Case) -> str:
+    """Say in how many windows something is not finite, and what in the first one, where and after which states."""
+    if not found.lost.any():
+        return ""
+    first = int(np.argmax(found.lost))
+    states, values = found.states[first], found.outputs[first]
+    names = (*at.system.states, *outputs)
+    lost = ~np.isfinite(np.hstack([states, values]))
+    when = int(np.argmax(lost.any(axis=1)))
+    what = names[int(np.argmax(lost[when]))] if lost.any() else "how the outputs follow from its states"
+    place = "within its lead-in" if when < windows.lead else "beyond its lead-in"
+    return (
+        f"{at.label} is not finite in {counted(int(found.lost.sum()), 'window')} of {len(windows)}: {what} at "
+        f"{windows.record.time[windows.rows[first, when]]:.6g} s, {place}{_after(at, states, when)}"
+    )
+
+
+def _after(at: Case, states: Array, when: int) -> str:
+    """Say which states (samples, n) were the last ones before a sample."""
+    last = states[max(when - 1, 0)]
+    said = ", ".join(f"{name} = {value:.4g}" for name, value in zip(at.system.states, last, strict=True))
+    return f", {'after' if when else 'where'} {said}" if said else ""
+
+
+def cure(called: str) -> str:
+    """Say what helps where a model is not finite in a window; the user knows the horizon as `called`."""
+    return (
+        f"give a shorter {called} where the model is unstable, or keep its formulas within what they are defined for, "
+        "e.g. gb.sqrt(gb.maximum(x.level, 0))"
+    )
+
+
+def _not_known(unknown: tuple[str, ...], at: Case) -> str:
+    """Say why an error is not known."""
+    return (
+        f"the errors of {at.label} are not known where they depend on {', '.join(unknown)}, which the data of the fit "
+        "do not determine"
     )
 
 
@@ -196,11 +242,26 @@ def _require(record: Record, at: Case) -> None:
 
 def _require_bounded(found: Mapping[str, Array], time: Array, at: Case) -> None:
     bad = has_left({name: values for name, values in found.items() if not name.endswith(ERROR)})
-    if bad.any():
+    if not bad.any():
+        return
+    when = int(np.argmax(bad))
+    states = np.array([found[name] for name in at.system.states]).T.reshape(len(time), -1)
+    before = _after(at, states, when)
+    if any(abs(values[max(when - 1, 0)]) > GROWN or np.isfinite(values[when]) for values in _lost(found, when)):
         raise ValueError(
-            f"the simulation of {at.label} leaves all bounds at {time[np.argmax(bad)]:.6g} s: the model is unstable at "
-            "this estimate; predict it over windows instead, gb.predict(..., horizon=0.5)."
+            f"the simulation of {at.label} leaves all bounds at {time[when]:.6g} s{before}: the model is unstable at "
+            "this estimate; predict it over windows instead, gb.predict(..., horizon=...)."
         )
+    name = next(name for name, values in found.items() if not np.isfinite(values[when]))
+    raise ValueError(
+        f"the simulation of {at.label} is not finite from {time[when]:.6g} s on, {name} first{before}: keep its "
+        "formulas within what they are defined for, e.g. gb.sqrt(gb.maximum(x.level, 0)), or give other initial states."
+    )
+
+
+def _lost(found: Mapping[str, Array], when: int) -> list[Array]:
+    """Return the signals that have left at a sample."""
+    return [v for n, v in found.items() if not n.endswith(ERROR) and not abs(v[when]) < DIVERGED]
 
 
 def _columns(at: Case) -> list[str]:

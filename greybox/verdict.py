@@ -10,17 +10,21 @@ from numpy.typing import NDArray
 from greybox.answer import Fit, FittedRecord
 from greybox.comparison import HELD_OUT, IDENTIFICATION
 from greybox.prediction import Prediction
-from greybox.table import counted, with_error
+from greybox.table import counted, number, with_error
 from greybox.validation import mean_test, whiteness
 
 Array = NDArray[np.float64]
 Predictions = tuple[tuple[Prediction, ...], ...]
 LEVEL = 0.05
+FEW = 3  # windows below which there is no test
+ALIKE = 1e-3  # of the mean squared error: predictions that differ by less are alike
+ACCURATE = 1e-6  # of an output's spread, to which simulations are accurate
+EQUAL = 2.0  # difference of AIC below which two models are supported alike
 ZERO = 2.0  # standard errors within which an estimate is not distinguishable from zero
 
 
 def verdicts(
-    fits: Sequence[Fit], names: Sequence[str], found: Mapping[str, Predictions], same: bool
+    fits: Sequence[Fit], names: Sequence[str], found: Mapping[str, Predictions], *, same: bool, comparable: bool
 ) -> tuple[str, ...]:
     """Return the sentences of a comparison."""
     pairs = list(combinations(range(len(fits)), 2))
@@ -34,19 +38,20 @@ def verdicts(
                 z, words = _windows(names, found[place], a, b, place)
                 said.append(words)
                 closer[a, b], closer[b, a] = z, -z
-    if same and found:
+    if comparable and found:
         said += _colored(fits, names)
     for k, fit in enumerate(fits):
         said += _terms(fits, names, k, fit, closer)
-    said += _criteria(fits) if same else ()
+    said += _criteria(fits) if comparable else ()
     return tuple(said)
 
 
 def _vuong(fits: Sequence[Fit], names: Sequence[str], a: int, b: int) -> str:
     """Compare the likelihoods sample by sample, less half of the AIC's penalty.
 
+    Where AIC differs by less than `EQUAL` nothing is tested: of one model fitted twice the differences are rounding.
     Sources: Vuong (1989), Econometrica 57; for errors that are correlated in time Rivers and Vuong (2002), Econometrics
-    Journal 5.
+    Journal 5; Burnham and Anderson (2002), section 2.6.
     """
     differences: list[Array] = []
     for one, other in zip(fits[a].records, fits[b].records, strict=True):
@@ -55,6 +60,11 @@ def _vuong(fits: Sequence[Fit], names: Sequence[str], a: int, b: int) -> str:
     mean, error = mean_test(differences)
     count = sum(int(np.isfinite(d).sum()) for d in differences)
     mean -= (_unknowns(fits[a]) - _unknowns(fits[b])) / max(count, 1)
+    if 2 * abs(mean) * count < EQUAL:
+        return (
+            f"{names[a]} and {names[b]} describe the data of the fit as well as one another (AIC differs by "
+            f"{number(2 * abs(mean) * count, 2)}; below {EQUAL:g} neither is preferred)."
+        )
     z = mean / error if error > 0 else 0.0
     p = _two_sided(z)
     if not p < LEVEL:
@@ -83,22 +93,29 @@ def _unknowns(fit: Fit) -> int:
 def _windows(names: Sequence[str], found: Predictions, a: int, b: int, place: str) -> tuple[float, str]:
     """Compare the mean squared errors window by window, in units of the smaller noise; positive where a is better.
 
+    A mean difference below `ALIKE` of the smaller mean squared error, or below what simulations are accurate to, is a
+    tie whatever the test says: it may have the same sign in every window and yet be rounding.
     Source: Diebold and Mariano (1995), Journal of Business and Economic Statistics 13.
     """
-    differences = []
-    for one, other in zip(found[a], found[b], strict=True):
-        total = np.zeros(len(one))
-        for k, output in enumerate(one.outputs):
-            noise = min(one.noise[k, k], other.noise[k, k])
-            error = other.residual(output) ** 2 - one.residual(output) ** 2
-            there = np.isfinite(error)
-            total += np.where(there, error, 0.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1) / noise
-        differences.append(total)
+    squares = [_squares(one, other) for one, other in zip(found[a], found[b], strict=True)]
+    differences = [theirs - ours for ours, theirs, _ in squares]
     every = np.concatenate(differences)
+    ours, theirs, rounding = (float(np.mean(np.concatenate(values))) for values in zip(*squares, strict=True))
+    data = "its own data" if place == IDENTIFICATION else "held-out data"
+    if every.size < FEW:
+        return 0.0, (
+            f"whether {names[a]} or {names[b]} predicts {data.replace('its', 'their')} better cannot be told from "
+            f"{counted(every.size, 'window')}: give a shorter window, or longer records."
+        )
+    if abs(theirs - ours) <= max(ALIKE * min(ours, theirs), rounding):
+        share = 100 * abs(theirs - ours) / max(ours, theirs, 1e-300)
+        return 0.0, (
+            f"{names[a]} and {names[b]} predict {data.replace('its', 'their')} alike: their mean squared errors differ "
+            f"by {number(share, 2)} % ({counted(every.size, 'window')}), and below {100 * ALIKE:g} % neither is better."
+        )
     mean, error = mean_test(differences)
     z = mean / error if error > 0 else 0.0
     p = _two_sided(z, every.size - 1)
-    data = "its own data" if place == IDENTIFICATION else "held-out data"
     if not p < LEVEL:
         data = data.replace("its", "their")
         return 0.0, (
@@ -110,6 +127,20 @@ def _windows(names: Sequence[str], found: Predictions, a: int, b: int, place: st
     return z, f"{names[better]} predicts {data} better than {names[worse]}, in {share:.0f} % of the windows ({_p(p)})."
 
 
+def _squares(one: Prediction, other: Prediction) -> tuple[Array, Array, Array]:
+    """Return the mean squared errors of both in every window (w,), and what of them is rounding, in units of noise."""
+    ours, theirs, rounding = np.zeros(len(one)), np.zeros(len(one)), np.zeros(len(one))
+    for k, output in enumerate(one.outputs):
+        noise = min(one.noise[k, k], other.noise[k, k])
+        errors = (one.residual(output), other.residual(output))
+        there = np.isfinite(errors[0]) & np.isfinite(errors[1])
+        count = np.maximum(there.sum(axis=1), 1) * noise
+        first, second = (np.where(there, e**2, 0.0).sum(axis=1) / count for e in errors)
+        ours, theirs = ours + first, theirs + second
+        rounding += (ACCURATE * float(np.nanstd(one.data[output]))) ** 2 / noise
+    return ours, theirs, rounding
+
+
 def _colored(fits: Sequence[Fit], names: Sequence[str]) -> Iterator[str]:
     """Warn of criteria that take residuals as white where they are not."""
     colored = []
@@ -119,7 +150,7 @@ def _colored(fits: Sequence[Fit], names: Sequence[str]) -> Iterator[str]:
             colored.append(name)
     if colored:
         yield (
-            f"AIC and BIC take residuals as white, and those of {' and '.join(colored)} are not: their differences are "
+            f"AIC and BIC take residuals as white, and those of {_listed(colored)} are not: their differences are "
             "larger than the data bear out."
         )
 
@@ -152,10 +183,10 @@ def _determined(others: Sequence[tuple[str, float]]) -> str:
     """Say what predictions add to an estimate that is distinguishable from zero."""
     better = [name for name, z in others if z < 0]
     if better:
-        return f"not zero, but {' and '.join(better)}, without it, explains the data better."
+        return f"not zero, but {_listed(better)}, without it, explains the data better."
     equal = [name for name, z in others if z == 0]
     if equal:
-        return f"not zero, but {' and '.join(equal)}, without it, explains the data as well."
+        return f"not zero, but {_listed(equal)}, without it, explains the data as well."
     return "determined by these data."
 
 
@@ -167,6 +198,11 @@ def _criteria(fits: Sequence[Fit]) -> Iterator[str]:
             f"AIC and BIC do not exist for {' and '.join(sorted(rules))}, which is no likelihood: compare the costs; "
             "with the variance of every point, MaximumLikelihood() has them."
         )
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return "a", "a and b" or "a, b and c"."""
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def _two_sided(z: float, dof: float = math.inf) -> float:

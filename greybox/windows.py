@@ -1,5 +1,6 @@
 """Windows of equal length in a record: a lead-in, from which a state is estimated, and the samples to be predicted."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +12,9 @@ from greybox.experiment import Experiment, gapless
 from greybox.record import Record
 
 Array = NDArray[np.float64]
+FEWEST = 10  # samples of a default length
+COVERED = 2.0  # times the longest delay that a default lead-in lasts
+WHOLE = 1e-6  # of a sample, by which a length may fall short of it: times are rounded
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +46,17 @@ def require_lengths(**lengths: Any) -> None:
             raise ValueError(f"{name} is {value!r}: give a length above 0, in s.")
 
 
+def default_length(records: Sequence[Record], at_least: float, delay: float = 0.0) -> float:
+    """Return `at_least` s, or more where samples are slow: ten of the slowest record, and twice the longest delay."""
+    slowest = max((record.step for record in records if len(record) > 1), default=0.0)
+    return max(at_least, FEWEST * slowest, COVERED * delay)
+
+
+def seconds(length: float) -> str:
+    """Say how long something lasts, in s with three digits or more."""
+    return f"{length:.0f}" if 1000 <= length < 1e6 else f"{length:.3g}"
+
+
 def cut(
     record: Record,
     inputs: Sequence[str],
@@ -53,18 +68,26 @@ def cut(
 ) -> Windows:
     """Cut windows with a lead-in and a horizon in s, within stretches in which no input is missing.
 
-    Windows in whose lead-in or horizon no output was measured are left out. The horizon is what the user knows as
-    `called`.
+    Lengths are rounded to whole samples. Windows in whose lead-in or horizon no output was measured are left out. The
+    horizon is what the user knows as `called`.
 
     Raises
     ------
     ValueError
-        If a length is not positive, or no stretch is long enough.
+        If a length is not positive or shorter than a sample, or no stretch is long enough.
     """
     require_lengths(**{"lead": lead, called: horizon})
     _require_signals(record, inputs)
     stretches = gapless(record, tuple(inputs), tuple(outputs))
-    first, after = (max(1, round(min(length / record.step, len(record)))) for length in (lead, horizon))
+    for name, length in (("lead", lead), (called, horizon)):
+        if length < (1 - WHOLE) * record.step:
+            raise ValueError(
+                f"{name}={seconds(length)} s is shorter than a sample of {record.name or 'the record'}, "
+                f"{seconds(record.step)} s: give some samples, e.g. {name}={seconds(FEWEST * record.step)}, or leave "
+                "it out."
+            )
+    # Half a sample is rounded down in all records alike, however their times are rounded.
+    first, after = (max(1, math.floor(min(n / record.step, len(record)) + 0.5 - WHOLE)) for n in (lead, horizon))
     places = []
     for stretch in stretches:
         starts = np.arange(0, len(stretch) - first - after + 1, after)
@@ -77,8 +100,8 @@ def cut(
         longest = max((len(s) * s.step for s in stretches), default=0.0)
         raise ValueError(
             f"{record.name or 'the record'} has no room for lead={lead:g} and {called}={horizon:g} s with measured "
-            f"outputs: its longest stretch without a gap lasts {longest:.3g} s; give a shorter lead or {called}, or a "
-            "longer record."
+            f"outputs: its longest stretch without a gap lasts {seconds(longest)} s; give a shorter lead or {called}, "
+            "or a longer record."
         )
     return Windows(record, found, first, after)
 

@@ -19,7 +19,8 @@ integrator experiment sample transcription noise tape compiled shooting chain fi
 nlp levy starts solve small_qp limits iterate gains points gauss_newton cost whole_problem result hops multistart
 integration_error not_finite smoothing equations regression regressors projection equation_error
 residuals validation record_accuracy accuracy harmonic_error words reference answer fitted_record record_words
-quantities store fit case windows flow lead_in prediction runner simulate comparison verdict compare
+quantities store fit case windows flow lead_in prediction runner simulate same_windows comparison same_data
+verdict compare
 page nyquist histories plotting traces shelf command list_command log_commands cli __main__
 """.split()
 

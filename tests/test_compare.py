@@ -280,6 +280,10 @@ def test_fits_of_responses_are_compared_by_their_costs():
     assert found.value("degrees of freedom", "LagLagDelay") == 56
     assert found.windows == {}
     assert any(s.startswith("AIC and BIC do not exist for") for s in found.statements)
+    others = [fits[0], gb.fit(gb.Problem(LagLagDelay(), data, gb.SquaredRelativeError()), starts=20)]
+    (said,) = [s for s in gb.compare(*others).statements if s.startswith("Costs, AIC and BIC are not compared")]
+    assert "they are of different criteria" in said
+    assert "the table has each criterion" in said
     likely = measured(Lag(), TWO_LAGS_OMEGA, noise=0.02, columns={"variance": np.full(30, 1e-4)})
     fits = [gb.fit(gb.Problem(m, likely, gb.MaximumLikelihood()), starts=20) for m in (Lag(), LagLagDelay())]
     found = gb.compare(*fits)

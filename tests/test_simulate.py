@@ -253,6 +253,49 @@ def test_a_fit_of_a_response_predicts_a_record():
     assert np.all(found.error > 0)
 
 
+class Heated(Spring):
+    """A spring with a second sensor, of a gain that nothing else depends on."""
+
+    outputs = ("position", "warmth")
+    heating = gb.Parameter(1.0, bounds=(0, 10))
+
+    def output(self, x, u, p):
+        return (x.position, p.heating * x.velocity**2)
+
+
+def test_a_parameter_at_its_bound_counts_as_exact():
+    class Narrow(Spring):
+        damping = gb.Parameter(0.4, bounds=(0, 0.5), unit="1/s")
+
+    record = driven(8.0, noise=0.05, damping=0.8)
+    options = {"starts": [{"stiffness": 4.0}], "progress": False}
+    bound = gb.fit(gb.Problem(Narrow(), record), **options)
+    fixed = gb.fit(gb.Problem(Spring(), record, fixed={"damping": 0.5}), **options)
+    assert np.isnan(bound.standard_error["damping"])
+    told, wanted = (gb.simulate(fit)["position_error"] for fit in (bound, fixed))
+    assert np.all(wanted > 0)
+    assert np.allclose(told, wanted, rtol=0.01)
+    told, wanted = (gb.predict(fit, record=record, horizon=1.0).error for fit in (bound, fixed))
+    assert np.allclose(told, wanted, rtol=0.01)
+
+
+def test_what_the_data_do_not_determine_is_told_where_it_matters():
+    fit = gb.fit(gb.Problem(Heated(), driven(8.0, noise=0.05)), starts=[{}], progress=False)
+    assert np.isnan(fit.standard_error["heating"])
+    found = gb.simulate(fit)
+    assert np.all(found["position_error"] > 0)
+    assert np.isnan(found["warmth_error"]).mean() > 0.9
+    sentence = "the errors of Heated are not known where they depend on heating, which the data of the fit do not"
+    assert sentence in found.name
+    both = driven(8.0, noise=0.05).with_signals(warmth=found["warmth"])
+    predicted = gb.predict(fit, record=both, horizon=1.0)
+    assert sentence in str(predicted)
+    assert np.isnan(predicted.error[1]).any()
+    own = gb.predict(fit, horizon=1.0)
+    assert own.notes == ()
+    assert np.all(own.error > 0)
+
+
 def test_answers_print_themselves():
     found = gb.predict(Spring(), {}, driven(noise=0.01), horizon=1.0)
     text = str(found)
