@@ -18,6 +18,7 @@ from greybox.record_part import RecordPart
 
 DEAD = 1e-7  # singular value of the unit-column Jacobian below which a combination is not determined at all
 BLIND = 1e-5  # share of an invisible direction from which a quantity has no standard error
+ROUNDING = 1e-12  # what the data see of a change of a parameter as large as itself, below which it is none
 COLLINEAR = 20.0  # collinearity index from which a combination is suspect, see `Combination`
 LOOSE = 0.5  # relative standard error from which a suspect combination is reported
 
@@ -129,6 +130,8 @@ def assess(nlp: Nlp, x: NDArray[np.float64], profile: Profile | None = None) -> 
     at_bound = _at_bound(nlp, x)
     active, holding = _active_constraints(nlp, x)
     length = np.linalg.norm(jacobian, axis=0)
+    length[length * np.abs(1 / _solver_slope(nlp.scaling, x)) < ROUNDING] = 0
+    jacobian = jacobian * (length > 0)
     # In units in which every column of the Jacobian has length one, ranks can be judged.
     size = np.where(np.isfinite(length) & (length > 0), 1 / np.where(length > 0, length, 1.0), 1.0)
     unit = np.nan_to_num(jacobian * size)
@@ -144,7 +147,8 @@ def assess(nlp: Nlp, x: NDArray[np.float64], profile: Profile | None = None) -> 
         contributions, unknown = _contributions(nlp, shares, inverse, slope)
         covariance = sum((c for c, _ in contributions), np.zeros((k, k)))
         # What depends on a constant that has no standard error has none either.
-        blind = np.hstack([blind, _unit_columns(slope[:, unknown] / size[:, None])])
+        lost = slope[:, unknown] / size[:, None]
+        blind = np.hstack([blind, lost / np.maximum(np.linalg.norm(lost, axis=0), 1e-300)])
     combinations = tuple(
         c
         for c in _combinations(unit, active * size[:p], nlp.free, at_bound)
@@ -237,10 +241,6 @@ def _contributions(
     return tuple(result), unknown
 
 
-def _unit_columns(directions: NDArray[np.float64]) -> NDArray[np.float64]:
-    return directions / np.maximum(np.linalg.norm(directions, axis=0), 1e-300)
-
-
 def _directions(
     jacobian: NDArray[np.float64], active: NDArray[np.float64], bounded: Sequence[int]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -302,7 +302,8 @@ def _record_jacobians(nlp: Nlp, x: NDArray[np.float64], profile: Profile | None)
             point = ca.SX.sym("x", len(columns))
             named: dict[str, Any] = dict(zip(nlp.names, values.tolist(), strict=True))
             named |= {nlp.names[c]: point[i] for i, c in enumerate(columns)}
-            record = RecordPart(record.part, named, point, record.method)  # noqa: PLW2901
+            again = RecordPart(record.part, named, point, record.method)
+            record = again.refined(record.substeps // again.substeps)  # noqa: PLW2901
             place, slope = record.place(values[columns]), np.ones(len(columns))
         else:
             place, slope = profile.places[k], _solver_slope(nlp.scaling, x)

@@ -47,6 +47,7 @@ PREDICTING = 0.5  # scale of continuity below which predictors alone are followe
 BRIEF = 0.1  # of a step: where less is taken before, predictors had better be followed at once
 TOLERANCE = 1e-8  # of half a step's length squared, in standard errors, and of the decrease of the cost
 ROUNDING = 1e-9  # of the cost
+STILL = 1e-10  # curvature by which a parameter that changes nothing keeps its value
 UNNOTICED = 0.1  # of the cost
 NEAR = 1.0  # decrease of the cost below which the estimated noise is known to follow the parameters
 LONG = 20000  # samples from which some stretches go before the whole record
@@ -347,7 +348,7 @@ class GaussNewton:
         g, H = (value.full() for value in self._curvature(point.z, SMOOTHING))
         values, vectors = np.linalg.eigh((H + H.T) / 2)
         hessian, gradient = hessian + (vectors * np.abs(values)) @ vectors.T, gradient + g.ravel()
-        damped = hessian + at.damping * np.diag(np.diag(hessian))
+        damped = hessian + at.damping * np.diag(np.diag(hessian)) + STILL * np.eye(p)
         rows, limits = self._limits.around(point.z, None if at.exact else self._gains)
         dz = solve_small_qp(damped, gradient, rows, limits)
         inside, left = within(self._predictors, point, dz)

@@ -18,6 +18,7 @@ from greybox.transcription.method import Transcription
 Array = NDArray[np.float64]
 MOST = 64  # substeps
 DRAWS, LOOKED = 33, 3  # points of the start box whose poles, and whose integration, are looked at; the declared first
+SPARSE = 5  # every so manieth sample serves for the poles
 SPAN = 10  # samples over which the integration is looked at
 ACCURACY = 1e-4  # error over them, relative to the spread of a state: what is left is mended after the search
 
@@ -53,7 +54,7 @@ def pace(
         q = np.array([float(value) for value in part.local_values(outside).values()])
         p = q[: len(part.model.parameters)]
         states = first.at(*seen, p, known(q))
-        poles = first.poles(states, seen[1], p)
+        poles = first.poles(states[:, ::SPARSE], seen[1][:, ::SPARSE], p)
         if not poles.size:
             continue
         fastest = np.maximum(np.abs(poles) / scheme.reach, np.abs(poles.imag) / scheme.wave).max()

@@ -24,11 +24,12 @@ from greybox.problem import Problem
 from greybox.record import Record
 from greybox.sample import SampleStep, sample_step
 from greybox.shooting import Blocks, Shooting
+from greybox.table import counted
 from greybox.trace import traced
 from greybox.transcription.method import Transcription
 
 Array = NDArray[np.float64]
-LOOKS = 20  # samples at which the poles are looked at
+LOOKS = 100  # samples at which the model is looked at before it is cut into segments
 RIGID = 0.05  # share of the curvature that an estimated covariance leaves, at least
 RIDGE = 1e-10  # on node states relative to their curvature: what no output shows keeps its value
 
@@ -156,7 +157,8 @@ class RecordPart:
     def words(self) -> str:
         """The method with what it chose."""
         scheme = type(self.method.integrator).__name__
-        return f"{self.method.label}, {self.experiment.segment} samples a segment, {scheme} {self.substeps} a sample"
+        segment = counted(self.experiment.segment, "sample")
+        return f"{self.method.label}, {segment} a segment, {scheme} {self.substeps} a sample"
 
     def thinned(self, samples: int) -> "RecordPart":
         """Return the same for some stretches, evenly over the record, of so many samples in all."""
@@ -315,7 +317,8 @@ class RecordPart:
     def _solved(self, blocks: Blocks, right: Array, continuity: Array, soft: Array) -> tuple[Array, Array]:
         """Solve the chain in units in which the curvature is one: nodes and multipliers are then of one size."""
         curvature = np.mean(blocks.corner.diagonal(axis1=1, axis2=2), axis=0)
-        unit = 1 / np.sqrt(np.maximum(curvature, 1e-30 * curvature.max(initial=0.0) + 1e-300))
+        seen = curvature > 1e-30 * curvature.max(initial=0.0) + 1e-300
+        unit = 1 / np.sqrt(np.where(seen, curvature, 1.0))
         corner = blocks.corner * unit * unit[:, None] + RIDGE * np.eye(self.states)
         transition, column = blocks.to_state * unit / unit[:, None], unit[:, None]
         x, force = solve_chain(corner, transition, self.coupled, right * column, continuity / column, soft / unit**2)
