@@ -3,7 +3,8 @@
 Every iteration linearizes all records at their nodes, eliminates the nodes and solves a small quadratic program for the
 parameters, within bounds and constraints. Far from the answer continuity is not demanded but weighted (the nodes stay
 close to the data, so that an unstable or wrong model does not run away), and then more and more until it holds exactly.
-Of a long record, some stretches lead to the neighborhood of the answer before all of it is used.
+Where Newton steps cannot close what is left, the records are simulated from their first states instead, and predictors,
+which forget them, always are. Of a long record, some stretches lead to the neighborhood of the answer before all of it is used.
 """
 
 import math
@@ -294,7 +295,7 @@ class GaussNewton:
     def _search(
         self, point: Point, move: Move, merit: Callable[[Point], float], before: float, at: Progress
     ) -> tuple[Point | None, float]:
-        """Halve the step until the merit does not grow (None where no step does), gaps closed where that helps."""
+        """Shorten the step until the merit does not grow (None where no step does), gaps closed where that helps."""
         length, enough = 1.0, before + ROUNDING * max(1.0, abs(before))
         while length > SHORTEST:
             trial = self._points.moved(point, move, length)
