@@ -4,7 +4,8 @@ Every iteration linearizes all records at their nodes, eliminates the nodes and 
 parameters, within bounds and constraints. Far from the answer continuity is not demanded but weighted (the nodes stay
 close to the data, so that an unstable or wrong model does not run away), and then more and more until it holds exactly.
 Where Newton steps cannot close what is left, the records are simulated from their first states instead, and predictors,
-which forget them, always are. Of a long record, some stretches lead to the neighborhood of the answer before all of it is used.
+which forget them, always are. Of a long record, some stretches lead to the neighborhood of the answer before all of it
+is used.
 """
 
 import math
