@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from greybox.answer import FittedRecord
 from greybox.movement import movement
@@ -28,7 +29,7 @@ def record_warnings(nlp: Nlp, records: Sequence[FittedRecord]) -> tuple[str, ...
     pairs = list(zip(nlp.records, records, strict=True))
     return (
         *(text for part, fitted in pairs for text in _unexplained(part, fitted, alone=len(pairs) == 1)),
-        *(text for part, fitted in pairs for text in _colored(part, fitted, alone=len(pairs) == 1)),
+        *_colored(pairs),
         *(text for part, _ in pairs for text in _masked(nlp, part)),
         *_resting(nlp),
         *_weights([_Residuals.of(part, fitted) for part, fitted in pairs if part.noise.known is None]),
@@ -58,33 +59,34 @@ def _unexplained(part: RecordPart, fitted: FittedRecord, *, alone: bool) -> Iter
             )
 
 
-def _colored(part: RecordPart, fitted: FittedRecord, *, alone: bool) -> Iterator[str]:
+def _colored(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
     """Say where residuals are correlated in time more than the criterion bears."""
-    measured = isinstance(part.criterion, OutputError)
-    found = {}
-    for output in fitted.outputs:
-        error = fitted.residual(output)
-        both = np.isfinite(error[1:]) & np.isfinite(error[:-1])
-        squares = float(np.nansum(error**2))
-        value = float(error[1:][both] @ error[:-1][both]) / squares if squares else 0.0
-        if abs(value) > max(COLORED if measured else GREY, CERTAIN / math.sqrt(max(int(both.sum()), 1))):
-            found[output] = value
-    if not found:
-        return
-    each = ", ".join(f"{value:.3g} for {output}" for output, value in found.items())
-    where = "" if alone else f" of {fitted.name!r}"
+    measured, predicted = [], []
+    for part, fitted in pairs:
+        by_output = isinstance(part.criterion, OutputError)
+        for output in fitted.outputs:
+            value, count = _successive(fitted.residual(output))
+            if abs(value) > max(COLORED if by_output else GREY, CERTAIN / math.sqrt(max(count, 1))):
+                where = "" if len(pairs) == 1 else f" in {fitted.data.name or fitted.name!r}"
+                (measured if by_output else predicted).append(f"{value:.3g} for {output}{where}")
     if measured:
         yield (
-            f"the residuals{where} are correlated from one sample to the next ({each}), as a disturbance of the states "
-            "leaves them: where the inputs respond to it, as in a closed loop, the estimate is biased beyond its "
-            "errors; compare with criterion=PredictionError()."
+            f"the residuals are correlated from one sample to the next ({', '.join(measured)}), as a disturbance of "
+            "the states leaves them: where the inputs respond to it, as in a closed loop, the estimate is biased beyond "
+            "its errors; compare with criterion=PredictionError()."
         )
-    else:
+    if predicted:
         yield (
-            f"the prediction errors{where} are not white ({each} from one sample to the next): the signals were "
-            "low-passed, a state that the noise reaches is not corrected, or the model misses something; the errors, "
-            "which take them to be white, are then not right."
+            f"the prediction errors are not white ({', '.join(predicted)} from one sample to the next): the signals "
+            "were low-passed, a state that the noise reaches is not corrected, or the model misses something; the "
+            "errors, which take them to be white, are then not right."
         )
+
+
+def _successive(error: NDArray[np.float64]) -> tuple[float, int]:
+    """Return the correlation of successive residuals, and of how many pairs."""
+    both, squares = np.isfinite(error[1:]) & np.isfinite(error[:-1]), float(np.nansum(error**2))
+    return float(error[1:][both] @ error[:-1][both]) / squares if squares else 0.0, int(both.sum())
 
 
 def _masked(nlp: Nlp, part: RecordPart) -> Iterator[str]:
