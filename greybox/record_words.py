@@ -72,7 +72,7 @@ def _colored(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
     if measured:
         yield (
             f"the residuals are correlated from one sample to the next ({', '.join(measured)}), as a disturbance of "
-            "the states leaves them: where the inputs respond to it, as in a closed loop, the estimate is biased beyond "
+            "the states leaves them: where the inputs answer to it, as in a closed loop, the estimate is biased beyond "
             "its errors; compare with criterion=PredictionError()."
         )
     if predicted:

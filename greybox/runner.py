@@ -249,7 +249,7 @@ def _first_guesses(at: Case, outputs: tuple[str, ...], past: Array) -> list[Arra
     initial = {} if at.part is None else at.part.initial
     size = float(np.nanmean(np.abs(past))) or 1.0
     others = [np.zeros(len(at.system.states))]
-    others.append(np.array([np.mean(initial.get(name, 0.0)) for name in at.system.states]))
+    others.append(np.array([float(np.mean(initial.get(name, 0.0))) for name in at.system.states]))
     others += [np.full(len(at.system.states), factor * size) for factor in FACTORS]
     guesses = [np.tile(values, (len(past), 1)) for values in others]
     for i, name in enumerate(at.system.states):
