@@ -161,7 +161,7 @@ def experiment(
     empty = [name for name in inputs if not np.isfinite(record[name]).any()]
     if empty or not any(np.isfinite(record[name]).any() for name in outputs):
         raise ValueError(
-            f"the record {record.name!r} has no measured value of {empty[0] if empty else ', '.join(outputs)}: "
+            f"{_called(record)} has no measured value of {empty[0] if empty else ', '.join(outputs)}: "
             "every sample is missing."
         )
     stretches = gapless(record, inputs, outputs, lead=lead, complete=complete)
@@ -176,7 +176,7 @@ def experiment(
         longest, taken = max((len(s) * s.step for s in stretches), default=0.0), float(np.max(lead, initial=0.0))
         taking = f", of which the longest delay in the bounds takes {taken:.3g} s" if taken else ""
         raise ValueError(
-            f"the record {record.name!r} has no usable stretch: its longest with all inputs and without a gap lasts "
+            f"{_called(record)} has no usable stretch: its longest with all inputs and without a gap lasts "
             f"{longest:.3g} s{taking}; give a longer record{' or a smaller upper bound' if taken else ''}."
         )
     if all(_is_constant(record[name]) for name in outputs):
@@ -219,6 +219,10 @@ def gapless(
 
 def _listed(names: tuple[str, ...]) -> str:
     return names[0] if len(names) == 1 else f"none of {', '.join(names)}"
+
+
+def _called(record: Record) -> str:
+    return f"the record {record.name!r}" if record.name else "the record"
 
 
 def _is_constant(values: Array) -> bool:
