@@ -251,7 +251,9 @@ def _rests(values: Array) -> bool:
         return False
     runs = np.diff(np.flatnonzero(np.diff(values)), prepend=-1)
     # Commands at a lower rate, or of random length, are constant for some samples in the middle of their movement too.
-    return runs.size <= SOME or bool(runs[0] > LONGER * sorted(runs[1:])[len(runs) // 2 - 1])
+    # One that returns to where it began had rested there; of a single step, nobody can tell.
+    few = runs.size < 2 or (runs.size <= SOME and values[0] == values[-1])
+    return few or bool(runs[0] > LONGER * sorted(runs[1:])[len(runs) // 2 - 1])
 
 
 def input_over_step(window: Any, fraction: Any, held: bool) -> tuple[Any, Any, Any]:

@@ -141,7 +141,7 @@ def assemble(
         warnings=(
             *not_finite_warnings(nlp, search),
             *integration_warnings(nlp, profile, error),
-            *(record_warnings(nlp, records) if search.minima else ()),
+            *(record_warnings(nlp, records, profile) if search.minima else ()),
             *(harmonic_warnings(nlp, best, accuracy) if search.minima else ()),
             *(warnings(nlp, search, accuracy, errors, profile) if search.minima else ()),
         ),

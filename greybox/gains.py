@@ -24,6 +24,7 @@ PIECES = 3  # of a record, that hold them
 DOUBLINGS = 60  # of the time after which a filter is taken to be steady
 DIFFERENCE = 1e-6  # of the point, by which slopes of poles are found
 FORGOTTEN = 3.0  # time constants: an initial state has faded to a twentieth
+AT = 0.02  # of the distance of the limit from the unit circle: what is as close has come to it
 HELD = 0.9  # of the way to the limit of stability
 STEADY = 1e-12  # relative change of a covariance that ends them
 
@@ -60,6 +61,10 @@ class Predictor:
     def is_stable(self, path: Path, place: Place) -> bool:
         """Tell whether the poles of the mean linearization along a path are within the limit."""
         return _radius(self._driven(path, place)) < self.limit
+
+    def is_bounded(self, path: Path, place: Place) -> bool:
+        """Tell whether a pole has come to the limit, where the likelihood has no maximum."""
+        return 1 - _radius(self._driven(path, place)) < (1 + AT) * (1 - self.limit)
 
     def _driven(self, path: Path, place: Place) -> Array:
         """Return the transition over a sample of the errors of those states that innovations drive."""

@@ -44,6 +44,7 @@ SPREAD = 0.1  # of a signal's spread: the output error assumed until continuity 
 LOOSE = 3.0  # first standard deviation of continuity, relative to the size of the states
 ITERATIONS = 100
 SHORTEST, SHRINK = 1e-3, 0.4  # step, as a share of the whole, that is tried; and what the next is of the last
+BLOCKED = 1e2  # damping from which steps may be blocked by a jump of the cost
 STUBBORN = 1e6  # damping beyond which nothing is tried any more
 PREDICTING = 0.5  # scale of continuity below which predictors alone are followed
 BRIEF = 0.1  # of a step: where less is taken before, predictors had better be followed at once
@@ -60,6 +61,7 @@ DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")  # tri
 class Profile:
     """The best states of every record at given parameters: those of the smallest cost with exact continuity."""
 
+    z: Array
     places: tuple[Place, ...]
     paths: tuple[Path, ...]
     cost: float
@@ -77,6 +79,8 @@ class GaussNewton:
         self._predictors = [predictor(part) for part in self._records]
         added = {name for p in self._predictors if p is not None for name in p.names}
         self._gains = np.array([name in added for name in nlp.free])
+        jumping = {name for part in self._records for name in part.jumping}
+        self._jumping = np.array([name in jumping for name in nlp.free])
         z, s = nlp.expressions["x"], nlp.expressions["p"]
         f, g = nlp.expressions["f"], nlp.expressions["g"]
         self._smooth = ca.Function("f", [z, s], [f])
@@ -113,7 +117,7 @@ class GaussNewton:
         z = self._limits.nearest(self._nlp.scaling.to_solver(start))
         first = self._points.near_data(z) if nodes is None else self._points.at(z, nodes)
         point = self._points.simulated(*first.origin) if first.finite else first
-        if not self._points.stays(point):
+        if not self._points.stays(point) or not are_stable(self._predictors, point):
             return None
         return self._solved(point, Progress(patience=0, scale=0.0), iterations, 0, began)
 
@@ -155,7 +159,8 @@ class GaussNewton:
                 point, status, _ = self._descend(self._points.near_data(z), Progress(), frozen=True)
             except np.linalg.LinAlgError:
                 point, status = self._points.at(z, self._rest(math.nan)), "singular"
-        return Profile(point.places, point.paths, self._points.cost(point, 0.0), status == "converged")
+        found = status == "converged" and are_stable(self._predictors, point)
+        return Profile(z, point.places, point.paths, self._points.cost(point, 0.0), found)
 
     @DIVERGING
     def smoothed(self, z: Array) -> tuple[list[Array] | None, list[Array]]:
@@ -197,7 +202,7 @@ class GaussNewton:
         """Return what `Outcome.trace` holds, at the best states for x (p,); None where there are none."""
         found = self.profile(x)
         point = Point(self._nlp.scaling.to_solver(x), found.places, found.paths)
-        return self._points.trace(point) if found.converged and are_stable(self._predictors, point) else None
+        return self._points.trace(point) if found.converged else None
 
     def _rest(self, value: float) -> list[Array]:
         return [np.full((part.experiment.segments, part.states), value) for part in self._records]
@@ -248,6 +253,8 @@ class GaussNewton:
             if length < SHORT and (simulated := self._simulated(point, at)):
                 point = simulated
                 continue
+            if at.damping >= BLOCKED and self._jumping.any() and at.hold():
+                continue
             if at.exact and (trial is None or at.damping > STUBBORN):
                 return point, "stalled", iteration
             gained = 0.0 if trial is None else before - merit(trial)
@@ -257,13 +264,14 @@ class GaussNewton:
                 point = self._tightened(point, move, at, gained, length, before, frozen)
                 continue
             point = followed(self._predictors, point)
-            if length == 1.0 and self._has_converged(point, move, at):
+            if self._has_converged(point, move, at, length):
                 return point, "converged", iteration + 1
         return point, "iterations exceeded", iterations
 
     def _is_settled(self, point: Point, move: Move, before: float, at: Progress) -> bool:
+        """Tell whether little is left to gain, also by a step that is not damped."""
         small = max(TOLERANCE, ROUNDING * abs(before))
-        return at.exact and move.predicted <= small and self._points.is_continuous(point)
+        return at.exact and (1 + at.damping) * move.predicted <= small and self._points.is_continuous(point)
 
     def _tightened(
         self, point: Point, move: Move, at: Progress, gained: float, length: float, before: float, frozen: bool
@@ -276,8 +284,11 @@ class GaussNewton:
             return point
         return followed(self._predictors, point if frozen else self._with_gains(point, at))
 
-    def _has_converged(self, point: Point, move: Move, at: Progress) -> bool:
-        """Tell whether a full step to `point` was the last: at worst, the next decrease follows from the last two."""
+    def _has_converged(self, point: Point, move: Move, at: Progress, length: float) -> bool:
+        """Tell whether the step to `point` was the last: at worst, the next decrease follows from the last two."""
+        if length < 1 or at.damping:
+            at.last = math.nan
+            return False
         predicted = max(move.predicted, move.distance)
         following = predicted**2 / at.last if predicted < at.last < 1 else math.inf
         at.last = predicted
@@ -318,7 +329,7 @@ class GaussNewton:
             return None
         best = min((self._points.simulated(*origin) for origin in (at.loose, at.start)), key=self._points.cost)
         at.loose = None
-        if not self._points.stays(best):
+        if not self._points.stays(best) or not are_stable(self._predictors, best):
             return None
         at.damping, at.last = 0.0, math.nan
         at.force = [np.zeros_like(f) for f in at.force]
@@ -351,7 +362,8 @@ class GaussNewton:
         values, vectors = np.linalg.eigh((H + H.T) / 2)
         hessian, gradient = hessian + (vectors * np.abs(values)) @ vectors.T, gradient + g.ravel()
         damped = hessian + at.damping * np.diag(np.diag(hessian)) + STILL * np.eye(p)
-        rows, limits = self._limits.around(point.z, None if at.exact else self._gains)
+        still = np.zeros(p, dtype=bool) if at.exact else self._gains
+        rows, limits = self._limits.around(point.z, still | self._jumping if at.held else still)
         dz = solve_small_qp(damped, gradient, rows, limits)
         inside, left = within(self._predictors, point, dz)
         if len(left):

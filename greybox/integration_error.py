@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +18,7 @@ from greybox.integrator import Integrator, Rosenbrock
 from greybox.nlp import Nlp
 from greybox.record_part import Path, Place, RecordPart
 from greybox.result import Multistart, find_minima
-from greybox.solve import Outcome, Run
+from greybox.solve import SMOOTHING, Outcome, Run
 
 Array = NDArray[np.float64]
 SMALL = 0.1  # of a standard error: a shift that does not matter
@@ -60,16 +61,24 @@ class IntegrationError:
 def integration_error(nlp: Nlp, profile: Profile) -> IntegrationError:
     """Return what twice the substeps would do to the estimate that `profile` belongs to, to first order."""
     p = len(nlp.free)
-    hessian, hessian_fine, change = np.zeros((p, p)), np.zeros((p, p)), np.zeros(p)
-    for part, path, place in zip(nlp.records, profile.paths, profile.places, strict=True):
-        fine = part.refined(2, compiled=False)
-        finer = fine.path(path.nodes, place)
-        if not part.states or _is_rounding(part, path, finer):
-            continue
+    ways = list(zip(nlp.records, profile.paths, profile.places, strict=True))
+    fine = [part.refined(2, compiled=False) for part, _, _ in ways]
+    finer = [refined.path(path.nodes, place) for refined, (_, path, place) in zip(fine, ways, strict=True)]
+    rounding = [
+        not part.states or _is_rounding(part, path, other) for (part, path, _), other in zip(ways, finer, strict=True)
+    ]
+    hessian = np.zeros((p, p)) if all(rounding) else _of_responses(nlp, profile.z)
+    hessian_fine, change = hessian.copy(), np.zeros(p)
+    for (part, path, place), refined, other, same in zip(ways, fine, finer, rounding, strict=True):
+        if all(rounding):
+            break
         H, g = _gradient(part, path, place, path)
-        H_fine, g_fine = _gradient(fine, finer, place, path) if finer.finite else (H, np.full(p, math.inf))
-        hessian, change = hessian + part.part.weight * H, change + part.part.weight * (g_fine - g)
-        hessian_fine += part.part.weight * H_fine
+        H_fine, g_fine = (H, g) if same else (H, np.full(p, math.inf))
+        if not same and other.finite:
+            H_fine, g_fine = _gradient(refined, other, place, path)
+        weight = part.part.weight
+        hessian, hessian_fine = hessian + weight * H, hessian_fine + weight * H_fine
+        change += weight * (g_fine - g)
     orders = [part.method.integrator.order for part in nlp.records]
     shift, widened = _in_errors(hessian, change), _widened(hessian, hessian_fine)
     return IntegrationError(np.where(widened > np.abs(shift), widened, shift), min(orders, default=1))
@@ -170,6 +179,14 @@ def _gradient(part: RecordPart, path: Path, place: Place, best: Path) -> tuple[A
     blocks = part.linearize(path, place, part.noise.weight(best.products))
     reduced = part.reduce(blocks, place, path.gaps, np.zeros(part.states))
     return reduced.hessian, reduced.gradient
+
+
+def _of_responses(nlp: Nlp, at: Array) -> Array:
+    """Return the Hessian (p, p) of the cost of frequency responses."""
+    z, s, f = (nlp.expressions[name] for name in "xpf")
+    found = ca.Function("hessian", [z, s], [ca.hessian(f, z)[0]])(at, SMOOTHING).full()
+    values, vectors = np.linalg.eigh((found + found.T) / 2)
+    return (vectors * np.abs(values)) @ vectors.T
 
 
 def _is_rounding(part: RecordPart, path: Path, finer: Path) -> bool:

@@ -80,6 +80,8 @@ class Progress:
         On missed constraints, large enough for steps to decrease the merit.
     start, loose : z and nodes, or None
         Where all began, and where continuity began to be demanded, as long as Newton steps close its gaps.
+    held : bool
+        True where parameters at which the cost jumps keep their values: it is least at the jump.
     least : float
         Scale below which continuity is demanded.
     """
@@ -91,6 +93,7 @@ class Progress:
     scale: float = 1.0
     start: Origin | None = None
     loose: Origin | None = None
+    held: bool = False
     least: float = LAST
     damping: float = 0.0
     penalty: float = PENALTY
@@ -111,6 +114,13 @@ class Progress:
     def exact(self) -> bool:
         """True when continuity is demanded."""
         return self.scale == 0
+
+    def hold(self) -> bool:
+        """Hold the parameters whose jumps block the steps of all; False where they are held already."""
+        if self.held or not self.exact:
+            return False
+        self.held, self.damping, self.last = True, 0.0, math.nan
+        return True
 
     @property
     def softness(self) -> list[Array]:

@@ -11,6 +11,8 @@ from greybox.output_error import TimeCriterion
 
 Array = NDArray[np.float64]
 FLOOR = 1e-9  # of a signal's own spread: residuals below are rounding
+RIGID = 0.05  # share of the curvature that an estimated covariance leaves, at least
+RIDGE = 1e-10  # of the curvature, for what the data do not see
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +67,26 @@ class Noise:
         a, b = np.triu_indices(len(counts), 1)
         both = moments[..., a, b, :] + moments[..., b, a, :]
         return np.concatenate([own, np.swapaxes(both, -1, -2) / np.sqrt(counts.max())], axis=-1)
+
+
+def eased(hessian: Array, right: Array) -> Array:
+    """Return -H⁻¹ right, with no less than a share RIGID of the stiffness one, at which nothing would be eased."""
+    values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
+    return -(vectors / np.maximum(values, RIGID)) @ vectors.T @ right
+
+
+def lessened(hessian: Array, by: Array) -> Array:
+    """Return a Hessian (q, q) less another, of which a share RIGID is left in every direction."""
+    size = np.sqrt(np.maximum(np.diag(hessian), 0.0))
+    unit = 1 / np.where(size > 0, size, 1.0)
+    try:
+        root = np.linalg.cholesky(hessian * unit * unit[:, None] + RIDGE * np.eye(len(hessian)))
+    except np.linalg.LinAlgError:
+        return hessian
+    inverse = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(inverse @ ((by + by.T) / 2 * unit * unit[:, None]) @ inverse.T)
+    axes = (root @ vectors) / unit[:, None]
+    return hessian - (axes * np.minimum(values, 1 - RIGID)) @ axes.T
 
 
 def noise_of(criterion: TimeCriterion, outputs: tuple[str, ...], measured: Array) -> Noise:

@@ -13,6 +13,7 @@ from greybox.shooting import Blocks
 from greybox.solve import SMOOTHING
 
 Array = NDArray[np.float64]
+FEW = 0.1  # of the segments, beyond which the step is too long as a whole
 PULLS = 4  # of nodes that leave the domain of the model
 CLOSINGS = 5  # of gaps after a step
 ASTRAY = 10.0  # root mean square of the residuals, in the spread of a signal, beyond which a simulation is lost
@@ -97,13 +98,19 @@ class Points:
 
         A root or logarithm of a single node would otherwise cut the steps of all nodes short.
         """
-        share = 0.5
+        share, before_it = 0.5, math.inf
         for _ in range(PULLS):
             if after.finite or all(path.followed for path in after.paths):
                 break
+            ways = zip(self._records, after.paths, after.places, strict=True)
+            lost = [part.lost(path, place) for part, path, place in ways]
+            count, every = sum(int(v.sum()) for v in lost), sum(v.size for v in lost)
+            if count > FEW * every or count > 0.5 * before_it:
+                break  # the parameters, or the whole step, are at fault
+            before_it = count
             nodes = [
-                np.where(part.lost(path, place)[:, None], old.nodes + share * (path.nodes - old.nodes), path.nodes)
-                for part, old, path, place in zip(self._records, before.paths, after.paths, after.places, strict=True)
+                np.where(there[:, None], old.nodes + share * (path.nodes - old.nodes), path.nodes)
+                for there, old, path in zip(lost, before.paths, after.paths, strict=True)
             ]
             after, share = self.at(after.z, nodes, after), 0.25 * share
         return after

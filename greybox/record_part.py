@@ -1,9 +1,11 @@
 """A problem whose data are a record, compiled for Gauss-Newton steps: node states eliminated, parameters left."""
 
+import itertools
 import math
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -17,7 +19,7 @@ from greybox.first_states import FirstStates, at_samples
 from greybox.integrator import Integrator
 from greybox.linear import delay_order
 from greybox.model import Names
-from greybox.noise import Noise, noise_of
+from greybox.noise import Noise, eased, lessened, noise_of
 from greybox.output_error import TimeCriterion
 from greybox.pace import pace
 from greybox.problem import Problem
@@ -30,7 +32,6 @@ from greybox.transcription.method import Transcription
 
 Array = NDArray[np.float64]
 LOOKS = 100  # samples at which the model is looked at before it is cut into segments
-RIGID = 0.05  # share of the curvature that an estimated covariance leaves, at least
 RIDGE = 1e-10  # on node states relative to their curvature: what no output shows keeps its value
 
 
@@ -152,6 +153,23 @@ class RecordPart:
         )
         by = ca.densify(ca.jacobian(initial, symbol[active]))
         self.initial = ca.Function("initial", [symbol], [initial, by])
+
+    @cached_property
+    def jumping(self) -> dict[str, tuple[str, str]]:
+        """Parameters at whose whole samples the cost jumps, with the held input that is late and the output it reaches.
+
+        The input reaches that output directly.
+        """
+        system, rename, found = self.system, self.part.rename, dict[str, tuple[str, str]]()
+        if self.criterion.inputs != "held" or not system.delayed:
+            return found
+        x, u, p = (ca.SX.sym("v", len(v)) for v in (system.states, system.inputs, system.parameters))
+        through, delay = ca.jacobian(system.output(x, u, p), u), system.delay(p)
+        for i, j in itertools.product(range(u.numel()), range(p.numel())):
+            shown = [name for k, name in enumerate(system.outputs) if through.has_nz(k, i) and name in self.outputs]
+            if shown and ca.depends_on(delay[i], p[j]):
+                found[rename.get(system.parameters[j], system.parameters[j])] = (system.inputs[i], shown[0])
+        return found
 
     @property
     def words(self) -> str:
@@ -286,10 +304,10 @@ class RecordPart:
         hessian, gradient = blocks.own + both[:, 1:], blocks.slope + both[:, 0]
         q = place.slope.shape[0]
         if len(gradient) > q:
-            eased = _eased(hessian[q:, q:], np.concatenate([gradient[q:, None], hessian[q:, :q]], axis=1))
-            gradient = gradient[:q] + hessian[:q, q:] @ eased[:, 0]
-            hessian = _lessened(hessian[:q, :q], -hessian[:q, q:] @ eased[:, 1:])
-            x, force = (v[:, :, : 1 + q] + v[:, :, 1 + q :] @ eased for v in (x, force))
+            follows = eased(hessian[q:, q:], np.concatenate([gradient[q:, None], hessian[q:, :q]], axis=1))
+            gradient = gradient[:q] + hessian[:q, q:] @ follows[:, 0]
+            hessian = lessened(hessian[:q, :q], -hessian[:q, q:] @ follows[:, 1:])
+            x, force = (v[:, :, : 1 + q] + v[:, :, 1 + q :] @ follows for v in (x, force))
         return Reduced(
             hessian=place.slope.T @ ((hessian + hessian.T) / 2) @ place.slope,
             gradient=place.slope.T @ gradient,
@@ -342,26 +360,6 @@ class RecordPart:
     def moved(self, nodes: Array, reduced: Reduced, dz: Array, length: float) -> Array:
         """Return the nodes after a step `dz` (p,), of which `length` is taken."""
         return nodes + length * (reduced.step + reduced.follow @ (reduced.slope @ dz))
-
-
-def _eased(hessian: Array, right: Array) -> Array:
-    """Return -H⁻¹ right, with no less than a share RIGID of the stiffness one, at which nothing would be eased."""
-    values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
-    return -(vectors / np.maximum(values, RIGID)) @ vectors.T @ right
-
-
-def _lessened(hessian: Array, by: Array) -> Array:
-    """Return a Hessian (q, q) less another, of which a share RIGID is left in every direction."""
-    size = np.sqrt(np.maximum(np.diag(hessian), 0.0))
-    unit = 1 / np.where(size > 0, size, 1.0)
-    try:
-        root = np.linalg.cholesky(hessian * unit * unit[:, None] + RIDGE * np.eye(len(hessian)))
-    except np.linalg.LinAlgError:
-        return hessian
-    inverse = np.linalg.inv(root)
-    values, vectors = np.linalg.eigh(inverse @ ((by + by.T) / 2 * unit * unit[:, None]) @ inverse.T)
-    axes = (root @ vectors) / unit[:, None]
-    return hessian - (axes * np.minimum(values, 1 - RIGID)) @ axes.T
 
 
 def _called(what: str, value: Any, local: Names) -> Any:

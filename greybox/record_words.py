@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.answer import FittedRecord
+from greybox.gains import predictor
+from greybox.gauss_newton import Profile
 from greybox.movement import movement
 from greybox.nlp import Nlp
 from greybox.output_error import OutputError
@@ -24,12 +26,13 @@ CERTAIN = 5.0  # standard deviations of the correlation of white residuals, beyo
 HUGE = 1e6  # what is beyond is rounding: there is no noise
 
 
-def record_warnings(nlp: Nlp, records: Sequence[FittedRecord]) -> tuple[str, ...]:
+def record_warnings(nlp: Nlp, records: Sequence[FittedRecord], profile: Profile | None) -> tuple[str, ...]:
     """Return what a reader should know of the records (in the order of `nlp.records`) of an answer."""
     pairs = list(zip(nlp.records, records, strict=True))
     return (
         *(text for part, fitted in pairs for text in _unexplained(part, fitted, alone=len(pairs) == 1)),
         *_colored(pairs),
+        *_bounded(nlp, profile),
         *(text for part, _ in pairs for text in _masked(nlp, part)),
         *_resting(nlp),
         *_weights([_Residuals.of(part, fitted) for part, fitted in pairs if part.noise.known is None]),
@@ -81,6 +84,19 @@ def _colored(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
             "were low-passed, a state that the noise reaches is not corrected, or the model misses something; the "
             "errors, which take them to be white, are then not right."
         )
+
+
+def _bounded(nlp: Nlp, profile: Profile | None) -> Iterator[str]:
+    """Say where a predictor has come to the limit of stability."""
+    for part, path, place in zip(nlp.records, profile.paths, profile.places, strict=True) if profile else ():
+        found = predictor(part)
+        if found is not None and found.is_bounded(path, place):
+            where = "" if len(nlp.records) == 1 else f" of {part.record.name or part.part.name!r}"
+            yield (
+                f"the predictor{where} ends at the limit of its stability: the data show no noise of a state that it "
+                "corrects, and the errors, which do not know of the limit, are too small; name fewer states in "
+                "PredictionError(corrected=...), or compare with OutputError()."
+            )
 
 
 def _successive(error: NDArray[np.float64]) -> tuple[float, int]:

@@ -1,10 +1,8 @@
 """What a careful colleague would say about an answer: warnings in sentences."""
 
-import itertools
 import math
 from collections.abc import Iterator
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -211,24 +209,11 @@ def _record_noise(nlp: Nlp, profile: Profile | None) -> Iterator[str]:
 
 def _jumps(nlp: Nlp) -> Iterator[str]:
     """Name delays with which the cost jumps, since a held input reaches an output directly."""
-    found = {}
-    for part in nlp.records:
-        system, rename = part.system, part.part.rename
-        if part.criterion.inputs != "held" or not system.delayed:
-            continue
-        x, u, p = (ca.SX.sym("v", len(v)) for v in (system.states, system.inputs, system.parameters))
-        through, delay = ca.jacobian(system.output(x, u, p), u), system.delay(p)
-        for i, j in itertools.product(range(u.numel()), range(p.numel())):
-            name = rename.get(system.parameters[j], system.parameters[j])
-            shown = [
-                output for k, output in enumerate(system.outputs) if through.has_nz(k, i) and output in part.outputs
-            ]
-            if shown and name in nlp.free and ca.depends_on(delay[i], p[j]):
-                found[name] = f"the held input {system.inputs[i]} reaches {shown[0]} directly"
-    for name, why in found.items():
+    found = {name: why for part in nlp.records for name, why in part.jumping.items() if name in nlp.free}
+    for name, (input_, output) in found.items():
         yield (
-            f"{why}, so the cost jumps where {name} passes a whole sample: the starts must find the right interval of "
-            f"a sample, and the error of {name} holds within that."
+            f"the held input {input_} reaches {output} directly, so the cost jumps where {name} passes a whole sample: "
+            f"the starts must find the right interval of a sample, and the error of {name} holds within that."
         )
 
 

@@ -334,6 +334,17 @@ def test_prediction_errors_of_signals_that_were_smoothed_are_told_not_to_be_whit
     assert "for x from one sample to the next): the signals were low-passed" in said
 
 
+def test_a_predictor_at_the_limit_of_its_stability_is_told():
+    """Of a record without noise of the state, from which the gain can learn nothing."""
+    random, n = np.random.default_rng(3), 300
+    record = gb.Record(0.05 * np.arange(n), {"u": np.repeat(random.normal(size=n // 10), 10)})
+    x = gb.simulate(Drift(), {"a": 0.3, "b": 3.0}, record, inputs="held")["x"] + 0.05 * random.normal(size=n)
+    rules = (gb.PredictionError(inputs="held"), gb.OutputError(inputs="held"))
+    fits = [gb.fit(gb.Problem(Drift(), record.with_signals(x=x), rule), starts=3, progress=False) for rule in rules]
+    told = [any("ends at the limit of its stability" in text for text in fit.warnings) for fit in fits]
+    assert told == [True, False]
+
+
 def test_white_residuals_are_not_blamed():
     random, n = np.random.default_rng(1), 500
     u = np.repeat(random.normal(size=n // 10), 10)
