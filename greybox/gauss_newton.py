@@ -362,8 +362,8 @@ class GaussNewton:
         values, vectors = np.linalg.eigh((H + H.T) / 2)
         hessian, gradient = hessian + (vectors * np.abs(values)) @ vectors.T, gradient + g.ravel()
         damped = hessian + at.damping * np.diag(np.diag(hessian)) + STILL * np.eye(p)
-        still = np.zeros(p, dtype=bool) if at.exact else self._gains
-        rows, limits = self._limits.around(point.z, still | self._jumping if at.held else still)
+        kept = np.zeros(p, dtype=bool) if at.exact else self._gains
+        rows, limits = self._limits.around(point.z, kept | self._jumping if at.held else kept)
         dz = solve_small_qp(damped, gradient, rows, limits)
         inside, left = within(self._predictors, point, dz)
         if len(left):
