@@ -17,7 +17,7 @@ from greybox.transcription.method import Transcription
 
 Array = NDArray[np.float64]
 MOST = 64  # substeps
-DRAWS, LOOKED = 33, 3  # points of the start box whose poles, and whose integration, are looked at; the declared first
+DRAWS, LOOKED = 17, 3  # points of the start box whose poles, and whose integration, are looked at; the declared first
 SPARSE = 5  # every so manieth sample serves for the poles
 SPAN = 10  # samples over which the integration is looked at
 ACCURACY = 1e-4  # error over them, relative to the spread of a state: what is left is mended after the search
@@ -48,13 +48,16 @@ def pace(
         return scheme.substeps, method.segment
     random = np.random.default_rng(0)
     advance = _advance(system, scheme) if scheme.substeps is None and system.states else None
+    sparse = (seen[0][:, ::SPARSE], seen[1][:, ::SPARSE])
     counts, exact, growths = [], [], []
     for k in range(DRAWS):
         outside = {name: p.start if k == 0 else drawn(p, random) for name, p in part.parameters.items()}
         q = np.array([float(value) for value in part.local_values(outside).values()])
         p = q[: len(part.model.parameters)]
-        states = first.at(*seen, p, known(q))
-        poles = first.poles(states[:, ::SPARSE], seen[1][:, ::SPARSE], p)
+        measured, inputs = seen if k < LOOKED else sparse
+        states = first.at(measured, inputs, p, known(q))
+        every = SPARSE if k < LOOKED else 1
+        poles = first.poles(states[:, ::every], inputs[:, ::every], p)
         if not poles.size:
             continue
         fastest = np.maximum(np.abs(poles) / scheme.reach, np.abs(poles.imag) / scheme.wave).max()
