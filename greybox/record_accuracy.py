@@ -42,6 +42,7 @@ def information(part: RecordPart, path: Path, place: Place) -> Information:
     if part.known_states.any():
         rows = np.ix_(part.begins, part.known_states)
         follow[rows] = place.initial_slope[part.known_states]
+    del blocks, reduced  # of a long record, a tenth of what fits into memory
     s, length, k, p = part.experiment.segments, part.experiment.segment, len(part.outputs), place.slope.shape[1]
     weighted, triangle, white = np.empty((s, length, k, p)), np.zeros((0, p)), np.zeros((p, p))
     for some in part.shooting.chunks(s):

@@ -131,7 +131,7 @@ def colored_information(weighted: list[Array], residuals: list[Array]) -> Array:
     seen = _seen(residuals)
     total = np.zeros((p, p))
     for J in weighted:
-        size = 1 << int(J.shape[2] + len(response) - 1).bit_length()
+        size = _fast(J.shape[2] + len(response))
         # A root of the errors' spectrum, (frequencies, k, k).
         root = np.fft.rfft(response, size, axis=0)
         weight = np.where(np.arange(len(root)) % (size // 2) == 0, 1.0, 2.0) / size
@@ -144,6 +144,11 @@ def colored_information(weighted: list[Array], residuals: list[Array]) -> Array:
             rows = rows.reshape(p, -1)
             total += (rows @ rows.conj().T).real
     return total
+
+
+def _fast(count: int) -> int:
+    """Return an even length of at least `count` whose Fourier transform is fast."""
+    return min(m << max((-(-count // m) - 1).bit_length(), 1) for m in (1, 3, 5, 9, 15))
 
 
 def _seen(stretches: list[Array]) -> Array:
