@@ -2,11 +2,11 @@
 
 python benchmarks/coverage.py [--repeats 1000] [--only tilt] [--output benchmarks/results/coverage.txt]
 
-Synthetic truths with isotropic complex normal noise are fitted again and again; counted is how often the interval
-holds the truth. To be quick a cell is compiled once, its cost taken from the criterion with the data as symbols, and
-all repeats are minimized together by Newton's method from the truth; the standard errors are `greybox.accuracy.assess`,
-as in a fit. The first repeats of every cell, and those that end outside the bounds, are done by `gb.fit` itself: the
-table says how far the two ways differ, in standard errors.
+Synthetic truths with isotropic complex normal noise are fitted again and again; counted is how often the interval holds
+the truth. To be quick a cell is compiled once, its cost taken from the criterion with the data as symbols, and all
+repeats are minimized together by Newton's method from the truth; the standard errors are those of a fit
+(`greybox.estimate.covariance.assess`). The first repeats of every cell, and those that end outside the bounds, are done
+by `gb.fit` itself: the table says how far the two ways differ, in standard errors.
 """
 
 import argparse
@@ -24,11 +24,11 @@ import scipy
 from scipy.special import stdtrit
 
 import greybox as gb
-from greybox.accuracy import assess, degrees, propagate
+from greybox.compiled.compiled_problem import compile_problem
+from greybox.estimate.covariance import assess, degrees, propagate
+from greybox.modeling.functions import Complex
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import Tilt
-from greybox.nlp import compile_problem
-from greybox.symbolic import Complex
 
 CHECKS = 5  # repeats of every cell that gb.fit does too
 SMOOTHINGS = (1e-6, 1e-9, 1e-13)
@@ -73,7 +73,7 @@ CRITERIA: dict[str, Any] = {
 class Part:
     """One synthetic experiment: model, frequencies, noise (standard deviation of a component, relative)."""
 
-    model: gb.Model
+    model: gb.modeling.Model
     omega: np.ndarray
     noise: float
     free: tuple[str, ...] = ()
@@ -88,7 +88,7 @@ class Part:
     def exact(self) -> np.ndarray:
         """Return the true response, (n,)."""
         values = {name: TRUTH[name] for name in self.model.parameters}
-        return gb.frequency_response(self.model, self.omega, values).response
+        return gb.frequency_response(self.model, values, self.omega).response
 
     def draw(self, random: np.random.Generator, repeats: int, given: bool) -> np.ndarray:
         """Return noisy responses, (repeats, n)."""

@@ -18,9 +18,9 @@ import casadi as ca
 import numpy as np
 
 import greybox as gb
-from greybox.nlp import compile_problem
+from greybox.compiled.compiled_problem import compile_problem
 from greybox.problems import pitch_hover
-from greybox.solve import SMOOTHING
+from greybox.solve.ipopt import SMOOTHING
 
 
 def bare_loop(solver, starts, bounds):
@@ -58,7 +58,7 @@ def main():
         "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 500},
     }
     solver = ca.nlpsol("bare", "ipopt", dict(nlp.expressions), quiet)
-    points = gb.Sobol(options.starts).draw({name: problem.parameters[name] for name in nlp.free})
+    points = gb.solve.Sobol(options.starts).draw({name: problem.parameters[name] for name in nlp.free})
     z = nlp.scaling.to_solver(points)
     bounds = {"lbx": nlp.scaling.to_solver(nlp.lower), "ubx": nlp.scaling.to_solver(nlp.upper)}
     bare_loop(solver, z, bounds)

@@ -28,7 +28,7 @@ from pathlib import Path
 
 import numpy as np
 
-import greybox.readers
+import greybox.logs.readers
 
 ROOT = Path(__file__).parents[1]
 LARGEST = 200_000  # bytes
@@ -213,7 +213,7 @@ def fuzz(
 
 def inspect(path: str) -> object:
     """Run the command line's entry point."""
-    return importlib.import_module("greybox.cli").main(["inspect", path])
+    return importlib.import_module("greybox.cli.main").main(["inspect", path])
 
 
 def report(counts: Counter, failures: list, slow: list) -> None:
@@ -240,7 +240,7 @@ def main():
     parser.add_argument("--limit", type=float, default=LIMIT, help="s for one input")
     parser.add_argument("--progress", type=Path, help="file that names the input under way")
     options = parser.parse_args()
-    entry = greybox.readers.read if options.entry == "read" else inspect
+    entry = greybox.logs.readers.read if options.entry == "read" else inspect
     numbers = range(options.count) if options.only is None else range(options.only, options.only + 1)
     began = time.perf_counter()
     found = fuzz(entry, numbers, options.seed, options.limit, options.kinds, options.progress, options.keep)

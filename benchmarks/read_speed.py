@@ -24,11 +24,11 @@ from pathlib import Path
 import numpy as np
 from pymavlink.DFReader import DFReader_binary
 
-import greybox.readers
+import greybox.logs.readers
 
 MEMORY = """
 import sys
-import greybox.readers.dataflash as dataflash
+import greybox.logs.readers.dataflash as dataflash
 def peak():
     return next(int(line.split()[1]) * 1024 for line in open("/proc/self/status") if line.startswith("VmHWM"))
 before = peak()
@@ -84,7 +84,7 @@ def synthetic(path: Path, megabytes: float) -> None:
 def ours(path: Path, messages: list[str] | None) -> float:
     """Read with greybox; s."""
     began = time.perf_counter()
-    greybox.readers.read(path, messages)
+    greybox.logs.readers.read(path, messages)
     return time.perf_counter() - began
 
 

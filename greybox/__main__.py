@@ -2,7 +2,7 @@
 
 import sys
 
-from greybox.cli import main
+from greybox.cli.main import main
 
 if __name__ == "__main__":
     sys.exit(main())

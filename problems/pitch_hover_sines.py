@@ -27,5 +27,5 @@ def data():
 
 
 def problem():
-    sine = gb.Sine("theta", math.radians(3), harmonics=1)
+    sine = gb.modeling.Sine("theta", math.radians(3), harmonics=1)
     return gb.Problem(NonlinearTilt(), data(), amplitude=sine, name="pitch hover, finite amplitude")

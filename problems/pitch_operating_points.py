@@ -17,9 +17,9 @@ its lower bound of 0.001 1/m, at a cost of 6.027: the data at 5° show no drag.
 import math
 
 import greybox as gb
+from greybox.data.text_table import number, text_table
 from greybox.models.tilt import NonlinearTilt, Tilt
 from greybox.problems import pitch_5deg, pitch_hover
-from greybox.table import number, text_table
 
 ANGLE = math.radians(5)
 DRAG = Tilt.a5.start**2 / (4 * gb.g * math.tan(ANGLE))  # 2 C_x |v| = a5 at the speed where C_x v² = g tan θ

@@ -28,7 +28,7 @@ def measured():
     """Return the finite-frequency estimate with all that it says about each test."""
     log = gb.read(LOG)
     record = gb.prepare(log, {"u": "RATE.POut", "theta": "ATT.Pitch"})
-    return gb.finite_frequency(record, gb.find_segments(log, "SINE"))
+    return gb.spectral.finite_frequency(record, gb.logs.find_segments(log, "SINE"))
 
 
 def data():

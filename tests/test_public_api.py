@@ -5,36 +5,75 @@ import inspect
 import subprocess
 import sys
 
+import pytest
+
 import greybox as gb
 
-PUBLIC = """
-Collocation Comparison Controller EquationError Excitation Fit FrequencyResponse LatinHypercube LinearSystem Listed
-MagnitudePhase MaximumLikelihood Model MultipleShooting NestedTest OutputError Parameter Prediction PredictionError
-Problem Record Recording RelativeError Rosenbrock RungeKutta Segment Sine SingleShooting Sobol SquaredRelativeError
-StateSpace TransferFunction Uniform arccos arcsin arctan arctan2 ardupilot_script check compare cos cost demodulate
-equation_error exp feedback find_segments finite_frequency fit frequency_response g harmonic_response
-horizontal_velocity levy linearize load log maximum minimum multisine negative nested_test order_path
-periodic_response plot plot_bode plot_history plot_nyquist plot_recording plot_starts plot_traces predict prepare
-rational read read_response save segment_table several sign simulate sin sine_schedule spectral_response sqrt sweep
-systemid_parameters tan tanh virtual_flight where write_excitation write_response
+NAMES = """
+Collocation Controller Criterion Fit FrequencyResponse Integrator MagnitudePhase MaximumLikelihood MultipleShooting
+OutputError Parameter PredictionError Problem Record RelativeError Rosenbrock RungeKutta SingleShooting
+SquaredRelativeError Starts StateSpace TimeCriterion TransferFunction Transcription compare cost feedback fit
+frequency_response load plot predict prepare read read_response save several simulate virtual_flight
 """.split()
+
+FORMULAS = """
+arccos arcsin arctan arctan2 cos exp g log maximum minimum sign sin sqrt tan tanh where
+""".split()
+
+NAMESPACES = {
+    "data": "FrequencyResponse Record Recording Segment read_response segment_table write_response",
+    "experiment": "Controller Excitation ardupilot_script multisine sine_schedule sweep systemid_parameters "
+    "virtual_flight write_excitation",
+    "formulation": "Criterion MagnitudePhase MaximumLikelihood OutputError PredictionError Problem RelativeError "
+    "SquaredRelativeError Starts Sum TimeCriterion several",
+    "logs": "find_segments horizontal_velocity negative prepare read",
+    "modeling": "Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace TransferFunction "
+    "feedback frequency_response harmonic_response linearize rational",
+    "plotting": "bode nyquist plot recording starts time_history traces",
+    "regression": "EquationError equation_error levy order_path",
+    "simulation": "Prediction predict simulate",
+    "solve": "LatinHypercube Listed Sobol Starts Uniform",
+    "spectral": "FiniteFrequency Quality check demodulate finite_frequency periodic_response spectral_response",
+    "validation": "Comparison NestedTest compare nested_test",
+}
+EVERYTHING = [(gb, name) for name in (*NAMES, *FORMULAS)]
+EVERYTHING += [(getattr(gb, space), name) for space, names in NAMESPACES.items() for name in names.split()]
+
+
+def listed(module):
+    """The names that a fresh import shows, without modules."""
+    code = (
+        f"import {module}, inspect, sys; m = sys.modules['{module}']; "
+        "print(*(n for n in dir(m) if not n.startswith('_') and not inspect.ismodule(vars(m).get(n))))"
+    )
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
 
 
 def test_the_list_is_complete():
-    code = "import greybox, inspect; print(*(n for n in dir(greybox) if not inspect.ismodule(vars(greybox).get(n))))"
-    names = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    assert sorted(name for name in names if not name.startswith("_")) == sorted(PUBLIC)
+    assert sorted(set(listed("greybox")) - {"plotting"}) == sorted((*NAMES, *FORMULAS))
+
+
+@pytest.mark.parametrize("space", NAMESPACES)
+def test_the_names_of_a_namespace_are_complete(space):
+    assert sorted(listed(f"greybox.{space}")) == sorted(NAMESPACES[space].split())
 
 
 def test_every_public_name_has_a_docstring():
-    for name in PUBLIC:
-        thing = getattr(gb, name)
-        assert name == "g" or (thing.__doc__ or "").strip(), name
+    for module, name in EVERYTHING:
+        assert name == "g" or (getattr(module, name).__doc__ or "").strip(), name
 
 
 def test_public_values_are_frozen_or_abstract():
-    for name in PUBLIC:
-        thing = getattr(gb, name)
+    for module, name in EVERYTHING:
+        thing = getattr(module, name)
         if isinstance(thing, type):
             frozen = dataclasses.is_dataclass(thing) and thing.__dataclass_params__.frozen
             assert frozen or inspect.isabstract(thing), name
+
+
+def test_a_model_comes_before_its_values_and_these_before_what_it_is_evaluated_at():
+    functions = {name: thing for module, name in EVERYTHING if inspect.isfunction(thing := getattr(module, name))}
+    for name, function in functions.items():
+        arguments = [*inspect.signature(function).parameters]
+        if "model" in arguments and "values" in arguments:
+            assert arguments[:2] == ["model", "values"], name

@@ -1,0 +1,1 @@
+"""The command line: `main`, one file a command; `catalog` finds models and problems."""

@@ -1,0 +1,146 @@
+"""Finding models and problems: those that are shipped, and those in a user's own file."""
+
+import ast
+import difflib
+import importlib
+import importlib.util
+import inspect
+import pkgutil
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from greybox.compiled.compiled_problem import AnyProblem
+from greybox.formulation.problem import Problem, Sum
+from greybox.modeling.model import Model
+
+
+def shipped(kind: str) -> list[str]:
+    """Return the names of the shipped files of a kind, "models" or "problems"."""
+    package = importlib.import_module(f"greybox.{kind}")
+    return sorted(item.name for item in pkgutil.iter_modules(package.__path__) if not item.name.startswith("_"))
+
+
+def shipped_module(kind: str, name: str) -> ModuleType:
+    """Import a shipped file.
+
+    Raises
+    ------
+    ValueError
+        If there is none of that name; the sentence proposes the nearest.
+    """
+    known = shipped(kind)
+    if name not in known:
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"the shipped ones are {', '.join(known)}."
+        raise ValueError(f"there is no shipped {kind[:-1]} {name!r}; {hint} A file of your own ends in .py.")
+    return importlib.import_module(f"greybox.{kind}.{name}")
+
+
+def module_from_file(path: Path) -> ModuleType:
+    """Import a user's own file under its own name, so that a stored result can find its model again.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no file {path}.")
+    folder = str(path.resolve().parent)
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+    loaded = sys.modules.get(path.stem)
+    if loaded is not None and Path(getattr(loaded, "__file__", "") or "").resolve() == path.resolve():
+        return loaded
+    if loaded is not None or path.stem in sys.stdlib_module_names:
+        raise ValueError(f"{path} has the name of another Python module, {path.stem!r}: rename the file.")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[path.stem]
+        raise
+    return module
+
+
+def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
+    """Return a problem and its settings from a shipped name, ``my.py`` (its ``problem()``) or ``my.py:name``.
+
+    Raises
+    ------
+    ValueError, FileNotFoundError
+        If it is not there or is no problem.
+    """
+    module, name = _locate("problems", text)
+    place = text.removesuffix(f":{name}")
+    wanted = name or "problem"
+    found = getattr(module, wanted, None)
+    if found is None:
+        raise ValueError(f"{place} has no {wanted!r}: define {wanted}() that returns a gb.Problem.")
+    problem = found() if callable(found) and not isinstance(found, Problem | Sum) else found
+    if not isinstance(problem, Problem | Sum):
+        raise ValueError(f"{wanted} in {place} gives {problem!r:.60}: it must give a gb.Problem or a sum.")
+    label = Path(place).stem + (f":{name}" if name else "")
+    settings = getattr(module, "settings", {})
+    unknown = set(settings) - {"starts", "seed"}
+    if unknown:
+        raise ValueError(f"settings in {text} has {unknown.pop()!r}: it may hold 'starts' and 'seed'.")
+    return problem.with_(name=label), dict(settings)
+
+
+def find_model(text: str) -> Model:
+    """Return a model from ``tilt:Tilt``, ``polynomial:Polynomial(4, 1)`` or ``my.py:Class``.
+
+    Raises
+    ------
+    ValueError, FileNotFoundError
+        If it is not there or is no model.
+    """
+    match = re.fullmatch(r"(?P<place>[^()]+?)(?P<arguments>\(.*\))?", text)
+    if match is None:
+        raise ValueError(f"model {text!r} is not understood: write file:Class, e.g. tilt:Tilt or my.py:MyModel.")
+    module, name = _locate("models", match["place"])
+    known = [n for n, c in vars(module).items() if _is_own_model(c, module)]
+    if name not in known:
+        raise ValueError(
+            f"model {text!r} is not there; {match['place'].split(':')[0]} has {', '.join(known) or 'none'}."
+        )
+    return getattr(module, name)(*_arguments(match["arguments"] or "()", text))
+
+
+def models_of(module: ModuleType) -> list[type[Model]]:
+    """Return the concrete model classes that a module defines."""
+    return [c for c in vars(module).values() if _is_own_model(c, module)]
+
+
+def _is_own_model(thing: Any, module: ModuleType) -> bool:
+    own = isinstance(thing, type) and issubclass(thing, Model) and thing.__module__ == module.__name__
+    return own and not inspect.isabstract(thing)
+
+
+def _locate(kind: str, text: str) -> tuple[ModuleType, str]:
+    """Split ``file:name`` and import the file; on Windows a drive letter has a colon too."""
+    match = re.fullmatch(r"(.+\.py)(?::(\w+))?", text)
+    if match:
+        return module_from_file(Path(match[1])), match[2] or ""
+    place, _, name = text.partition(":")
+    return shipped_module(kind, place), name
+
+
+def _arguments(text: str, whole: str) -> list[Any]:
+    try:
+        call = ast.parse(f"model{text}", mode="eval").body
+        if not isinstance(call, ast.Call) or call.keywords:
+            raise ValueError("keywords")
+        return [ast.literal_eval(value) for value in call.args]
+    except (SyntaxError, ValueError):
+        raise ValueError(
+            f"the arguments in model {whole!r} are not understood: write plain values, e.g. (4, 1)."
+        ) from None

@@ -1,0 +1,101 @@
+"""The covariance of the residuals in time: given, or estimated with the parameters by maximum likelihood."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.formulation.time_criteria import TimeCriterion
+
+Array = NDArray[np.float64]
+FLOOR = 1e-9  # of a signal's own spread: residuals below are rounding
+RIGID = 0.05  # share of the curvature that an estimated covariance leaves, at least
+RIDGE = 1e-10  # of the curvature, for what the data do not see
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """How residual products (k, k), summed over `counts` (k,) samples, become a cost and weights.
+
+    The cost is the negative logarithm of the likelihood of normal errors. With an estimated covariance it is that of
+    the concentrated likelihood, n/2 log det R + constant, R the covariance of the residuals.
+    """
+
+    counts: NDArray[np.integer]
+    spread: Array
+    known: Array | None
+    full: bool
+
+    def covariance(self, products: Array) -> Array:
+        """Return the covariance (k, k) that goes with these products."""
+        if self.known is not None:
+            return np.diag(self.known**2)
+        floor = (FLOOR * self.spread) ** 2
+        count = np.maximum(self.counts, 1)
+        if not self.full:
+            return np.diag(np.maximum(np.diag(products) / count, floor))
+        return products / count.max() + np.diag(floor)
+
+    def cost(self, products: Array) -> float:
+        """Return the negative log-likelihood; infinite where the products are not finite."""
+        if not np.all(np.isfinite(products)):
+            return math.inf
+        covariance = self.covariance(products)
+        if self.full and self.known is None:
+            logarithm = float(np.linalg.slogdet(covariance)[1]) * self.counts.max() / 2
+            return logarithm + self.counts.sum() / 2 * (math.log(2 * math.pi) + 1)
+        variance = np.diag(covariance)
+        squares = np.diag(products) / variance if self.known is not None else self.counts
+        return float(0.5 * np.sum(squares + self.counts * np.log(2 * math.pi * variance)))
+
+    def weight(self, products: Array) -> Array:
+        """Return W (k, k) with WᵀW the inverse of the covariance."""
+        return np.linalg.inv(np.linalg.cholesky(self.covariance(products))).astype(float)
+
+    def flexibility(self, moments: Array) -> Array:
+        """Return vectors u (..., v, r) whose squares uuᵀ an estimated covariance takes from the Hessian of a known one.
+
+        `moments` (..., k, k, v) are sums of e_a · de_b, of weighted residuals e. The covariance follows the parameters:
+        d² (n/2 log det R) = n/2 tr(R⁻¹ d²R) - n/2 tr(R⁻¹ dR R⁻¹ dR), of which Gauss-Newton takes the first term alone.
+        """
+        counts = np.maximum(self.counts, 1)
+        own = np.einsum("...kkv->...vk", moments) * np.sqrt(2 / counts)
+        if not self.full:
+            return own
+        a, b = np.triu_indices(len(counts), 1)
+        both = moments[..., a, b, :] + moments[..., b, a, :]
+        return np.concatenate([own, np.swapaxes(both, -1, -2) / np.sqrt(counts.max())], axis=-1)
+
+
+def eased(hessian: Array, right: Array) -> Array:
+    """Return -H⁻¹ right, with no less than a share RIGID of the stiffness one, at which nothing would be eased."""
+    values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
+    return -(vectors / np.maximum(values, RIGID)) @ vectors.T @ right
+
+
+def lessened(hessian: Array, by: Array) -> Array:
+    """Return a Hessian (q, q) less another, of which a share RIGID is left in every direction."""
+    size = np.sqrt(np.maximum(np.diag(hessian), 0.0))
+    unit = 1 / np.where(size > 0, size, 1.0)
+    try:
+        root = np.linalg.cholesky(hessian * unit * unit[:, None] + RIDGE * np.eye(len(hessian)))
+    except np.linalg.LinAlgError:
+        return hessian
+    inverse = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(inverse @ ((by + by.T) / 2 * unit * unit[:, None]) @ inverse.T)
+    axes = (root @ vectors) / unit[:, None]
+    return hessian - (axes * np.minimum(values, 1 - RIGID)) @ axes.T
+
+
+def noise_of(criterion: TimeCriterion, outputs: tuple[str, ...], measured: Array) -> Noise:
+    """Read the criterion's option for the outputs (k, samples) that are compared."""
+    present = np.isfinite(measured)
+    spread = np.array(
+        [np.std(row[there]) if there.any() else 0.0 for row, there in zip(measured, present, strict=True)]
+    )
+    known = None
+    if isinstance(criterion.noise, Mapping):
+        known = np.array([float(criterion.noise[name]) for name in outputs])
+    return Noise(present.sum(axis=1), np.where(spread > 0, spread, 1.0), known, criterion.noise == "full")

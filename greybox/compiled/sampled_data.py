@@ -1,0 +1,278 @@
+"""A record as the estimators in time see it: gapless stretches of samples, cut into segments of equal length.
+
+Every sample carries its input over the coming step as three neighboring samples (windows) of the measured input, from
+which `input_over_step` makes mean and slope of the delayed input: polynomials of the fraction of the delay, so that
+the cost is continuously differentiable in a delay that is estimated, for interpolated inputs. For held inputs it is so
+between whole samples; where a held input reaches an output directly, what is sampled jumps there, and so does the cost.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from greybox.data.record import Record
+from greybox.statistics.noise_ratio import movement
+
+Array = NDArray[np.float64]
+JITTER = 0.25  # of a step: how far samples may lie from uniform ones
+WHOLE = 1e-3  # of a step, by which a delay may exceed whole samples and be taken as these: steps are known no better
+LOST = 1.5  # steps: what is longer misses a sample, which ends a stretch
+REST = 5  # samples at the beginning of a stretch over which an input must be constant to have rested before it
+SOME, LONGER = 3, 2.0  # and so many times longer than its usual hold, where it holds at least so many values after that
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Uniform samples without a gap: inputs (m, n), outputs (k, n) with NaN where missing, step in s.
+
+    `first` is the index of its first sample in the record; the first `masked` samples are not compared, since an
+    input that moves at the beginning reaches them from before it.
+    """
+
+    inputs: Array
+    outputs: Array
+    first: int
+    step: float
+    masked: int = 0
+
+    def __len__(self) -> int:
+        return self.inputs.shape[1]
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """All stretches of a record, samples one after the other, in segments of `segment` samples.
+
+    The last segment of a stretch is filled up with samples without outputs. `first` (s,) tells which segments begin a
+    stretch, `coupled` (s,) which are followed by another of the same stretch. `masked` samples of the record with a
+    measured output are not compared, see `Stretch`; `resting` tells that no input ever moves.
+    """
+
+    stretches: tuple[Stretch, ...]
+    outputs: tuple[str, ...]
+    segment: int
+    masked: int = 0
+    resting: bool = False
+
+    @property
+    def counts(self) -> list[int]:
+        """Number of segments of every stretch."""
+        return [math.ceil(len(stretch) / self.segment) for stretch in self.stretches]
+
+    @property
+    def segments(self) -> int:
+        """Number of segments."""
+        return sum(self.counts)
+
+    @property
+    def first(self) -> NDArray[np.bool_]:
+        """Which segments begin a stretch."""
+        return np.concatenate([np.arange(count) == 0 for count in self.counts])
+
+    @property
+    def begins(self) -> NDArray[np.bool_]:
+        """Which segment, if any, begins with the first sample of the record."""
+        counts = zip(self.counts, self.stretches, strict=True)
+        return np.concatenate([np.arange(count) + stretch.first == 0 for count, stretch in counts])
+
+    @property
+    def coupled(self) -> NDArray[np.bool_]:
+        """Which segments are followed by another of the same stretch."""
+        return np.concatenate([np.arange(count) < count - 1 for count in self.counts])
+
+    def thinned(self, samples: int, pieces: int = 5) -> "Experiment":
+        """Return some stretches of about so many samples in all, evenly over these; all of them where they are few."""
+        total = sum(len(stretch) for stretch in self.stretches)
+        if total <= samples:
+            return self
+        kept = []
+        for stretch in self.stretches:
+            count = max(math.ceil(pieces * len(stretch) / total), 1)
+            length = min(max(samples // (count * len(self.stretches)), 2 * self.segment), len(stretch) // count)
+            for start in np.linspace(0, len(stretch) - length, count).astype(int):
+                some = slice(start, start + length)
+                kept.append(
+                    Stretch(stretch.inputs[:, some], stretch.outputs[:, some], stretch.first + start, stretch.step)
+                )
+        return Experiment(tuple(kept), self.outputs, self.segment)
+
+    def padded(self, values: list[Array], fill: float | None) -> Array:
+        """Join one array (r, n) per stretch, every stretch filled up to whole segments: (r, samples).
+
+        None repeats the last value: inputs of zero may lie outside of what a model allows, an airspeed for one.
+        """
+        joined = []
+        for value, count in zip(values, self.counts, strict=True):
+            rest = count * self.segment - value.shape[1]
+            last = value[:, -1:] if fill is None else np.full((len(value), 1), fill)
+            joined.append(np.concatenate([value, np.repeat(last, rest, axis=1)], axis=1))
+        return np.concatenate(joined, axis=1)
+
+    def unpadded(self, values: Array) -> list[Array]:
+        """Cut (r, samples) into the samples of every stretch."""
+        ends = np.cumsum([count * self.segment for count in self.counts])[:-1]
+        parts = np.split(values, ends, axis=-1)
+        return [part[..., : len(stretch)] for part, stretch in zip(parts, self.stretches, strict=True)]
+
+    @property
+    def measured(self) -> Array:
+        """Measured outputs (k, samples), NaN where there is none."""
+        return self.padded([stretch.outputs for stretch in self.stretches], np.nan)
+
+    @property
+    def steps(self) -> Array:
+        """The step of every sample, (1, samples), s."""
+        return np.repeat([s.step for s in self.stretches], [c * self.segment for c in self.counts])[None]
+
+    def windows(self, delays: Array) -> tuple[Array, Array]:
+        """Return the whole samples of the delays (m, samples), and the inputs around them (3 m, samples).
+
+        Before its first sample an input is taken to have had that value, after its last one to keep it.
+        """
+        whole, around = [], []
+        for stretch in self.stretches:
+            shift = np.floor(delays / stretch.step + 1e-9)
+            shift = np.clip(shift, -len(stretch), len(stretch))
+            at = np.arange(len(stretch)) - shift[:, None].astype(int)
+            places = np.clip(at[:, None, :] + np.array([-1, 0, 1])[:, None], 0, len(stretch) - 1)
+            values = np.take_along_axis(stretch.inputs[:, None, :], places.astype(int), axis=2)
+            around.append(values.reshape(3 * len(delays), len(stretch)))
+            whole.append(np.broadcast_to(shift[:, None], (len(shift), len(stretch))))
+        return self.padded(whole, None), self.padded(around, None)
+
+
+def experiment(
+    record: Record, inputs: tuple[str, ...], outputs: tuple[str, ...], *, lead: ArrayLike, segment: int, complete: bool
+) -> Experiment:
+    """Cut a record into stretches and these into segments.
+
+    The first `lead` (m,) seconds of a stretch give the delayed inputs their past and are not compared, see `gapless`.
+    With `complete`, a sample counts only where all outputs are there.
+
+    Raises
+    ------
+    ValueError
+        If the record is too short, empty, not uniformly sampled, or nothing ever moves.
+    """
+    names = ", ".join(inputs)
+    empty = [name for name in inputs if not np.isfinite(record[name]).any()]
+    if empty or not any(np.isfinite(record[name]).any() for name in outputs):
+        raise ValueError(
+            f"{_called(record)} has no measured value of {empty[0] if empty else ', '.join(outputs)}: "
+            "every sample is missing."
+        )
+    stretches = gapless(record, inputs, outputs, lead=lead, complete=complete)
+    resting = bool(inputs) and all(_is_constant(record[name]) for name in inputs)
+    if resting and not any(movement([s.outputs[k] for s in stretches]).smooth for k in range(len(outputs))):
+        raise ValueError(
+            f"the inputs of the record never move ({names}): nothing can be estimated from it, since "
+            f"{_listed(outputs)} moves no more than noise does."
+        )
+    usable = tuple(s for s in stretches if np.isfinite(s.outputs).any() and len(s) > 2)
+    if not usable:
+        longest, taken = max((len(s) * s.step for s in stretches), default=0.0), float(np.max(lead, initial=0.0))
+        taking = f", of which the longest delay in the bounds takes {taken:.3g} s" if taken else ""
+        raise ValueError(
+            f"{_called(record)} has no usable stretch: its longest with all inputs and without a gap lasts "
+            f"{longest:.3g} s{taking}; give a longer record{' or a smaller upper bound' if taken else ''}."
+        )
+    if all(_is_constant(record[name]) for name in outputs):
+        raise ValueError(
+            f"the outputs of the record never move ({', '.join(outputs)}): nothing can be estimated from it."
+        )
+    there = np.any([np.isfinite(record[name]) for name in outputs], axis=0)
+    masked = sum(int(there[s.first : s.first + s.masked].sum()) for s in stretches)
+    return Experiment(usable, outputs, segment, masked, resting)
+
+
+def gapless(
+    record: Record, inputs: tuple[str, ...], outputs: tuple[str, ...], *, lead: ArrayLike = 0.0, complete: bool = False
+) -> list[Stretch]:
+    """Return the stretches of a record in which all inputs are there, the first, unexplained outputs left out.
+
+    What an input did before a stretch is not known, so outputs of its first seconds, as many as its entry of `lead`
+    (m,), the longest delay that it may have, are left out: unless it rests, exactly constant, over the first 5 samples
+    and clearly longer than it holds its values later. Then it is taken to have rested before.
+
+    Raises
+    ------
+    ValueError
+        If a stretch is not uniformly sampled.
+    """
+    stretches, before = [], 0
+    leads = np.broadcast_to(np.asarray(lead, dtype=float), (len(inputs),))
+    for piece in record.pieces:
+        u = np.array([piece[name] for name in inputs]).reshape(len(inputs), len(piece))
+        y = np.array([piece[name] for name in outputs]).reshape(len(outputs), len(piece))
+        y = np.where(np.all(np.isfinite(y), axis=0), y, np.nan) if complete else y
+        whole = np.all(np.isfinite(u), axis=0)
+        ends = (np.diff(whole.astype(int)) != 0) | (np.diff(piece.time) > LOST * record.step)
+        for rows in np.split(np.arange(len(piece)), np.flatnonzero(ends) + 1):
+            if whole[rows[0]] and rows.size > 1:
+                stretches.append(_stretch(piece.time[rows], u[:, rows], y[:, rows], before + int(rows[0]), leads))
+        before += len(piece)
+    return stretches
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return names[0] if len(names) == 1 else f"none of {', '.join(names)}"
+
+
+def _called(record: Record) -> str:
+    return f"the record {record.name!r}" if record.name else "the record"
+
+
+def _is_constant(values: Array) -> bool:
+    there = values[np.isfinite(values)]
+    return there.size == 0 or there.min() == there.max()
+
+
+def _stretch(time: Array, inputs: Array, outputs: Array, first: int, leads: Array) -> Stretch:
+    step = float((time[-1] - time[0]) / (time.size - 1))
+    off = np.abs(time - time[0] - step * np.arange(time.size)).max() / step
+    if off > JITTER:
+        raise ValueError(
+            f"the samples near {time[0]:g} s are not uniform (off by {off:.2g} steps): "
+            "bring them to one rate first, gb.prepare(..., rate=...); a few irregular samples go on a fine uniform "
+            "time base with NaN where nothing was measured."
+        )
+    moving = [float(lead) for lead, values in zip(leads, inputs, strict=True) if not _rests(values)]
+    masked, compared = min(math.ceil(max(max(moving, default=0.0) / step - WHOLE, 0.0)), time.size), outputs.copy()
+    compared[:, :masked] = np.nan
+    return Stretch(inputs, compared, first, step, masked)
+
+
+def _rests(values: Array) -> bool:
+    """Tell whether an input rests at the beginning: constant for longer than it usually holds a value after that."""
+    if values.size < REST or not _is_constant(values[:REST]):
+        return False
+    runs = np.diff(np.flatnonzero(np.diff(values)), prepend=-1)
+    # Commands at a lower rate, or of random length, are constant for some samples in the middle of their movement too.
+    # One that returns to where it began had rested there; of a single step, nobody can tell.
+    few = runs.size < 2 or (runs.size <= SOME and values[0] == values[-1])
+    return few or bool(runs[0] > LONGER * sorted(runs[1:])[len(runs) // 2 - 1])
+
+
+def input_over_step(window: Any, fraction: Any, held: bool) -> tuple[Any, Any, Any]:
+    """Return mean and change over the coming step, and the value at the sample, of inputs delayed by a fraction.
+
+    `window` (3,) holds the samples before, at and after the delayed sample; `fraction` of a step is what the delay
+    exceeds whole samples by. Mean and change (the slope of the best line) match the moments of the delayed
+    input over the step.
+
+    The value at the sample is exact. A held input changes a fraction of a step later, so it is still the one before:
+    no function of the fraction. The mean in its place would be differentiable, but with an input that reaches an
+    output directly it draws the delay to the next whole sample.
+    """
+    a, b, c = window[0], window[1], window[2]
+    f, r = fraction, 1 - fraction
+    if held:
+        late = f > WHOLE
+        return f * a + r * b, 6 * f * r * (b - a), late * a + (1 - late) * b
+    now = f * a + r * b
+    before, after = f**2 / 2, r**2 / 2
+    early, late = 2 * f**3 - 3 * f**2, 3 * r**2 - 2 * r**3
+    return before * a + (1 - before - after) * b + after * c, early * a - (early + late) * b + late * c, now

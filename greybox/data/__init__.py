@@ -1,0 +1,14 @@
+"""What was measured: frozen values in numpy, and the files that hold them.
+
+Begin with `record` (named signals on one time base) and `frequency_response`; `test_segment` marks a test within a
+record. `response_file` and `record_file` write and read both; `safe_files` replaces files atomically and
+`sealed_files` adds a checksum.
+"""
+
+from greybox.data.frequency_response import FrequencyResponse as FrequencyResponse
+from greybox.data.record import Record as Record
+from greybox.data.record import Recording as Recording
+from greybox.data.response_file import read_response as read_response
+from greybox.data.response_file import write_response as write_response
+from greybox.data.test_segment import Segment as Segment
+from greybox.data.test_segment import segment_table as segment_table

@@ -1,0 +1,157 @@
+"""The measured frequency response of one input-output pair."""
+
+import hashlib
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from greybox.data.text_table import counted
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyResponse:
+    """Complex response `response = alpha + j beta` of one input-output pair at the frequencies `omega`.
+
+    Parameters
+    ----------
+    omega : (n,) array, rad/s
+        Positive, each frequency once, in any order.
+    response : (n,) complex array
+        Output over input, in the output's unit per the input's unit.
+    input, output : str
+        Signal names, by which data and model meet. Empty: the only pair that the model has.
+    coherence : (n,) array, optional
+        Magnitude-squared coherence γ², above 0 and at most 1.
+    variance : (n,) array, optional
+        E|P̂ - P|², both components together.
+    dof : (n,) array, optional
+        Degrees of freedom of each variance.
+    name : str
+        A label for tables and figures.
+    source : str
+        Where the numbers come from.
+
+    Raises
+    ------
+    ValueError
+        For empty data, lengths that differ, NaN or infinite values, non-positive or repeated frequencies.
+    """
+
+    omega: NDArray[np.float64]
+    response: NDArray[np.complex128]
+    input: str = ""
+    output: str = ""
+    coherence: NDArray[np.float64] | None = None
+    variance: NDArray[np.float64] | None = None
+    dof: NDArray[np.float64] | None = None
+    name: str = ""
+    source: str = field(default="", repr=False)
+
+    def __post_init__(self) -> None:
+        """Convert to read-only arrays and check every value."""
+        self._set("omega", self.omega, np.float64)
+        self._set("response", self.response, np.complex128)
+        if self.omega.size == 0:
+            raise ValueError("the frequency response is empty: give at least one frequency.")
+        for column in ("coherence", "variance", "dof"):
+            if getattr(self, column) is not None:
+                self._set(column, getattr(self, column), np.float64)
+        for column in ("response", "coherence", "variance", "dof"):
+            self._check_column(column)
+        self._check_omega()
+        self._check_ranges()
+
+    def _set(self, name: str, value: ArrayLike, kind: type) -> None:
+        try:
+            array = np.array(value, dtype=kind)
+        except (TypeError, ValueError):
+            raise ValueError(f"{name} must be a one-dimensional array of numbers, not {value!r:.60}.") from None
+        if array.ndim != 1:
+            raise ValueError(f"{name} must be one-dimensional, but has shape {array.shape}.")
+        array.setflags(write=False)
+        object.__setattr__(self, name, array)
+
+    def _check_column(self, name: str) -> None:
+        values = getattr(self, name)
+        if values is None:
+            return
+        if values.size != self.omega.size:
+            raise ValueError(f"omega has {self.omega.size} values but {name} has {values.size}: they must match.")
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise ValueError(
+                f"{name} is {values[bad[0]]} at index {bad[0]} (omega = {self.omega[bad[0]]:g} rad/s): "
+                "leave out the points that were not measured."
+            )
+
+    def _check_omega(self) -> None:
+        bad = np.flatnonzero(~(np.isfinite(self.omega) & (self.omega > 0)))
+        if bad.size:
+            raise ValueError(
+                f"omega is {self.omega[bad[0]]:g} at index {bad[0]}: frequencies must be finite and above 0 rad/s."
+            )
+        values, counts = np.unique(self.omega, return_counts=True)
+        if counts.max() > 1:
+            raise ValueError(
+                f"omega = {values[counts.argmax()]:g} rad/s is repeated: average the points of one frequency, "
+                "or add two problems, one for each experiment."
+            )
+
+    def _check_ranges(self) -> None:
+        ranges = {"coherence": (0, 1), "variance": (0, np.inf), "dof": (0, np.inf)}
+        for name, (low, high) in ranges.items():
+            values = getattr(self, name)
+            if values is None:
+                continue
+            bad = np.flatnonzero(~((values > low) & (values <= high)))
+            if bad.size:
+                limit = f"above 0 and at most {high:g}" if np.isfinite(high) else "above 0"
+                raise ValueError(f"{name} is {values[bad[0]]:g} at index {bad[0]}: it must be {limit}.")
+
+    def __len__(self) -> int:
+        return self.omega.size
+
+    @property
+    def alpha(self) -> NDArray[np.float64]:
+        """Real part, (n,)."""
+        return self.response.real
+
+    @property
+    def beta(self) -> NDArray[np.float64]:
+        """Imaginary part, (n,)."""
+        return self.response.imag
+
+    @property
+    def checksum(self) -> str:
+        """SHA-256 of the numbers and the signal names: the same data have the same checksum wherever they came from."""
+        digest = hashlib.sha256(f"{self.input}->{self.output}".encode())
+        for values in (self.omega, self.response, self.coherence, self.variance, self.dof):
+            digest.update(b"-" if values is None else np.ascontiguousarray(values).tobytes())
+        return digest.hexdigest()
+
+    def where(self, there: NDArray[np.bool_]) -> "FrequencyResponse":
+        """Return the points for which `there` (n,) is true."""
+        columns = ("omega", "response", "coherence", "variance", "dof")
+        kept = {name: values[there] for name in columns if (values := getattr(self, name)) is not None}
+        return replace(self, **kept)
+
+    def times_s(self, output: str = "") -> "FrequencyResponse":
+        """Multiply by jω, e.g. from an angle to its rate; `output` names the new signal."""
+        return self._scaled(1j * self.omega, output)
+
+    def over_s(self, output: str = "") -> "FrequencyResponse":
+        """Divide by jω, e.g. from a rate to its angle; `output` names the new signal."""
+        return self._scaled(1 / (1j * self.omega), output)
+
+    def _scaled(self, factor: NDArray[np.complexfloating], output: str) -> "FrequencyResponse":
+        variance = None if self.variance is None else self.variance * np.abs(factor) ** 2
+        return replace(self, response=self.response * factor, variance=variance, output=output or self.output)
+
+    def __str__(self) -> str:
+        pair = f"{self.input or 'input'} -> {self.output or 'output'}"
+        extras = [c for c in ("coherence", "variance", "dof") if getattr(self, c) is not None]
+        return (
+            f"{self.name or 'frequency response'}: {pair}, {counted(len(self), 'frequency', 'frequencies')} from "
+            f"{self.omega.min():g} to {self.omega.max():g} rad/s" + (f", with {', '.join(extras)}" if extras else "")
+        )

@@ -1,0 +1,213 @@
+"""Measured time histories: one experiment on one time base, and all that a log file holds."""
+
+import hashlib
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from greybox.data.text_table import counted
+
+GAP = 2.5  # a step longer than this many median steps is a gap, across which nothing is interpolated
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One experiment: named signals on one time base.
+
+    Parameters
+    ----------
+    time : (n,) array, s
+        Strictly increasing.
+    signals : mapping of name to (n,) array
+        NaN marks a sample that is missing.
+    units : mapping of name to str
+        SI after `prepare`; as the log says before.
+    name, source : str
+        A label, and the file that it came from.
+    checksum : str
+        SHA-256 of that file; by default that of the numbers.
+    metadata : mapping
+        Vehicle, firmware, parameters and the like, as far as the log has them.
+    filters : mapping of signal name to tuple
+        Known filters that a signal has passed on its way into the log, for a model to include.
+    findings : tuple of str
+        What was found wrong with it, in words.
+
+    Raises
+    ------
+    ValueError
+        For empty records, lengths that differ, or times that do not increase.
+    """
+
+    time: NDArray[np.float64]
+    signals: Mapping[str, NDArray[np.float64]]
+    units: Mapping[str, str] = field(default_factory=dict)
+    name: str = ""
+    source: str = ""
+    checksum: str = field(default="", repr=False)
+    metadata: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    filters: Mapping[str, tuple[Any, ...]] = field(default_factory=dict, repr=False)
+    findings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Convert to read-only arrays and check them."""
+        time = _read_only(self.time, "time")
+        if time.size == 0:
+            raise ValueError("the record is empty: give at least one sample.")
+        if not np.all(np.isfinite(time)):
+            raise ValueError(f"time is {time[np.argmin(np.isfinite(time))]} at index {np.argmin(np.isfinite(time))}.")
+        back = np.flatnonzero(np.diff(time) <= 0)
+        if back.size:
+            raise ValueError(
+                f"time does not increase after {time[back[0]]:.6f} s (index {back[0]}): "
+                "sort the samples and drop doubles."
+            )
+        signals = {name: _read_only(values, name) for name, values in self.signals.items()}
+        for name, values in signals.items():
+            if values.size != time.size:
+                raise ValueError(f"time has {time.size} samples but {name} has {values.size}: they must match.")
+        object.__setattr__(self, "time", time)
+        object.__setattr__(self, "signals", signals)
+        if not self.checksum:
+            object.__setattr__(self, "checksum", _digest(time, signals))
+
+    def __len__(self) -> int:
+        return self.time.size
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        if name not in self.signals:
+            raise KeyError(f"the record has no signal {name!r}; it has {', '.join(self.signals) or 'none'}.")
+        return self.signals[name]
+
+    @property
+    def step(self) -> float:
+        """Median sampling interval, s; NaN for a single sample."""
+        if len(self) < 2:
+            return math.nan
+        steps = np.sort(np.diff(self.time))  # np.median imports masked arrays, which takes a hundredth of a second
+        return float((steps[(steps.size - 1) // 2] + steps[steps.size // 2]) / 2)
+
+    @property
+    def rate(self) -> float:
+        """Sampling rate, Hz, from the median interval."""
+        return 1 / self.step
+
+    @property
+    def duration(self) -> float:
+        """From the first to the last sample, s, gaps included."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def pieces(self) -> tuple["Record", ...]:
+        """The stretches between gaps, each a record of its own."""
+        cuts = np.flatnonzero(np.diff(self.time) > GAP * self.step) + 1
+        return tuple(self.rows(rows) for rows in np.split(np.arange(len(self)), cuts))
+
+    def between(self, start: float, end: float) -> "Record":
+        """Return the samples with start <= time <= end, s on the record's own clock."""
+        rows = np.flatnonzero((self.time >= start) & (self.time <= end))
+        if not rows.size:
+            raise ValueError(
+                f"the record has no sample from {start:g} to {end:g} s; "
+                f"it runs from {self.time[0]:g} to {self.time[-1]:g} s."
+            )
+        return self.rows(rows)
+
+    def with_signals(self, units: Mapping[str, str] | None = None, **signals: ArrayLike) -> "Record":
+        """Return the record with signals added or replaced."""
+        new = {name: np.asarray(values, dtype=float) for name, values in signals.items()}
+        return replace(self, signals={**self.signals, **new}, units={**self.units, **(units or {})}, checksum="")
+
+    def rows(self, rows: NDArray[np.integer]) -> "Record":
+        """Return the samples of these indices, (m,)."""
+        signals = {name: values[rows] for name, values in self.signals.items()}
+        return replace(self, time=self.time[rows], signals=signals)
+
+    def __str__(self) -> str:
+        signals = ", ".join(f"{n} ({self.units[n]})" if self.units.get(n) else n for n in self.signals)
+        pieces = len(self.pieces)
+        return (
+            f"{self.name or 'record'}: {counted(len(self), 'sample')} at {self.rate:.4g} Hz, {self.duration:.1f} s "
+            f"from {self.time[0]:.1f} s{f' in {pieces} pieces' if pieces > 1 else ''}: {signals}"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Recording(Mapping[str, Record]):
+    """What one log file holds: a `Record` for every kind of message, each on its own time base.
+
+    It is a mapping of message name to `Record`: ``recording["ATT"]["Pitch"]``. Messages that come in several instances
+    (lanes, sensors) are named ``"IMU[0]"``, ``"IMU[1]"``; the bare name is the first of them.
+
+    Attributes
+    ----------
+    records : mapping of str to Record
+    source, checksum : str
+        File name and SHA-256 of the file.
+    metadata : mapping
+        As far as known: ``vehicle, firmware`` (str), ``parameters`` (name to value, the last set), ``defaults``,
+        ``texts`` (tuple of (time, text)), ``modes`` (tuple of (time, name)), ``armed`` (tuple of (start, end), s).
+    findings : tuple of str
+        What was wrong with the file or is missing, in words.
+    """
+
+    records: Mapping[str, Record]
+    source: str = ""
+    checksum: str = ""
+    metadata: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    findings: tuple[str, ...] = ()
+
+    def __getitem__(self, name: str) -> Record:
+        if name in self.records:
+            return self.records[name]
+        first = [key for key in self.records if key.partition("[")[0] == name]
+        if not first:
+            raise KeyError(
+                f"{self.source or 'the recording'} has no message {name!r}; it has {', '.join(self.records)}."
+            )
+        return self.records[first[0]]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.records)
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    def locate(self, signal: str) -> tuple[Record, str]:
+        """Return the record and the field meant by ``"RATE.POut"``, or by a bare field name that only one message has.
+
+        Raises
+        ------
+        KeyError
+            If there is none, or several have it; the sentence names what there is.
+        """
+        message, dot, name = signal.rpartition(".")
+        if dot:
+            record = self[message]
+            record[name]
+            return record, name
+        holders = [key for key, record in self.records.items() if signal in record.signals]
+        if len(holders) != 1:
+            there = f"several messages have it: {', '.join(holders)}" if holders else "no message has it"
+            raise KeyError(f"the signal {signal!r} is not clear, {there}; write MESSAGE.{signal}.")
+        return self.records[holders[0]], signal
+
+
+def _read_only(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    array = np.array(values, dtype=float)
+    if array.ndim != 1:
+        raise ValueError(f"{name} must be one-dimensional, but has shape {array.shape}.")
+    array.setflags(write=False)
+    return array
+
+
+def _digest(time: NDArray[np.float64], signals: Mapping[str, NDArray[np.float64]]) -> str:
+    digest = hashlib.sha256(time.tobytes())
+    for name, values in signals.items():
+        digest.update(name.encode())
+        digest.update(values.tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,42 @@
+"""Records in a group of an HDF5 file."""
+
+from typing import Any
+
+import numpy as np
+
+from greybox.data.record import Record
+
+Node = Any
+TEXTS = ("name", "source", "checksum")
+
+
+def write_record(group: Node, record: Record) -> None:
+    """Write times, signals in their order, units, name, source and checksum; not metadata, filters and findings."""
+    for name in TEXTS:
+        group.attrs[name] = getattr(record, name)
+    group["time"] = record.time
+    signals = group.create_group("signals", track_order=True)
+    for name, values in record.signals.items():
+        dataset = signals.create_dataset(_escaped(name), data=values)
+        dataset.attrs["unit"] = record.units.get(name, "")
+
+
+def read_record(group: Node) -> Record:
+    """Read what `write_record` wrote."""
+    signals, units = {}, {}
+    for key, dataset in group["signals"].items():
+        name = _plain(key)
+        signals[name] = np.asarray(dataset[()], dtype=float)
+        if dataset.attrs["unit"]:
+            units[name] = str(dataset.attrs["unit"])
+    texts: dict[str, Any] = {name: str(group.attrs[name]) for name in TEXTS}
+    return Record(group["time"][()], signals, units, **texts)
+
+
+def _escaped(name: str) -> str:
+    """Return a name without the slash, which HDF5 reads as a path."""
+    return name.replace("%", "%25").replace("/", "%2F")
+
+
+def _plain(key: str) -> str:
+    return key.replace("%2F", "/").replace("%25", "%")

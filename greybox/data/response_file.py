@@ -1,0 +1,138 @@
+"""Measured frequency responses in files: CSV and HDF5."""
+
+import csv
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.safe_files import write_text
+from greybox.data.text_table import is_number
+
+COLUMNS = ("omega_rad_s", "alpha", "beta", "coherence", "variance", "dof")
+EXTRAS = COLUMNS[3:]
+KIND = "frequency response"
+HDF5 = (".h5", ".hdf5")
+Node = Any
+
+
+def read_response(
+    path: str | Path, prefix: str = "", input: str = "", output: str = "", name: str = ""
+) -> FrequencyResponse:
+    """Read a `FrequencyResponse` from a CSV file, or from an HDF5 file that `write_response` wrote.
+
+    The columns of a CSV file are ``omega_rad_s, alpha, beta`` and, if known, ``coherence, variance, dof``; their order
+    and further columns do not matter. A table of several responses names them ``<prefix>alpha`` and so on, with one
+    common ``omega_rad_s``; rows in which the chosen response is blank are left out.
+
+    Raises
+    ------
+    ValueError
+        If the HDF5 file is damaged or something else, or a column of the CSV file is missing or a cell is not a number;
+        the sentence names file, line and cell.
+    FileNotFoundError
+        If there is no such file.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no file {path}.")
+    if path.suffix.lower() in HDF5:
+        return _read_hdf5(path, input, output, name)
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        lines = csv.reader(file)
+        try:
+            header = [cell.strip() for cell in next(lines, [])]
+            rows = [(lines.line_num, row) for row in lines if any(cell.strip() for cell in row)]
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise ValueError(f"{path} is not a CSV text file ({error}).") from None
+    wanted = {c: header.index(_column(c, prefix)) for c in COLUMNS if _column(c, prefix) in header}
+    missing = [_column(c, prefix) for c in COLUMNS[:3] if c not in wanted]
+    if missing:
+        raise ValueError(
+            f"{path} has no column {missing[0]!r}; it has {', '.join(header) or 'no header line'}: "
+            "the columns must be omega_rad_s, alpha, beta and, if known, coherence, variance, dof."
+        )
+    twice = [header[k] for k in wanted.values() if header.count(header[k]) > 1]
+    if twice:
+        raise ValueError(f"{path} has two columns {twice[0]!r}: rename or remove one.")
+    table = [_numbers(path, number, row, wanted, header) for number, row in rows]
+    kept = np.array([row for row in table if row is not None], dtype=float).reshape(-1, len(wanted))
+    values = dict(zip(wanted, kept.T, strict=True))
+    try:
+        return FrequencyResponse(
+            values["omega_rad_s"],
+            values["alpha"] + 1j * values["beta"],
+            input=input,
+            output=output,
+            **{c: values[c] for c in COLUMNS[3:] if c in values},
+            name=name or path.stem,
+            source=path.name,
+        )
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def write_response(response: FrequencyResponse, path: str | Path) -> None:
+    """Write `response` to a CSV or, by the suffix .h5 or .hdf5, an HDF5 file that `read_response` reads back exactly.
+
+    CSV holds the numbers; HDF5 also the names of signals and source, and a checksum (see `greybox.data.sealed_files`):
+    attributes ``input, output, name, source`` and datasets ``omega, alpha, beta`` and, if known, ``coherence, variance,
+    dof``.
+    """
+    path = Path(path)
+    if path.suffix.lower() in HDF5:
+        from greybox.data.sealed_files import write_sealed  # noqa: PLC0415  (h5py is imported when it is needed)
+
+        write_sealed(path, KIND, lambda file: write_group(file, response))
+        return
+    columns = {"omega_rad_s": response.omega, "alpha": response.alpha, "beta": response.beta}
+    columns |= {c: getattr(response, c) for c in EXTRAS if getattr(response, c) is not None}
+    rows = [",".join(columns), *(",".join(repr(float(v)) for v in row) for row in zip(*columns.values(), strict=True))]
+    write_text(path, "\n".join(rows) + "\n")
+
+
+def write_group(group: Node, response: FrequencyResponse) -> None:
+    """Write `response` into an HDF5 group."""
+    for name in ("input", "output", "name", "source"):
+        group.attrs[name] = getattr(response, name)
+    for column in ("omega", "alpha", "beta", *EXTRAS):
+        if getattr(response, column) is not None:
+            group[column] = getattr(response, column)
+
+
+def read_group(group: Node) -> FrequencyResponse:
+    """Read a `FrequencyResponse` from an HDF5 group."""
+    extras = {column: group[column][()] for column in EXTRAS if column in group}
+    texts: dict[str, Any] = {name: str(group.attrs[name]) for name in ("input", "output", "name", "source")}
+    return FrequencyResponse(group["omega"][()], group["alpha"][()] + 1j * group["beta"][()], **texts, **extras)
+
+
+def _read_hdf5(path: Path, input: str, output: str, name: str) -> FrequencyResponse:
+    from greybox.data.sealed_files import open_sealed  # noqa: PLC0415  (h5py is imported when it is needed)
+
+    with open_sealed(path, KIND) as file:
+        found = read_group(file)
+    return replace(found, input=input or found.input, output=output or found.output, name=name or found.name)
+
+
+def _column(name: str, prefix: str) -> str:
+    return name if name == "omega_rad_s" else prefix + name
+
+
+def _numbers(
+    path: Path, line: int, row: list[str], wanted: dict[str, int], header: Iterable[str]
+) -> list[float] | None:
+    """Return the wanted cells of one line as numbers, or None when the response is blank there."""
+    if len(row) < max(wanted.values()) + 1:
+        raise ValueError(f"{path}, line {line}, has {len(row)} cells where the header has {len(list(header))}.")
+    cells = {name: row[k].strip() for name, k in wanted.items()}
+    if not any(cells[name] for name in cells if name != "omega_rad_s"):
+        return None
+    try:
+        return [float(cell) for cell in cells.values()]
+    except ValueError:
+        bad = next(name for name, cell in cells.items() if not is_number(cell))
+        raise ValueError(f"{path}, line {line}: {bad} is {cells[bad]!r}, which is not a number.") from None

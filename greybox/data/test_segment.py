@@ -1,0 +1,96 @@
+"""One excited stretch of an experiment, and a table of such."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from greybox.data.text_table import number, text_table
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One excited stretch of an experiment.
+
+    Parameters
+    ----------
+    start, end : float, s
+        On the record's clock.
+    kind : "sine", "sweep" or "multisine"
+    axis : str
+        As the log says it, or the setpoint's name.
+    omega : float, rad/s
+        Frequency of a sine; NaN otherwise.
+    band : (low, high), rad/s
+        Frequencies covered; for a sine both are `omega`.
+    amplitude, offset : float
+        Of the excitation and its operating point, in `unit` (as the log has it); NaN if not known.
+    source : str
+        How it was found: "SIDS", the announcing message, or "setpoint ...".
+    usable : bool
+        False for a test that cannot be used; `findings` (tuple of str) says why.
+
+    Raises
+    ------
+    ValueError
+        If end is not after start, or the kind is none of the three.
+    """
+
+    start: float
+    end: float
+    kind: str = "sine"
+    axis: str = ""
+    omega: float = math.nan
+    band: tuple[float, float] = (math.nan, math.nan)
+    amplitude: float = math.nan
+    offset: float = math.nan
+    unit: str = ""
+    source: str = ""
+    usable: bool = True
+    findings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check the values; a sine's band is its frequency."""
+        if not self.end > self.start:
+            raise ValueError(f"the segment ends at {self.end:g} s, not after its start at {self.start:g} s.")
+        if self.kind not in ("sine", "sweep", "multisine"):
+            raise ValueError(f"the kind of a segment is {self.kind!r}: it must be 'sine', 'sweep' or 'multisine'.")
+        if self.kind == "sine" and math.isnan(self.band[0]):
+            object.__setattr__(self, "band", (self.omega, self.omega))
+
+    @property
+    def duration(self) -> float:
+        """From start to end, s."""
+        return self.end - self.start
+
+    @property
+    def periods(self) -> float:
+        """Duration in periods of the lowest frequency."""
+        return self.duration * self.band[0] / (2 * math.pi)
+
+    def refused(self, *findings: str) -> "Segment":
+        """Return the segment with more findings, not usable."""
+        return replace(self, usable=False, findings=(*self.findings, *findings))
+
+
+def segment_table(segments: Sequence[Segment]) -> str:
+    """Return the segments as a table for a terminal, with what was found under it."""
+    header = ("", "start s", "end s", "kind", "axis", "rad/s", "periods", "amplitude", "offset", "usable", "source")
+    rows = []
+    for k, s in enumerate(segments, start=1):
+        band = number(s.omega) if s.kind == "sine" else f"{number(s.band[0], 3)} to {number(s.band[1], 3)}"
+        times = (f"{s.start:.2f}", f"{s.end:.2f}", s.kind, s.axis, band, number(s.periods, 3))
+        sizes = (f"{number(s.amplitude, 3)} {s.unit}".rstrip(), number(round(s.offset, 9), 3))
+        rows.append((str(k), *times, *sizes, "yes" if s.usable else "no", s.source))
+    notes = [f"{k}: {text}" for k, s in enumerate(segments, start=1) for text in s.findings]
+    return "\n".join([text_table(header, rows, left=(3, 4, 10)), *notes]) if rows else "no excited segment was found"
+
+
+def checked_segments(segments: Iterable[object]) -> tuple[Segment, ...]:
+    """Return the segments; TypeError for anything else, such as those of an `Excitation`'s schedule."""
+    found = tuple(segments)
+    for segment in found:
+        if not isinstance(segment, Segment):
+            raise TypeError(
+                f"a segment is {segment!r:.60}: give those of gb.logs.find_segments, or gb.data.Segment(start, end)."
+            )
+    return tuple(segment for segment in found if isinstance(segment, Segment))

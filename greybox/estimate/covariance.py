@@ -1,0 +1,400 @@
+"""How well the data determine the estimate: covariance right for the criterion, and combinations left undetermined."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.compiled.compiled_problem import Nlp, Scaling
+from greybox.compiled.record_part import RecordPart
+from greybox.estimate.record_information import information
+from greybox.formulation.frequency_criteria import Criterion
+from greybox.formulation.problem import Estimated, Problem
+from greybox.solve.gauss_newton.driver import Profile
+
+DEAD = 1e-7  # singular value of the unit-column Jacobian below which a combination is not determined at all
+BLIND = 1e-5  # share of an invisible direction from which a quantity has no standard error
+ROUNDING = 1e-12  # what the data see of a change of a parameter as large as itself, below which it is none
+COLLINEAR = 20.0  # collinearity index from which a combination is suspect, see `Combination`
+LOOSE = 0.5  # relative standard error from which a suspect combination is reported
+
+
+@dataclass(frozen=True, eq=False)
+class PartJacobian:
+    """A part with the Jacobian (rows, k) of its residuals to all values, or a triangular factor of it.
+
+    Attributes
+    ----------
+    numbers : int
+        Real numbers in the data, less those that nuisance unknowns use up.
+    spread : function of a correction
+        Returns bread (a factor on JᵀJ) and meat (k, k), for noise larger by the correction; see `Criterion.spread`.
+    noise : float
+        Standard deviation of one component of the relative error; NaN for a record.
+    """
+
+    part: Problem
+    jacobian: NDArray[np.float64]
+    numbers: int
+    spread: Callable[[float], tuple[float, NDArray[np.float64]]]
+    noise: float
+
+
+@dataclass(frozen=True)
+class Combination:
+    """Parameters that the data determine only together.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The parameters involved, the most affected first.
+    index : float
+        Collinearity index: 1 / smallest singular value of the Jacobian with columns scaled to unit length; infinite
+        when the data do not see the combination at all. Above 10 to 20 parameters compensate one another.
+        Source: Brun, Reichert and Künsch (2001), Water Resources Research 37(4).
+    """
+
+    names: tuple[str, ...]
+    index: float
+
+
+@dataclass(frozen=True, eq=False)
+class Accuracy:
+    """The covariance of an estimate and what it leaves open.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Free parameters, then constants.
+    covariance : (k, k) array
+        In the order of `names`, within the directions that the data determine. Constants have the covariance of the
+        earlier fit that they come from, or zero.
+    blind : (k, b) array
+        Directions, in multiples of `size`, about which the data say nothing: invisible ones, and parameters at a bound.
+    size : (k,) array
+        The change of each value that the data notice.
+    dof : float
+        Numbers in the data less the directions they choose; infinite where all have given variances, records never.
+    shares : tuple of (k, k) array and float
+        What each part, and each earlier fit, contributes to the covariance, and the degrees of freedom it has.
+    combinations : tuple of Combination
+        What the data do not, or hardly, determine.
+    at_bound : tuple of str
+        Free parameters that ended at a bound.
+    active : tuple of str
+        Constraints, and bounds of tied parameters, that hold with equality.
+    noise : (parts,) array
+        The standard deviation of one component of the relative error, of every part.
+    white : (p, p) array or None
+        The covariance of the free parameters if the cost were the likelihood of white errors: the inverse bread.
+    """
+
+    names: tuple[str, ...]
+    covariance: NDArray[np.float64]
+    blind: NDArray[np.float64]
+    size: NDArray[np.float64]
+    dof: float
+    shares: tuple[tuple[NDArray[np.float64], float], ...]
+    combinations: tuple[Combination, ...]
+    at_bound: tuple[str, ...]
+    active: tuple[str, ...]
+    noise: NDArray[np.float64]
+    white: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Share:
+    """What one part tells of the unknowns: bread (p, k) against all values, meat (p, p), weighted Jacobian (n, p)."""
+
+    bread: NDArray[np.float64]
+    meat: NDArray[np.float64]
+    jacobian: NDArray[np.float64]
+    dof: float
+
+
+def assess(nlp: Nlp, x: NDArray[np.float64], profile: Profile | None = None) -> Accuracy:
+    """Return the accuracy of the estimate `x` (p,); with records, `profile` has their states there.
+
+    The covariance is that of an M-estimator under the noise condition of each part's criterion; parameters at a bound
+    are taken as fixed there, and active constraints hold. Fixed values that come from an earlier fit widen it:
+    C + S Σ Sᵀ with S the derivative of the estimate with respect to them.
+    """
+    p, k = len(nlp.free), len(nlp.names)
+    parts = [*part_jacobians(nlp, x), *_record_jacobians(nlp, x, profile)]
+    shares = [_share(part, p=p, correction=1.0, dof=math.inf) for part in parts]
+    jacobian = np.vstack([share.jacobian for share in shares])
+    at_bound = _at_bound(nlp, x)
+    active, holding = _active_constraints(nlp, x)
+    length = np.linalg.norm(jacobian, axis=0)
+    length[length * np.abs(1 / _solver_slope(nlp.scaling, x)) < ROUNDING] = 0
+    jacobian = jacobian * (length > 0)
+    # In units in which every column of the Jacobian has length one, ranks can be judged.
+    size = np.where(np.isfinite(length) & (length > 0), 1 / np.where(length > 0, length, 1.0), 1.0)
+    unit = np.nan_to_num(jacobian * size)
+    seen, blind = _directions(unit, active * size, [nlp.free.index(name) for name in at_bound])
+    dof = sum(part.numbers for part in parts) - seen.shape[1]
+    covariance, contributions, inverse = np.full((k, k), np.nan), (), None
+    size = np.concatenate([size, np.ones(k - p)])
+    blind = np.vstack([blind, np.zeros((k - p, blind.shape[1]))])
+    if dof > 0 and all(np.all(np.isfinite(share.bread)) for share in shares):
+        basis = seen * size[:p, None]
+        shares = _corrected(parts, shares, basis)
+        inverse, slope = _inverse(shares, basis)
+        contributions, unknown = _contributions(nlp, shares, inverse, slope)
+        covariance = sum((c for c, _ in contributions), np.zeros((k, k)))
+        # What depends on a constant that has no standard error has none either.
+        lost = slope[:, unknown] / size[:, None]
+        blind = np.hstack([blind, lost / np.maximum(np.linalg.norm(lost, axis=0), 1e-300)])
+    combinations = tuple(
+        c
+        for c in _combinations(unit, active * size[:p], nlp.free, at_bound)
+        if math.isinf(c.index) or _is_loose(c, nlp, covariance, x)
+    )
+    return Accuracy(
+        names=nlp.names,
+        covariance=covariance,
+        blind=blind,
+        size=size,
+        dof=math.inf if all(part.criterion.known_noise for part in nlp.problem.parts) else float(max(dof, 0)),
+        shares=contributions,
+        combinations=combinations,
+        at_bound=at_bound,
+        active=holding,
+        noise=np.array([{id(p.part): p.noise for p in parts}[id(part)] for part in nlp.problem.parts]),
+        white=inverse,
+    )
+
+
+def degrees(accuracy: Accuracy, gradient: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the degrees of freedom of quantities from their gradient (m, k): (m,).
+
+    A variance Σ vᵢ whose parts have νᵢ degrees of freedom has (Σ vᵢ)² / Σ (vᵢ²/νᵢ).
+    Source: Welch (1947), Biometrika 34; Satterthwaite (1946), Biometrics Bulletin 2.
+    """
+    if not accuracy.shares:
+        return np.full(len(gradient), accuracy.dof)
+    v = np.array([np.einsum("ij,jk,ik->i", gradient, c, gradient) for c, _ in accuracy.shares])
+    spread = (v**2 / np.array([dof for _, dof in accuracy.shares])[:, None]).sum(axis=0)
+    return np.where(spread > 0, v.sum(axis=0) ** 2 / np.where(spread > 0, spread, 1.0), math.inf)
+
+
+def propagate(accuracy: Accuracy, gradient: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the standard errors of quantities from their gradient (m, k) with respect to all values: (m,).
+
+    NaN for a quantity that depends on a direction about which the data say nothing.
+    """
+    variance = np.einsum("ij,jk,ik->i", gradient, accuracy.covariance, gradient)
+    scaled = gradient * accuracy.size
+    unseen = np.abs(scaled @ accuracy.blind) > BLIND * np.linalg.norm(scaled, axis=1)[:, None]
+    return np.where(unseen.any(axis=1), np.nan, np.sqrt(np.maximum(variance, 0)))
+
+
+def _corrected(
+    parts: Sequence[PartJacobian],
+    shares: Sequence[_Share],
+    basis: NDArray[np.float64],
+) -> list[_Share]:
+    """Scale the noise of every part for the parameters that it pays: pᵢ = tr(B⁻¹ Bᵢ) of the p in all.
+
+    2nᵢ residuals then have 2nᵢ - pᵢ degrees of freedom, as if the part had been fitted alone with pᵢ parameters.
+    """
+    inverse, _ = _inverse(shares, basis)
+    p = len(inverse)
+    paid = [float(np.trace(inverse @ share.bread[:, :p])) for share in shares]
+    numbers = [part.numbers for part in parts]
+    left = [max(n - q, 0.5) for n, q in zip(numbers, paid, strict=True)]
+    return [
+        _share(part, p=p, correction=math.sqrt(max(n, m) / m), dof=math.inf if part.part.criterion.known_noise else m)
+        for part, n, m in zip(parts, numbers, left, strict=True)
+    ]
+
+
+def _inverse(shares: Sequence[_Share], basis: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return B⁻¹ (p, p) within `basis` (p, r), and the derivative (k, k) of all values to the constants."""
+    bread = sum((share.bread for share in shares), np.zeros_like(shares[0].bread))
+    p, k = bread.shape
+    inverse = basis @ np.linalg.inv(basis.T @ bread[:, :p] @ basis) @ basis.T
+    slope = np.zeros((k, k))
+    slope[:p, p:] = -inverse @ bread[:, p:]
+    slope[p:, p:] = np.eye(k - p)
+    return inverse, slope
+
+
+def _contributions(
+    nlp: Nlp, shares: Sequence[_Share], inverse: NDArray[np.float64], slope: NDArray[np.float64]
+) -> tuple[tuple[tuple[NDArray[np.float64], float], ...], NDArray[np.bool_]]:
+    """Return B⁻¹ Mᵢ B⁻¹ of every part and S Σ Sᵀ of every earlier fit; and which constants (k,) have no error."""
+    p, k = len(nlp.free), len(nlp.names)
+    result = []
+    for share in shares:
+        own = np.zeros((k, k))
+        own[:p, :p] = inverse @ share.meat @ inverse
+        result.append((own, share.dof))
+    unknown = np.zeros(k, dtype=bool)
+    for known, dof in _known_covariances(nlp):
+        unknown |= np.isnan(np.diag(known))
+        result.append((slope @ np.nan_to_num(known) @ slope.T, dof))
+    return tuple(result), unknown
+
+
+def _directions(
+    jacobian: NDArray[np.float64], active: NDArray[np.float64], bounded: Sequence[int]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Split the space of the unknowns (p,) into what the data see, and what they do not or a bound closes.
+
+    Directions closed by an active constraint are in neither: the constraint determines them.
+    """
+    p = jacobian.shape[1]
+    closed = np.vstack([active, np.eye(p)[list(bounded)]])
+    basis = np.eye(p)
+    if len(closed):
+        _, singular, rows = np.linalg.svd(closed)
+        basis = rows[int(np.sum(singular > 1e-12 * singular[0])) :].T
+    _, singular, rows = np.linalg.svd(np.linalg.qr(jacobian @ basis, mode="r"), full_matrices=True)
+    rank = int(np.sum(singular > DEAD))
+    return basis @ rows[:rank].T, np.hstack([basis @ rows[rank:].T, np.eye(p)[:, list(bounded)]])
+
+
+def part_jacobians(nlp: Nlp, x: NDArray[np.float64]) -> list[PartJacobian]:
+    """Return what every frequency response tells of all values."""
+    if not nlp.responding:
+        return []
+    values = nlp.all_values(x)
+    symbols: Any = ca.SX.sym("x", len(values)) if nlp.responses.is_a("SXFunction") else ca.MX.sym("x", len(values))
+    derivative = ca.Function("derivative", [symbols], [ca.jacobian(nlp.responses(symbols), symbols)])
+    stacked = np.asarray(ca.DM(derivative(values)))
+    half = len(stacked) // 2
+    responses = nlp.split(nlp.response_rows(x[None])[0])
+    sensitivities = nlp.split(stacked[:half] + 1j * stacked[half:])
+    return [
+        _of_response(part, response, sensitivity)
+        for part, response, sensitivity in zip(nlp.responding, responses, sensitivities, strict=True)
+    ]
+
+
+def _of_response(part: Problem, response: NDArray[np.complex128], sensitivity: NDArray[np.complex128]) -> PartJacobian:
+    criterion, data = part.criterion, part.response
+    assert isinstance(criterion, Criterion)
+    jacobian = criterion.jacobian(response, sensitivity, data)
+
+    def spread(correction: float) -> tuple[float, NDArray[np.float64]]:
+        bread, meat = criterion.spread(response, data, correction)
+        return bread, jacobian.T @ (meat[:, None] * jacobian)
+
+    there = data.response != 0
+    errors = np.abs(response[there] / data.response[there] - 1)
+    noise = float(errors.mean()) * math.sqrt(2 / math.pi) if errors.size else math.nan
+    return PartJacobian(part, jacobian, len(jacobian), spread, noise)
+
+
+def _record_jacobians(nlp: Nlp, x: NDArray[np.float64], profile: Profile | None) -> list[PartJacobian]:
+    """Return what every record tells of all values; of constants, only of those that an earlier fit gives."""
+    if profile is None:
+        return []
+    columns = [k for k, name in enumerate(nlp.names) if k < len(nlp.free) or name in nlp.problem.known]
+    values, result = nlp.all_values(x), []
+    for k, record in enumerate(nlp.records):
+        if len(columns) > len(nlp.free):
+            point = ca.SX.sym("x", len(columns))
+            named: dict[str, Any] = dict(zip(nlp.names, values.tolist(), strict=True))
+            named |= {nlp.names[c]: point[i] for i, c in enumerate(columns)}
+            again = RecordPart(record.part, named, point, record.method)
+            record = again.refined(record.substeps // again.substeps)  # noqa: PLW2901
+            place, slope = record.place(values[columns]), np.ones(len(columns))
+        else:
+            place, slope = profile.places[k], _solver_slope(nlp.scaling, x)
+        found = information(record, profile.paths[k], place)
+        jacobian = np.zeros((len(found.jacobian), len(values)))
+        jacobian[:, columns] = found.jacobian * slope
+        meat = np.zeros((len(values), len(values)))
+        meat[np.ix_(columns, columns)] = found.meat * slope * slope[:, None]
+        spread = _record_spread(meat)
+        result.append(PartJacobian(record.part, jacobian, found.numbers, spread, math.nan))
+    return result
+
+
+def _record_spread(meat: NDArray[np.float64]) -> Callable[[float], tuple[float, NDArray[np.float64]]]:
+    return lambda correction: (1.0, meat * correction**2)
+
+
+def _solver_slope(scaling: Scaling, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return dz/dx (p,) of the solver's variables."""
+    return 1 / np.where(scaling.logarithmic, x, scaling.factor)
+
+
+def _share(part: PartJacobian, *, p: int, correction: float, dof: float) -> _Share:
+    """Return what a part tells of the `p` unknowns, its noise scaled by `correction`."""
+    scale, meat = part.spread(correction)
+    free, weight = part.jacobian[:, :p], part.part.weight
+    return _Share(
+        bread=weight * scale * free.T @ part.jacobian,
+        meat=weight**2 * meat[:p, :p],
+        jacobian=math.sqrt(weight * min(scale, 1e12)) * free,
+        dof=dof,
+    )
+
+
+def _at_bound(nlp: Nlp, x: NDArray[np.float64]) -> tuple[str, ...]:
+    z, low, high = (nlp.scaling.to_solver(v) for v in (x, nlp.lower, nlp.upper))
+    tolerance = 1e-7 * np.maximum(1.0, np.abs(z))  # in units of the start box
+    return tuple(n for n, hit in zip(nlp.free, (z - low < tolerance) | (high - z < tolerance), strict=True) if hit)
+
+
+def _active_constraints(nlp: Nlp, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Return the gradients (a, p) and the names of the constraints that hold with equality."""
+    p = len(nlp.free)
+    if not nlp.limits:
+        return np.zeros((0, p)), ()
+    values = nlp.all_values(x)
+    symbols = ca.MX.sym("x", len(values))
+    slope = ca.Function("slope", [symbols], [ca.jacobian(nlp.constraint(symbols), symbols)])
+    gradient = np.asarray(ca.DM(slope(values)))[:, :p]
+    slack = np.asarray(nlp.constraint(values)).ravel()
+    active = slack < 1e-6 * (np.abs(gradient) @ np.abs(x) + 1e-12)
+    return gradient[active], tuple(label for label, holds in zip(nlp.limits, active, strict=True) if holds)
+
+
+def _combinations(
+    unit: NDArray[np.float64], active: NDArray[np.float64], names: tuple[str, ...], at_bound: Sequence[str]
+) -> tuple[Combination, ...]:
+    """Return the suspect combinations of a Jacobian with unit columns (2N, p)."""
+    dead = [k for k in range(len(names)) if not (unit[:, k].any() or active[:, k].any())]
+    inside = [k for k, name in enumerate(names) if name not in at_bound and k not in dead]
+    found = [Combination((names[k],), math.inf) for k in dead]
+    limits = active[:, inside]
+    unit = np.vstack([unit[:, inside], limits / np.maximum(np.linalg.norm(limits, axis=1, keepdims=True), 1e-300)])
+    _, singular, rows = np.linalg.svd(np.linalg.qr(unit, mode="r"), full_matrices=True)
+    singular = np.concatenate([singular, np.zeros(len(rows) - len(singular))])
+    for value, row in zip(singular, np.abs(rows), strict=True):
+        if value <= 1 / COLLINEAR:
+            # What is invisible takes the error from everything that it involves, however little.
+            least = BLIND if value < DEAD else 0.2 * row.max()
+            group = tuple(names[inside[i]] for i in np.argsort(-row) if row[i] > least)
+            found.append(Combination(group, math.inf if value < DEAD else float(1 / value)))
+    return tuple(found)
+
+
+def _is_loose(combination: Combination, nlp: Nlp, covariance: NDArray[np.float64], x: NDArray[np.float64]) -> bool:
+    places = [nlp.free.index(name) for name in combination.names]
+    error = np.sqrt(np.maximum(np.diag(covariance)[places], 0))
+    return bool(np.any(~(error < LOOSE * np.abs(x[places]))))
+
+
+def _known_covariances(nlp: Nlp) -> list[tuple[NDArray[np.float64], float]]:
+    """Return the covariance of the constants that come from each earlier fit, embedded in that of all values."""
+    names = nlp.names
+    sources: dict[int, tuple[Estimated, list[str]]] = {}
+    for name, source in nlp.problem.known.items():
+        if name in names:
+            sources.setdefault(id(source), (source, []))[1].append(name)
+    result = []
+    for source, group in sources.values():
+        places = [names.index(name) for name in group]
+        embedded = np.zeros((len(names), len(names)))
+        embedded[np.ix_(places, places)] = source.covariance_of(group)
+        result.append((embedded, source.dof))
+    return result

@@ -1,0 +1,156 @@
+"""Why a run of a record cannot begin: which state or output of the model is not finite where, and what helps."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.record_part import Path, Place, RecordPart
+from greybox.modeling.integrators import Rosenbrock
+from greybox.solve.ipopt import INVALID, Run
+from greybox.solve.minima import Multistart
+
+Array = NDArray[np.float64]
+STATUS = "not finite at the start"
+NAMED = 4  # values of parameters in a sentence
+FEW = 0.5  # share of converged runs below which a sentence is due
+
+
+@dataclass(frozen=True)
+class Trouble:
+    """What is not finite.
+
+    Attributes
+    ----------
+    what : str
+        In a few words, the same for all runs with this trouble.
+    why, cure : str
+        With time and values; what helps.
+    """
+
+    what: str
+    why: str
+    cure: str
+
+
+def explained(nlp: Nlp, search: Multistart) -> Multistart:
+    """Return the search with a reason for every run that could not begin, as far as records are the reason."""
+    return replace(search, runs=tuple(_explained(nlp, run) for run in search.runs))
+
+
+def not_finite_warnings(nlp: Nlp, search: Multistart) -> Iterator[str]:
+    """Say of the first run that could not begin why, where few runs converged."""
+    troubled = [run for run in search.runs if _is_candidate(nlp, run) and run.reason]
+    if troubled and search.converged < FEW * len(search.runs):
+        trouble = _trouble(nlp, troubled[0].start)
+        if trouble is not None:
+            yield f"at {_values(nlp, troubled[0].start)} {trouble.why}: {trouble.cure}."
+
+
+def _explained(nlp: Nlp, run: Run) -> Run:
+    trouble = _trouble(nlp, run.start) if _is_candidate(nlp, run) else None
+    return run if trouble is None else replace(run, reason=trouble.what)
+
+
+def _is_candidate(nlp: Nlp, run: Run) -> bool:
+    return bool(nlp.records) and not run.converged and run.status in (STATUS, INVALID)
+
+
+def _values(nlp: Nlp, start: Array) -> str:
+    declared = np.array([nlp.problem.parameters[name].start for name in nlp.free])
+    if np.array_equal(start, declared):
+        return "the declared values"
+    said = [f"{name} = {value:.4g}" for name, value in zip(nlp.free, start, strict=True)]
+    return ", ".join(said[:NAMED]) + (" ..." if len(said) > NAMED else "")
+
+
+def _trouble(nlp: Nlp, start: Array) -> Trouble | None:
+    """Return what is not finite at the start (p,), of the first record with which it is so."""
+    z = nlp.scaling.to_solver(np.clip(start, nlp.lower, nlp.upper))
+    for part in nlp.records:
+        with np.errstate(all="ignore"):
+            place = part.place(z)
+            path = part.path(part.first_nodes(place), place)
+            if not path.finite:
+                return _located(part, place, path)
+    return None
+
+
+def _located(part: RecordPart, place: Place, path: Path) -> Trouble | None:
+    """Look at the states to begin with, at what follows from them, and at the formulas along it."""
+    every, segment = np.arange(part.experiment.segments * part.experiment.segment), part.experiment.segment
+    diverged = not (np.all(np.isfinite(path.states)) and np.all(np.isfinite(path.end)))
+    found = _of_model(part, place, path, every[::segment])
+    return found or (_of_integration(part, place, path) if diverged else _of_model(part, place, path, every))
+
+
+def _of_model(part: RecordPart, place: Place, path: Path, samples: NDArray[np.integer]) -> Trouble | None:
+    """Return the derivative or output that is not finite at one of the samples, if one is."""
+    x, data = (part.shooting.in_order(values)[:, samples] for values in (path.states, place.data))
+    _, mean, _, residual, _ = (value.full() for value in part.step.before(x, place.q, data))
+    p = place.q[: len(part.system.parameters)]
+    slopes = part.system.derivative(x, mean, p).full() if part.states else np.zeros((0, len(samples)))
+    named = [(f"the derivative of {name}", row) for name, row in zip(part.system.states, slopes, strict=True)]
+    named += [(f"the output {name}", row) for name, row in zip(part.outputs, residual, strict=True)]
+    lost = ~np.isfinite([row for _, row in named])
+    if not lost.any():
+        return None
+    at = int(np.argmax(lost.any(axis=0)))
+    what = named[int(np.argmax(lost[:, at]))][0]
+    point = dict(zip((*part.system.states, *part.system.inputs), (*x[:, at], *mean[:, at]), strict=True))
+    where = ", ".join(f"{name} = {value:.4g}" for name, value in point.items())
+    when = _time(part, int(samples[at]))
+    return Trouble(what, f"{what} is not finite at {when:.6g} s, where {where}", _elsewhere(part))
+
+
+def _of_integration(part: RecordPart, place: Place, path: Path) -> Trouble:
+    """Return the states that diverge between the samples, and whether the steps are too long for the model."""
+    within = part.shooting.in_order(path.states).T.reshape(len(path.end), -1, part.states)
+    lost = ~np.isfinite(np.concatenate([within, path.end[:, None]], axis=1))  # of every segment, samples and end
+    segment, sample = (int(k) for k in np.argwhere(lost.any(axis=2))[0])
+    at = segment * part.experiment.segment + sample
+    names = " and ".join(name for name, row in zip(part.system.states, lost[segment, sample], strict=True) if row)
+    step, fastest = float(part.experiment.steps.min()), _fastest_decay(part, place, path)
+    why = f"{names} {'are' if ' and ' in names else 'is'} no longer finite at {_time(part, at):.6g} s"
+    integrator = part.method.integrator
+    if fastest * step / part.substeps > integrator.reach and not isinstance(integrator, Rosenbrock):
+        return Trouble(
+            f"{names}, stiff",
+            f"{why}, since a time constant of {1 / fastest:.2g} s is too short for {part.substeps} explicit steps in a "
+            f"sample of {step:.3g} s",
+            "use method=MultipleShooting(integrator=Rosenbrock()), or bound the parameters to slower models",
+        )
+    return Trouble(f"{names}, simulated", why, f"{_elsewhere(part)}, or use method=MultipleShooting(segment=2)")
+
+
+def _elsewhere(part: RecordPart) -> str:
+    known = f", or give known states, initial={{{part.system.states[0]!r}: ...}}" if part.states else ""
+    return f"start elsewhere, or bound the parameters to where {part.part.model.label} has finite values{known}"
+
+
+def _fastest_decay(part: RecordPart, place: Place, path: Path) -> float:
+    """Return the largest |pole| of those that decay, at the first states, rad/s; 0 where there is none."""
+    if not part.states:
+        return 0.0
+    x, u, p = (ca.SX.sym("v", len(v)) for v in (part.system.states, part.system.inputs, part.system.parameters))
+    slope = ca.Function("A", [x, u, p], [ca.densify(ca.jacobian(part.system.derivative(x, u, p), x))])
+    data = part.shooting.in_order(place.data)[:, :: part.experiment.segment]
+    some = np.unique(np.linspace(0, len(path.nodes) - 1, 20).astype(int)).tolist()
+    _, mean, *_ = part.step.before(path.nodes.T[:, some], place.q, data[:, some])
+    q, poles = place.q[: p.numel()], [0.0]
+    for k, nodes in enumerate(path.nodes[some]):
+        A = slope(nodes, mean[:, k], q).full()
+        if np.all(np.isfinite(A)):
+            poles += [abs(pole) for pole in np.linalg.eigvals(A) if pole.real < 0]
+    return max(poles)
+
+
+def _time(part: RecordPart, column: int) -> float:
+    """Return the time of a sample, counted over all segments."""
+    experiment, time = part.experiment, part.record.time
+    times = [time[None, stretch.first + np.arange(len(stretch))] for stretch in experiment.stretches]
+    padded = experiment.padded(times, None)[0]
+    return float(padded[min(column, len(padded) - 1)])

@@ -1,0 +1,184 @@
+"""Warnings about records: samples that no fit saw, movements that tell little, and models that explain little."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.kalman_gain import predictor
+from greybox.compiled.record_part import RecordPart
+from greybox.data.text_table import counted
+from greybox.estimate.result import FittedRecord
+from greybox.formulation.time_criteria import OutputError
+from greybox.solve.gauss_newton.driver import Profile
+from greybox.statistics.noise_ratio import movement
+
+MASKED = 0.05  # share of the samples of a record from which their loss is told
+LITTLE = 10.0  # fit in percent below which a model explains almost nothing
+SHARE = 0.5  # of the fit that noise allows, from which a model explains what it can
+FACTOR = 5.0  # between standard deviations of one output in several records
+COLORED, GREY = 0.9, 0.2  # correlation of successive residuals of output and prediction error that is told
+CERTAIN = 5.0  # standard deviations of the correlation of white residuals, beyond which there is one
+HUGE = 1e6  # what is beyond is rounding: there is no noise
+
+
+def record_warnings(nlp: Nlp, records: Sequence[FittedRecord], profile: Profile | None) -> tuple[str, ...]:
+    """Return what a reader should know of the records (in the order of `nlp.records`) of an answer."""
+    pairs = list(zip(nlp.records, records, strict=True))
+    return (
+        *(text for part, fitted in pairs for text in _unexplained(part, fitted, alone=len(pairs) == 1)),
+        *_colored(pairs),
+        *_bounded(nlp, profile),
+        *(text for part, _ in pairs for text in _masked(nlp, part)),
+        *_resting(nlp),
+        *_weights([_Residuals.of(part, fitted) for part, fitted in pairs if part.noise.known is None]),
+    )
+
+
+def _unexplained(part: RecordPart, fitted: FittedRecord, *, alone: bool) -> Iterator[str]:
+    if not isinstance(part.criterion, OutputError):
+        return
+    for k, output in enumerate(fitted.outputs):
+        percent = fitted.fit_percent(output)
+        if not percent < LITTLE:
+            continue
+        name = output if alone else f"{output} in {fitted.name!r}"
+        found = movement([stretch.outputs[k] for stretch in part.experiment.stretches])
+        if found.noisy:
+            yield (
+                f"{name} moves no more than noise does from sample to sample, and the model explains almost nothing of "
+                f"it (fit {percent:.1f} %): it tells hardly anything of the parameters; excite it more, or leave it "
+                "out."
+            )
+        elif percent < SHARE * found.explicable:
+            yield (
+                f"the model explains almost nothing of {name} (fit {percent:.1f} %), where its noise from sample to "
+                f"sample would allow about {found.explicable:.0f} %: try other starts, narrower boxes for them, or "
+                "another structure."
+            )
+
+
+def _colored(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
+    """Say where residuals are correlated in time more than the criterion bears."""
+    measured, predicted = [], []
+    for part, fitted in pairs:
+        by_output = isinstance(part.criterion, OutputError)
+        for output in fitted.outputs:
+            value, count = _successive(fitted.residual(output))
+            if abs(value) > max(COLORED if by_output else GREY, CERTAIN / math.sqrt(max(count, 1))):
+                where = "" if len(pairs) == 1 else f" in {fitted.data.name or fitted.name!r}"
+                (measured if by_output else predicted).append(f"{value:.3g} for {output}{where}")
+    if measured:
+        yield (
+            f"the residuals are correlated from one sample to the next ({', '.join(measured)}), as a disturbance of "
+            "the states leaves them: where the inputs answer to it, as in a closed loop, the estimate is biased beyond "
+            "its errors; compare with criterion=PredictionError()."
+        )
+    if predicted:
+        yield (
+            f"the prediction errors are not white ({', '.join(predicted)} from one sample to the next): the signals "
+            "were low-passed, a state that the noise reaches is not corrected, or the model misses something; the "
+            "errors, which take them to be white, are then not right."
+        )
+
+
+def _bounded(nlp: Nlp, profile: Profile | None) -> Iterator[str]:
+    """Say where a predictor has come to the limit of stability."""
+    for part, path, place in zip(nlp.records, profile.paths, profile.places, strict=True) if profile else ():
+        found = predictor(part)
+        if found is not None and found.is_bounded(path, place):
+            where = "" if len(nlp.records) == 1 else f" of {part.record.name or part.part.name!r}"
+            yield (
+                f"the predictor{where} ends at the limit of its stability: the data show no noise of a state that it "
+                "corrects, and the errors, which do not know of the limit, are too small; name fewer states in "
+                "PredictionError(corrected=...), or compare with OutputError()."
+            )
+
+
+def _successive(error: NDArray[np.float64]) -> tuple[float, int]:
+    """Return the correlation of successive residuals, and of how many pairs."""
+    both, squares = np.isfinite(error[1:]) & np.isfinite(error[:-1]), float(np.nansum(error**2))
+    return float(error[1:][both] @ error[:-1][both]) / squares if squares else 0.0, int(both.sum())
+
+
+def _masked(nlp: Nlp, part: RecordPart) -> Iterator[str]:
+    """Tell of samples that were not compared since a delay that is estimated may reach before the record."""
+    lost, data, system = part.experiment.masked, part.record, part.system
+    there = int(np.any([np.isfinite(data[name]) for name in part.outputs], axis=0).sum())
+    p = ca.SX.sym("p", len(system.parameters))
+    delay = system.delay(p)
+    locals_ = [name for j, name in enumerate(system.parameters) if ca.depends_on(delay, p[j])]
+    names = [part.part.rename.get(name, name) for name in locals_]
+    if lost <= MASKED * there or not any(name in nlp.free or name not in nlp.names for name in names):
+        return
+    known = part.part.parameters
+    bounds = [f"{name} (up to {known[name].bounds[1]:g} {known[name].unit})" for name in names if name in known]
+    yield (
+        f"{lost} of {counted(there, 'sample')} of {data.name or part.part.name!r} were not compared, since the inputs "
+        f"move at the beginning and before it are not known for as long as the bounds let the delay be: lower the "
+        f"upper bound of {' and '.join(bounds) or ' and '.join(names)}, or begin the record where the inputs rest."
+    )
+
+
+def _resting(nlp: Nlp) -> Iterator[str]:
+    """Say that nothing was excited, where that holds for all data."""
+    if not nlp.records or nlp.responding or not all(part.experiment.resting for part in nlp.records):
+        return
+    inputs = dict.fromkeys(name for part in nlp.records for name in part.system.inputs)
+    which = "the record" if len(nlp.records) == 1 else "any record"
+    yield (
+        f"the inputs never move in {which} ({', '.join(inputs)}): only the movement from the initial state tells of "
+        "the model."
+    )
+
+
+@dataclass(frozen=True)
+class _Residuals:
+    """Standard deviations by output of the residuals of one record, and how many there are."""
+
+    name: str
+    deviation: dict[str, float]
+    count: dict[str, int]
+
+    @classmethod
+    def of(cls, part: RecordPart, fitted: FittedRecord) -> "_Residuals":
+        deviation = np.sqrt(np.diag(fitted.noise)).tolist()
+        names = fitted.outputs
+        return cls(
+            fitted.data.name or fitted.name,
+            dict(zip(names, deviation, strict=True)),
+            dict(zip(names, part.noise.counts.tolist(), strict=True)),
+        )
+
+
+def _weights(found: Sequence[_Residuals]) -> Iterator[str]:
+    """Say where records weigh very differently because each has its own estimated variance of the same output."""
+    for output in dict.fromkeys(name for one in found for name in one.deviation):
+        there = sorted((one for one in found if one.count.get(output)), key=lambda one: one.deviation[output])
+        if len(there) < 2:
+            continue
+        least, most = there[0], there[-1]
+        ratio = most.deviation[output] / max(least.deviation[output], 1e-300)
+        if not FACTOR < ratio < HUGE:
+            continue
+        yield (
+            f"the fitted standard deviation of {output} is {most.deviation[output]:.2g} in {most.name!r} and "
+            f"{least.deviation[output]:.2g} in {least.name!r}, so that a sample of the latter weighs "
+            f"{float(f'{ratio**2:.2g}'):g} times as much: where the sensor is the same, give all records the same one, "
+            f"noise={_pooled(there)}."
+        )
+
+
+def _pooled(found: Sequence[_Residuals]) -> str:
+    """Write the option of the criterion that gives every record the standard deviation of all."""
+    texts = []
+    for output in found[0].deviation:
+        some = [one for one in found if one.count.get(output)]
+        squares = sum(one.count[output] * one.deviation[output] ** 2 for one in some)
+        count = sum(one.count[output] for one in some)
+        texts.append(f"{output!r}: {math.sqrt(squares / count):.2g}" if count else f"{output!r}: 1")
+    return f"{{{', '.join(texts)}}}"

@@ -1,0 +1,241 @@
+"""Fitting a problem: many starts, then accuracy, then words."""
+
+import contextlib
+import math
+import platform
+import time
+from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import version
+from types import MappingProxyType
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from greybox.compiled.compiled_problem import AnyProblem, Nlp, compile_problem
+from greybox.compiled.transcription.method import Transcription
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.estimate.covariance import Accuracy, assess
+from greybox.estimate.diagnostics.general import pade_error, warnings
+from greybox.estimate.diagnostics.harmonics import harmonic_warnings
+from greybox.estimate.diagnostics.not_finite import explained, not_finite_warnings
+from greybox.estimate.diagnostics.records import record_warnings
+from greybox.estimate.fitted_record import fitted_record, stated
+from greybox.estimate.quantities import quantities
+from greybox.estimate.result import Fit, FittedRecord, FittedResponse
+from greybox.formulation.frequency_criteria import CRITERIA, evaluate
+from greybox.formulation.problem import Problem, Sum
+from greybox.formulation.starts import Chained, Listed, Sobol, Starts, as_starts
+from greybox.modeling.harmonic_balance import response_of_test
+from greybox.solve.discretization_error import IntegrationError, integration_warnings, well_integrated
+from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.minima import Multistart
+from greybox.solve.multistart import multistart
+
+STARTS, RECORD_STARTS = 200, 20
+CURVE = 2000  # points from which a curve for figures is not refined further
+
+
+def fit(
+    problem: AnyProblem,
+    starts: int | Starts | Sequence[Mapping[str, float] | Starts] | None = None,
+    seed: int | None = None,
+    *,
+    method: Transcription | None = None,
+    solver_options: Mapping[str, Any] = MappingProxyType({}),
+    progress: bool | Callable[[int, int], None] = True,
+) -> Fit:
+    """Fit a problem from many starts: by IPOPT, or, where data are records, by Gauss-Newton steps.
+
+    Parameters
+    ----------
+    problem : Problem or a sum of problems
+    starts : int, Starts, or list
+        A number of Sobol points, a rule such as `LatinHypercube(200)`, or a list of ``{name: value}``; by default 200
+        Sobol points; where data are records, the declared values and 19 Sobol points. Drawn points at which a model of
+        records is not finite move toward the first at which it is. Of several starts on records, the first is also
+        begun with a simulation, and the best end left once more with every positive parameter four times larger and
+        smaller and along what the data do not determine; what ends better is a run of its own.
+    seed : int, optional
+        Of the Sobol points, 0 by default; a rule has its own. More starts of one seed begin with the same points.
+    method : MultipleShooting, SingleShooting or Collocation, optional
+        How records are transcribed and solved; `MultipleShooting()` by default.
+    solver_options : mapping
+        Options of IPOPT, e.g. ``{"max_iter": 100, "tol": 1e-9}``.
+    progress : bool or function
+        A bar on a terminal for anything longer than two seconds; or a function of finished and all runs.
+
+    Returns
+    -------
+    Fit
+        Also when no start converged: then `Fit.converged` is False and the values are NaN.
+
+    Raises
+    ------
+    ValueError, TypeError
+        For bad input, in one sentence.
+    """
+    if not isinstance(problem, Problem | Sum):
+        raise TypeError(f"problem is {problem!r:.80}: give a Problem(model, data) or a sum of them.")
+    if not isinstance(solver_options, Mapping):
+        raise TypeError(f"solver_options is {solver_options!r:.60}: give IPOPT's options as {{name: value}}.")
+    if method is not None and not isinstance(method, Transcription):
+        raise TypeError(f"method is {method!r:.60}: give an instance such as MultipleShooting().")
+    began = time.perf_counter()
+    nlp = compile_problem(problem, method)
+    parameters = problem.parameters
+    rule = _rule(starts, seed, nlp)
+    points = rule.draw({name: parameters[name] for name in nlp.free})
+    movable = not isinstance(rule, Listed)
+    if callable(progress) or not progress:
+        search = multistart(nlp, points, solver_options, progress or None, movable)
+    else:
+        with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
+            search = multistart(nlp, points, solver_options, lambda done, _: _advance(bar, done), movable)
+    nlp, search, error = well_integrated(nlp, explained(nlp, search))
+    return assemble(nlp, search, seed=rule.seed, starts=str(rule), began=began, error=error)
+
+
+def assemble(
+    nlp: Nlp,
+    search: Multistart,
+    *,
+    seed: int | None,
+    starts: str,
+    began: float,
+    error: IntegrationError | None = None,
+) -> Fit:
+    """Turn what a multistart left into the answer; `began` is the clock reading when the work began."""
+    problem = nlp.problem
+    best = search.minima[0].estimate if search.minima else np.full(len(nlp.free), np.nan)
+    profile = GaussNewton(nlp).profile(best, search.nodes) if nlp.records and search.minima else None
+    accuracy = assess(nlp, best, profile) if search.minima else _nothing(nlp)
+    estimate = dict(zip(nlp.names, nlp.all_values(best).tolist(), strict=True))
+    local = [dict(part.local_values(estimate)) for part in problem.parts]
+    errors = [
+        pade_error(part, values) if search.minima and part in nlp.responding else None
+        for part, values in zip(problem.parts, local, strict=True)
+    ]
+    found = nlp.split(nlp.response_rows(best[None])[0]) if nlp.responding else []
+    responses = dict(zip(nlp.responding, found, strict=True))
+    lines, names, covariance = quantities(nlp, accuracy, estimate)
+    parts = tuple(
+        _response(part, values, responses[part], error) if part in responses else fitted_record(nlp, part, profile)
+        for part, values, error in zip(problem.parts, local, errors, strict=True)
+    )
+    records = [part for part in parts if isinstance(part, FittedRecord)]
+    return Fit(
+        name=problem.name,
+        parts=parts,
+        quantities=lines,
+        free=nlp.free,
+        names=names,
+        covariance=covariance,
+        dof=accuracy.dof,
+        cost=search.minima[0].cost if search.minima else math.nan,
+        costs=_all_costs(nlp, responses),
+        runs=search.runs,
+        minima=search.minima,
+        warnings=(
+            *not_finite_warnings(nlp, search),
+            *integration_warnings(nlp, profile, error),
+            *(record_warnings(nlp, records, profile) if search.minima else ()),
+            *(harmonic_warnings(nlp, best, accuracy) if search.minima else ()),
+            *(warnings(nlp, search, accuracy, errors, profile) if search.minima else ()),
+        ),
+        seed=seed,
+        starts=starts,
+        seconds=time.perf_counter() - began,
+        versions={
+            "greybox": version("greybox-id"),
+            "casadi": ca.CasadiMeta.version(),
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+        },
+        models=tuple(part.model for part in problem.parts),
+        white=accuracy.white,
+    )
+
+
+def _rule(starts: Any, seed: int | None, nlp: Nlp) -> Starts:
+    """Return the rule for starts; of a number of them for records, the declared values are the first."""
+    number = starts if starts is not None else RECORD_STARTS if nlp.records else STARTS
+    rule = as_starts(number, seed)
+    if not nlp.records or isinstance(number, Starts | Sequence):
+        return rule
+    return Chained((Listed(({},)), Sobol(number - 1, rule.seed or 0))) if number > 1 else Listed(({},))
+
+
+def _advance(bar: tqdm, done: int) -> None:
+    bar.update(done - bar.n)
+
+
+def _nothing(nlp: Nlp) -> Accuracy:
+    k = len(nlp.names)
+    covariance = np.full((k, k), np.nan)
+    return Accuracy(
+        nlp.names,
+        covariance,
+        np.zeros((k, 0)),
+        np.ones(k),
+        0.0,
+        (),
+        (),
+        (),
+        (),
+        np.full(len(nlp.problem.parts), np.nan),
+    )
+
+
+def _response(
+    part: Problem, values: dict[str, float], response: NDArray[np.complex128], error: float | None
+) -> FittedResponse:
+    data = part.data
+    assert isinstance(data, FrequencyResponse)
+    curve = None
+    if np.all(np.isfinite(response)):
+        signals = {"input": data.input, "output": data.output, "at": part.at, "delay": part.delay}
+        with contextlib.suppress(ValueError):  # an undamped resonance exactly on the grid
+            curve = _curve(
+                lambda omega: response_of_test(part.model, values, omega, part.amplitude, data.omega, **signals),
+                data.omega,
+            )
+    return FittedResponse(
+        **stated(part),
+        data=data,
+        response=response,
+        curve=curve,
+        at={name: float(value) for name, value in part.at.items()},
+        pade_error=error,
+        sine=part.amplitude,
+    )
+
+
+def _curve(
+    response: Callable[[NDArray[np.float64]], FrequencyResponse], omega: NDArray[np.float64]
+) -> FrequencyResponse:
+    """Evaluate on a grid over the band of `omega`, halved where a step is coarse, as at a resonance."""
+    grid = np.geomspace(omega.min(), omega.max(), 200) if omega.size > 1 else omega
+    curve = response(grid)
+    for _ in range(12):
+        steps = np.abs(np.diff(curve.response))
+        turns = np.abs(np.angle(curve.response[1:] / curve.response[:-1]))
+        coarse = (steps > 0.02 * np.abs(curve.response).max()) | (turns > np.radians(5))
+        if not coarse.any() or grid.size > CURVE:
+            break
+        grid = np.sort(np.concatenate([grid, np.sqrt(grid[:-1] * grid[1:])[coarse]]))
+        curve = response(grid)
+    return curve
+
+
+def _all_costs(nlp: Nlp, responses: Mapping[Problem, NDArray[np.complex128]]) -> dict[str, float]:
+    if nlp.records:
+        return {}
+    return {
+        criterion.description: sum(
+            part.weight * evaluate(criterion, found, part.response) for part, found in responses.items()
+        )
+        for criterion in CRITERIA
+    }

@@ -1,0 +1,451 @@
+"""The answer: estimates, errors, all runs and warnings, in plain values that print themselves."""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.record import Record
+from greybox.data.text_table import counted, number, text_table, with_error
+from greybox.modeling.harmonic_balance import response_of_test
+from greybox.modeling.linearization import delay_order
+from greybox.modeling.model import Model
+from greybox.modeling.model_reference import reference, resolve
+from greybox.modeling.realization import dynamics
+from greybox.modeling.sine import Sine
+from greybox.simulation.model_at_estimate import Inputs, ModelAtEstimate, criterion_of
+from greybox.solve.ipopt import Run
+from greybox.solve.minima import Minimum, Multistart
+from greybox.statistics.metrics import fit_percent
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One line of the answer.
+
+    Attributes
+    ----------
+    name, unit, about : str
+    value, standard_error : float
+        NaN for what is not known.
+    kind : "free", "fixed", "tied" or "derived"
+    bounds : (float, float)
+    at_bound : bool
+    dof : float
+        Degrees of freedom of Student's t for its interval.
+    """
+
+    name: str
+    value: float
+    standard_error: float
+    kind: Literal["free", "fixed", "tied", "derived"]
+    unit: str = ""
+    about: str = ""
+    bounds: tuple[float, float] = (-math.inf, math.inf)
+    at_bound: bool = False
+    dof: float = math.inf
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FittedPart:
+    """One problem of the sum with its data, in plain values: a `FittedResponse` or a `FittedRecord`.
+
+    Attributes
+    ----------
+    name, criterion, rule, delay : str
+    condition : str
+        What the errors of the data must be like for the standard errors to hold.
+    weight : float
+    rename : mapping of name to name
+        From the model's parameter names to those of the estimate.
+    tied, constraints : mapping of name to str, tuple of str
+        Their source text, for the record.
+    model : mapping
+        The model's reference (module, class, arguments), see `greybox.modeling.model_reference`.
+    label, equation : str
+        Name and docstring of the model.
+    """
+
+    name: str
+    criterion: str
+    rule: str
+    condition: str
+    delay: str
+    data: FrequencyResponse | Record
+    weight: float
+    rename: Mapping[str, str]
+    tied: Mapping[str, str]
+    constraints: tuple[str, ...]
+    model: Mapping[str, Any]
+    label: str
+    equation: str
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FittedResponse(FittedPart):
+    """A frequency response with the fitted one.
+
+    Attributes
+    ----------
+    response : (n,) complex array
+        The fitted model at the data's frequencies; NaN when no start converged.
+    curve : FrequencyResponse or None
+        The fitted model on a fine grid over the band, for figures.
+    at : mapping of name to float
+    pade_error : float or None
+        Largest phase error of the Padé approximation over the band, degrees; None with exact delay.
+    sine : Sine or None
+        The sine of finite amplitude that the model was given; None where it was linearized.
+    """
+
+    data: FrequencyResponse
+    response: NDArray[np.complex128]
+    curve: FrequencyResponse | None
+    at: Mapping[str, float]
+    pade_error: float | None
+    sine: Sine | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FittedRecord(FittedPart):
+    """A record with the fitted outputs.
+
+    Attributes
+    ----------
+    data : Record
+        The signals that the fit used.
+    simulated : Record
+        The fitted outputs at the same times; NaN where none was compared (gaps, the past of a delay) or no start
+        converged.
+    outputs : tuple of str
+    noise : (k, k) array
+        Covariance of the residuals of the outputs, given or estimated.
+    initial : mapping of state to (stretches,) array
+        The states at the first sample of every gapless stretch.
+    method : str
+        Transcription and integrator, with what they chose.
+    inputs : "linear" or "held"
+        How the inputs ran between their samples.
+    biases : tuple of str
+        Signals whose constant error was estimated, as the parameter ``<name>_bias``.
+    gains : tuple of (state, output)
+        Of the innovations, as parameters ``K_<state>_<output>``; empty for output error.
+    nuisances : int
+        Initial states, and variances and covariances of the noise, that were estimated along.
+    """
+
+    data: Record
+    simulated: Record
+    outputs: tuple[str, ...]
+    noise: NDArray[np.float64]
+    initial: Mapping[str, NDArray[np.float64]]
+    method: str
+    inputs: Literal["linear", "held"] = "linear"
+    biases: tuple[str, ...] = ()
+    gains: tuple[tuple[str, str], ...] = ()
+    nuisances: int = 0
+
+    @property
+    def compared(self) -> int:
+        """How many samples the fit used: those of which at least one output was compared."""
+        return int(np.any([np.isfinite(self.residual(name)) for name in self.outputs], axis=0).sum())
+
+    def residual(self, output: str) -> NDArray[np.float64]:
+        """Return measured less fitted values of an output, (n,)."""
+        return self.data[output] - self.simulated[output]
+
+    def fit_percent(self, output: str) -> float:
+        """Return 100 (1 - |residual| / |measured - mean|), the normalized root mean square of MATLAB's `compare`."""
+        return fit_percent(self.data[output], self.simulated[output])
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The outcome of all starts of a problem. Printing it answers the reader's questions in order.
+
+    It holds plain values only, so that a saved one loads without the model. `runs` and `minima` are those of the
+    multistart; vectors follow `free`.
+
+    Attributes
+    ----------
+    name : str
+        Of the problem.
+    quantities : tuple of Quantity
+        Free, fixed and tied parameters, then derived quantities.
+    names, covariance : tuple of str, (k, k) array
+        Of free, fixed and tied parameters.
+    dof : float
+        Numbers in the data less the directions that they choose. A record counts as many as independent ones would
+        tell as much, less its unknown initial states, with its noise given or not, since the errors follow its
+        residuals. Infinite where all data are frequency responses with given variances (`MaximumLikelihood`).
+    cost : float
+        The criterion minimized, without smoothing; NaN when no start converged.
+    costs : mapping of str to float
+        The value of every criterion at the estimate; NaN where the data do not hold what it needs.
+    white : (p, p) array or None
+        What the covariance of the free parameters would be if the cost were the likelihood of white errors.
+    """
+
+    name: str
+    parts: tuple[FittedResponse | FittedRecord, ...]
+    quantities: tuple[Quantity, ...]
+    free: tuple[str, ...]
+    names: tuple[str, ...]
+    covariance: NDArray[np.float64]
+    dof: float
+    cost: float
+    costs: Mapping[str, float]
+    runs: tuple[Run, ...]
+    minima: tuple[Minimum, ...]
+    warnings: tuple[str, ...]
+    seed: int | None
+    starts: str
+    seconds: float
+    versions: Mapping[str, str]
+    models: tuple[Model, ...] | None = field(default=None, repr=False)
+    white: NDArray[np.float64] | None = field(default=None, repr=False)
+
+    @property
+    def responses(self) -> tuple[FittedResponse, ...]:
+        """The parts whose data are frequency responses."""
+        return tuple(part for part in self.parts if isinstance(part, FittedResponse))
+
+    @property
+    def records(self) -> tuple[FittedRecord, ...]:
+        """The parts whose data are records."""
+        return tuple(part for part in self.parts if isinstance(part, FittedRecord))
+
+    @property
+    def converged(self) -> bool:
+        """True when at least one start converged, so that there is an answer."""
+        return bool(self.minima)
+
+    @property
+    def status(self) -> str:
+        """The word "converged", or why there is no answer."""
+        if self.converged:
+            return "converged"
+        return f"no start converged ({Multistart(self.runs, (), 0.0).failures})"
+
+    @property
+    def agreeing(self) -> int:
+        """How many starts reached the best minimum."""
+        return len(self.minima[0].runs) if self.minima else 0
+
+    @property
+    def criterion(self) -> str:
+        """The rule that was minimized."""
+        return "; ".join(dict.fromkeys(part.rule for part in self.parts))
+
+    @property
+    def delay(self) -> str:
+        """How delays were evaluated."""
+        return "; ".join(dict.fromkeys(part.delay for part in self.parts))
+
+    @property
+    def estimate(self) -> dict[str, float]:
+        """Values of free, fixed and tied parameters by name."""
+        return {q.name: q.value for q in self.quantities if q.kind != "derived"}
+
+    @property
+    def derived(self) -> dict[str, float]:
+        """Values of the derived quantities by name."""
+        return {q.name: q.value for q in self.quantities if q.kind == "derived"}
+
+    @property
+    def standard_error(self) -> dict[str, float]:
+        """Standard errors by name, of derived quantities too; NaN where the data give none, 0 for a constant."""
+        return {q.name: q.standard_error for q in self.quantities}
+
+    @property
+    def checksum(self) -> str:
+        """Checksums of the data of all parts."""
+        return " ".join(part.data.checksum for part in self.parts)
+
+    def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
+        """Return confidence intervals by Student's t, by name; NaN where there is no standard error."""
+        if not 0 < level < 1:
+            raise ValueError(f"level {level} must lie between 0 and 1, e.g. 0.95.")
+        from scipy.special import stdtrit  # noqa: PLC0415  (takes a tenth of a second to import)
+
+        def half(q: Quantity) -> float:
+            return float(stdtrit(min(q.dof, 1e9), 0.5 + level / 2)) * q.standard_error if q.dof > 0 else math.nan
+
+        return {
+            q.name: (q.value - half(q), q.value + half(q))
+            for q in self.quantities
+            if q.kind != "fixed" or q.standard_error > 0
+        }
+
+    def covariance_of(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Return the covariance matrix of the named parameters."""
+        for name in names:
+            if name not in self.names:
+                raise ValueError(
+                    f"the fit has no parameter {name!r} with a covariance; it has {', '.join(self.names)}."
+                )
+        places = [self.names.index(name) for name in names]
+        return self.covariance[np.ix_(places, places)]
+
+    def at_estimate(
+        self, model: Model | None = None, *, inputs: Inputs | None = None, part: int | None = None
+    ) -> ModelAtEstimate:
+        """Return the model of a part, or another one of the same parameters, at the estimate.
+
+        Parameters
+        ----------
+        model : Model, optional
+            By default the one that was fitted; a loaded fit imports it by name.
+        inputs : "linear" or "held", optional
+            How inputs run between samples; by default as in the fit.
+        part : int, optional
+            By default the first record, of this model if there is one.
+
+        Raises
+        ------
+        ValueError
+            If the fit did not converge, or has no value for a parameter of the model.
+        LookupError
+            If the model cannot be imported.
+        """
+        if not self.converged:
+            raise ValueError(f"the fit {self.name!r} has no estimate: {self.status}.")
+        place = _place(self, model, part)
+        stated = self.parts[place]
+        if model is None:
+            model = self.models[place] if self.models else resolve(dict(stated.model))
+        return _at_estimate(self, model, stated, inputs)
+
+    def response(self, omega: ArrayLike, part: int = 0, model: Model | None = None) -> FrequencyResponse:
+        """Evaluate the fitted model of a part at `omega` (n,) rad/s.
+
+        A loaded fit imports its model by name; where that is not possible, give the `model`.
+
+        Raises
+        ------
+        LookupError
+            If the model cannot be imported; the sentence says what is missing.
+        """
+        stated = self.parts[part]
+        if not isinstance(stated, FittedResponse):
+            raise ValueError(
+                f"part {part} of the fit is a record: use gb.frequency_response(model, fit.estimate, omega), or "
+                "gb.simulate for time histories."
+            )
+        alive = model or (self.models[part] if self.models else resolve(dict(stated.model)))
+        values = {name: self.estimate[stated.rename.get(name, name)] for name in alive.parameters}
+        signals: Any = {"input": stated.data.input, "output": stated.data.output}
+        signals |= {"at": stated.at, "delay": stated.delay}
+        return response_of_test(alive, values, omega, stated.sine, stated.data.omega, **signals)
+
+    def __str__(self) -> str:
+        return _text(self)
+
+
+def _text(fit: Fit) -> str:
+    """Answer in order: converged, starts that agree, cost, values and their errors, what to beware of."""
+    lines = [f"{fit.name}: {', '.join(dict.fromkeys(part.label for part in fit.parts))}", ""]
+    converged = sum(run.converged for run in fit.runs)
+    if not fit.converged:
+        return "\n".join([*lines, f"  FAILED: {fit.status}.", *(f"  warning: {text}" for text in fit.warnings)])
+    minima = counted(len(fit.minima), "distinct minimum", "distinct minima")
+    lines += [
+        f"  starts     {converged} of {len(fit.runs)} converged; "
+        f"{counted(fit.agreeing, 'agrees', 'agree')} on the best of {minima}",
+        f"  cost       {fit.cost:.6g}  ({fit.criterion})",
+        f"  data       {_data_text(fit)}, delay {fit.delay}"
+        + "".join(_pade_text(p) for p in fit.responses if p.pade_error is not None),
+        *(f"  output     {_output_text(part, output)}" for part in fit.records for output in part.outputs),
+        "",
+    ]
+    rows = []
+    for q in fit.quantities:
+        value, error = with_error(q.value, q.standard_error)
+        note = {"fixed": "fixed", "tied": "tied", "derived": "derived"}.get(q.kind, "AT BOUND" if q.at_bound else "")
+        rows.append([q.name, value, error, q.unit, _interval(q.bounds) if q.kind == "free" else "", note, q.about])
+    table = text_table(["parameter", "estimate", "± error", "unit", "bounds", "", "meaning"], rows, left=(0, 3, 5, 6))
+    lines += ["  " + line for line in table.splitlines()]
+    conditions = "; ".join(dict.fromkeys(part.condition for part in fit.parts))
+    dof = "" if math.isinf(fit.dof) else f"; Student's t with {counted(fit.dof, 'degree of', 'degrees of')} freedom"
+    lines += ["", f"  ± is the standard error for {conditions}{dof}."]
+    others = [(rule, cost) for rule, cost in fit.costs.items() if not math.isnan(cost) and rule != fit.criterion]
+    lines += ["", "  other criteria at this estimate:"] if others else []
+    lines += [*(f"    {number(cost):>10}  {rule}" for rule, cost in others), ""]
+    lines += [f"  warning: {text}" for text in fit.warnings]
+    return "\n".join([*lines, f"  {fit.seconds:.2f} s; starts: {fit.starts}"])
+
+
+def _data_text(fit: Fit) -> str:
+    texts = []
+    if fit.responses:
+        points = counted(sum(len(p.data) for p in fit.responses), "point")
+        texts.append(f"{points} in {counted(len(fit.responses), 'response')}")
+    if fit.records:
+        samples, used = (sum(v) for v in zip(*((len(p.data), p.compared) for p in fit.records), strict=True))
+        some = "" if used == samples else f"{used} of "
+        texts.append(f"{some}{counted(samples, 'sample')} in {counted(len(fit.records), 'record')}")
+    return " and ".join(texts)
+
+
+def _output_text(part: FittedRecord, output: str) -> str:
+    error = part.residual(output)
+    size = float(np.sqrt(np.nanmean(error**2))) if np.isfinite(error).any() else math.nan
+    unit = part.data.units.get(output, "")
+    where = f" ({part.name})" if part.name else ""
+    return f"{output}{where}: residual {number(size)} {unit}".rstrip() + f", fit {part.fit_percent(output):.1f} %"
+
+
+def _pade_text(part: FittedResponse) -> str:
+    return f"; Padé phase error up to {part.pade_error:.2g}° ({part.name})"
+
+
+def _interval(bounds: tuple[float, float]) -> str:
+    return f"[{bounds[0]:g}, {bounds[1]:g}]"
+
+
+def _at_estimate(fit: Fit, model: Model, part: FittedResponse | FittedRecord, inputs: Inputs | None) -> ModelAtEstimate:
+    record = part if isinstance(part, FittedRecord) else None
+    biases, gains = (record.biases, record.gains) if record else ((), ())
+    names = [*model.parameters, *(f"{b}_bias" for b in biases), *(f"K_{s}_{o}" for s, o in gains)]
+    outside = [part.rename.get(name, name) for name in names]
+    missing = [name for name in outside if name not in fit.estimate]
+    if missing:
+        raise ValueError(
+            f"the fit has no {missing[0]!r}, which {model.label} needs; it has {', '.join(fit.estimate)}: "
+            "give the model that was fitted, or the values as {name: value}."
+        )
+    # Standard errors treat what ended at its bound as known, and so does everything that follows from them.
+    at_bound = {q.name for q in fit.quantities if q.at_bound and q.kind == "free"}
+    exact = np.array([name in at_bound for name in outside], dtype=bool)
+    return ModelAtEstimate(
+        label=model.label,
+        system=dynamics(model, delay_order(part.delay)),
+        names=tuple(names),
+        q=np.array([fit.estimate[name] for name in outside]),
+        covariance=np.where(exact | exact[:, None], 0.0, fit.covariance_of(outside)),
+        criterion=criterion_of(inputs or (record.inputs if record else "linear"), biases, gains),
+        part=record,
+    )
+
+
+def _place(fit: Fit, model: Model | None, part: int | None) -> int:
+    """Return the part of a fit that is meant: the one asked for, else the first record, of this model if it has one."""
+    count = len(fit.parts)
+    if part is not None:
+        whole = isinstance(part, (int, np.integer)) and not isinstance(part, bool)
+        if not whole or not -count <= part < count:
+            raise ValueError(f"part is {part!r}: the fit has {counted(count, 'part')}, counted from 0.")
+        return part % count
+    order = sorted(range(count), key=lambda k: not isinstance(fit.parts[k], FittedRecord))
+    own = [k for k in order if model is not None and _class(fit.parts[k].model) == _class(reference(model))]
+    return (own or order)[0]
+
+
+def _class(stated: Mapping[str, object]) -> str:
+    """Return a model's class without its module, which is another one where the file was run as a script."""
+    return re.sub(r"^.*:", "", str(stated["class"]))

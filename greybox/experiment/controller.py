@@ -1,0 +1,206 @@
+"""Sampled controllers, declared with the same means as every model: named signals, parameters with units, equations."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import casadi as ca
+
+from greybox.modeling.model import Names, require_known
+from greybox.modeling.parameter import Parameter
+from greybox.modeling.symbolic_reading import column, traced
+
+
+class Controller(ABC):
+    r"""A controller in discrete time, $x_{k+1}, y_k = update(x_k, u_k, p)$, that runs `rate` times a second.
+
+    A subclass declares its signals, its parameters and `update`, e.g. proportional control of a rate::
+
+        class RateDamper(gb.Controller):
+            inputs, setpoints, outputs = ("q",), ("reference",), ("u",)
+            K = gb.Parameter(0.1, bounds=(0, 1), unit="s", about="control per rate error")
+
+            def update(self, x, u, p):
+                return (), (p.K * (u.reference - u.q),)
+
+    Attributes
+    ----------
+    states : sequence of str
+        What it remembers from one sample to the next.
+    inputs : sequence of str
+        What it measures.
+    setpoints : sequence of str
+        What it is told; each is zero unless an excitation or a controller before it says otherwise.
+    outputs : sequence of str
+        Controls, and whatever else is worth a place in the log.
+    units : mapping of signal name to str
+    rate : float, Hz
+    parameters : mapping of name to `Parameter`
+        Collected from the class body, in the order of declaration.
+
+    Parameters
+    ----------
+    values : mapping of parameter name to float, optional
+        Gains other than the declared starts.
+    rate : float, Hz, optional
+    signals : mapping of str to str, optional
+        Own name to the name outside, where they differ: ``{"theta": "phi", "q": "p"}`` makes pitch control roll.
+    initial : mapping of state name to float, optional
+        What it remembers at the first sample, where that is not zero.
+
+    Raises
+    ------
+    ValueError
+        For names that the declaration does not have, or numbers that are not finite.
+    """
+
+    states: Sequence[str] = ()
+    inputs: Sequence[str] = ()
+    setpoints: Sequence[str] = ("reference",)
+    outputs: Sequence[str] = ("u",)
+    units: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    parameters: ClassVar[Mapping[str, Parameter]] = MappingProxyType({})
+    rate: float = 400.0
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        """Collect the parameters of the class body and of the classes above it, and check the names."""
+        super().__init_subclass__(**kwargs)
+        found = _collected(cls)
+        cls.parameters = MappingProxyType(found)
+        for kind in ("states", "inputs", "setpoints", "outputs"):
+            if isinstance(getattr(cls, kind), str):
+                raise ValueError(f"{cls.__name__}.{kind} = {getattr(cls, kind)!r} must be a tuple of names.")
+        for names in ((*cls.inputs, *cls.setpoints), cls.states, cls.outputs, found):
+            for name in names:
+                if hasattr(Names, name) or (names is found and hasattr(Controller, name)):
+                    raise ValueError(
+                        f"{cls.__name__} cannot have a parameter or signal called {name!r}: choose another name."
+                    )
+            if len(set(names)) != len(names):
+                raise ValueError(f"{cls.__name__} names a signal twice in {', '.join(names)}: use different names.")
+
+    def __init__(
+        self,
+        values: Mapping[str, float] | None = None,
+        *,
+        rate: float | None = None,
+        signals: Mapping[str, str] | None = None,
+        initial: Mapping[str, float] | None = None,
+    ) -> None:
+        label, self.signals = type(self).__name__, MappingProxyType(dict(signals or {}))
+        require_known(values or {}, self.parameters, "parameter", label)
+        require_known(self.signals, (*self.inputs, *self.setpoints, *self.outputs), "signal", label)
+        require_known(initial or {}, self.states, "state", label)
+        for name, value in {**(values or {}), **(initial or {}), "rate": self.rate if rate is None else rate}.items():
+            if not isinstance(value, (int, float)) or not math.isfinite(value):
+                raise ValueError(f"{name} = {value!r} is no finite number: give a value for {label}.")
+        if rate is not None:
+            self.rate = float(rate)
+        if not self.rate > 0:
+            raise ValueError(f"{label} cannot run {self.rate:g} times a second: give a rate above 0, in Hz.")
+        self.values = Names({n: float({**(values or {})}.get(n, p.start)) for n, p in self.parameters.items()}, label)
+        self.initial = tuple(float((initial or {}).get(name, 0.0)) for name in self.states)
+
+    @abstractmethod
+    def update(self, x: Any, u: Any, p: Any) -> tuple[Sequence[Any], Sequence[Any]]:
+        """Return the states of the next sample and the outputs of this one, in the order declared.
+
+        `x` holds the states, `u` the inputs and setpoints, `p` the parameter values, all by name; write the formula
+        with `gb.minimum`, `gb.where` and friends.
+        """
+
+    def outside(self, name: str) -> str:
+        """Return the name that an own signal has outside."""
+        return self.signals.get(name, name)
+
+    @property
+    def truth(self) -> dict[str, Any]:
+        """Everything that a flight with it depends on, for the record of one."""
+        return {
+            "controller": type(self).__name__,
+            "rate": self.rate,
+            "values": dict(self.values),
+            "signals": dict(self.signals),
+            "initial": dict(zip(self.states, self.initial, strict=True)),
+        }
+
+    def __repr__(self) -> str:
+        given = {n: v for n, v in self.values.items() if v != self.parameters[n].start}
+        words = [f"{given}"] if given else []
+        words += [f"rate={self.rate:g}"] if self.rate != type(self).rate else []
+        words += [f"signals={dict(self.signals)}"] if self.signals else []
+        return f"{type(self).__name__}({', '.join(words)})"
+
+
+def updated(controller: Controller, x: ca.SX, u: Mapping[str, Any]) -> tuple[ca.SX, ca.SX]:
+    """Evaluate `update` on expressions: the next states (n,) and the outputs (m,).
+
+    `u` maps the controller's own inputs and setpoints to expressions.
+
+    Raises
+    ------
+    ValueError
+        With the cure, if the formula cannot be compiled or returns another number of values.
+    """
+    label = type(controller).__name__
+    own = Names({name: x[k] for k, name in enumerate(controller.states)}, f"{label}.states")
+    told = Names(u, f"{label}.inputs and setpoints")
+    returned = traced(f"{label}.update", controller.update, own, told, controller.values)
+    pair = returned if isinstance(returned, tuple) and len(returned) == 2 else ((), ())
+    following, outputs = (v if isinstance(v, Sequence) else () for v in pair)
+    if (len(following), len(outputs)) != (len(controller.states), len(controller.outputs)):
+        raise ValueError(
+            f"{label}.update returns {returned!r:.60}: return two tuples, the next states "
+            f"({', '.join(controller.states) or 'none'}) and the outputs ({', '.join(controller.outputs)})."
+        )
+    return column(f"{label}.update", following), column(f"{label}.update", outputs)
+
+
+def connected(
+    given: Controller | Sequence[Controller] | None, inputs: Sequence[str], taken: Collection[str], plant: str
+) -> tuple[Controller, ...]:
+    """Return the controllers of a loop once they fit a plant's inputs and one another.
+
+    Raises
+    ------
+    ValueError
+        For controllers that drive nothing, give one signal twice (or a `taken` one), come in the wrong order, or run
+        at different rates.
+    TypeError
+        For what is no controller.
+    """
+    several = given if isinstance(given, Sequence) else () if given is None else (given,)
+    controllers: tuple[Controller, ...] = tuple(several)
+    before: set[str] = set()
+    for k, c in enumerate(controllers):
+        if not isinstance(c, Controller):
+            raise TypeError(f"{c!r} is not a Controller: give e.g. AttitudeController().")
+        own, first = type(c).__name__, controllers[0]
+        if c.rate != first.rate:
+            raise ValueError(f"{own} runs at {c.rate:g} Hz, {type(first).__name__} at {first.rate:g} Hz: use one rate.")
+        gives, takes = {*map(c.outside, c.outputs)}, {*map(c.outside, c.setpoints)}
+        if not gives & {*inputs, *(other.outside(n) for other in controllers[k + 1 :] for n in other.setpoints)}:
+            raise ValueError(
+                f"{own} gives {', '.join(map(c.outside, c.outputs))}, but {plant} takes {', '.join(inputs) or 'none'}: "
+                f"connect them, signals={{{c.outputs[0]!r}: {(*inputs, 'u')[0]!r}}}."
+            )
+        if twice := gives & before | (gives | takes) & {*taken}:
+            raise ValueError(
+                f"two signals are called {min(twice)!r}: rename that of {own}, signals={{'own': 'other'}}."
+            )
+        if late := takes & {other.outside(n) for other in controllers[k:] for n in other.outputs}:
+            raise ValueError(f"{own} takes {min(late)!r} from itself or a controller behind it: list that one first.")
+        before |= gives
+    return controllers
+
+
+def _collected(cls: type) -> dict[str, Parameter]:
+    found: dict[str, Parameter] = {}
+    for owner in reversed(cls.__mro__):
+        hidden = [n for n, value in vars(owner).items() if n in found and isinstance(value, (int, float))]
+        if hidden:
+            raise TypeError(f"{cls.__name__}.{hidden[0]} is a number where a Parameter was: use gb.Parameter(...).")
+        found |= {name: value for name, value in vars(owner).items() if isinstance(value, Parameter)}
+    return found

@@ -1,0 +1,396 @@
+"""A flight that never took place: a plant, a sampled controller and a test signal, logged as a real vehicle would."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from types import MappingProxyType
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from greybox.data.record import Record
+from greybox.experiment.controller import Controller, connected, updated
+from greybox.experiment.excitation import Excitation
+from greybox.modeling.model import Model, require_known
+from greybox.modeling.realization import Dynamics, dynamics
+
+Array = NDArray[np.float64]
+Signals = dict[str, ca.SX]
+NOTHING: Mapping[str, float] = MappingProxyType({})
+TOLERANCE = 1e-7  # of a state's largest size: what halving the strides may change in a controller period
+MOST_STRIDES = 256  # in a controller period
+DIVERGED = 1e9  # no state of a vehicle in SI units is that large
+DOT = "_dot"
+ADDED = "_excitation"
+
+
+def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experiment
+    model: Model,
+    values: Mapping[str, float] | None,
+    excitation: Excitation | Record | Mapping[str, ArrayLike],
+    *,
+    controller: Controller | Sequence[Controller] | None = None,
+    noise: Mapping[str, float] = NOTHING,
+    bias: Mapping[str, float] = NOTHING,
+    process_noise: Mapping[str, float] = NOTHING,
+    initial: Mapping[str, float] = NOTHING,
+    rate: float | None = None,
+    hold: bool = False,
+    seed: int = 0,
+    name: str = "",
+) -> Record:
+    """Fly an experiment in simulation: the closed loop of (3.14), or a plant alone, with a known truth.
+
+    At every sample the controller reads the sensors and sets the control, which is held until the next sample and
+    reaches the plant after its delay, exact to any fraction of a sample. What the controller reads is also what is
+    logged, together with the control commanded at that moment. Because the control is held, a response measured from
+    such a log, or from a flown one, shows half a controller period more delay than the plant has.
+
+    In between, the plant is integrated by Runge-Kutta steps of the fourth order, so short that in no period the last
+    halving changed a state by more than 1e-7 of its largest size; what remains is a fifteenth of that.
+
+    Parameters
+    ----------
+    model : Model
+        With exact delays; a transfer function is flown by its outputs only.
+    values : mapping of parameter name to float, optional
+        The truth; by default the declared starts.
+    excitation : Excitation, Record or mapping of name to (n,) array
+        Each signal is added where its name says: a setpoint of the controller (``"reference"``, ``"mixer"``), or an
+        input of the plant (``"u"``), there behind the controller and its limits. The arrays of a mapping have a sample
+        for each of the controller's. Of a record the other signals are left out.
+    controller : Controller or several, optional
+        What it measures are outputs or states of the plant; ``"theta_dot"`` is the time derivative of ``"theta"``. The
+        outputs of one may be the setpoints of the next. None flies the plant in open loop, at the rate of the
+        excitation.
+    noise, bias : mapping of name to float
+        Standard deviation of the white noise, and constant error, of a sensor. A state or a derivative that is named
+        here is measured and logged beside the outputs; ``{"q": 0.0}`` without error.
+    process_noise : mapping of state name to float
+        White force on the derivative of a state, in units of the state per √s: alone it makes the state wander by that
+        times √t. It is held over a controller period.
+    initial : mapping of name to float
+        States at the beginning, and inputs: before the first command, and throughout where nothing commands them; by
+        default zero. ``gb.modeling.linearize(model, values, at).point`` begins at an operating point.
+    rate : float, Hz, optional
+        Of the log: the controller's, which is the default, divided by a whole number. The plant's inputs are logged as
+        their mean until the next logged sample (what drives the plant; with noise in the loop a single control says
+        little of the next ones), everything else as sampled.
+    hold : bool
+        Hold each sample of an excitation that is slower than the controller, instead of interpolating. A controller's
+        derivative makes spikes of the stairs, and a log at their rate sees nothing but the spikes: a response measured
+        from it can be wrong by a third. Interpolated it may be wrong by 1 %, at the controller's rate by nothing.
+    seed : int
+        Of the noise; sensors and process noise do not disturb each other's draws.
+    name : str
+
+    Returns
+    -------
+    Record
+        The control of every input before its delay (excitation included), the excitation, the measured signals, and
+        other outputs of the controllers. `metadata` has the truth: ``plant, values, controllers, noise, bias,
+        process_noise, initial, seed, schedule``; `findings` says so if the integration did not reach its accuracy.
+
+    Raises
+    ------
+    ValueError
+        For names that do not meet, rates that do not divide, and a flight that diverges; the sentence says when.
+    """
+    if not isinstance(model, Model):
+        raise TypeError(f"{model!r} is not a model: give an instance, such as LinearTilt().")
+    system, truth = dynamics(model), model.values(values)
+    controllers = connected(controller, system.inputs, {*system.outputs, *system.states}, model.label)
+    clock = controllers[0].rate if controllers else _open_loop_rate(excitation, rate)
+    thinning = _thinning(clock, rate)
+    places = (*(c.outside(n) for c in controllers for n in c.setpoints), *system.inputs)
+    if isinstance(excitation, Record):  # whose controls were given by a controller of its own
+        places = tuple(n for n in places if n not in _given(controllers))
+    time, commands, units = _commands(excitation, clock, tuple(dict.fromkeys(places)), model.label, hold)
+    wanted = (n for c in controllers for n in map(c.outside, c.inputs))
+    loop = _Loop(
+        model.label,
+        system,
+        np.array(list(truth.values()), dtype=float),
+        controllers,
+        clock,
+        excited=tuple(commands),
+        measured=tuple(dict.fromkeys((*system.outputs, *wanted, *noise, *bias))),
+        forced=tuple(process_noise),
+        initial=_checked("initial", initial, (*system.states, *system.inputs)),
+    )
+    errors = _errors(loop.measured, noise, bias, time.size, seed)
+    forces = _forces(loop, process_noise, time.size, seed)
+    log, findings = _fly(loop, np.vstack([*commands.values(), errors, forces]), time)
+    told = {"plant": repr(model), "values": dict(truth), "controllers": tuple(c.truth for c in controllers)}
+    told |= {"noise": dict(noise), "bias": dict(bias), "process_noise": dict(process_noise)}
+    told |= {"initial": dict(loop.initial), "seed": seed, "schedule": getattr(excitation, "schedule", ())}
+    known = {c.outside(n): unit for c in controllers for n, unit in c.units.items()} | units
+    return Record(
+        time[::thinning],
+        {n: _averaged(v, thinning) if n in system.inputs else v[::thinning] for n, v in log.items()},
+        {n: known.get(n.removesuffix(ADDED), "") for n in log},
+        name=name or f"virtual flight of {model.label}",
+        metadata=told,
+        findings=findings,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Loop:
+    """The truth, and what is connected to what."""
+
+    label: str
+    system: Dynamics
+    p: Array
+    controllers: tuple[Controller, ...]
+    clock: float
+    excited: tuple[str, ...]
+    measured: tuple[str, ...]
+    forced: tuple[str, ...]
+    initial: Mapping[str, float]
+
+    @property
+    def delays(self) -> list[tuple[int, float]]:
+        """Of every input, in whole controller periods and what is left, as a share of one."""
+        result = []
+        for name, delay in zip(self.system.inputs, np.asarray(self.system.delay(self.p)).ravel(), strict=True):
+            if not 0 <= delay < math.inf:
+                raise ValueError(f"the delay of {name!r} is {delay:g} s: give a value of 0 or more.")
+            whole = math.floor(delay * self.clock + 1e-9)
+            part = delay * self.clock - whole
+            result.append((whole, part if part > 1e-9 else 0.0))
+        return result
+
+    def start(self) -> Array:
+        """Return what the first step begins with: plant, controllers, past controls."""
+        own = [self.initial.get(n, 0.0) for n in self.system.states]
+        past = [
+            [self.initial.get(n, 0.0)] * (whole + 1)
+            for n, (whole, _) in zip(self.system.inputs, self.delays, strict=True)
+        ]
+        return np.array([*own, *(v for c in self.controllers for v in c.initial), *(v for vs in past for v in vs)])
+
+
+def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], tuple[str, ...]]:
+    """Return every signal of the log by name, at the controller's rate, and what was found wrong."""
+    n, strides = len(loop.system.states), 1
+    while True:
+        step, names = _step(loop, strides)
+        after, log = (np.asarray(v) for v in step.mapaccum("flight", time.size)(loop.start(), columns))
+        flown, local = log[: len(names) + n], log[len(names) + n :]
+        wrong = ~(np.abs(flown) < DIVERGED)
+        reached = int(np.argmax(wrong.any(axis=0))) if wrong.any() else time.size
+        error = _largest(local[:, :reached], flown[len(names) :, :reached], after[:n, :reached])
+        if error > TOLERANCE and strides < MOST_STRIDES:
+            strides = min(MOST_STRIDES, strides * max(2, math.ceil(min((error / TOLERANCE) ** 0.25, 8))))
+            continue
+        if wrong.any():
+            raise ValueError(_divergence(loop, names, flown[:, reached], wrong[:, reached], time[reached]))
+        rough = f"the integration errs by {error:.1g} of a state's size in a period: the plant is stiff or not smooth"
+        return dict(zip(names, flown, strict=False)), (rough,) if error > TOLERANCE else ()
+
+
+def _largest(local: Array, before: Array, after: Array) -> float:
+    """Return the largest error of a period relative to the size of its state, infinite where it is not a number."""
+    size = np.maximum(np.abs(before), np.abs(after)).max(axis=1, initial=0.0)
+    size = np.maximum(size, 1e-9 * size.max(initial=0.0))[:, None]
+    with np.errstate(invalid="ignore"):
+        return float(np.nan_to_num(local / np.where(size > 0, size, 1.0), nan=np.inf).max(initial=0.0))
+
+
+def _step(loop: _Loop, strides: int) -> tuple[ca.Function, list[str]]:
+    """Compile one controller period: (all states, a column) -> (all states, log), and the names in the log.
+
+    Behind what has names come the plant's states and what twice as many strides change in them.
+    """
+    system, delays = loop.system, loop.delays
+    x = ca.SX.sym("x", len(system.states))
+    memory = [ca.SX.sym("c", len(c.states)) for c in loop.controllers]
+    past = [ca.SX.sym(name, whole + 1) for name, (whole, _) in zip(system.inputs, delays, strict=True)]
+    told, errors, forces = (ca.SX.sym("e", len(names)) for names in (loop.excited, loop.measured, loop.forced))
+    excitation = {name: told[k] for k, name in enumerate(loop.excited)}
+    signals: Signals = {n: excitation.get(n, ca.SX(loop.initial.get(n, 0.0))) for n in system.inputs}
+    signals |= excitation
+    early = [h[whole] for h, (whole, _) in zip(past, delays, strict=True)]
+    # A control that is computed from this very sample comes after it.
+    now = [
+        late if not part and (whole or name not in _given(loop.controllers)) else before
+        for name, late, before, (whole, part) in zip(
+            system.inputs, _late(past, signals, loop), early, delays, strict=True
+        )
+    ]
+    y = {n: _sensor(loop, n, x, ca.vertcat(*now)) + errors[k] for k, n in enumerate(loop.measured)}
+    remembered = _control(loop, memory, y, signals, excitation)
+    late, parts = _late(past, signals, loop), [part for _, part in delays]
+    force = ca.SX.zeros(len(system.states))
+    for k, n in enumerate(loop.forced):
+        force[system.states.index(n)] = forces[k]
+    coarse = fine = x
+    for begin, end in pairwise(sorted({0.0, *parts, 1.0})):
+        u = ca.vertcat(*[b if begin < part else a for a, b, part in zip(late, early, parts, strict=True)])
+        span, count = (end - begin) / loop.clock, math.ceil(strides * (end - begin))
+        coarse, fine = (_runge_kutta(loop, v, u, force, span, k) for v, k in ((coarse, count), (fine, 2 * count)))
+    shifted = [ca.vertcat(signals[n], *ca.vertsplit(h)[:-1]) for n, h in zip(system.inputs, past, strict=True)]
+    log = {**signals, **y}
+    state, column = ca.vertcat(x, *memory, *past), ca.vertcat(told, errors, forces)
+    following, logged = ca.vertcat(fine, *remembered, *shifted), ca.vertcat(*log.values(), x, ca.fabs(fine - coarse))
+    return ca.Function("step", [state, column], [following, logged]), [*log]
+
+
+def _late(past: list[ca.SX], signals: Signals, loop: _Loop) -> list[ca.SX]:
+    """Return what reaches each input after the fraction of its delay."""
+    return [
+        h[whole - 1] if whole else signals[n]
+        for n, h, (whole, _) in zip(loop.system.inputs, past, loop.delays, strict=True)
+    ]
+
+
+def _control(loop: _Loop, memory: list[ca.SX], y: Signals, signals: Signals, excitation: Signals) -> list[ca.SX]:
+    """Run the controllers, add what they give to the signals, and return their next states."""
+    remembered = []
+    for controller, x in zip(loop.controllers, memory, strict=True):
+        u = {n: y[controller.outside(n)] for n in controller.inputs}
+        u |= {n: signals.get(controller.outside(n), ca.SX(0)) for n in controller.setpoints}
+        following, outputs = updated(controller, x, u)
+        remembered.append(following)
+        for k, n in enumerate(map(controller.outside, controller.outputs)):
+            signals[n] = outputs[k] + excitation.get(n, 0)
+            if n in excitation:
+                signals[n + ADDED] = excitation[n]
+    return remembered
+
+
+def _sensor(loop: _Loop, name: str, x: ca.SX, u: ca.SX) -> ca.SX:
+    """Return an output, a state, or the time derivative of either."""
+    system = loop.system
+    y, f = system.output(x, u, loop.p), system.derivative(x, u, loop.p)
+    stem = name.removesuffix(DOT)
+    for names, values in ((system.outputs, y), (system.states, x)):
+        if name in names:
+            return values[names.index(name)]
+        if stem in names and not ca.depends_on(value := values[names.index(stem)], u):
+            return ca.jacobian(value, x) @ f
+    known = tuple(dict.fromkeys((*system.outputs, *system.states)))
+    raise ValueError(
+        f"{loop.label} has no {name!r} to measure; it has {', '.join(known)} and their time derivatives, "
+        f"such as '{known[0]}{DOT}': name one of them, for a controller with signals={{{name!r}: ...}}."
+    )
+
+
+def _runge_kutta(loop: _Loop, x: ca.SX, u: ca.SX, force: ca.SX, span: float, count: int) -> ca.SX:
+    """Integrate over `span` seconds with a constant input in `count` classical steps of the fourth order."""
+    h = span / count
+
+    def f(state: ca.SX) -> ca.SX:
+        return loop.system.derivative(state, u, loop.p) + force
+
+    for _ in range(count if loop.system.states else 0):
+        k1 = f(x)
+        k2 = f(x + h / 2 * k1)
+        k3 = f(x + h / 2 * k2)
+        k4 = f(x + h * k3)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return x
+
+
+def _divergence(loop: _Loop, names: Sequence[str], values: Array, wrong: NDArray[np.bool_], moment: float) -> str:
+    row = len(wrong) - 1 - int(np.argmax(wrong[::-1]))  # a state, if one is wrong
+    what = f"the state {loop.system.states[row - len(names)]!r}" if row >= len(names) else repr(names[row])
+    cure = "give gains that stabilize the plant, or a smaller excitation" if loop.controllers else "give a controller"
+    return f"the flight of {loop.label} diverges: {what} is {values[row]:.3g} at {moment:.2f} s; {cure}."
+
+
+def _given(controllers: Sequence[Controller]) -> set[str]:
+    return {c.outside(n) for c in controllers for n in c.outputs}
+
+
+def _averaged(values: Array, count: int) -> Array:
+    """Return the mean of every `count` samples; of the last ones as many as there are."""
+    begins = np.arange(0, values.size, count)
+    return np.add.reduceat(values, begins) / np.diff(np.append(begins, values.size))
+
+
+def _open_loop_rate(excitation: Excitation | Record | Mapping[str, ArrayLike], rate: float | None) -> float:
+    if isinstance(excitation, Excitation):
+        return float(excitation.rate)
+    if not isinstance(excitation, Record):
+        if rate is None:
+            raise ValueError("arrays alone have no clock: give rate=... in Hz, or an Excitation.")
+        return float(rate)
+    if len(excitation) < 2 or np.ptp(np.diff(excitation.time)) > 0.01 * excitation.step:
+        raise ValueError("the record is not uniformly sampled: use gb.prepare(..., rate=...), or give a controller.")
+    return (len(excitation) - 1) / excitation.duration
+
+
+def _thinning(clock: float, rate: float | None) -> int:
+    if rate is None:
+        return 1
+    if not 0 < rate < math.inf:
+        raise ValueError(f"rate is {rate!r}: give samples per second above 0.")
+    ratio = clock / rate
+    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
+        near = clock / max(1, round(ratio))
+        raise ValueError(f"a log at {rate:g} Hz does not divide the {clock:g} Hz of the loop: use e.g. {near:g} Hz.")
+    return round(ratio)
+
+
+def _commands(
+    excitation: Excitation | Record | Mapping[str, ArrayLike],
+    clock: float,
+    places: Sequence[str],
+    label: str,
+    hold: bool,
+) -> tuple[Array, dict[str, Array], dict[str, str]]:
+    """Return time, the excitation by name on the clock of the loop, and units."""
+    if not isinstance(excitation, Excitation | Record | Mapping):
+        raise TypeError(f"the excitation is a {type(excitation).__name__}: give an Excitation, or {{name: array}}.")
+    given = excitation.signals if isinstance(excitation, Excitation | Record) else excitation
+    if isinstance(excitation, Record) and not {*given}.isdisjoint(places):
+        given = {n: v for n, v in given.items() if n in places}
+    require_known(given, places, "place for", label)
+    arrays = {n: np.asarray(v, dtype=float) for n, v in given.items()}
+    if len({v.size for v in arrays.values()}) != 1 or any(
+        v.ndim != 1 or not np.isfinite(v).all() for v in arrays.values()
+    ):
+        shapes = ", ".join(f"{n!r} {v.shape} with {int((~np.isfinite(v)).sum())} missing" for n, v in arrays.items())
+        raise ValueError(f"the excitation is {shapes or 'empty'}: give arrays of one length with finite numbers.")
+    if not isinstance(excitation, Excitation | Record):
+        return np.arange(next(iter(arrays.values())).size) / clock, arrays, {}
+    span = float(excitation.time[-1] - excitation.time[0])
+    time = excitation.time[0] + np.arange(math.floor(span * clock + 1e-6) + 1) / clock
+    held = np.searchsorted(excitation.time, time + 1e-6 / clock, side="right") - 1
+    sampled = {n: v[held] if hold else np.interp(time, excitation.time, v) for n, v in arrays.items()}
+    return time, sampled, {n: excitation.units.get(n, "") for n in arrays}
+
+
+def _checked(what: str, given: Mapping[str, float], known: Sequence[str], low: float = -math.inf) -> dict[str, float]:
+    """Return numbers by name once names and sizes are right."""
+    require_known(given, known, "place for", what)
+    for n, value in given.items():
+        if not isinstance(value, (int, float, np.number)) or not low <= value < math.inf:
+            raise ValueError(f"{what}[{n!r}] is {value!r}: give a number" + (" of 0 or more." if low == 0 else "."))
+    return {n: float(v) for n, v in given.items()}
+
+
+def _errors(
+    measured: Sequence[str], noise: Mapping[str, float], bias: Mapping[str, float], count: int, seed: int
+) -> Array:
+    """Return what the sensors add, (k, count)."""
+    deviation, constant = _checked("noise", noise, measured, low=0), _checked("bias", bias, measured)
+    drawn = _draws(seed, 0).standard_normal((len(measured), count))
+    return np.array([deviation.get(n, 0.0) * d + constant.get(n, 0.0) for n, d in zip(measured, drawn, strict=True)])
+
+
+def _forces(loop: _Loop, process_noise: Mapping[str, float], count: int, seed: int) -> Array:
+    """Return the force on every state that has process noise, (k, count)."""
+    deviation = _checked("process_noise", process_noise, loop.system.states, low=0)
+    drawn = _draws(seed, 1).standard_normal((len(deviation), count))
+    return drawn * np.array([*deviation.values()])[:, None] * math.sqrt(loop.clock)
+
+
+def _draws(seed: int, stream: int) -> np.random.Generator:
+    if not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise ValueError(f"seed is {seed!r}: give a whole number of 0 or more.")
+    return np.random.default_rng([int(seed), stream])

@@ -1,0 +1,309 @@
+"""Rules that measure the mismatch between a model's frequency response and a measured one.
+
+A criterion is written once, in the arithmetic of `Complex`, and so is minimized by IPOPT and evaluated in numbers from
+the same lines. It also knows its own statistics: with J the Jacobian of its 2n real residuals, the estimate has the
+covariance B⁻¹ M B⁻¹ of an M-estimator (Huber 1981, Robust Statistics, chapter 6), with B = bread · JᵀJ and
+M = Jᵀ diag(meat) J.
+"""
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.modeling.functions import Complex, sqrt
+
+_DECIBEL = 20 / math.log(10)  # dB per unit of natural logarithm of a magnitude
+_DEGREE = 180 / math.pi
+
+
+class Criterion(ABC):
+    """The rule that measures the mismatch; its `cost` is what is minimized.
+
+    Attributes
+    ----------
+    rule : str
+        The formula, for the reader of a result; `description` completes it with the options.
+    smoothed : bool
+        True when the cost has a kink at a zero residual, so that the solver minimizes it with a small smoothing.
+    condition : str
+        What the errors must be like for the standard errors to hold.
+    known_noise : bool
+        True when the size of the errors is given with the data rather than estimated from the residuals.
+    """
+
+    rule: ClassVar[str]
+    smoothed: ClassVar[bool] = False
+    known_noise: ClassVar[bool] = False
+    condition: ClassVar[str] = "errors isotropic in the complex plane and of one relative size"
+
+    @property
+    def gain_bias(self) -> float:
+        """The relative error of the gain in units of σ², with relative noise σ in each component."""
+        return 0.0
+
+    @property
+    def variant(self) -> str:
+        """What distinguishes it from the usual form of its rule; empty for the usual form."""
+        return ""
+
+    @property
+    def description(self) -> str:
+        """The rule in words."""
+        return f"{self.rule}, over the {self.variant}'s magnitude" if self.variant else self.rule
+
+    def check(self, data: FrequencyResponse) -> None:
+        """Raise ValueError when `data` do not hold what the criterion needs."""
+        zero = np.flatnonzero(data.response == 0)
+        if zero.size:
+            raise ValueError(
+                f"the response is zero at omega = {data.omega[zero[0]]:g} rad/s, which {type(self).__name__} "
+                "cannot divide by: leave that point out or use MaximumLikelihood."
+            )
+
+    @property
+    def first(self) -> "Criterion | None":
+        """The criterion that finds the neighborhood of the minimum where this one alone is prone to local minima."""
+        return None
+
+    @abstractmethod
+    def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
+        """Return the mismatch of the response `model` (n,) and `data`."""
+
+    @abstractmethod
+    def jacobian(
+        self, model: NDArray[np.complex128], sensitivity: NDArray[np.complex128], data: FrequencyResponse
+    ) -> NDArray[np.float64]:
+        """Return the Jacobian (2n, p) of the real residuals, from the response (n,) and its derivatives (n, p)."""
+
+    @abstractmethod
+    def spread(
+        self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
+    ) -> tuple[float, NDArray[np.float64]]:
+        """Return `bread` and `meat` (2n,); `correction` scales the noise size for the parameters estimated."""
+
+
+@dataclass(frozen=True)
+class _Relative(Criterion):
+    """What the two relative criteria share: errors e = (P - P̂) / |P̂|, or over |P|."""
+
+    normalized: Literal["measured", "model"] = "measured"
+    measured_bias: ClassVar[float]
+
+    @property
+    def variant(self) -> str:
+        """Which magnitude the errors are divided by, where it is not the paper's."""
+        return "" if self.normalized == "measured" else self.normalized
+
+    @property
+    def gain_bias(self) -> float:
+        """Low over the measured magnitude, high over the model's: the two bracket the truth (measured, σ to 0.2)."""
+        return self.measured_bias if self.normalized == "measured" else 2.0
+
+    def __post_init__(self) -> None:
+        """Check the normalization."""
+        if self.normalized not in ("measured", "model"):
+            raise ValueError(f"normalized {self.normalized!r} is not known: use 'measured' or 'model'.")
+
+    def errors(self, model: Any, data: FrequencyResponse) -> Any:
+        """Relative errors, (n,) complex, of numbers or of `Complex`."""
+        return (model - data.response) / self.magnitude(model, data)
+
+    def magnitude(self, model: Any, data: FrequencyResponse) -> Any:
+        """Return what the errors are divided by, (n,)."""
+        return np.abs(data.response) if self.normalized == "measured" else abs(model)
+
+    def jacobian(
+        self, model: NDArray[np.complex128], sensitivity: NDArray[np.complex128], data: FrequencyResponse
+    ) -> NDArray[np.float64]:
+        """Return the derivatives of the relative errors, the normalization held."""
+        return _stack(sensitivity / self.magnitude(model, data)[:, None])
+
+
+@dataclass(frozen=True)
+class RelativeError(_Relative):
+    """Sum of relative errors, (4.26): Σ |P - P̂| / |P̂|, with P the model and P̂ the measurement.
+
+    `normalized` by the "measured" magnitude as in the paper, or by the "model"'s. With relative noise σ in each
+    component the first biases the gain by -σ², the second by 2 σ². The standard errors hold for errors that are
+    isotropic in the complex plane and of one relative
+    size: Cov = (4/π) s² (JᵀJ)⁻¹, with s the standard deviation of one component.
+    """
+
+    rule: ClassVar[str] = "sum of relative errors, (4.26)"
+    measured_bias: ClassVar[float] = -1.0
+    smoothed: ClassVar[bool] = True
+
+    def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
+        """Return Σ sqrt(|e|² + smoothing)."""
+        return _total(sqrt(_squares(self.errors(model, data)) + smoothing))
+
+    def spread(
+        self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
+    ) -> tuple[float, NDArray[np.float64]]:
+        """Noise size from the mean |e|, which for isotropic normal errors is s sqrt(π/2)."""
+        error = np.abs(self.errors(model, data))
+        s = error.mean() * math.sqrt(2 / math.pi) * correction
+        return 0.5 * math.sqrt(math.pi / 2) / s if s > 0 else math.inf, np.full(2 * len(data), 0.5)
+
+
+@dataclass(frozen=True)
+class SquaredRelativeError(_Relative):
+    """Sum of squared relative errors: Σ |P - P̂|² / |P̂|².
+
+    `normalized` as in `RelativeError`. The standard errors s² (JᵀJ)⁻¹ hold for errors of one relative size.
+    """
+
+    rule: ClassVar[str] = "sum of squared relative errors"
+    measured_bias: ClassVar[float] = -2.0
+
+    def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
+        """Return Σ |e|²."""
+        return _total(_squares(self.errors(model, data)))
+
+    def spread(
+        self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
+    ) -> tuple[float, NDArray[np.float64]]:
+        """Noise size from the residual sum of squares."""
+        error = np.abs(self.errors(model, data))
+        s2 = np.mean(error**2) / 2 * correction**2
+        return 2.0, np.full(2 * len(data), 4 * s2)
+
+
+@dataclass(frozen=True)
+class MagnitudePhase(Criterion):
+    """Magnitude and phase errors weighted by coherence, the cost of CIFER.
+
+    J = 20/n Σ W_γ [ W_g (|P| - |P̂|)² + W_p (∠P - ∠P̂)² ] with magnitudes in dB, phases in degrees, W_g = 1,
+    W_p = 0.01745 and W_γ = [1.58 (1 - exp(-γ²))]². Where the data have no coherence, γ² = 1.
+
+    Source: Tischler and Remple, Aircraft and Rotorcraft System Identification, 2nd ed., section 11.2.
+    Phases are compared on the circle, within ±180°. The minimum is located with the squared relative error first, since
+    wrapping makes local minima. The standard errors propagate isotropic errors of one relative size (or the data's own
+    variances, where given) through the weights.
+    """
+
+    rule: ClassVar[str] = "coherence-weighted magnitude (dB) and phase (deg), CIFER"
+    magnitude_weight: ClassVar[float] = 1.0
+    phase_weight: ClassVar[float] = 0.01745
+
+    @property
+    def first(self) -> Criterion | None:
+        """The squared relative error has no phase wrapping."""
+        return SquaredRelativeError()
+
+    def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
+        """Return the weighted sum of squares."""
+        ratio = (model / data.response).log()
+        magnitude, phase = self._weights(data)
+        return _total(magnitude**2 * ratio.re**2 + phase**2 * ratio.im**2)
+
+    def jacobian(
+        self, model: NDArray[np.complex128], sensitivity: NDArray[np.complex128], data: FrequencyResponse
+    ) -> NDArray[np.float64]:
+        """Return the derivatives of weighted log magnitude and phase."""
+        relative = sensitivity / model[:, None]
+        magnitude, phase = self._weights(data)
+        return np.vstack([magnitude[:, None] * relative.real, phase[:, None] * relative.imag])
+
+    def spread(
+        self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
+    ) -> tuple[float, NDArray[np.float64]]:
+        """Noise size of one component relative to the magnitude, times the weights."""
+        if data.variance is not None:
+            s2 = data.variance / 2 / np.abs(data.response) ** 2
+        else:
+            error = np.log(model / data.response)
+            s2 = np.full(len(data), np.mean(np.abs(error) ** 2) / 2 * correction**2)
+        return 2.0, 4 * np.concatenate([w**2 * s2 for w in self._weights(data)])
+
+    def _weights(self, data: FrequencyResponse) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Square roots of the weights of log magnitude and phase, with the units and 20/n inside."""
+        coherence = np.ones(len(data)) if data.coherence is None else data.coherence
+        common = math.sqrt(20 / len(data)) * 1.58 * (1 - np.exp(-coherence))
+        return (
+            common * math.sqrt(self.magnitude_weight) * _DECIBEL,
+            common * math.sqrt(self.phase_weight) * _DEGREE,
+        )
+
+
+@dataclass(frozen=True)
+class MaximumLikelihood(Criterion):
+    """Maximum likelihood for circular complex normal errors of given variance: Σ |P - P̂|² / E|P̂ - P|².
+
+    Needs data with `variance`. Source: Pintelon and Schoukens, System Identification, 2nd ed., section 9.11. The
+    standard errors are those of the Fisher information, with the variances taken as known; where the residuals are
+    larger than the variances say, by χ² over its degrees of freedom, they are widened by the root of that ratio, the
+    scale factor of the Particle Data Group (Review of Particle Physics, introduction). Few degrees of freedom of the
+    variances themselves (`FrequencyResponse.dof`) are not accounted for.
+    """
+
+    rule: ClassVar[str] = "maximum likelihood, given variances"
+    known_noise: ClassVar[bool] = True
+    condition: ClassVar[str] = "circular errors of the given variances, or as much larger as the residuals are"
+
+    def check(self, data: FrequencyResponse) -> None:
+        """Raise ValueError without variances."""
+        if data.variance is None:
+            raise ValueError(
+                "MaximumLikelihood needs the variance of every point and these data have none: "
+                "give FrequencyResponse(..., variance=...) or use RelativeError."
+            )
+
+    def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
+        """Return the sum of squared errors over their variances."""
+        return _total(_squares(model - data.response) / _variance(data))
+
+    def jacobian(
+        self, model: NDArray[np.complex128], sensitivity: NDArray[np.complex128], data: FrequencyResponse
+    ) -> NDArray[np.float64]:
+        """Return the derivatives of the errors over their standard deviations."""
+        return _stack(sensitivity / np.sqrt(_variance(data))[:, None])
+
+    def spread(
+        self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
+    ) -> tuple[float, NDArray[np.float64]]:
+        """Each component holds half of the variance, or what the residuals say where that is more."""
+        ratio = float(np.mean(np.abs(model - data.response) ** 2 / _variance(data))) * correction**2
+        return 2.0, np.full(2 * len(data), 4 * 0.5 * max(ratio, 1.0))
+
+
+CRITERIA: tuple[Criterion, ...] = (
+    RelativeError(),
+    RelativeError(normalized="model"),
+    SquaredRelativeError(),
+    MagnitudePhase(),
+    MaximumLikelihood(),
+)
+"""What a result reports besides the criterion that was minimized."""
+
+
+def evaluate(criterion: Criterion, model: NDArray[np.complex128], data: FrequencyResponse) -> float:
+    """Return the cost of a response (n,) in numbers; NaN where the data do not hold what the criterion needs."""
+    try:
+        criterion.check(data)
+    except ValueError:
+        return math.nan
+    return float(criterion.cost(Complex(model.real, model.imag), data))
+
+
+def _variance(data: FrequencyResponse) -> NDArray[np.float64]:
+    assert data.variance is not None
+    return data.variance
+
+
+def _squares(value: Complex) -> Any:
+    return value.re**2 + value.im**2
+
+
+def _total(values: Any) -> Any:
+    return np.sum(values) if isinstance(values, np.ndarray) else ca.sum1(values)
+
+
+def _stack(values: NDArray[np.complex128]) -> NDArray[np.float64]:
+    return np.vstack([values.real, values.imag])

@@ -1,0 +1,180 @@
+"""Where the runs begin: Sobol points, Latin hypercube, uniform draws, or a list of one's own."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.modeling.parameter import Parameter
+
+
+class Starts(ABC):
+    """A rule that gives the start points of a multistart; `seed` is None where nothing is random."""
+
+    seed: int | None = None
+
+    @abstractmethod
+    def draw(self, parameters: Mapping[str, Parameter]) -> NDArray[np.float64]:
+        """Return the starts, (number, p), for the free parameters in their order."""
+
+    @abstractmethod
+    def __str__(self) -> str: ...
+
+
+class _Random(Starts):
+    """Points in the unit cube, stretched to the start boxes; evenly in the logarithm where a parameter asks for it."""
+
+    number: int
+    seed: int  # type: ignore[assignment]
+
+    @abstractmethod
+    def unit_points(self, size: int) -> NDArray[np.float64]:
+        """Return points in the unit cube, (number, size)."""
+
+    def __post_init__(self) -> None:
+        """Check number and seed."""
+        for name, least in (("number", 1), ("seed", 0)):
+            value = getattr(self, name)
+            if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < least:
+                raise ValueError(f"{name} of starts is {value!r}: give a whole number of at least {least}.")
+
+    def __str__(self) -> str:
+        return f"{self.number} by {type(self).__name__}, seed {self.seed}"
+
+    def draw(self, parameters: Mapping[str, Parameter]) -> NDArray[np.float64]:
+        """Return the starts, (number, p)."""
+        low, high = np.array([_finite_box(name, p) for name, p in parameters.items()]).T
+        log = np.array([p.scale == "log" for p in parameters.values()])
+        first, last = (np.where(log, np.log(np.where(log, end, 1.0)), end) for end in (low, high))
+        points = first + self.unit_points(len(parameters)) * (last - first)
+        return np.clip(np.where(log, np.exp(np.where(log, points, 0.0)), points), low, high)
+
+
+@dataclass(frozen=True)
+class Sobol(_Random):
+    """Scrambled Sobol points; more of them with the same seed begin with the same points."""
+
+    number: int
+    seed: int = 0
+
+    def unit_points(self, size: int) -> NDArray[np.float64]:
+        """Return the first `number` points of the sequence."""
+        from scipy.stats import qmc  # noqa: PLC0415  (scipy.stats takes a third of a second to import)
+
+        sequence = qmc.Sobol(size, scramble=True, rng=np.random.default_rng(self.seed))
+        return sequence.random_base2(math.ceil(math.log2(self.number)))[: self.number]
+
+
+@dataclass(frozen=True)
+class LatinHypercube(_Random):
+    """Latin hypercube: every parameter's interval is divided into `number` layers, one point in each."""
+
+    number: int
+    seed: int = 0
+
+    def unit_points(self, size: int) -> NDArray[np.float64]:
+        """Return one random hypercube."""
+        from scipy.stats import qmc  # noqa: PLC0415  (scipy.stats takes a third of a second to import)
+
+        return qmc.LatinHypercube(size, rng=np.random.default_rng(self.seed)).random(self.number)
+
+
+@dataclass(frozen=True)
+class Uniform(_Random):
+    """Independent uniform draws."""
+
+    number: int
+    seed: int = 0
+
+    def unit_points(self, size: int) -> NDArray[np.float64]:
+        """Return uniform draws."""
+        return np.random.default_rng(self.seed).random((self.number, size))
+
+
+@dataclass(frozen=True)
+class Listed(Starts):
+    """Starts of one's own, each a mapping of name to value; what is not named begins at its declared start."""
+
+    points: Sequence[Mapping[str, float]] = field(default=({},))
+
+    def __str__(self) -> str:
+        return f"{len(self.points)} listed"
+
+    def draw(self, parameters: Mapping[str, Parameter]) -> NDArray[np.float64]:
+        """Return the listed points, (number, p)."""
+        if not self.points:
+            raise ValueError("the list of starts is empty: give at least one, Listed([{}]) for the declared one.")
+        for point in self.points:
+            for name, value in point.items():
+                if not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
+                    raise ValueError(f"a listed start gives {name!r} the value {value!r}: give a finite number.")
+                if name not in parameters:
+                    raise ValueError(
+                        f"a listed start names {name!r}, which is not free; free are {', '.join(parameters)}."
+                    )
+                low, high = parameters[name].bounds
+                if not low <= value <= high:
+                    raise ValueError(
+                        f"a listed start gives {name!r} the value {value:g}, outside its bounds ({low:g}, {high:g}): "
+                        "move the start or widen the bounds."
+                    )
+        return np.array([[point.get(name, p.start) for name, p in parameters.items()] for point in self.points], float)
+
+
+@dataclass(frozen=True)
+class Chained(Starts):
+    """The starts of several rules, one after the other; `seed` is that of the first that has one."""
+
+    rules: tuple[Starts, ...]
+
+    def __post_init__(self) -> None:
+        """Take over the seed."""
+        object.__setattr__(self, "seed", next((rule.seed for rule in self.rules if rule.seed is not None), None))
+
+    def __str__(self) -> str:
+        return " + ".join(map(str, self.rules))
+
+    def draw(self, parameters: Mapping[str, Parameter]) -> NDArray[np.float64]:
+        """Return the points of every rule, (sum of numbers, p)."""
+        return np.vstack([rule.draw(parameters) for rule in self.rules])
+
+
+def as_starts(starts: "int | Starts | Sequence[Mapping[str, float] | Starts]", seed: int | None = None) -> Starts:
+    """Read what a user gives: a number of Sobol points, a rule, or a list of points and rules.
+
+    Raises
+    ------
+    TypeError
+        For anything else.
+    ValueError
+        For a seed beside a rule, which has its own.
+    """
+    if isinstance(starts, (int, np.integer)) and not isinstance(starts, bool):
+        return Sobol(int(starts), 0 if seed is None else seed)
+    if seed is not None:
+        raise ValueError(
+            f"seed = {seed} goes with a number of starts: give it to the rule, e.g. Sobol(200, seed={seed})."
+        )
+    if isinstance(starts, Starts):
+        return starts
+    if isinstance(starts, Sequence) and not isinstance(starts, str):
+        if starts and all(isinstance(item, Mapping) for item in starts):
+            return Listed(tuple(item for item in starts if isinstance(item, Mapping)))
+        if starts and all(isinstance(item, (Mapping, Starts)) for item in starts):
+            return Chained(tuple(item if isinstance(item, Starts) else Listed((item,)) for item in starts))
+    raise TypeError(
+        f"starts is {starts!r:.80}: give a number, a rule such as LatinHypercube(200), or a list of {{name: value}}."
+    )
+
+
+def _finite_box(name: str, parameter: Parameter) -> tuple[float, float]:
+    low, high = parameter.box
+    if not (math.isfinite(low) and math.isfinite(high)):
+        raise ValueError(
+            f"random starts for {name!r} need a finite box and its bounds are ({low:g}, {high:g}): "
+            "declare Parameter(..., starts=(low, high)) or give the starts as a list."
+        )
+    return low, high

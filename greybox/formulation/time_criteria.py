@@ -1,0 +1,181 @@
+"""Rules that measure the mismatch between a model's simulated outputs and measured ones, in time."""
+
+import math
+from abc import ABC
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from greybox.data.record import Record
+from greybox.modeling.model import Model, StateSpace, require_known
+from greybox.modeling.parameter import Parameter
+
+
+@dataclass(frozen=True, eq=False)
+class TimeCriterion(ABC):
+    """What the criteria in time share: the likelihood of normal errors of the outputs.
+
+    Parameters
+    ----------
+    noise : "diagonal", "full", or mapping of output to standard deviation
+        Variances that are estimated with the parameters (maximum likelihood: the cost is the logarithm of the
+        determinant of the residual covariance, reached by relaxation: weights from the last residuals), a full
+        covariance estimated so, or known standard deviations in the units of the outputs.
+    inputs : "linear" or "held"
+        How inputs run between their samples. Where a held input reaches an output directly, the cost jumps with its
+        delay at every whole sample: give several starts.
+    biases : sequence of str
+        Outputs and inputs whose measurement has an unknown constant error; each becomes a parameter ``<name>_bias``,
+        what is measured less what is true. In a sum of problems it is each record's own, see `Sum`.
+    initial : mapping of state to value or function of the parameters
+        Known states at the first sample of the record; all others, and those after a gap, are unknown.
+
+    What a delayed input did before the record, or during a gap, is not known. If the input rests at the beginning of a
+    stretch without a gap, exactly constant over the first 5 samples and clearly longer than it holds its values later,
+    it is taken to have rested before. If it moves, the outputs of the first seconds, as many as the longest delay that
+    the bounds of its parameter allow, are not compared: a lazy upper bound costs data, and a warning says when it costs
+    more than 5 % of a record.
+
+    Source: Klein and Morelli, Aircraft System Identification, 2nd ed., chapter 6.
+    """
+
+    noise: Literal["diagonal", "full"] | Mapping[str, float] = "diagonal"
+    inputs: Literal["linear", "held"] = "linear"
+    biases: Sequence[str] = ()
+    initial: Mapping[str, float | Callable[[Any], Any]] = field(default_factory=dict)
+
+    rule: ClassVar[str]
+    smoothed: ClassVar[bool] = False
+    gain_bias: ClassVar[float] = 0.0
+    condition: ClassVar[str] = "stationary output errors with the autocorrelation of the residuals"
+    known_noise: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        """Check the options."""
+        if not isinstance(self.noise, Mapping) and self.noise not in ("diagonal", "full"):
+            raise ValueError(
+                f"noise {self.noise!r} is not known: use 'diagonal', 'full' or {{output: standard deviation}}."
+            )
+        if isinstance(self.noise, Mapping):
+            for name, sigma in self.noise.items():
+                if not isinstance(sigma, (int, float, np.number)) or not (math.isfinite(sigma) and sigma > 0):
+                    raise ValueError(f"noise gives {name!r} the value {sigma!r}: give a standard deviation above 0.")
+        if self.inputs not in ("linear", "held"):
+            raise ValueError(f"inputs {self.inputs!r} is not known: use 'linear' or 'held'.")
+        if not isinstance(self.initial, Mapping):
+            raise TypeError(f"initial is {self.initial!r:.60}: give {{state: value or function of the parameters}}.")
+        for name, value in self.initial.items():
+            number = isinstance(value, (int, float, np.number)) and math.isfinite(value)
+            if not (number or callable(value)):
+                raise ValueError(
+                    f"initial gives {name!r} the value {value!r}: give a finite number or a function of the parameters."
+                )
+        if isinstance(self.biases, str):
+            object.__setattr__(self, "biases", (self.biases,))
+
+    @property
+    def description(self) -> str:
+        """The rule in words."""
+        noise = {"diagonal": "estimated variances", "full": "estimated covariance"}
+        return f"{self.rule}, {'given variances' if isinstance(self.noise, Mapping) else noise[self.noise]}"
+
+    first: ClassVar[None] = None
+
+    def compared(self, model: Model, record: Record) -> tuple[str, ...]:
+        """Return the outputs of the model that the record holds.
+
+        Raises
+        ------
+        ValueError
+            If an input is missing, none of the outputs is there, or a named signal does not exist.
+        """
+        label, there = model.label, ", ".join(record.signals) or "none"
+        for name in model.input_names:
+            if name not in record.signals:
+                raise ValueError(f"{label} needs the input {name!r}, which the record does not have; it has {there}.")
+        outputs = tuple(name for name in model.output_names if name in record.signals)
+        if not outputs:
+            raise ValueError(
+                f"the record has none of the outputs of {label} ({', '.join(model.output_names)}); it has {there}."
+            )
+        require_known(self.biases, (*outputs, *model.input_names), "measured output or input", label)
+        if isinstance(model, StateSpace):
+            require_known(self.initial, model.states, "state", label)
+        elif self.initial:
+            raise ValueError(f"{label} is a transfer function and has no named states: leave out initial.")
+        if isinstance(self.noise, Mapping):
+            require_known(self.noise, model.output_names, "output", label)
+            missing = [name for name in outputs if name not in self.noise]
+            if missing:
+                raise ValueError(
+                    f"noise gives no standard deviation for {missing[0]!r}: add it, or use noise='diagonal'."
+                )
+        return outputs
+
+    def parameters(self, model: Model, record: Record) -> dict[str, Parameter]:
+        """Return the unknowns that the criterion adds to those of the model."""
+        result = {}
+        for name in self.biases:
+            values = record[name][np.isfinite(record[name])]
+            if not values.size:
+                raise ValueError(f"biases names {name!r}, of which the record has no measured value: leave it out.")
+            reach = float(np.ptp(values)) or 1.0
+            result[f"{name}_bias"] = Parameter(
+                0.0,
+                bounds=(-10 * reach, 10 * reach),
+                starts=(-0.05 * reach, 0.05 * reach),
+                unit=record.units.get(name, "1"),
+                about=f"constant error of the measured {name}",
+            )
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class OutputError(TimeCriterion):
+    """Maximum likelihood with all errors in the measured outputs: the model is simulated from its initial state.
+
+    Outputs at the beginning of a record are left out where a delayed input reaches them from before it, unless that
+    input rests there, see `TimeCriterion`.
+    """
+
+    rule: ClassVar[str] = "output error"
+
+
+@dataclass(frozen=True, eq=False)
+class PredictionError(TimeCriterion):
+    """Maximum likelihood with process noise (wind, turbulence): the model predicts one sample ahead.
+
+    Innovations form: x[k+1] = F(x[k] + K e[k], u), with e the difference of measured and predicted outputs and a
+    constant gain K that is estimated with the parameters; its entries are named ``K_<state>_<output>``.
+    Outputs at the beginning of a record are left out where a delayed input reaches them from before it, unless that
+    input rests there, see `TimeCriterion`.
+
+    Source: Ljung, System Identification, 2nd ed., section 4.3; Klein and Morelli, chapter 6.
+
+    Parameters
+    ----------
+    corrected : sequence of str
+        The states that the innovations correct; by default all.
+    """
+
+    corrected: Sequence[str] = ()
+    rule: ClassVar[str] = "prediction error, one sample ahead"
+    condition: ClassVar[str] = "white innovations"
+
+    def gains(self, model: Model, outputs: Sequence[str]) -> list[tuple[str, str]]:
+        """Return the pairs of state and output that have a gain."""
+        if not isinstance(model, StateSpace):
+            raise TypeError(f"PredictionError needs a StateSpace, whose states it corrects, not {model.label}.")
+        require_known(self.corrected, model.states, "state", model.label)
+        return [(state, output) for state in self.corrected or model.states for output in outputs]
+
+    def parameters(self, model: Model, record: Record) -> dict[str, Parameter]:
+        """Return the biases and the entries of the gain."""
+        result = super().parameters(model, record)
+        for state, output in self.gains(model, self.compared(model, record)):
+            result[f"K_{state}_{output}"] = Parameter(
+                0.0, starts=(0.0, 0.0), unit=f"[{state}/{output}]", about=f"correction of {state} by {output}"
+            )
+        return result

@@ -1,0 +1,284 @@
+"""From the messages of a log to one record: one time base, SI units, no aliasing, nothing invented across gaps."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.data.record import GAP, Record, Recording
+from greybox.data.text_table import counted
+
+Array = NDArray[np.float64]
+
+# Log unit -> (factor, SI unit).
+
+TO_SI: dict[str, tuple[float, str]] = {
+    "deg": (math.pi / 180, "rad"),
+    "degheading": (math.pi / 180, "rad"),
+    "deg/s": (math.pi / 180, "rad/s"),
+    "deg/s/s": (math.pi / 180, "rad/s²"),
+    "cdeg": (math.pi / 18000, "rad"),
+    "cdeg/s": (math.pi / 18000, "rad/s"),
+    "rad": (1.0, "rad"),
+    "rad/s": (1.0, "rad/s"),
+    "m/s/s": (1.0, "m/s²"),
+    "cm/s/s": (0.01, "m/s²"),
+    "cm/s": (0.01, "m/s"),
+    "cm": (0.01, "m"),
+    "mm": (0.001, "m"),
+    "mm/s": (0.001, "m/s"),
+    "km/h": (1 / 3.6, "m/s"),
+    "ms": (0.001, "s"),
+    "us": (1e-6, "s"),
+    "µs": (1e-6, "s"),
+    "mA": (0.001, "A"),
+    "mV": (0.001, "V"),
+    "rpm": (math.pi / 30, "rad/s"),
+}
+PASS, STOP = 0.35, 0.5  # of the new rate: the anti-alias filter is flat to the first and closed from the second
+
+
+@dataclass(frozen=True)
+class Derived:
+    """A signal computed from others after they share a time base: ``compute(*inputs) -> (n,)``."""
+
+    inputs: tuple[str, ...]
+    compute: Callable[..., Array]
+    unit: str
+
+
+@dataclass(frozen=True)
+class SecondOrderLowPass:
+    """A second-order low-pass filter that a signal has passed: cutoff in Hz, damping, and its sampling rate if digital.
+
+    `greybox.models.filters` has the model of it.
+    """
+
+    cutoff: float
+    damping: float = math.sqrt(0.5)
+    rate: float | None = None
+
+
+def horizontal_velocity(
+    north: str = "XKF1.VN",
+    east: str = "XKF1.VE",
+    yaw: str = "ATT.Yaw",
+    axis: Literal["pitch", "roll", "forward", "right"] = "pitch",
+) -> Derived:
+    """Return the horizontal velocity along a body axis, for `prepare`, from north and east velocity and the yaw angle.
+
+    "pitch" and "roll" are the paper's v, which grows with a positive tilt angle: a nose that goes up accelerates
+    backward, so that it is the negative of "forward"; a right side that goes down accelerates to the "right".
+    """
+    if axis in ("pitch", "forward"):
+        sign = -1 if axis == "pitch" else 1
+        return Derived((north, east, yaw), lambda n, e, psi: sign * (n * np.cos(psi) + e * np.sin(psi)), "m/s")
+    if axis in ("roll", "right"):
+        return Derived((north, east, yaw), lambda n, e, psi: e * np.cos(psi) - n * np.sin(psi), "m/s")
+    raise ValueError(f"axis {axis!r} is not known: use 'pitch', 'roll', 'forward' or 'right'.")
+
+
+def negative(of: str | Derived) -> Derived:
+    """Return the negative of a signal, for `prepare`."""
+    if isinstance(of, Derived):
+        return Derived(of.inputs, lambda *x: -of.compute(*x), of.unit)
+    return Derived((of,), np.negative, "")
+
+
+def prepare(
+    recording: Recording | Record,
+    signals: Mapping[str, str | Derived],
+    rate: float | None = None,
+    *,
+    start: float = -math.inf,
+    end: float = math.inf,
+    detrend: Literal["none", "mean", "linear"] = "none",
+    interpolation: Literal["cubic", "linear", "hold"] = "cubic",
+) -> Record:
+    """Put signals of different messages and rates on one uniform time base, by their time stamps.
+
+    Angles are unwrapped and units become SI. Where a signal is sampled faster than `rate`, a zero-phase anti-alias
+    filter comes first (flat to 0.35 of the new rate). Nothing is interpolated across a gap: there the record has a
+    gap itself, and `Record.pieces` are the stretches between.
+
+    Parameters
+    ----------
+    recording : Recording or Record
+        What `read` returned, or one record.
+    signals : mapping of new name to "MESSAGE.Field" or Derived
+        E.g. ``{"u": "RATE.POut", "theta": "ATT.Pitch", "v": horizontal_velocity()}``.
+    rate : float, Hz, optional
+        By default that of the slowest signal.
+    start, end : float, s
+        Cut to this stretch of the log's clock.
+    detrend : "none", "mean" or "linear"
+        Remove this from every signal of every piece.
+    interpolation : "cubic", "linear" or "hold"
+        Between samples.
+
+    Returns
+    -------
+    Record
+        With `checksum`, `source` and `metadata` of the recording, and the known filters of each signal.
+
+    Raises
+    ------
+    KeyError
+        For a signal that is not there.
+    ValueError
+        For a bad rate, or when the signals have no time in common.
+    """
+    if isinstance(recording, Record):
+        records = {recording.name or "record": recording}
+        recording = Recording(records, recording.source, recording.checksum, recording.metadata)
+    if not signals:
+        raise ValueError("signals is empty: name at least one, e.g. {'u': 'RATE.POut'}.")
+    needed = {name: item.inputs if isinstance(item, Derived) else (item,) for name, item in signals.items()}
+    sources = {name: _source(recording, name) for names in needed.values() for name in names}
+    grid = _grid(sources, rate, start, end)
+    sampled = {name: _on_grid(source, grid, interpolation) for name, source in sources.items()}
+    keep = np.logical_and.reduce([np.isfinite(values) for values in sampled.values()])
+    if keep.sum() < 2:
+        raise ValueError(f"{', '.join(sources)} are never there together from {grid[0]:.1f} to {grid[-1]:.1f} s.")
+    values, units = {}, {}
+    for name, item in signals.items():
+        columns = [sampled[source][keep] for source in needed[name]]
+        values[name] = item.compute(*columns) if isinstance(item, Derived) else columns[0]
+        units[name] = (item.unit if isinstance(item, Derived) else "") or sources[needed[name][0]].unit
+    record = Record(
+        grid[keep],
+        values,
+        units,
+        name=recording.source,
+        source=recording.source,
+        checksum=recording.checksum,
+        metadata=recording.metadata,
+        filters={n: f for n, names in needed.items() if (f := _known_filters(recording, names))},
+        findings=tuple(text for source in sources.values() for text in source.findings),
+    )
+    return record if detrend == "none" else _detrended(record, detrend)
+
+
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """One field of one message, in SI units and unwrapped, with the samples that are missing left out."""
+
+    time: Array
+    values: Array
+    unit: str
+    findings: tuple[str, ...]
+
+    @property
+    def step(self) -> float:
+        return float(np.median(np.diff(self.time)))
+
+
+def _source(recording: Recording, signal: str) -> _Source:
+    record, field = recording.locate(signal)
+    there = np.isfinite(record[field])
+    time, values = record.time[there], record[field][there]
+    if time.size < 2:
+        raise ValueError(f"{signal} has {counted(time.size, 'sample')}: there is nothing to put on a time base.")
+    unit = record.units.get(field, "")
+    factor, unit = TO_SI.get(unit, (1.0, unit))
+    values = values * factor
+    return _Source(time, np.unwrap(values) if unit == "rad" else values, unit, record.findings)
+
+
+def _grid(sources: Mapping[str, _Source], rate: float | None, start: float, end: float) -> Array:
+    if math.isnan(start) or math.isnan(end):
+        raise ValueError(f"start {start} and end {end} must be numbers of seconds on the log's clock.")
+    first = max(start, *(source.time[0] for source in sources.values()))
+    last = min(end, *(source.time[-1] for source in sources.values()))
+    if rate is None:
+        rate = 1 / max(source.step for source in sources.values())
+    if not (math.isfinite(rate) and rate > 0):
+        raise ValueError(f"rate {rate} must be a finite number of Hz above 0.")
+    fastest = 1 / min(source.step for source in sources.values())
+    if rate > 10 * fastest:
+        raise ValueError(
+            f"rate {rate:g} Hz is more than ten times that of the fastest signal, {fastest:.4g} Hz: lower it."
+        )
+    count = math.floor((last - first) * rate + 1e-6) + 1
+    if count < 2:
+        spans = "; ".join(f"{n} from {s.time[0]:.1f} to {s.time[-1]:.1f} s" for n, s in sources.items())
+        raise ValueError(f"the signals have no stretch of time in common ({spans}): check start, end and the messages.")
+    return first + np.arange(count) / rate
+
+
+def _on_grid(source: _Source, grid: Array, interpolation: str) -> Array:
+    """Return the signal on `grid`, NaN in its gaps and outside."""
+    result = np.full(grid.size, np.nan)
+    rate = (grid.size - 1) / (grid[-1] - grid[0])
+    cuts = np.flatnonzero(np.diff(source.time) > GAP * source.step) + 1
+    for time, values in zip(np.split(source.time, cuts), np.split(source.values, cuts), strict=True):
+        inside = (grid >= time[0] - 1e-9) & (grid <= time[-1] + 1e-9)
+        if time.size < 2 or not inside.any():
+            continue
+        smooth = _low_passed(time, values, source.step, rate) if rate < 0.95 / source.step else (time, values)
+        result[inside] = _interpolated(*smooth, np.clip(grid[inside], time[0], time[-1]), interpolation)
+    return result
+
+
+def _interpolated(time: Array, values: Array, at: Array, how: str) -> Array:
+    if how == "hold":
+        return values[np.searchsorted(time, at + 1e-9, side="right") - 1]
+    if how == "linear" or time.size < 4:
+        return np.interp(at, time, values)
+    if how != "cubic":
+        raise ValueError(f"interpolation {how!r} is not known: use 'cubic', 'linear' or 'hold'.")
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415  (takes a quarter of a second to import)
+
+    return CubicSpline(time, values)(at)
+
+
+def _low_passed(time: Array, values: Array, step: float, rate: float) -> tuple[Array, Array]:
+    """Filter with zero phase on a uniform base of the source's own rate; the ends are continued by point reflection."""
+    from scipy.signal import firwin, kaiserord, oaconvolve  # noqa: PLC0415  (takes a third of a second to import)
+
+    uniform = np.linspace(time[0], time[-1], max(round((time[-1] - time[0]) / step) + 1, 2))
+    samples = np.interp(uniform, time, values)
+    nyquist = 0.5 / step
+    taps, beta = kaiserord(80.0, (STOP - PASS) * rate / nyquist)
+    taps = min(taps | 1, 2 * ((samples.size - 1) // 2) + 1)  # odd, and no longer than the reflection can feed
+    window: Any = ("kaiser", beta)
+    kernel = firwin(taps, (PASS + STOP) / 2 * rate, window=window, fs=2 * nyquist)
+    half = taps // 2
+    padded = np.pad(samples, half, mode="reflect", reflect_type="odd")
+    return uniform, oaconvolve(padded, kernel, mode="valid")
+
+
+def _detrended(record: Record, how: str) -> Record:
+    if how not in ("mean", "linear"):
+        raise ValueError(f"detrend {how!r} is not known: use 'none', 'mean' or 'linear'.")
+    columns: dict[str, list[Array]] = {name: [] for name in record.signals}
+    for piece in record.pieces:
+        for name, values in piece.signals.items():
+            line = np.polyfit(piece.time - piece.time[0], values, 0 if how == "mean" or len(piece) < 3 else 1)
+            columns[name].append(values - np.polyval(line, piece.time - piece.time[0]))
+    signals = {name: np.concatenate(parts) for name, parts in columns.items()}
+    return replace(record, signals=signals)
+
+
+def _known_filters(recording: Recording, names: Sequence[str]) -> tuple[Any, ...]:
+    """Return the filters that the record knows of, or the gyro low-pass that ArduPilot applies before it logs rates."""
+    for name in names:
+        record, field = recording.locate(name)
+        if field in record.filters:
+            return record.filters[field]
+    cutoff = recording.metadata.get("parameters", {}).get("INS_GYRO_FILTER")
+    rates = {
+        "RATE": ("R", "P", "Y"),
+        "IMU": ("GyrX", "GyrY", "GyrZ"),
+        "PIDR": ("Act",),
+        "PIDP": ("Act",),
+        "PIDY": ("Act",),
+    }
+    for name in names:
+        message, _, field = name.rpartition(".")
+        if cutoff and field in rates.get(message.partition("[")[0], ()):
+            return (SecondOrderLowPass(float(cutoff)),)
+    return ()

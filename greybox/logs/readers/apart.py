@@ -1,0 +1,115 @@
+"""Files of named arrays (HDF5, MATLAB, PX4), read in a process of their own.
+
+A damaged file can send the HDF5 library into an endless loop, crash both it and scipy's MATLAB reader, and make all of
+them, and pyulog, fill the memory; little of that can be caught in Python. So `child` reads the file in another process,
+with a time limit and, where the system has one, a memory limit. That costs about 0.1 s a file, 0.25 s for MATLAB.
+"""
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.data.record import Recording
+from greybox.logs.readers.columns import table
+from greybox.logs.readers.logged import on_one_clock, records
+
+CHILD = Path(__file__).with_name("child.py")
+PATIENCE = 10.0  # s, and more for a large file:
+SPEED = 2e6  # bytes per s, far slower than any of the libraries
+
+
+class Variable(NamedTuple):
+    """One numeric array: the group (or struct) that it is in, its own name, its unit."""
+
+    group: str
+    name: str
+    unit: str
+    values: NDArray[np.float64]
+
+
+class Contents(NamedTuple):
+    """What a file holds: its arrays, what was wrong with it, and what it says about the vehicle."""
+
+    variables: list[Variable]
+    findings: list[str]
+    about: dict[str, Any]
+
+
+def contents(kind: str, path: Path, *wanted: str) -> Contents:
+    """Read all numeric vectors and matrices of a file.
+
+    Parameters
+    ----------
+    kind : str
+        ``"hdf5"``, ``"matlab"`` or ``"ulog"``.
+    path : Path
+    *wanted : str
+        Topics of a PX4 log; all by default.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read, or not within the time limit.
+    """
+    line, _, raw = _run([kind, str(path.absolute()), *wanted], path).partition(b"\n")
+    head, numbers, at = json.loads(line), np.frombuffer(raw, dtype="<f8"), 0
+    found = []
+    for item in head["items"]:
+        size = int(np.prod(item["shape"]))
+        group, _, name = item["path"].rpartition("/")
+        found.append(Variable(group, name, item["unit"], numbers[at : at + size].reshape(item["shape"])))
+        at += size
+    return Contents(found, head["findings"], head["about"])
+
+
+def _run(arguments: list[str], path: Path) -> bytes:
+    """Return what the other process writes."""
+    limit = PATIENCE + path.stat().st_size / SPEED
+    command = [sys.executable, "-P", "-W", "ignore", str(CHILD), *arguments]
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}  # every thread of it reserves memory
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=limit, check=False, env=environment)
+    except subprocess.TimeoutExpired:
+        raise ValueError(f"{path} is damaged: reading it did not come to an end within {limit:.0f} s.") from None
+    if done.returncode < 0:
+        raise ValueError(f"{path} is damaged: the library that reads it crashed; export or copy it again.")
+    if done.returncode:
+        reason = done.stderr.decode("utf-8", "replace").strip().splitlines()[-1:] or ["for no stated reason"]
+        raise ValueError(f"{path} is damaged or of another format ({reason[0]:.160}): export or copy it again.")
+    return done.stdout
+
+
+def recording(path: Path, found: Contents, messages: Collection[str] | None) -> Recording:
+    """Make a record of every group that has a time, the root being named as the file; ValueError if none has."""
+    with open(path, "rb") as file:
+        checksum = hashlib.file_digest(file, "sha256").hexdigest()
+    columns: dict[str, dict[str, NDArray[np.float64]]] = {}
+    units: dict[str, dict[str, str]] = {}
+    for variable in found.variables:
+        name = variable.group or path.stem
+        columns.setdefault(name, {})[variable.name] = variable.values
+        units.setdefault(name, {})[variable.name] = variable.unit
+    made, said = {}, list(found.findings)
+    said += [f"there is no group {name}." for name in messages or () if name not in columns]
+    for name, group in columns.items():
+        if messages is not None and name not in messages:
+            continue
+        part, problems = table(name, group, units[name])
+        clocked, restarts = on_one_clock([part] if part else [])
+        more, doubts = records(clocked, path.name, checksum)
+        made.update(more)
+        said += [*problems, *restarts, *doubts]
+    if not made:
+        raise ValueError(
+            f"{path} has no group with a vector 'time' (or t, timestamp) and vectors of its length; "
+            f"it holds {', '.join(columns) or 'no vectors at all'}."
+        )
+    return Recording(made, path.name, checksum, {}, tuple(said))

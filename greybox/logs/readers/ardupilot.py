@@ -1,0 +1,135 @@
+"""What ArduPilot says about itself in a log: vehicle, firmware, parameters, modes, arming, units."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from pymavlink.mavutil import mode_mapping_bynumber
+
+from greybox.logs.readers.logged import Messages
+
+VEHICLES = {  # the firmware's name for itself, and its MAV_TYPE of MAVLink, by which pymavlink knows the modes
+    "ArduCopter": 2,
+    "ArduPlane": 1,
+    "ArduRover": 10,
+    "APMrover2": 10,
+    "ArduSub": 12,
+    "AntennaTracker": 5,
+    "Blimp": 7,
+}
+EVENT_ARMED, EVENT_DISARMED = 10, 11  # EV.Id, ArduPilot's LogEvent
+UNITS = {  # the log's words for units, where ours differ
+    "degheading": "deg",
+    "deglatitude": "deg",
+    "deglongitude": "deg",
+    "instance": "",
+    "UNKNOWN": "",
+    "Watt": "W",
+    "us": "µs",
+    "satellites": "",
+}
+NO_RATE = (
+    "there is no RATE message, so neither the rate setpoints nor the controls (ROut, POut, YOut) were logged; "
+    "set LOG_BITMASK to log fast attitude and rates before the next flight."
+)
+
+
+def unit(label: str) -> str:
+    """Return a unit as we write it: deg for headings, m/s² for m/s/s."""
+    return UNITS.get(label, label.replace("/s/s", "/s²"))
+
+
+def metadata(groups: Iterable[Messages]) -> dict[str, Any]:
+    """Return what a recording's metadata have, from MSG, VER, PARM, MODE, ARM and EV; only what is known."""
+    by_name = {group.name: group for group in groups}
+    known = {
+        **_firmware(by_name),
+        **_parameters(by_name.get("PARM")),
+        "texts": _texts(by_name.get("MSG")),
+    }
+    known["modes"] = _modes(by_name.get("MODE"), known.get("vehicle", ""))
+    known["armed"] = armed_intervals(_arming(by_name), _span(by_name.values()))
+    return {key: value for key, value in known.items() if value}
+
+
+def mode_name(vehicle: str, number: int) -> str:
+    """Return the name of a flight mode, such as ``SYSTEMID``; ``mode 25`` when it is not known."""
+    table = mode_mapping_bynumber(VEHICLES.get(vehicle, -1)) or {}
+    return str(table.get(number, f"mode {number}"))
+
+
+def armed_intervals(
+    changes: Sequence[tuple[float, bool]], span: tuple[float, float]
+) -> tuple[tuple[float, float], ...]:
+    """Return (start, end), s, of the armed times; a log that starts with a disarming was armed before."""
+    intervals: list[tuple[float, float]] = []
+    start: float | None = None
+    for i, (time, armed) in enumerate(sorted(changes)):
+        if armed and start is None:
+            start = time
+        elif not armed and (start is not None or i == 0):
+            intervals.append((span[0] if start is None else start, time))
+            start = None
+    return (*intervals, (start, span[1])) if start is not None else tuple(intervals)
+
+
+def _firmware(by_name: Mapping[str, Messages]) -> dict[str, Any]:
+    """Return vehicle and firmware: VER says it in so many words, otherwise a text message of the start does."""
+    said = list(by_name["VER"].texts.get("FWS", ())) if "VER" in by_name else []
+    said += by_name["MSG"].texts.get("Message", ()) if "MSG" in by_name else ()
+    for text in said:
+        vehicle = text.split(" ")[0]
+        if vehicle in VEHICLES:
+            return {"vehicle": vehicle, "firmware": text}
+    return {}
+
+
+def _parameters(parm: Messages | None) -> dict[str, Any]:
+    if parm is None or "Name" not in parm.texts or "Value" not in parm.columns:
+        return {}
+    names = parm.texts["Name"]
+    found = {"parameters": dict(zip(names, parm.columns["Value"].tolist(), strict=True))}
+    if "Default" in parm.columns:
+        defaults = zip(names, parm.columns["Default"].tolist(), strict=True)
+        found["defaults"] = {name: value for name, value in defaults if not math.isnan(value)}
+    return found
+
+
+def _texts(msg: Messages | None) -> tuple[tuple[float, str], ...]:
+    if msg is None or msg.time is None or "Message" not in msg.texts:
+        return ()
+    return tuple(zip(msg.time.tolist(), msg.texts["Message"], strict=True))
+
+
+def _modes(mode: Messages | None, vehicle: str) -> tuple[tuple[float, str], ...]:
+    """Return (time, name): by number, or by the name that text logs write."""
+    if mode is None or mode.time is None:
+        return ()
+    numbers = mode.columns.get("ModeNum", mode.columns.get("Mode"))
+    if "Mode" in mode.texts:
+        names = [name.upper() for name in mode.texts["Mode"]]
+    elif numbers is not None:
+        names = [mode_name(vehicle, int(number)) if math.isfinite(number) else "?" for number in numbers]
+    else:
+        return ()
+    return tuple(zip(mode.time.tolist(), names, strict=True))
+
+
+def _arming(by_name: Mapping[str, Messages]) -> list[tuple[float, bool]]:
+    """Return (time, armed) from ARM and from EV; most vehicles log both."""
+    changes: list[tuple[float, bool]] = []
+    arm, event = by_name.get("ARM"), by_name.get("EV")
+    if arm is not None and arm.time is not None and "ArmState" in arm.columns:
+        changes += [(t, bool(s)) for t, s in zip(arm.time.tolist(), arm.columns["ArmState"].tolist(), strict=True)]
+    if event is not None and event.time is not None and "Id" in event.columns:
+        pairs = zip(event.time.tolist(), event.columns["Id"].tolist(), strict=True)
+        changes += [(t, i == EVENT_ARMED) for t, i in pairs if i in (EVENT_ARMED, EVENT_DISARMED)]
+    return [(time, state) for time, state in changes if not math.isnan(time)]
+
+
+def _span(groups: Iterable[Messages]) -> tuple[float, float]:
+    """First and last time of the log, s."""
+    times = [group.time[np.isfinite(group.time)] for group in groups if group.time is not None]
+    times = [time for time in times if time.size]
+    return (min(float(t.min()) for t in times), max(float(t.max()) for t in times)) if times else (0.0, 0.0)

@@ -1,0 +1,116 @@
+"""Time stamps of a log: restarts of the clock, impossible stamps, samples that do not advance."""
+
+from bisect import bisect_left
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.data.record import GAP
+
+BACK = 1.0  # s; a log's stamps jitter back by far less, a restart of the clock by more
+WINDOW = 50  # messages before and after, whose medians must agree that the clock restarted
+PAUSE = 10.0  # s between two boots on the common clock: the real pause is not known
+SLACK = 600.0  # s; a stamp farther before a log's first stamps or after its last is damaged, or of another clock
+REGULAR = 20  # samples that a message needs before its gaps are worth words
+
+
+def restarts(stamps: NDArray[np.float64]) -> tuple[int, ...]:
+    """Return where the clock restarted, as indices into the stamps (s) of all messages in the order of the file.
+
+    A single damaged stamp is no restart: the median stamp after must lie below the median before.
+    """
+    drops = np.flatnonzero(np.diff(stamps) < -BACK) + 1
+    found: list[int] = []
+    for drop in drops:
+        start = found[-1] if found else 0
+        before, after = stamps[max(start, drop - WINDOW) : drop], stamps[drop : drop + WINDOW]
+        if np.median(after) < np.median(before) - BACK and np.median(after) < before[-1] - BACK:
+            found.append(int(drop))
+    return tuple(found)
+
+
+def one_clock(stamps: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Return the stamps (s) on one clock that goes on at a restart, NaN where they cannot be true, and what was found.
+
+    After a restart the clock is set to `PAUSE` after the last stamp before it, so that all boots stay in the record,
+    apart from each other by a gap.
+    """
+    finite = np.isfinite(stamps)
+    ticks = stamps[finite]
+    findings, end = [], 0.0
+    for i, (start, stop) in enumerate(pairwise([0, *restarts(ticks), ticks.size])):
+        piece = _possible(ticks[start:stop])
+        shift = end + PAUSE - float(np.nanmin(piece)) if i else 0.0
+        ticks[start:stop] = piece + shift
+        if i:
+            findings.append(
+                f"the clock restarted at {end:.1f} s (another boot): what follows was moved by {shift:+.1f} s, "
+                f"{PAUSE:g} s after it; the real pause is not known."
+            )
+        end = float(np.nanmax(piece)) + shift if piece.size else 0.0
+    shifted = np.full_like(stamps, np.nan)
+    shifted[finite] = ticks
+    return shifted, tuple(findings)
+
+
+def _possible(stamps: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the stamps of one boot, NaN where they lie far outside of those at its start and its end."""
+    if not stamps.size:
+        return stamps
+    first, last = _edge(stamps[:WINDOW], -1), _edge(stamps[-WINDOW:], 1)
+    possible = (stamps >= first - SLACK) & (stamps <= last + SLACK)
+    return np.where(possible, stamps, np.nan) if possible.any() else stamps
+
+
+def _edge(stamps: NDArray[np.float64], side: int) -> float:
+    """Return the first (side -1) or last (1) stamp of a few that mostly increase evenly, whatever a quarter of them is.
+
+    Half of the stamps lie between the quartiles, so that the edge is one such distance outside of them.
+    """
+    low, middle, high = np.percentile(stamps, (25, 50, 75))
+    return float(middle + side * 2 * (high - middle if side > 0 else middle - low))
+
+
+def increasing(time: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the rows to keep so that time strictly increases: as many as possible, none with NaN."""
+    rows = np.flatnonzero(np.isfinite(time))
+    kept = time[rows]
+    if np.all(np.diff(kept) > 0):
+        return rows
+    return rows[_longest_increase(kept)]
+
+
+def _longest_increase(values: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Longest strictly increasing subsequence, by patience sorting in O(n log n); of equal values the first stays."""
+    tails: list[float] = []
+    last: list[int] = []
+    link = np.full(values.size, -1)
+    for i, value in enumerate(values.tolist()):
+        at = bisect_left(tails, value)
+        link[i] = last[at - 1] if at else -1
+        if at == len(tails):
+            tails.append(value)
+            last.append(i)
+        elif value < tails[at]:
+            tails[at], last[at] = value, i
+    chain = [last[-1]] if last else []
+    while chain and link[chain[-1]] >= 0:
+        chain.append(int(link[chain[-1]]))
+    return np.array(chain[::-1], dtype=np.intp)
+
+
+def gaps(name: str, time: NDArray[np.float64]) -> tuple[str, ...]:
+    """Say how many gaps a message that comes at regular times has, and the longest; nothing for other messages."""
+    steps = np.diff(time)
+    if steps.size < REGULAR:
+        return ()
+    usual = float(np.median(steps))
+    wide = steps > GAP * usual
+    if not wide.any() or np.mean(wide) > 0.05:
+        return ()
+    longest = int(steps.argmax())
+    number = f"{int(wide.sum())} gaps, the longest" if wide.sum() > 1 else "a gap"
+    return (
+        f"{name}: {number} {steps[longest]:.3g} s at {time[longest]:.1f} s (it usually comes every {usual:.3g} s).",
+    )

@@ -1,0 +1,107 @@
+"""Tables of named columns, from whatever file: which column is the time, units in names, one group of messages."""
+
+import re
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.logs.readers.logged import Messages
+
+Floats = NDArray[np.float64]
+
+SECONDS = {
+    "s": 1.0,
+    "sec": 1.0,
+    "seconds": 1.0,
+    "ms": 1e-3,
+    "us": 1e-6,
+    "µs": 1e-6,
+    "ns": 1e-9,
+    "min": 60.0,
+    "h": 3600.0,
+}
+TIMES = ("time", "t", "timestamp", "timestamps", "tout")  # names of a time column, in lower case and without unit
+ARDUPILOT = {"timeus": 1e-6, "timems": 1e-3}
+BRACKETS = re.compile(r"^([^\[\]()]+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))$")
+SUFFIX = re.compile(r"^(.+)_(s|sec|ms|us|ns)$")
+WIDEST = 64  # columns of a matrix that become signals of their own
+
+
+class Heading(NamedTuple):
+    """One column's name and unit."""
+
+    name: str
+    unit: str
+
+
+def heading(cell: str) -> Heading:
+    """Split ``pitch [deg]`` or ``pitch (deg)`` into name and unit."""
+    found = BRACKETS.match(cell.strip())
+    return Heading(found[1].strip(), (found[2] or found[3] or "").strip()) if found else Heading(cell.strip(), "")
+
+
+def seconds(name: str, unit: str = "") -> float | None:
+    """Return the seconds of one tick if this is the name of a time column, else None.
+
+    That is time, t, timestamp or tout, in any case, with a unit of its own or as in ``time_ms`` (else in seconds), and
+    TimeUS and TimeMS as ArduPilot's tools write them.
+    """
+    name, unit = name.lower(), unit.lower()
+    if name in ARDUPILOT:
+        return ARDUPILOT[name]
+    suffix = SUFFIX.match(name)
+    if suffix and suffix[1] in TIMES:
+        return SECONDS[suffix[2]]
+    return SECONDS.get(unit, None if unit else 1.0) if name in TIMES else None
+
+
+def table(
+    name: str, columns: Mapping[str, Floats], units: Mapping[str, str]
+) -> tuple[Messages | None, tuple[str, ...]]:
+    """Make messages of columns that share a time column; None where there is no time or nothing beside it.
+
+    Parameters
+    ----------
+    name : str
+        What to call them.
+    columns : mapping of str to array
+        As read, in any real type; matrices with a sample in each row give a signal ``x[0]``, ``x[1]``, ... a column.
+    units : mapping of str to str
+
+    Returns
+    -------
+    messages : Messages or None
+    findings : tuple of str
+        Columns that were left out.
+    """
+    timer = next((key for key in columns if seconds(key, units.get(key, "")) and columns[key].ndim == 1), "")
+    if not timer or not columns[timer].size:
+        return None, (f"{name or 'the file'}: {len(columns)} variables without a time were left out.",)
+    time = columns[timer].astype(float) * (seconds(timer, units.get(timer, "")) or 1.0)
+    kept, labels, odd = {}, {}, []
+    for key, values in columns.items():
+        if key == timer:
+            continue
+        for label, column in _split(key, values, time.size):
+            kept[label], labels[label] = column, units.get(key, "")
+        if values.shape[:1] != time.shape:
+            odd.append(key)
+    findings = (f"{name}: left out, for their length is not that of the time: {_list(odd)}.",) if odd else ()
+    return (Messages(name, np.arange(time.size), time, kept, {}, labels) if kept else None), findings
+
+
+def _split(name: str, values: NDArray[np.generic], size: int) -> list[tuple[str, Floats]]:
+    """Return the signals of one variable: itself, or the columns of a matrix; none if the length is another."""
+    if values.shape[:1] != (size,):
+        return []
+    if values.ndim == 1:
+        return [(name, values.astype(float))]
+    if values.ndim == 2 and values.shape[1] <= WIDEST:
+        return [(f"{name}[{i}]", values[:, i].astype(float)) for i in range(values.shape[1])]
+    return []
+
+
+def _list(names: list[str], most: int = 12) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -1,0 +1,50 @@
+"""HDF5 files (.h5), and MATLAB 7.3 files, which are HDF5: groups of vectors with a time vector."""
+
+from collections.abc import Collection
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.data.record import Recording
+from greybox.logs.readers import apart
+
+
+def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
+    """Read every group that has a time vector into a record.
+
+    A group holds one record: a dataset ``time`` (or t, timestamp, time_ms ...; see `columns.seconds`), and vectors of
+    the same length; matrices with a sample a row (in MATLAB's files, as MATLAB shows them) give a signal a column.
+    Units are attributes ``unit`` or ``units`` of the datasets. A record is named as its group (``flight/ATT``), one at
+    the root as the file.
+
+    Parameters
+    ----------
+    path : str or Path
+    messages : collection of str, optional
+        Groups to read; all by default.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    ValueError
+        If the file is damaged, or no group has a time vector.
+    OSError
+        If the file cannot be opened.
+    """
+    path = Path(path)
+    with open(path, "rb") as file:
+        matlab = file.read(6) == b"MATLAB"
+    found = apart.contents("hdf5", path)
+    rows = [variable._replace(values=_rows(variable.values, matlab)) for variable in found.variables]
+    return apart.recording(path, found._replace(variables=rows), messages)
+
+
+def _rows(values: NDArray[np.float64], matlab: bool) -> NDArray[np.float64]:
+    """Return a vector as such, a matrix with the samples in rows; MATLAB's matrices lie transposed in the file."""
+    if values.ndim == 2 and 1 in values.shape:
+        return values.ravel()
+    return values.T if matlab else values

@@ -1,0 +1,157 @@
+"""From the messages of a log, whatever its format, to records: instances apart, one clock, increasing times."""
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.data.record import Record
+from greybox.logs.readers import clock
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Messages:
+    """All messages of one type, column by column.
+
+    Attributes
+    ----------
+    name : str
+    order : (n,) array
+        The number of each among all messages of the file.
+    time : (n,) array, s, or None
+        On the log's clock; None when the messages have no time.
+    columns : mapping of str to (n,) array
+        The numeric ones, the time left out.
+    texts : mapping of str to sequence of str
+        The others.
+    units : mapping of str to str
+    instance : str
+        The column, numeric or text, that tells several senders apart; empty for one.
+    """
+
+    name: str
+    order: NDArray[np.intp]
+    time: Floats | None
+    columns: Mapping[str, Floats]
+    texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    instance: str = ""
+
+    def __len__(self) -> int:
+        return self.order.size
+
+    def rows(self, rows: NDArray[np.intp]) -> "Messages":
+        """Return some of the messages."""
+        return replace(
+            self,
+            order=self.order[rows],
+            time=None if self.time is None else self.time[rows],
+            columns={name: values[rows] for name, values in self.columns.items()},
+            texts={name: [values[i] for i in rows] for name, values in self.texts.items()},
+        )
+
+
+def bare(messages: Collection[str] | None) -> tuple[str, ...] | None:
+    """Return names without instances: whoever asks for ``IMU[0]`` gets all of IMU."""
+    return None if messages is None else tuple(dict.fromkeys(name.partition("[")[0] for name in messages))
+
+
+def merged(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
+    """Join messages of one name that the log describes twice: in the same words, or else the larger lot is kept."""
+    by_name: dict[str, list[Messages]] = {}
+    for group in groups:
+        by_name.setdefault(group.name, []).append(group)
+    joined, findings = [], []
+    for name, lots in by_name.items():
+        largest = max(lots, key=len)
+        same = [lot for lot in lots if _alike(lot, largest)]
+        lost = sum(map(len, lots)) - sum(map(len, same))
+        if lost:
+            findings.append(f"{name}: {lost} messages with another set of fields than the rest were left out.")
+        joined.append(_joined(same) if len(same) > 1 else largest)
+    return joined, tuple(findings)
+
+
+def _alike(a: Messages, b: Messages) -> bool:
+    return (
+        a.columns.keys() == b.columns.keys()
+        and a.texts.keys() == b.texts.keys()
+        and (a.time is None) == (b.time is None)
+    )
+
+
+def _joined(lots: Sequence[Messages]) -> Messages:
+    order = np.concatenate([lot.order for lot in lots])
+    texts = {name: [text for lot in lots for text in lot.texts[name]] for name in lots[0].texts}
+    columns = {name: np.concatenate([lot.columns[name] for lot in lots]) for name in lots[0].columns}
+    time = None if lots[0].time is None else np.concatenate([lot.time for lot in lots if lot.time is not None])
+    return replace(lots[0], order=order, time=time, columns=columns, texts=texts).rows(np.argsort(order))
+
+
+def on_one_clock(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
+    """Put all timed messages on one clock that never restarts; see `clock.one_clock`."""
+    groups = list(groups)
+    timed = [group for group in groups if group.time is not None and len(group)]
+    if not timed:
+        return groups, ()
+    stamps = np.full(1 + max(int(group.order.max()) for group in timed), np.nan)
+    for group in timed:
+        stamps[group.order] = group.time
+    stamps, findings = clock.one_clock(stamps)
+    return [replace(group, time=stamps[group.order]) if group in timed else group for group in groups], findings
+
+
+def records(groups: Iterable[Messages], source: str, checksum: str) -> tuple[dict[str, Record], tuple[str, ...]]:
+    """Return a record for every type and instance with a time and a number, and what was found wrong on the way."""
+    made: dict[str, Record] = {}
+    findings: list[str] = []
+    for group in groups:
+        if not group.columns or not len(group):
+            continue
+        if group.time is None:
+            findings.append(f"{group.name}: its {len(group)} messages have no time and were left out.")
+            continue
+        for name, part in _instances(group):
+            record = _record(name, part, source, checksum)
+            if record is None:
+                findings.append(f"{name}: none of its {len(part)} messages has a possible time; it was left out.")
+                continue
+            made[name] = record
+            findings += record.findings
+    return made, tuple(findings)
+
+
+def _instances(group: Messages) -> Iterable[tuple[str, Messages]]:
+    """Yield the instances as NAME[0], NAME[1] in order; a single nameless one without brackets."""
+    if not group.instance:
+        yield group.name, group
+        return
+    labels = group.texts.get(group.instance)
+    values = np.array(labels) if labels is not None else group.columns[group.instance]
+    rest = replace(group, columns={k: v for k, v in group.columns.items() if k != group.instance})
+    for value in np.unique(values):
+        label = str(value) if labels is not None else f"{value:g}"
+        yield f"{group.name}[{label}]", rest.rows(np.flatnonzero(values == value))
+
+
+def _record(name: str, part: Messages, source: str, checksum: str) -> Record | None:
+    assert part.time is not None
+    rows = clock.increasing(part.time)
+    if not rows.size:
+        return None
+    time, columns, findings = part.time, part.columns, ()
+    if rows.size < time.size:
+        findings = (_dropped(name, time.size - rows.size, time),)
+        time, columns = time[rows], {column: values[rows] for column, values in columns.items()}
+    units = {column: part.units.get(column, "") for column in columns}
+    return Record(time, columns, units, name, source, checksum, findings=findings + clock.gaps(name, time))
+
+
+def _dropped(name: str, dropped: int, time: Floats) -> str:
+    wrong = int(np.count_nonzero(~np.isfinite(time)))
+    reasons = [f"{wrong} with impossible times"] if wrong else []
+    reasons += [f"{dropped - wrong} whose time does not increase"] if dropped > wrong else []
+    return f"{name}: {dropped} of {time.size} samples dropped: {', '.join(reasons)}."

@@ -1,0 +1,35 @@
+"""MATLAB files (.mat) up to version 7: vectors beside a time vector, and structs of them. Version 7.3 is HDF5."""
+
+from collections.abc import Collection
+from pathlib import Path
+
+from greybox.data.record import Recording
+from greybox.logs.readers import apart
+
+
+def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
+    """Read every struct that has a time vector into a record, and the vectors beside a time vector of the workspace.
+
+    The time is named time, t, tout or timestamp, or has its unit in the name (``time_ms``); see `columns.seconds`.
+    Matrices with a sample a row give a signal a column. A record is named as its struct (``flight/att``), the one of
+    the workspace as the file. Simulink's "structure with time" is read too. Units are not known.
+
+    Parameters
+    ----------
+    path : str or Path
+    messages : collection of str, optional
+        Structs to read; all by default.
+
+    Returns
+    -------
+    Recording
+        The findings name the timetables and other objects, which only MATLAB can read: save them as structs.
+
+    Raises
+    ------
+    ValueError
+        If the file is damaged, or nothing in it has a time vector.
+    OSError
+        If the file cannot be opened.
+    """
+    return apart.recording(Path(path), apart.contents("matlab", Path(path)), messages)

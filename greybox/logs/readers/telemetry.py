@@ -1,0 +1,170 @@
+"""MAVLink telemetry logs (.tlog), as ground stations write them: packets of one or several senders.
+
+A packet that carries the sender's own time (``time_boot_ms``, ``time_usec``) is put there, without the jitter of the
+link; the others where they were received. Both are on one clock, the vehicle's since its first start.
+"""
+
+import hashlib
+import mmap
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.data.record import Recording
+from greybox.logs.readers import clock, telemetry_about
+from greybox.logs.readers.ardupilot import unit
+from greybox.logs.readers.dataflash_index import text
+from greybox.logs.readers.logged import Messages, bare, records
+from greybox.logs.readers.telemetry_frames import KINDS, Frames, payloads, walk
+
+Floats = NDArray[np.float64]
+
+TICKS = {"time_boot_ms": 1e3, "time_boot_us": 1e6, "time_usec": 1e6}  # the sender's time, ticks per second
+EPOCH = 1e9  # s; a larger time counts from 1970, not from the sender's start
+ABOUT = ("PARAM_VALUE", "STATUSTEXT")  # told in the metadata; no time histories
+SENDER = "sender"  # the text column that tells senders and instances apart
+
+
+def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
+    """Read a MAVLink telemetry log.
+
+    Parameters
+    ----------
+    path : str or Path
+    messages : collection of str, optional
+        Kinds to read, e.g. ``("ATTITUDE",)``; all by default. Metadata are always read.
+
+    Returns
+    -------
+    Recording
+        Values as sent, units from the MAVLink definitions (cdeg, mm ...). A kind that several systems or components
+        send is named ``ATTITUDE[1:1]`` (system:component), one with instances of its own ``BATTERY_STATUS[0]``.
+
+    Raises
+    ------
+    ValueError
+        If the file holds no MAVLink packet that can be read.
+    OSError
+        If the file cannot be opened.
+    """
+    path, messages = Path(path), bare(messages)
+    with open(path, "rb") as file:
+        data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    frames = walk(data)
+    if not frames.kinds.size:
+        raise ValueError(f"{path} holds no MAVLink packet that can be read; copy it from the ground station again.")
+    own = _own_times(data, frames)
+    time, restarts = _common_clock(frames, own, telemetry_about.vehicle_sender(data, frames))
+    names = {kind: KINDS[kind].msgname for kind in np.unique(frames.kinds).tolist()}
+    wanted = [k for k, name in names.items() if (name not in ABOUT if messages is None else name in messages)]
+    groups = [_messages(data, frames, kind, time) for kind in wanted]
+    checksum = hashlib.sha256(data).hexdigest()
+    made, problems = records(groups, path.name, checksum)
+    about = telemetry_about.metadata(data, frames, time)
+    findings = (*_damage(frames), *restarts, *_missing(frames, messages), *_received(frames, own, wanted), *problems)
+    return Recording(made, path.name, checksum, about, findings)
+
+
+def _own_times(data: mmap.mmap, frames: Frames) -> Floats:
+    """Time of every packet by its sender's clock since the sender's start, s; NaN where it carries none."""
+    own = np.full(frames.kinds.size, np.nan)
+    for kind in np.unique(frames.kinds).tolist():
+        timer = next((name for name in TICKS if name in KINDS[kind].fieldnames), "")
+        if timer:
+            ticks = payloads(data, frames, kind)[timer] / TICKS[timer]
+            own[frames.kinds == kind] = np.where((ticks > 0) & (ticks < EPOCH), ticks, np.nan)
+    return own
+
+
+def _common_clock(frames: Frames, own: Floats, vehicle: int) -> tuple[Floats, tuple[str, ...]]:
+    """Return the time of every packet, s since the vehicle's first start, and where senders restarted.
+
+    The median difference between reception and the sender's time is the sender's start; it changes when it restarts.
+    """
+    time, findings, zero = frames.received.copy(), [], None
+    senders = np.unique(frames.senders).tolist()
+    for sender in sorted(senders, key=lambda s: s != vehicle):
+        rows = np.flatnonzero((frames.senders == sender) & np.isfinite(own))
+        starts = (0, *clock.restarts(own[rows]))
+        for piece in np.split(rows, starts[1:]) if rows.size else ():
+            start = float(np.median(frames.received[piece] - own[piece]))
+            zero = start if zero is None else zero
+            time[piece] = own[piece] + start
+        findings += [
+            f"sender {_address(sender)} restarted at {time[rows[i]] - (zero or 0.0):.1f} s; its times go on from there."
+            for i in starts[1:]
+        ]
+    return time - (float(time[0]) if zero is None else zero), tuple(findings)
+
+
+def _messages(data: mmap.mmap, frames: Frames, kind: int, time: Floats) -> Messages:
+    """Return the packets of one kind, in the order of their times: a link may deliver them in another."""
+    known, rows = KINDS[kind], np.flatnonzero(frames.kinds == kind)
+    sorting = np.argsort(time[rows], kind="stable")
+    rows, packets = rows[sorting], payloads(data, frames, kind)[sorting]
+    columns: dict[str, Floats] = {}
+    texts: dict[str, Sequence[str]] = {}
+    units: dict[str, str] = {}
+    for name in known.fieldnames:
+        if name in TICKS:
+            continue
+        for label, values in _columns(name, packets[name]):
+            if values.dtype.kind == "S":
+                texts[label] = [text(value) for value in values.tolist()]
+            else:
+                columns[label], units[label] = values.astype(float), unit(known.fieldunits_by_name.get(name, ""))
+    labels = _labels(frames.senders[rows], known.instance_field, columns, texts)
+    texts = {**texts, SENDER: labels} if labels else texts
+    columns.pop(known.instance_field, None)
+    return Messages(known.msgname, rows, time[rows], columns, texts, units, SENDER if labels else "")
+
+
+def _columns(name: str, values: NDArray[Any]) -> list[tuple[str, NDArray[Any]]]:
+    """Return a field, or the elements of an array field as ``name[0]``, ``name[1]`` ..."""
+    if values.ndim == 1:
+        return [(name, values)]
+    return [(f"{name}[{i}]", values[:, i]) for i in range(values.shape[1])]
+
+
+def _labels(
+    senders: NDArray[np.int64], instance: str | None, columns: dict[str, Floats], texts: dict[str, Sequence[str]]
+) -> list[str]:
+    """Return what tells the senders and instances of one kind apart; nothing if there is one."""
+    parts: list[list[str]] = []
+    if np.unique(senders).size > 1:
+        parts.append([_address(sender) for sender in senders.tolist()])
+    if instance in texts:
+        parts.append(list(texts[instance]))
+    elif instance in columns:
+        parts.append([f"{value:g}" for value in columns[instance].tolist()])
+    return [":".join(part) for part in zip(*parts, strict=True)]
+
+
+def _address(sender: int) -> str:
+    return f"{sender >> 8}:{sender & 0xFF}"
+
+
+def _received(frames: Frames, own: Floats, wanted: Collection[int]) -> tuple[str, ...]:
+    """Say which kinds stand where they were received."""
+    names = [KINDS[kind].msgname for kind in wanted if np.isnan(own[frames.kinds == kind]).all()]
+    return (
+        (f"these carry no time of their own and stand where they were received: {', '.join(names)}.",) if names else ()
+    )
+
+
+def _missing(frames: Frames, messages: Collection[str] | None) -> tuple[str, ...]:
+    there = [KINDS[kind].msgname for kind in np.unique(frames.kinds).tolist()]
+    absent = [name for name in messages or () if name not in there]
+    return tuple(f"there is no message {name}; the log has {', '.join(there)}." for name in absent)
+
+
+def _damage(frames: Frames) -> tuple[str, ...]:
+    findings = []
+    if frames.skipped:
+        findings.append(f"{frames.skipped} bytes in {frames.places} places are damaged and were skipped.")
+    if frames.unknown:
+        findings.append(f"{frames.unknown} packets of kinds that pymavlink does not know were left out.")
+    return tuple(findings)

@@ -1,0 +1,99 @@
+"""From one sample to the next: fixed-step integrators, compiled as one CasADi function.
+
+Within a step the inputs are linear in time, u(t) = mean + slope · (t / step - 1/2), which holds both a held and an
+interpolated input, delayed by any fraction of a step (see `greybox.compiled.sampled_data`).
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import casadi as ca
+
+from greybox.modeling.realization import Dynamics
+
+
+@dataclass(frozen=True)
+class Integrator(ABC):
+    """A scheme with `substeps` equal steps from one sample to the next; None lets `greybox.compiled.step_size` choose.
+
+    Attributes
+    ----------
+    order : int
+        The error of one step falls with its (order + 1)th power.
+    reach : float
+        Largest |pole| · step for which a step is stable.
+    wave : float
+        Largest |imaginary part of a pole| · step at which an oscillation is followed closely enough to start with.
+    """
+
+    substeps: int | None = None
+    order: ClassVar[int]
+    reach: ClassVar[float]
+    wave: ClassVar[float] = 0.7
+
+    def __post_init__(self) -> None:
+        """Check the number of substeps."""
+        if self.substeps is not None and (not isinstance(self.substeps, int) or self.substeps < 1):
+            raise ValueError(f"substeps {self.substeps!r} must be a whole number of at least 1, or None to choose.")
+
+    @abstractmethod
+    def advance(self, system: Dynamics, x: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
+        """Return x (n,) one step h later, from u (m,) at its beginning and the slope (m,) per unit of time."""
+
+
+@dataclass(frozen=True)
+class RungeKutta(Integrator):
+    """The classical explicit method of order four (Hairer, Nørsett, Wanner: Solving ODEs I, II.1)."""
+
+    order: ClassVar[int] = 4
+    reach: ClassVar[float] = 2.7
+
+    def advance(self, system: Dynamics, x: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
+        """Return x one step later."""
+        middle, end = u + slope * h / 2, u + slope * h
+        k1 = system.derivative(x, u, p)
+        k2 = system.derivative(x + h / 2 * k1, middle, p)
+        k3 = system.derivative(x + h / 2 * k2, middle, p)
+        k4 = system.derivative(x + h * k3, end, p)
+        return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+@dataclass(frozen=True)
+class Rosenbrock(Integrator):
+    """The linearly implicit, L-stable method Rodas3 of order three, for stiff models.
+
+    Source: Sandu, Verwer, Blom, Spee, Carmichael, Potra (1997), Benchmarking stiff ODE solvers for atmospheric
+    chemistry problems II, Atmospheric Environment 31.
+    """
+
+    order: ClassVar[int] = 3
+    reach: ClassVar[float] = 50.0  # stable beyond; fewer than one step per 50 time constants would be blind
+
+    def advance(self, system: Dynamics, x: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
+        """Return x one step later."""
+        n = len(system.states)
+        symbol, ramp = ca.SX.sym("x", n), ca.SX.sym("u", len(system.inputs))
+        f = system.derivative(symbol, ramp, p)
+        slopes = ca.Function("slopes", [symbol, ramp, p], [ca.jacobian(f, symbol), ca.jacobian(f, ramp)])
+        jacobian, to_input = slopes(x, u, p)
+        drift = to_input @ slope  # the derivative by time
+        matrix = 2 / h * ca.SX.eye(n) - jacobian
+        end = u + slope * h
+        k1 = system.derivative(x, u, p) + h / 2 * drift
+        k1 = ca.solve(matrix, k1)
+        k2 = ca.solve(matrix, system.derivative(x, u, p) + 4 / h * k1 + 3 * h / 2 * drift)
+        k3 = ca.solve(matrix, system.derivative(x + 2 * k1, end, p) + (k1 - k2) / h)
+        k4 = ca.solve(matrix, system.derivative(x + 2 * k1 + k3, end, p) + (k1 - k2 - 8 / 3 * k3) / h)
+        return x + 2 * k1 + k3 + k4
+
+
+def step_function(system: Dynamics, integrator: Integrator, substeps: int) -> ca.Function:
+    """Return (x, mean, change, p, step) -> x one sample later; `change` (m,) is that of the inputs over the step."""
+    x, p, h = ca.SX.sym("x", len(system.states)), ca.SX.sym("p", len(system.parameters)), ca.SX.sym("h")
+    mean, change = ca.SX.sym("mean", len(system.inputs)), ca.SX.sym("change", len(system.inputs))
+    result: Any = x
+    for k in range(substeps if system.states else 0):
+        u = mean + change * (k / substeps - 0.5)
+        result = integrator.advance(system, result, u, change / h, p, h / substeps)
+    return ca.Function("step", [x, mean, change, p, h], [result], {"cse": True})

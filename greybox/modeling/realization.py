@@ -1,0 +1,178 @@
+"""One form for every model in time: an ODE driven by delayed inputs, compiled from an ODE or a transfer function."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from greybox.modeling.functions import Rational, pade_coefficients
+from greybox.modeling.model import Model, StateSpace, TransferFunction
+from greybox.modeling.symbolic_reading import parameter_names, require_no_nan, traced, traced_derivative, traced_output
+
+SWITCHES = {ca.OP_LT, ca.OP_LE, ca.OP_IF_ELSE_ZERO, ca.OP_FMIN, ca.OP_FMAX}
+
+
+@dataclass(frozen=True, eq=False)
+class Dynamics:
+    """``x' = derivative(x, u(t - delay), p)``, ``y = output(x, u(t - delay), p)``.
+
+    Attributes
+    ----------
+    states, inputs, outputs, parameters : tuple of str
+        Names, in the order of the vectors; states that stand for a Padé delay or a realized transfer function are
+        named after their input or output.
+    derivative, output : casadi.Function
+        (x, u, p) -> (n,) and (k,).
+    delay : casadi.Function
+        (p) -> the delay of every input (m,), s; zero where it is approximated by states.
+    """
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+    derivative: ca.Function
+    output: ca.Function
+    delay: ca.Function
+
+    @property
+    def delayed(self) -> bool:
+        """True when some input has a delay that the parameters set."""
+        return not self.delay(ca.SX.sym("p", len(self.parameters))).is_zero()
+
+
+def dynamics(model: Model, pade: int | None = None) -> Dynamics:
+    """Compile a model for the time domain; with `pade`, delays become states, approximated to that order.
+
+    A transfer function is realized in observer canonical form (Kailath 1980, Linear Systems, section 2.1), whose
+    states are always observable, with time scaled by its poles at the start values.
+
+    Raises
+    ------
+    ValueError
+        If a transfer function has no rational form (a loop around an exact delay), or is improper.
+    """
+    p = ca.SX.sym("p", len(model.parameters))
+    if isinstance(model, TransferFunction):
+        return _realized(model, p, pade)
+    assert isinstance(model, StateSpace)
+    x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", len(model.inputs))
+    names = list(model.parameters)
+    delays = [p[names.index(model.delays[i])] if i in model.delays else ca.SX(0) for i in model.inputs]
+    z = ca.vertcat(x, u)
+    f = traced_derivative(model, z, p) if model.states else ca.SX(0, 1)
+    return _approximated(
+        Dynamics(
+            states=tuple(model.states),
+            inputs=tuple(model.inputs),
+            outputs=tuple(model.outputs),
+            parameters=tuple(names),
+            derivative=ca.Function("derivative", [x, u, p], [f]),
+            output=ca.Function("output", [x, u, p], [traced_output(model, z, p)]),
+            delay=ca.Function("delay", [p], [ca.vertcat(*delays)]),
+        ),
+        pade,
+    )
+
+
+def has_branches(model: Model) -> bool:
+    """Tell whether the equations of a `StateSpace` hold comparisons or limits, such as `gb.where` and `gb.maximum`."""
+    if not isinstance(model, StateSpace):
+        return False
+    form = dynamics(model)
+    found = [f.instruction_id(k) for f in (form.derivative, form.output) for k in range(f.n_instructions())]
+    return bool(SWITCHES & set(found))
+
+
+def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
+    s = Rational([1.0, 0.0], pade=pade)
+    rational = traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
+    rational = rational if isinstance(rational, Rational) else Rational([rational])
+    numerator, denominator = [ca.SX(c) for c in rational.numerator], [ca.SX(c) for c in rational.denominator]
+    n = len(denominator) - 1
+    if len(numerator) > n + 1:
+        raise ValueError(
+            f"{model.label} is improper (its numerator has degree {len(numerator) - 1}, its denominator {n}), which no "
+            "ODE can follow: fit the integral of its output, or add the lag that the measurement has."
+        )
+    numerator = [ca.SX(0)] * (n + 1 - len(numerator)) + numerator
+    a = [c / denominator[0] for c in denominator]
+    feedthrough = numerator[0] / denominator[0]
+    b = [c / denominator[0] - feedthrough * a[k] for k, c in enumerate(numerator)]
+    pace = _pace(a, p, model)
+    x, u = ca.SX.sym("x", n), ca.SX.sym("u", 1)
+    rows = [
+        pace * ((x[k + 1] if k + 1 < n else 0) - a[k + 1] / pace ** (k + 1) * x[0] + b[k + 1] / pace ** (k + 1) * u)
+        for k in range(n)
+    ]
+    f = ca.vertcat(ca.SX(0, 1), *rows)
+    y = (x[0] if n else 0) + feedthrough * u
+    for expression in (f, y):
+        require_no_nan(f"{model.label}.response", ca.SX(expression))
+    return Dynamics(
+        states=tuple(f"{model.output}_{k}" for k in range(n)),
+        inputs=(model.input,),
+        outputs=(model.output,),
+        parameters=tuple(model.parameters),
+        derivative=ca.Function("derivative", [x, u, p], [f]),
+        output=ca.Function("output", [x, u, p], [y]),
+        delay=ca.Function("delay", [p], [ca.SX(rational.delay)]),
+    )
+
+
+def _pace(a: list[Any], p: ca.SX, model: Model) -> float:
+    """Return the geometric mean of the nonzero poles' magnitudes at the start values, rad/s; 1 without poles."""
+    values = ca.Function("a", [p], [ca.vertcat(*a)])([q.start for q in model.parameters.values()])
+    coefficients = np.asarray(values).ravel()
+    if not np.all(np.isfinite(coefficients)):
+        return 1.0
+    poles = np.abs(np.roots(coefficients))
+    poles = poles[poles > 1e-9]
+    return float(np.exp(np.mean(np.log(poles)))) if poles.size else 1.0
+
+
+def _approximated(exact: Dynamics, pade: int | None) -> Dynamics:
+    """Replace every delay by the states of its Padé approximation, where an order is given."""
+    if pade is None or not exact.delayed:
+        return exact
+    n, m = len(exact.states), len(exact.inputs)
+    p, u = ca.SX.sym("p", len(exact.parameters)), ca.SX.sym("u", m)
+    delays: Any = ca.vertsplit(exact.delay(p))
+    own: list[tuple[str, ca.SX]] = []
+    rows, late = [], []
+    for k, name in enumerate(exact.inputs):
+        if delays[k].is_zero():
+            late.append(u[k])
+            continue
+        x = ca.SX.sym(f"delay_{name}", pade)
+        output, derivative = _pade_states(x, u[k], delays[k], pade)
+        own += [(f"{name}_delay_{i}", x[i]) for i in range(pade)]
+        rows.append(derivative)
+        late.append(output)
+    x = ca.SX.sym("x", n)
+    full, delayed = ca.vertcat(x, *[symbol for _, symbol in own]), ca.vertcat(*late)
+    return Dynamics(
+        states=(*exact.states, *(name for name, _ in own)),
+        inputs=exact.inputs,
+        outputs=exact.outputs,
+        parameters=exact.parameters,
+        derivative=ca.Function("derivative", [full, u, p], [ca.vertcat(exact.derivative(x, delayed, p), *rows)]),
+        output=ca.Function("output", [full, u, p], [exact.output(x, delayed, p)]),
+        delay=ca.Function("delay", [p], [ca.SX.zeros(m)]),
+    )
+
+
+def _pade_states(x: ca.SX, u: ca.SX, delay: ca.SX, order: int) -> tuple[ca.SX, ca.SX]:
+    """Return the delayed input and the derivative of its states, in observer form with time in units of the delay."""
+    c = pade_coefficients(order)
+    leading = c[order] * (-1) ** order
+    # exp(-z) ≈ Σ c_k (-z)^k / Σ c_k z^k with z = s · delay, divided by c_n; highest power first.
+    a = [c[order - k] / c[order] for k in range(order + 1)]
+    b = [c[order - k] * (-1) ** (order - k) / c[order] for k in range(order + 1)]
+    feedthrough = leading / c[order]
+    rows = [
+        ((x[k + 1] if k + 1 < order else 0) - a[k + 1] * x[0] + (b[k + 1] - feedthrough * a[k + 1]) * u) / delay
+        for k in range(order)
+    ]
+    return x[0] + feedthrough * u, ca.vertcat(*rows)

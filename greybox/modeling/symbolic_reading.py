@@ -1,0 +1,93 @@
+"""Reading a user's formula with CasADi expressions, and saying in a sentence where that cannot be done."""
+
+import re
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from greybox.modeling.model import Model, Names, StateSpace
+
+_CURE = "write it with + - * / **, gb.exp, gb.where, gb.maximum and friends, not with math, numpy, if, max or and."
+
+
+def parameter_names(model: Model, p: Any) -> Names:
+    """Name the entries of a parameter vector."""
+    return Names({name: p[k] for k, name in enumerate(model.parameters)}, model.label)
+
+
+def split(model: StateSpace, z: Any) -> tuple[Names, Names]:
+    """Name the states and the inputs in the stacked vector `z`."""
+    n = len(model.states)
+    x = Names({name: z[k] for k, name in enumerate(model.states)}, f"{model.label}.states")
+    u = Names({name: z[n + k] for k, name in enumerate(model.inputs)}, f"{model.label}.inputs")
+    return x, u
+
+
+def traced(owner: str, formula: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a user's formula with CasADi expressions.
+
+    Raises
+    ------
+    ValueError
+        With the cure, where CasADi or Python refuses the formula.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FutureWarning)  # CasADi's long notice about numpy functions, which do work
+            return formula(*arguments)
+    except (RuntimeError, NotImplementedError, TypeError) as error:
+        reason = re.sub(r"^\.\.\./casadi\S+ ", "", str(error).strip().partition("\n")[0])
+        raise ValueError(f"{owner} cannot be compiled ({reason.rstrip('.')}): {_CURE}") from error
+
+
+def traced_derivative(model: StateSpace, z: ca.SX, p: ca.SX) -> ca.SX:
+    """Evaluate `model.derivative` on expressions, (n, 1)."""
+    return _traced_column(model, "derivative", model.derivative, model.states, z, p)
+
+
+def traced_output(model: StateSpace, z: ca.SX, p: ca.SX) -> ca.SX:
+    """Evaluate `model.output` on expressions, (k, 1)."""
+    return _traced_column(model, "output", model.output, model.outputs, z, p)
+
+
+def derivative_function(model: StateSpace) -> ca.Function:
+    """Return the CasADi function (states and inputs, parameters) -> derivative."""
+    z = ca.SX.sym("z", len(model.states) + len(model.inputs))
+    p = ca.SX.sym("p", len(model.parameters))
+    return ca.Function("derivative", [z, p], [traced_derivative(model, z, p)])
+
+
+def column(owner: str, values: Sequence[Any]) -> ca.SX:
+    """Stack scalar expressions, saying which one is not an expression."""
+    for k, value in enumerate(values):
+        if not isinstance(value, (int, float, np.number, ca.SX, ca.DM)):
+            raise ValueError(f"{owner} gives a {type(value).__name__} as value {k}, not an expression: {_CURE}")
+        if isinstance(value, (ca.SX, ca.DM)) and not value.is_scalar():
+            raise ValueError(f"{owner} gives {value.numel()} numbers as value {k}: return one scalar for each.")
+    return require_no_nan(owner, ca.SX(ca.vertcat(*values)) if values else ca.SX(0, 1))
+
+
+def require_no_nan(owner: str, expression: ca.SX) -> ca.SX:
+    """Refuse an expression that holds NaN, which is what `math.sin` and friends silently return for a symbol."""
+    function = ca.Function("scan", ca.symvar(expression), [expression])
+    for k in range(function.n_instructions()):
+        if function.instruction_id(k) == ca.OP_CONST and np.isnan(function.instruction_constant(k)):
+            raise ValueError(f"{owner} becomes NaN when it is compiled, as math.sin of an expression does: {_CURE}")
+    return expression
+
+
+def _traced_column(
+    model: StateSpace, what: str, formula: Callable[..., Any], names: Sequence[str], z: ca.SX, p: ca.SX
+) -> ca.SX:
+    owner = f"{model.label}.{what}"
+    result = traced(owner, formula, *split(model, z), parameter_names(model, p))
+    values = list(result) if isinstance(result, (tuple, list)) else [result]
+    if len(values) != len(names):
+        raise ValueError(
+            f"{owner} returns {len(values)} values but there are {len(names)} "
+            f"{'states' if what == 'derivative' else 'outputs'} ({', '.join(names)}): return one for each."
+        )
+    return column(owner, values)

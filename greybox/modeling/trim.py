@@ -1,0 +1,179 @@
+"""The operating point of an ODE: states and inputs at which its derivative is zero, as a function of the parameters."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.modeling.model import Names, StateSpace, require_known
+from greybox.modeling.parameter import Parameter
+from greybox.modeling.symbolic_reading import column, derivative_function, parameter_names, traced, traced_derivative
+
+_TOLERANCE = 1e-9  # of the derivative at a trim, relative to the size of its terms
+_STEPS = 10  # from the trim at the start values to that at the values asked for
+
+
+def trim_function(model: StateSpace, at: Mapping[str, float]) -> ca.Function:
+    """Return the function from the parameter vector to the states and inputs at the operating point `at`.
+
+    The point is, in this order: what the model's own `trim` says; the origin, where that is an equilibrium for every
+    parameter value (so a hover, where ``C_x |v| v = 0`` has a double root, has finite derivatives); otherwise the
+    solution of ``derivative = 0``, differentiated by the implicit function theorem.
+
+    Raises
+    ------
+    ValueError
+        For a name in `at` that is neither state nor input, or if the given values do not fix an operating point.
+    """
+    require_known(at, (*model.states, *model.inputs), "state or input", model.label)
+    for name, value in at.items():
+        if not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
+            raise ValueError(f"at[{name!r}] is {value!r}: give a finite number.")
+    p = ca.SX.sym("p", len(model.parameters))
+    if model.trim is not None:
+        return _own_trim(model, at, p)
+    point = [at.get(name, 0.0) for name in (*model.states, *model.inputs)]
+    if _is_always_equilibrium(model, point):
+        return _as_function(model, p, [ca.SX(v) for v in point])
+    return _implicit_trim(model, at)
+
+
+def _as_function(model: StateSpace, p: ca.SX, point: Sequence[Any]) -> ca.Function:
+    n = len(model.states)
+    return ca.Function(
+        "trim", [p], [column(f"{model.label}.trim", point[:n]), column(f"{model.label}.trim", point[n:])]
+    )
+
+
+def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> ca.Function:
+    assert model.trim is not None
+    returned = traced(f"{model.label}.trim", model.trim, Names(at, "at"), parameter_names(model, p))
+    if not isinstance(returned, Mapping):
+        raise ValueError(f"{model.label}.trim returns {returned!r:.60}: return the other states and inputs by name.")
+    given = dict(returned)
+    require_known(given, (*model.states, *model.inputs), "state or input", model.label)
+    trim = _as_function(model, p, [{**given, **at}.get(n, 0.0) for n in (*model.states, *model.inputs)])
+    start = [q.start for q in model.parameters.values()]
+    point = ca.vertcat(*trim(start))
+    rest = np.asarray(derivative_function(model)(point, start)).ravel()
+    if not np.all(np.abs(rest) < 1e-6 * (1 + np.abs(np.asarray(point)).max(initial=0))):
+        worst = int(np.argmax(np.abs(np.nan_to_num(rest, nan=np.inf))))
+        raise ValueError(
+            f"{model.label}.trim at {dict(at)} is no equilibrium: the derivative of "
+            f"{model.states[worst]!r} is {rest[worst]:.3g} there; correct the trim."
+        )
+    return trim
+
+
+def _is_always_equilibrium(model: StateSpace, point: Sequence[float]) -> bool:
+    """Tell whether `point` is an equilibrium whatever the parameters, by trying some."""
+    derivative = derivative_function(model)
+    random = np.random.default_rng(0)
+    for _ in range(8):
+        trial = [some_value(p, random) for p in model.parameters.values()]
+        value = np.asarray(derivative(point, trial))
+        if not np.all(np.abs(value) < 1e-12):
+            return False
+    return True
+
+
+def some_value(parameter: Parameter, random: np.random.Generator) -> float:
+    """Draw a value from a start box, or from what is within 1000 of the start."""
+    low, high = np.clip(parameter.box, parameter.start - 1e3, parameter.start + 1e3)
+    return float(random.uniform(low, high))
+
+
+def _implicit_trim(model: StateSpace, at: Mapping[str, float]) -> ca.Function:
+    names = (*model.states, *model.inputs)
+    z, p = ca.SX.sym("z", len(names)), ca.SX.sym("p", len(model.parameters))
+    rest = traced_derivative(model, z, p)
+    used = ca.sum1(ca.DM(ca.jacobian_sparsity(rest, z), 1.0)) if len(model.states) else ca.DM.zeros(1, len(names))
+    unknown = [k for k, name in enumerate(names) if name not in at and float(used[k]) > 0]
+    excess = len(unknown) - len(model.states)
+    if excess > 0:
+        raise ValueError(
+            f"the operating point of {model.label} is not fixed by at={dict(at)}: give {excess} more of "
+            f"{', '.join(names[k] for k in unknown)}."
+        )
+    w = ca.SX.sym("w", len(unknown))
+    point = ca.SX([at.get(name, 0.0) for name in names])
+    for k, index in enumerate(unknown):
+        point[index] = w[k]
+    rest = ca.substitute(rest, z, point)
+    residual = ca.Function("rest", [w, p], [rest, ca.jacobian(rest, w)])
+    start = np.array([q.start for q in model.parameters.values()])
+    guess, rows = _presolve(model, at, residual, start, len(unknown))
+    return _rootfinder(model, w, p, point, rest, guess, rows)
+
+
+def _presolve(
+    model: StateSpace, at: Mapping[str, float], residual: ca.Function, start: NDArray[np.float64], size: int
+) -> tuple[NDArray[np.float64], list[int]]:
+    """Solve the trim at the start values; return it with as many independent equations as there are unknowns."""
+    from scipy.optimize import least_squares  # noqa: PLC0415  (takes a fifth of a second to import)
+
+    random = np.random.default_rng(0)
+    guesses = [np.full(size, c) for c in (0.1, 1.0, -0.1, -1.0, 10.0)] + list(random.normal(0, 3, (15, size)))
+    for guess in guesses:
+        if not np.all(np.isfinite(np.asarray(residual(guess, start)[0]))):
+            continue
+        solution = least_squares(
+            lambda w: np.nan_to_num(np.asarray(residual(w, start)[0]).ravel(), nan=1e9, posinf=1e9, neginf=-1e9),
+            guess,
+            jac=lambda w: np.nan_to_num(np.asarray(residual(w, start)[1])),  # type: ignore[arg-type]
+            xtol=1e-15,
+            ftol=1e-15,
+            gtol=1e-15,
+        )
+        if np.abs(solution.fun).max() > _TOLERANCE * (1 + np.abs(solution.x).max(initial=0)):
+            continue
+        root = solution.x
+        for _ in range(30):  # at a double root every step only halves the distance, and with it the slope
+            rest, jacobian = (np.asarray(v) for v in residual(root, start))
+            root = root - np.linalg.lstsq(jacobian, rest.ravel())[0]
+        diagonal, order = _pivots(residual(root, start)[1])
+        nearby, _ = _pivots(residual(root + 0.1 * (1 + np.abs(root)), start)[1])
+        if diagonal.size and diagonal.min() < max(1e-9 * diagonal.max(), 1e-6 * np.nan_to_num(nearby).min()):
+            raise ValueError(
+                f"{model.label} at {dict(at)} has a singular operating point (its derivative does not fix every "
+                "state there): give more of the point in at, or declare trim(self, at, p)."
+            )
+        return root, sorted(int(k) for k in order[:size])
+    raise ValueError(
+        f"{model.label} has no operating point with {dict(at)} at its start values: check `at`, the start values, "
+        "or declare trim(self, at, p)."
+    )
+
+
+def _pivots(jacobian: ca.DM) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
+    """Pivots of a Jacobian, largest first, and the order in which its rows were taken."""
+    from scipy.linalg import qr  # noqa: PLC0415  (see `_presolve`)
+
+    result: Any = qr(np.nan_to_num(np.asarray(jacobian)).T, pivoting=True, mode="economic")
+    _, triangle, order = result
+    return np.abs(np.diag(triangle)), order
+
+
+def _rootfinder(
+    model: StateSpace, w: ca.SX, p: ca.SX, point: ca.SX, rest: ca.SX, guess: NDArray[np.float64], rows: list[int]
+) -> ca.Function:
+    options = {"error_on_fail": False, "abstol": 1e-12, "max_iter": 50, "show_eval_warnings": False}
+    equations = ca.vertcat(*[rest[k] for k in rows])
+    newton = ca.rootfinder("newton", "newton", {"x": w, "p": p, "g": equations}, options)
+    size = ca.sqrt(ca.sumsqr(rest)) / (1 + ca.sqrt(ca.sumsqr(w)))
+    finish = ca.Function("finish", [w, p], [point, size < _TOLERANCE])
+    parameters = ca.MX.sym("p", p.numel())
+    # A root that was not found becomes infinite, so that the run that met it fails instead of using it.
+    direct = newton(x0=guess, p=parameters)["x"]
+    start = ca.DM([q.start for q in model.parameters.values()])
+    root = ca.MX(ca.DM(guess))
+    for step in range(1, _STEPS + 1):
+        root = newton(x0=root, p=start + (parameters - start) * step / _STEPS)["x"]
+    slowly = ca.Function("slowly", [parameters], [root])
+    root = ca.if_else(finish(direct, parameters)[1], direct, slowly(parameters), True)
+    full, found = finish(root, parameters)
+    full = full / found
+    n = len(model.states)
+    return ca.Function("trim", [parameters], [full[:n], full[n:]])

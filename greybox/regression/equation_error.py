@@ -1,0 +1,370 @@
+"""Equation error: derivatives from smoothed data, then least squares, in one call and without a start.
+
+Every equation of an ODE whose states are known in time is a regression, linear in most parameters. The few that enter
+otherwise (delays, the time constant of a simulated state) are found by variable projection (Golub and Pereyra, SIAM J.
+Numer. Anal. 10 (1973) 413-432).
+
+Source: Morelli and Klein, Aircraft System Identification, 2nd ed., chapters 5 and 11.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.data.record import Record
+from greybox.data.text_table import number, text_table, with_error
+from greybox.modeling.model import Model, TransferFunction, require_known
+from greybox.modeling.parameter import Parameter
+from greybox.modeling.realization import Dynamics, dynamics
+from greybox.regression.linear_in_parameters import Equations, regressions
+from greybox.regression.regressors import Regressors, memory, regressors
+from greybox.regression.smoothing import regular
+from greybox.regression.variable_projection import Projection, project
+
+Array = NDArray[np.float64]
+
+POOR = 0.5  # R² below which an equation hardly explains its target
+MARKED = 0.5  # standard errors of bias by noise from which a sentence names it
+PAIRS, LONG = 2, 20000  # antithetic pairs of added noise that measure the bias; one for a record of so many samples
+
+
+@dataclass(frozen=True)
+class UsedEquation:
+    """One regression of the answer: its left side, R², rows, the band of its terms (Hz), and its residual."""
+
+    left: str
+    parameters: tuple[str, ...]
+    r_squared: float
+    rows: int
+    band: float
+    residual: float
+
+
+@dataclass(frozen=True, eq=False)
+class EquationError:
+    """The outcome of `equation_error`. Printing it says what was estimated from what, and what was not, and why.
+
+    It is a start, ``gb.fit(problem, starts=[result.estimate])``, and can be given as `fixed` to a problem.
+
+    Attributes
+    ----------
+    name : str
+        Of model and record.
+    estimate : mapping of name to float
+        Free parameters that could be estimated, within their bounds.
+    standard_error : mapping of name to float
+        With the autocorrelation of the residuals; NaN at a bound. It does not hold the `bias`.
+    bias : mapping of name to float
+        How far the noise left in the regressors moved the estimate, to first order; it was not taken off.
+    covariance : (k, k) array
+        In the order of `estimate`.
+    dof : float
+        Residuals that are worth as independent, less the number of estimates.
+    equations : tuple of UsedEquation
+    left_out : tuple of str
+        Equations that could not be used, and why.
+    missing : mapping of name to str
+        Free parameters that could not be estimated, and why.
+    at_bound : tuple of str
+    fixed : mapping of name to float
+    states : tuple of str
+        How each state is known.
+    cutoffs : mapping of signal name to float
+        Of its smoothing, Hz.
+    """
+
+    name: str
+    estimate: Mapping[str, float]
+    standard_error: Mapping[str, float]
+    bias: Mapping[str, float]
+    covariance: Array
+    dof: float
+    equations: tuple[UsedEquation, ...]
+    left_out: tuple[str, ...]
+    missing: Mapping[str, str]
+    at_bound: tuple[str, ...]
+    fixed: Mapping[str, float]
+    states: tuple[str, ...]
+    cutoffs: Mapping[str, float]
+    parameters: Mapping[str, Parameter]
+    warnings: tuple[str, ...]
+
+    def covariance_of(self, names: Sequence[str]) -> Array:
+        """Return the covariance matrix of the named estimates."""
+        require_known(names, self.estimate, "estimate", self.name)
+        places = [list(self.estimate).index(name) for name in names]
+        return self.covariance[np.ix_(places, places)]
+
+    def __str__(self) -> str:
+        lines = [f"{self.name}: equation error", ""]
+        rows = []
+        for name, value in self.estimate.items():
+            text, error = with_error(value, self.standard_error[name])
+            note, p = "AT BOUND" if name in self.at_bound else "", self.parameters[name]
+            rows.append([name, text, error, number(self.bias[name], 2), p.unit, note, p.about])
+        header = ["parameter", "estimate", "± error", "bias by noise", "unit", "", "meaning"]
+        lines += text_table(header, rows, left=(0, 4, 5, 6)).splitlines()
+        lines += [f"not estimated: {name}, {why}" for name, why in self.missing.items()]
+        cells = [
+            [
+                e.left,
+                " ".join(e.parameters),
+                f"{e.r_squared:.4f}",
+                str(e.rows),
+                _band(e.band),
+                number(e.residual, 3),
+            ]
+            for e in self.equations
+        ]
+        lines += [
+            "",
+            *text_table(["equation", "for", "R²", "rows", "band, Hz", "residual"], cells, (0, 1)).splitlines(),
+        ]
+        lines += [f"left out: {text}" for text in self.left_out]
+        lines += ["", *(f"state {text}" for text in self.states)]
+        lines += ["", *(f"warning: {text}" for text in self.warnings), ""]
+        lines += [
+            "± is the standard error with colored residuals, for exact regressors. Noise in the regressors biases",
+            "besides, as far as estimated in the column 'bias by noise', which is not taken off. Use this as a start,",
+            "or confirm it by gb.fit.",
+        ]
+        return "\n".join("  " + line if line and k else line for k, line in enumerate(lines))
+
+
+def _band(hertz: float) -> str:
+    return "all" if math.isinf(hertz) else number(hertz, 3)
+
+
+def equation_error(
+    model: Model,
+    record: Record,
+    *,
+    fixed: Mapping[str, float] | None = None,
+    free: Sequence[str] = (),
+    cutoff: float | None = None,
+) -> EquationError:
+    """Estimate the parameters of an ODE from its measured states, equation by equation, by least squares.
+
+    A state is known when the record has a signal of its name or an output that equals it (up to constants), when it is
+    the derivative of a known state (``theta' = q``), or when it follows from a stable linear equation that known
+    signals drive (a rotor lag), which is then solved. Equations with other states are left out. All terms of an
+    equation pass the same low-pass filter, so that what smoothing takes from one side it takes from the other. Inputs
+    are interpolated between samples by cubic splines, so that a control that is held shows half a period more delay. A
+    transfer function can be used when it has one pole only.
+
+    Noise in the states biases the estimate; `EquationError.bias` says how far, but not what a controller adds that
+    feeds the noise back to an input. An equation with a state that is solved from its own target (`nu` from `r` in
+    `greybox.models.yaw.YawStates`) may at high noise explain the target by itself: its parameters then run to their
+    bounds.
+
+    Parameters
+    ----------
+    model : Model
+        Met by the names of inputs, states and outputs.
+    record : Record
+        Uniform but for gaps; NaN marks missing samples. Every input must be there.
+    fixed : mapping of name to value
+        Parameters held constant.
+    free : sequence of str
+        Parameters that the model declares fixed and that are to be estimated.
+    cutoff : float, Hz, optional
+        The band of all terms, e.g. below a vibration; by default half the lowest cutoff that the smoothed signals of
+        an equation choose.
+
+    Raises
+    ------
+    ValueError
+        When a name is not known, an input is missing, no input moves, sampling is not uniform, nothing is free or
+        determined, or no equation can be used.
+    """
+    _require(model, record, cutoff)
+    parameters = _stated(model, fixed or {}, [free] if isinstance(free, str) else free)
+    constants = {n: p.start for n, p in parameters.items() if p.fixed}
+    unknown = {n: p for n, p in parameters.items() if not p.fixed}
+    if not unknown:
+        raise ValueError(f"{model.label} has no free parameter here: name some with free=(...).")
+    form = dynamics(model)
+    record = regular(record)
+    resting = _resting(model, form, record)
+    start = np.array([p.start for p in unknown.values()])
+    equations = regressions(form, record.signals, constants, start)
+    _require_equations(model, equations, record)
+    latest = _latest(form, parameters)
+    names = (form.states, form.inputs)
+    band = None if cutoff is None else 2 * math.pi * cutoff
+    data = regressors(equations, names, record, start, latest, band=band)
+    found = project(data, unknown, start)
+    if memory(equations, names, found.vector) > 1.1 * memory(equations, names, start):
+        settled = regressors(equations, names, record, found.vector, latest, data.cutoffs, band)
+        if settled.blocks(found.vector):  # else the record is too short to leave out more
+            data, start = settled, found.vector
+            found = project(data, unknown, start)
+    bias = _bias(data, found, record, start, latest, band)
+    return _answer(f"{model.label}, {record.name or 'record'}", data, found, bias, parameters, resting)
+
+
+def _require(model: Any, record: Any, cutoff: Any) -> None:
+    if not isinstance(model, Model):
+        raise TypeError(f"model is {model!r:.60}: give an instance such as LinearTilt(), not the class.")
+    if not isinstance(record, Record):
+        raise TypeError(f"record is {record!r:.60}: give a Record, as gb.prepare returns it.")
+    if cutoff is not None and not (isinstance(cutoff, (int, float, np.number)) and 0 < cutoff < math.inf):
+        raise ValueError(f"cutoff {cutoff!r} must be a number of Hz above 0.")
+
+
+def _stated(model: Model, fixed: Mapping[str, float], free: Sequence[str]) -> dict[str, Parameter]:
+    """Apply `fixed` and `free` to the declared parameters."""
+    if not isinstance(fixed, Mapping):
+        raise TypeError(f"fixed is {fixed!r:.60}: give {{name: value}}, e.g. fixed=dict(fit.estimate).")
+    require_known(fixed, model.parameters, "parameter", model.label)
+    require_known(free, model.parameters, "parameter", model.label)
+    both = [name for name in fixed if name in free]
+    if both:
+        raise ValueError(f"{both[0]!r} is both fixed and free: keep one of them.")
+    result = {n: replace(p, fixed=p.fixed and n not in free) for n, p in model.parameters.items()}
+    for name, value in fixed.items():
+        low, high = result[name].bounds
+        if not isinstance(value, (int, float, np.number)) or not low <= value <= high:
+            raise ValueError(f"fixed gives {name!r} the value {value!r}: give a number within ({low:g}, {high:g}).")
+        result[name] = replace(result[name], start=float(value), fixed=True)
+    return result
+
+
+def _resting(model: Model, form: Dynamics, record: Record) -> tuple[str, ...]:
+    """Return the inputs that never move; raise when one is missing or none moves."""
+    for name in form.inputs:
+        if name not in record.signals:
+            raise ValueError(
+                f"the record has no signal {name!r}, an input of {model.label}; it has {', '.join(record.signals)}: "
+                f"name it so with gb.prepare(..., signals={{{name!r}: ...}})."
+            )
+    values = {name: record[name][np.isfinite(record[name])] for name in form.inputs}
+    resting = tuple(name for name, v in values.items() if v.size == 0 or np.ptp(v) <= 1e-9 * np.abs(v).max())
+    if form.inputs and len(resting) == len(form.inputs):
+        raise ValueError(
+            f"{' and '.join(resting)} of {model.label} never moves in the record, which says nothing about its effect: "
+            "give a record with an excitation."
+        )
+    return resting
+
+
+def _require_equations(model: Model, equations: Equations, record: Record) -> None:
+    if equations.equations:
+        return
+    if isinstance(model, TransferFunction):
+        raise ValueError(
+            f"the equation of {model.label} needs derivatives of {model.output!r} that cannot be had from the record: "
+            "declare it as a StateSpace whose states are measured, or fit its frequency response, see gb.regression.levy."
+        )
+    reasons = "; ".join(equations.left_out) or "none of them holds a free parameter and only signals that are there"
+    raise ValueError(
+        f"no equation of {model.label} can be used ({reasons}); the record has {', '.join(record.signals)}: "
+        "add the missing states under their names."
+    )
+
+
+def _latest(form: Dynamics, parameters: Mapping[str, Parameter]) -> Array:
+    """Return the largest possible delay of every input, s."""
+    highest = [p.start if p.fixed else p.bounds[1] for p in parameters.values()]
+    delays = np.asarray(form.delay(highest)).ravel()
+    if not np.all(np.isfinite(delays)):
+        raise ValueError("a free delay has no upper bound: declare Parameter(..., bounds=(0, the longest possible)).")
+    return delays
+
+
+def _bias(
+    data: Regressors, found: Projection, record: Record, start: Array, latest: Array, band: float | None
+) -> dict[str, float]:
+    """Return how far noise like that of the signals moves the estimate, by adding it once more.
+
+    Simulation and extrapolation (Cook and Stefanski, J. Amer. Statist. Assoc. 89 (1994) 1314-1328), linear and with one
+    Gauss-Newton step; noise of both signs, so that only what is even in it stays.
+    """
+    if not data.noise:
+        return dict.fromkeys(found.names, 0.0)
+    random = np.random.default_rng(0)
+    moved = []
+    for _ in range(PAIRS if len(record) < LONG else 1):
+        noise = {n: s * random.normal(size=len(record)) for n, s in data.noise.items()}
+        for sign in (1, -1):
+            added = {n: record[n] + sign * e for n, e in noise.items()}
+            noisy = replace(record, signals={**record.signals, **added})
+            again = regressors(data.equations, data.names, noisy, start, latest, data.cutoffs, band)
+            moved.append(found.step(again))
+    return (
+        dict(zip(found.names, np.mean(moved, axis=0), strict=True)) if data.noise else dict.fromkeys(found.names, 0.0)
+    )
+
+
+def _answer(
+    name: str,
+    data: Regressors,
+    found: Projection,
+    bias: Mapping[str, float],
+    parameters: Mapping[str, Parameter],
+    resting: tuple[str, ...],
+) -> EquationError:
+    unknown = [n for n, p in parameters.items() if not p.fixed]
+    missing = {n: _why(n, data.equations, found) for n in unknown if n not in found.names}
+    errors = dict(zip(found.names, np.sqrt(np.maximum(np.diag(found.covariance), 0)), strict=True))
+    errors |= dict.fromkeys(found.at_bound, math.nan)
+    used = tuple(
+        UsedEquation(e.left, e.parameters, r, n, band / (2 * math.pi), s)
+        for e, r, n, band, s in zip(
+            data.equations.equations, found.r_squared, found.rows, data.bands, found.spread, strict=True
+        )
+    )
+    return EquationError(
+        name=name,
+        estimate=dict(zip(found.names, found.values.tolist(), strict=True)),
+        standard_error={n: float(e) for n, e in errors.items()},
+        bias={n: float(b) for n, b in bias.items()},
+        covariance=found.covariance,
+        dof=found.dof,
+        equations=tuple(e for e in used if e.rows),
+        left_out=(*data.equations.left_out, *(f"{e.left} (no stretch is long enough)" for e in used if not e.rows)),
+        missing=missing,
+        at_bound=found.at_bound,
+        fixed={n: p.start for n, p in parameters.items() if p.fixed},
+        states=tuple(str(state) for state in data.equations.states),
+        cutoffs={n: c / (2 * math.pi) for n, c in data.cutoffs.items()},
+        parameters=dict(parameters),
+        warnings=tuple(_warnings(used, found, bias, errors, resting)),
+    )
+
+
+def _why(name: str, equations: Equations, found: Projection) -> str:
+    """Say why a parameter was not estimated."""
+    partners = next((group for group in found.undetermined if name in group), ())
+    if len(partners) > 1:
+        return f"only a combination of {', '.join(partners)} is determined: fix one of them"
+    if partners:
+        return "it changes nothing in these data"
+    return "it is in no equation that can be used" if equations.left_out else "it is in no equation of the model"
+
+
+def _warnings(
+    used: Sequence[UsedEquation],
+    found: Projection,
+    bias: Mapping[str, float],
+    errors: Mapping[str, float],
+    resting: Sequence[str],
+) -> list[str]:
+    result = [f"the input {name} never moves: its effect is not told from a constant." for name in resting]
+    result += [f"{n} ended at its bound, where the other errors take it to be exactly." for n in found.at_bound]
+    result += [
+        f"{e.left} is explained to {100 * max(e.r_squared, 0):.0f} % only: noise, or terms that the model lacks."
+        for e in used
+        if e.rows and e.r_squared < POOR
+    ]
+    biased = [n for n in found.names if abs(bias[n]) > MARKED * errors[n]]
+    if biased:
+        shifts = ", ".join(f"{n} by about {bias[n]:.2g}" for n in biased)
+        result.append(f"noise in the measured states biases the estimate ({shifts}): the intervals miss that.")
+    if found.dof < 10:
+        result.append(f"the residuals are worth {max(found.dof, 0):.0f} independent ones only: the errors are rough.")
+    return result

@@ -1,0 +1,241 @@
+"""Noise taken from a measured signal, and its derivative, with the cutoff that the signal itself asks for.
+
+A stretch less the line between its ends is a sum of sines (Lanczos, Applied Analysis, 1956; Morelli and Klein, Aircraft
+System Identification, 2nd ed., chapter 11, who weigh them by a Wiener filter). Here the weight of the
+sine of angular frequency ω is 1 / (1 + (ω / cutoff)⁸), that of a smoothing spline of order four on uniform samples, and
+the cutoff is the one of least generalized cross-validation (Craven and Wahba, Numer. Math. 31 (1979) 377-403).
+
+Measured on multisines, chirps and friction with jumps (1500 and 6000 samples): the derivative had at most 1.25 times
+the error of the best cutoff at white noise of 1 % and more, three times at 0.01 %, and less than that of the best
+Savitzky-Golay window except at jumps, where they are equal. Splines of order two and three did worse on smooth signals
+and gained little on jumps. `scipy.interpolate.make_smoothing_spline` takes 16 s for 60 000 samples, this takes 0.2 s.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from greybox.data.record import GAP, Record
+from greybox.data.text_table import counted
+
+Array = NDArray[np.float64]
+
+POWER = 8  # twice the order of the smoothing spline
+SHORTEST = 12  # samples; fewer say nothing about their noise
+CANDIDATES = 60  # cutoffs tried, evenly in the logarithm
+UNEVEN = 0.02  # share of the step by which a sample may be off the uniform base
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """A signal without its noise, as far as it can be told apart.
+
+    Attributes
+    ----------
+    values, derivative : (n,) array
+        In the unit of the signal, and per second; NaN where the signal is missing or its stretch is too short.
+        The first and last ``reach(cutoff)`` seconds of a stretch are less accurate.
+    cutoff : float, rad/s
+        Where half of the amplitude passes.
+    noise : float
+        Standard deviation of the noise, if it is white.
+    """
+
+    values: Array
+    derivative: Array
+    cutoff: float
+    noise: float
+
+
+def smooth(time: ArrayLike, values: ArrayLike, cutoff: float | None = None) -> Smoothed:
+    """Smooth and differentiate a signal, stretch by stretch, never across a gap.
+
+    A single missing sample is interpolated; two or more in a row are a gap, as in `Record`. One cutoff serves all.
+
+    Parameters
+    ----------
+    time : (n,) array, s
+        Uniform but for gaps.
+    values : (n,) array
+        NaN marks missing samples.
+    cutoff : float, rad/s, optional
+        By default chosen by generalized cross-validation, which takes what is not white for signal: give it when a
+        vibration is to be left out.
+
+    Raises
+    ------
+    ValueError
+        If sampling is not uniform, no stretch has 12 samples, or the cutoff is not a positive number.
+    """
+    time, values = np.asarray(time, dtype=float), np.asarray(values, dtype=float)
+    require_uniform(time)
+    if cutoff is not None and not (math.isfinite(cutoff) and cutoff > 0):
+        raise ValueError(f"cutoff {cutoff!r} must be a number of rad/s above 0.")
+    step = float(np.median(np.diff(time)))
+    values = without_holes(time, values)
+    parts = [rows for rows in stretches(time, values) if rows.stop - rows.start >= SHORTEST]
+    if not parts:
+        raise ValueError(
+            f"the signal has no stretch of {SHORTEST} samples without a gap among its {values.size}, of which "
+            f"{int(np.isfinite(values).sum())} are there: put it on the time base of its own sensor with gb.prepare."
+        )
+    sines = [_sines(values[rows], step) for rows in parts]
+    amplitude, omega = (np.concatenate(columns) for columns in zip(*sines, strict=True))
+    if cutoff is None:
+        still = float(np.sum(amplitude**2)) <= 1e-24 * float(np.nansum(values**2))  # a line, to rounding
+        cutoff = float(omega.max()) if still else _cross_validated(amplitude, omega)
+    taken = 1 - _weight(omega, cutoff)
+    smooth_values, derivative = np.full((2, values.size), np.nan)
+    for rows in parts:
+        smooth_values[rows] = low_pass(values[rows], step, cutoff)
+        derivative[rows] = differentiate(smooth_values[rows], step)
+    noise = math.sqrt(float(np.sum((taken * amplitude) ** 2)) / max(float(np.sum(taken)), 1e-9))
+    return Smoothed(smooth_values, derivative, cutoff, noise)
+
+
+def low_pass(values: Array, step: float, cutoff: float) -> Array:
+    """Weigh the sines of one stretch, (n,) or (n, k) for columns, without shifting them; a straight line passes."""
+    from scipy.fft import idst  # noqa: PLC0415  (import of greybox stays free of scipy)
+
+    line = np.linspace(values[0], values[-1], len(values))
+    amplitude, omega = _sines(values, step)
+    weight = _weight(omega, cutoff).reshape(-1, *[1] * (values.ndim - 1))
+    line[1:-1] += idst(weight * amplitude, type=1, norm="ortho", axis=0)
+    return line
+
+
+def differentiate(values: Array, step: float) -> Array:
+    """Differentiate one smooth stretch (n,) by the cubic spline through it, of order step⁴."""
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415  (takes a quarter of a second to import)
+
+    return CubicSpline(step * np.arange(len(values)), values)(step * np.arange(len(values)), 1)
+
+
+def reach(cutoff: float) -> float:
+    """Return the time (s) over which the filter's memory falls to a tenth: its slowest pole decays with 0.38 cutoff."""
+    return math.log(10) / (math.sin(math.pi / POWER) * cutoff)
+
+
+def stretches(time: Array, *signals: Array) -> list[slice]:
+    """Return the runs of rows in which all signals are there and time has no gap."""
+    known = np.logical_and.reduce([np.isfinite(values) for values in signals])
+    rows = np.flatnonzero(known)
+    if rows.size == 0:
+        return []
+    step = float(np.median(np.diff(time)))
+    cuts = np.flatnonzero((np.diff(rows) > 1) | (np.diff(time[rows]) > GAP * step)) + 1
+    return [slice(int(part[0]), int(part[-1]) + 1) for part in np.split(rows, cuts)]
+
+
+def without_holes(time: Array, values: Array) -> Array:
+    """Return the signal with single missing samples between two known ones interpolated by a cubic spline."""
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415  (takes a quarter of a second to import)
+
+    known = np.flatnonzero(np.isfinite(values))
+    filled = np.array(values, dtype=float)
+    if known.size in (0, values.size):
+        return filled
+    step = float(np.median(np.diff(time)))
+    near = np.diff(time[known]) <= GAP * step
+    for part in np.split(known, np.flatnonzero(~near) + 1):
+        inside = np.setdiff1d(np.arange(part[0], part[-1] + 1), part)
+        if inside.size and part.size >= 4:
+            filled[inside] = CubicSpline(time[part], values[part])(time[inside])
+    return filled
+
+
+def regular(record: Record) -> Record:
+    """Return the record with the rows that are missing inside its pieces put in as NaN, each piece on its uniform base.
+
+    Raises
+    ------
+    ValueError
+        If a sample is off the uniform base by more than 2 % of the step.
+    """
+    if len(record) < SHORTEST:
+        raise ValueError(
+            f"the record has {counted(len(record), 'sample')}, of which nothing can be learned: give more."
+        )
+    step, pieces = record.step, record.pieces
+    places = [np.rint((piece.time - piece.time[0]) / step).astype(int) for piece in pieces]
+    if all(place[-1] + 1 == len(piece) for place, piece in zip(places, pieces, strict=True)):
+        require_uniform(record.time)
+        return record
+    times = [_base(piece.time, place) for piece, place in zip(pieces, places, strict=True)]
+    signals = {
+        name: np.concatenate([_placed(q[name], k) for q, k in zip(pieces, places, strict=True)])
+        for name in record.signals
+    }
+    return replace(record, time=np.concatenate(times), signals=signals, findings=())
+
+
+def require_uniform(time: Array) -> None:
+    """Raise ValueError where a step that is no gap differs from the median step."""
+    if time.size < 2:
+        raise ValueError(f"{counted(time.size, 'sample has', 'samples have')} no derivative: give more.")
+    steps = np.diff(time)
+    step = float(np.median(steps))
+    odd = np.flatnonzero((np.abs(steps - step) > UNEVEN * step) & (steps <= GAP * step))
+    if odd.size:
+        raise _uneven(float(time[odd[0]]), float(steps[odd[0]]), step)
+
+
+def _base(time: Array, places: NDArray[np.int_]) -> Array:
+    """Return the uniform base through a piece whose samples lie at these places of it."""
+    if places[-1] == 0:
+        return time
+    slope = (time[-1] - time[0]) / places[-1]
+    base = time[0] + slope * np.arange(places[-1] + 1)
+    off = np.flatnonzero(np.abs(base[places] - time) > UNEVEN * slope)
+    doubled = np.flatnonzero(np.diff(places) == 0)
+    if off.size or doubled.size:
+        k = int(min([*off, *doubled]))
+        raise _uneven(float(time[k]), float(np.diff(time)[min(k, len(time) - 2)]), float(slope))
+    return base
+
+
+def _uneven(at: float, step: float, usual: float) -> ValueError:
+    return ValueError(
+        f"sampling is not uniform: the step at {at:.6g} s is {step:.4g} s and otherwise {usual:.4g} s; "
+        "put the signals on one time base with gb.prepare(..., rate=...)."
+    )
+
+
+def _placed(values: Array, places: NDArray[np.int_]) -> Array:
+    column = np.full(places[-1] + 1, np.nan)
+    column[places] = values
+    return column
+
+
+def _sines(values: Array, step: float) -> tuple[Array, Array]:
+    """Return the orthonormal sine amplitudes of a stretch less the line between its ends, and their rad/s."""
+    from scipy.fft import dst  # noqa: PLC0415  (import of greybox stays free of scipy)
+
+    n = len(values)
+    inside = (values - np.linspace(values[0], values[-1], n))[1:-1]
+    omega = np.arange(1, n - 1, dtype=np.float64) * (math.pi / ((n - 1) * step))
+    return np.asarray(dst(inside, type=1, norm="ortho", axis=0), dtype=np.float64), omega
+
+
+def _weight(omega: Array, cutoff: float) -> Array:
+    return 1 / (1 + (omega / cutoff) ** POWER)
+
+
+def _cross_validated(amplitude: Array, omega: Array) -> float:
+    """Return the cutoff of least generalized cross-validation."""
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415  (import of greybox stays free of scipy)
+
+    power = amplitude**2
+
+    def score(logarithm: float) -> float:
+        taken = 1 - _weight(omega, math.exp(logarithm))
+        return math.log(float(taken**2 @ power) + 1e-300) - 2 * math.log(float(np.sum(taken)) + 1e-300)
+
+    candidates: Sequence[float] = np.linspace(math.log(np.sort(omega)[2]), math.log(omega.max()), CANDIDATES).tolist()
+    best = min(candidates, key=score)
+    width = candidates[1] - candidates[0]
+    found = minimize_scalar(score, bounds=(best - width, min(best + width, candidates[-1])), method="bounded")
+    return math.exp(found.x if found.fun < score(best) else best)

@@ -1,0 +1,304 @@
+"""Variable projection: the linear unknowns by least squares inside a search over the few nonlinear ones."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.formulation.starts import Sobol
+from greybox.modeling.parameter import Parameter
+from greybox.regression.least_squares import Block, colors, covariance, residuals, solve, spread, undetermined
+from greybox.regression.regressors import Regressors
+from greybox.regression.smoothing import reach, stretches
+
+Array = NDArray[np.float64]
+
+TRIED = 16  # points in the box of the nonlinear unknowns, of which the best begins the search
+SEARCHED = 6000  # samples on which the search begins
+SEARCHES = 2  # of these points from which a search runs, besides the start
+PASSES = 3  # times that the equations are weighed by their residuals
+TOUCHING = 1e-6  # of the interval between bounds
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """The solution over all equations.
+
+    Attributes
+    ----------
+    names : tuple of str
+        What could be estimated; `values`, `covariance` follow it.
+    at_bound : tuple of str
+        Covariances with these are NaN.
+    dof : float
+    r_squared, rows, spread : tuple
+        Of every equation; 0 rows where no stretch was long enough.
+    undetermined : tuple of tuples of names
+        What changes nothing, alone or in a combination.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    at_bound: tuple[str, ...]
+    dof: float
+    r_squared: tuple[float, ...]
+    rows: tuple[int, ...]
+    spread: tuple[float, ...]
+    undetermined: tuple[tuple[str, ...], ...]
+    search: "_Search" = field(repr=False)
+    point: Array = field(repr=False)
+    unknowns: Array = field(repr=False)
+    weights: Array = field(repr=False)
+
+    @property
+    def vector(self) -> Array:
+        """All free parameters, those that enter linearly at their start."""
+        return self.search.vector(self.point)
+
+    def step(self, data: Regressors) -> Array:
+        """Return the Gauss-Newton step (k,) that other data of the same equations ask for from here."""
+        search = self.search.on(data)
+        blocks = search.full(self.point, self.unknowns)
+        wide = np.full(len(search.columns), np.inf)
+        moved = np.zeros(len(search.columns))
+        keep = [k for k, n in enumerate(search.columns) if n in self.names and n not in self.at_bound]
+        errors = [
+            Block(
+                b.equation,
+                b.target - b.base - b.slopes[:, : len(self.unknowns)] @ self.unknowns,
+                0 * b.base,
+                b.slopes[:, keep],
+            )
+            for b in blocks
+        ]
+        moved[keep] = solve(errors, self.weights, -wide[keep], wide[keep]) if errors else math.nan
+        return moved[[search.columns.index(n) for n in self.names]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """The data as functions of the nonlinear unknowns, `point`."""
+
+    data: Regressors
+    parameters: Mapping[str, Parameter]
+    start: Array
+    last: dict[bytes, list[Block]] = field(default_factory=dict)  # the regressions asked for last
+
+    @property
+    def linear(self) -> tuple[str, ...]:
+        return self.data.equations.linear
+
+    @property
+    def nonlinear(self) -> tuple[str, ...]:
+        return self.data.equations.nonlinear
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        return (*self.linear, *self.nonlinear)
+
+    def on(self, data: Regressors) -> "_Search":
+        return _Search(data, self.parameters, self.start)
+
+    def bounds(self, names: tuple[str, ...]) -> tuple[Array, Array]:
+        low, high = np.reshape([self.parameters[n].bounds for n in names], (-1, 2)).T
+        return low, high
+
+    def blocks(self, point: Array) -> list[Block]:
+        """Return the regressions at the nonlinear values `point`, in their own units."""
+        if point.tobytes() not in self.last:
+            self.last.clear()
+            self.last[point.tobytes()] = self.data.blocks(self.vector(point))
+        return self.last[point.tobytes()]
+
+    def vector(self, point: Array) -> Array:
+        """Return all free parameters, the linear ones at their start."""
+        p = self.start.copy()
+        for name, value in zip(self.nonlinear, point, strict=True):
+            p[self.data.equations.free.index(name)] = value
+        return p
+
+    def full(self, point: Array, unknowns: Array) -> list[Block]:
+        """Return the regressions with the slopes to the nonlinear unknowns behind the others, by differences."""
+        blocks = self.blocks(point)
+        slopes: list[list[Array]] = []
+        low, high = self.bounds(self.nonlinear)
+        for k in range(len(point)):
+            size = 1e-4 * min(high[k] - low[k], max(abs(point[k]), 1e-3 * (high[k] - low[k]), 1e-9), 1e9)
+            ends = [self.blocks(point + sign * size * (np.arange(len(point)) == k)) for sign in (1, -1)]
+            if any([len(b.base) for b in end] != [len(b.base) for b in blocks] for end in ends):
+                slopes.append([0 * b.base for b in blocks])  # the model ends here, so that nothing is known of it
+                continue
+            above, below = ([b.base + b.slopes @ unknowns for b in end] for end in ends)
+            slopes.append([(a - b) / (2 * size) for a, b in zip(above, below, strict=True)])
+        return [
+            Block(b.equation, b.target, b.base, np.column_stack([b.slopes, *(s[k] for s in slopes)]))
+            for k, b in enumerate(blocks)
+        ]
+
+
+def project(data: Regressors, parameters: Mapping[str, Parameter], start: Array) -> Projection:
+    """Estimate the free `parameters`, whose values at the start are `start`, from the regressions of `data`.
+
+    Raises
+    ------
+    ValueError
+        If no stretch is long enough, a simulated state is not stable, or nothing is determined.
+    """
+    search = _Search(data, parameters, start)
+    first = search.blocks(np.array([parameters[n].start for n in search.nonlinear]))
+    if not first:
+        raise ValueError(_too_short(data))
+    point = _located(search)
+    blocks = search.blocks(point)
+    weights = _weights(blocks, [b.target for b in blocks])
+    weights = _weights(blocks, residuals(blocks, _inner(search, blocks, weights)))
+    for _ in range(PASSES if len(weights) > 1 else 1):
+        point = _refine(search, point, weights)
+        blocks = search.blocks(point)
+        unknowns = _inner(search, blocks, weights)
+        weights = _weights(blocks, residuals(blocks, unknowns))
+    unknowns = _inner(search, blocks, weights)
+    return _judged(search, point, unknowns, weights)
+
+
+def _too_short(data: Regressors) -> str:
+    longest = max(rows.stop - rows.start for rows in stretches(data.time, data.time))
+    edge = 2 * reach(min(data.bands)) + data.lateness
+    return (
+        "no stretch without a gap is long enough: the longest piece of the record has "
+        f"{longest * data.step:.3g} s, and smoothing, delays and simulated states take {edge:.3g} s from its ends; "
+        "give a longer or less noisy record."
+    )
+
+
+def _inner(search: _Search, blocks: list[Block], weights: Array) -> Array:
+    return solve(blocks, weights, *search.bounds(search.linear))
+
+
+def _weights(blocks: list[Block], errors: list[Array]) -> Array:
+    return 1 / spread(blocks, errors)
+
+
+def _errors(search: _Search, point: Array, weights: Array) -> Array | None:
+    """Return the weighted residuals of the best linear unknowns at `point`; None where the model has none."""
+    blocks = search.blocks(point)
+    if not blocks:
+        return None
+    errors = residuals(blocks, _inner(search, blocks, weights))
+    return np.concatenate([weights[b.equation] * e for b, e in zip(blocks, errors, strict=True)])
+
+
+def _located(search: _Search) -> Array:
+    """Return where the nonlinear unknowns begin: the best end of searches from the start and from good points.
+
+    Where the record is long, its busiest part decides.
+    """
+    point = np.array([search.parameters[n].start for n in search.nonlinear])
+    if not point.size:
+        return point
+    part = search.on(search.data.busiest(SEARCHED))
+    blocks = part.blocks(point)
+    if not blocks:
+        part, blocks = search, search.blocks(point)
+    weights = _weights(blocks, [b.target for b in blocks])
+    boxes = {n: search.parameters[n] for n in search.nonlinear}
+    tried = list(Sobol(TRIED).draw(boxes)) if all(np.all(np.isfinite(p.box)) for p in boxes.values()) else []
+    size = sum(b.target.size for b in blocks)
+
+    def cost(candidate: Array) -> float:
+        return _mean_square(_errors(part, candidate, weights), size)
+
+    begun = [point, *sorted(tried, key=cost)[:SEARCHES]]
+    ends = [_refine(part, begin, weights) for begin in begun if math.isfinite(cost(begin))]
+    return min(ends, key=cost)
+
+
+def _mean_square(errors: Array | None, size: int) -> float:
+    return math.inf if errors is None or errors.size != size else float(np.mean(errors**2))
+
+
+def _refine(search: _Search, point: Array, weights: Array) -> Array:
+    """Minimize over the nonlinear unknowns within their bounds, in the logarithm where a parameter asks for it."""
+    from scipy.optimize import least_squares  # noqa: PLC0415  (import of greybox stays free of scipy)
+
+    if not point.size:
+        return point
+    log = np.array([search.parameters[n].scale == "log" for n in search.nonlinear])
+    low, high = search.bounds(search.nonlinear)
+    low, high = (np.where(log, np.log(np.where(log, end, 1)), end) for end in (low, high))
+    width = np.where(np.isfinite(high - low), high - low, np.maximum(np.abs(point), 1))
+    here = np.where(log, np.log(np.where(log, point, 1)), point) / width
+
+    def back(z: Array) -> Array:
+        return np.where(log, np.exp(np.where(log, z * width, 0)), z * width)
+
+    begin = _errors(search, point, weights)
+    assert begin is not None
+    worst = 1e3 * np.ones(begin.size)
+
+    def errors(z: Array) -> Array:
+        found = _errors(search, back(z), weights)
+        return worst if found is None or found.size != begin.size else found
+
+    inside = np.clip(here, (low + TOUCHING * width) / width, (high - TOUCHING * width) / width)
+    found = least_squares(errors, inside, bounds=(low / width, high / width), xtol=1e-8, ftol=1e-10)
+    z = np.where(found.x - low / width < 2 * TOUCHING, low / width, found.x)
+    z = np.where(high / width - z < 2 * TOUCHING, high / width, z)
+    return back(z if 2 * found.cost <= begin @ begin else here)
+
+
+def _judged(search: _Search, point: Array, unknowns: Array, weights: Array) -> Projection:
+    """Work out what is determined, and how well."""
+    blocks = search.full(point, unknowns)
+    values = np.concatenate([unknowns, point])
+    low, high = search.bounds(search.columns)
+    groups = undetermined(blocks)
+    blind = {k for group in groups for k in group}
+    bound = [k for k in range(len(values)) if k not in blind and (values[k] <= low[k] or values[k] >= high[k])]
+    errors = residuals([Block(b.equation, b.target, b.base, b.slopes[:, : len(unknowns)]) for b in blocks], unknowns)
+    color = colors(blocks, errors)
+    free = [k for k in range(len(values)) if k not in bound]
+    loose = [Block(b.equation, b.target, b.base, b.slopes[:, free]) for b in blocks]
+    matrix = np.full((len(values), len(values)), np.nan)
+    independent = sum(c.independent for c in color)
+    used = len(free) - sum(len(group) - (len(group) > 1) for group in groups)
+    if free:
+        matrix[np.ix_(free, free)] = covariance(loose, weights, color) * independent / max(independent - used, 1)
+    keep = [k for k in range(len(values)) if k not in blind]
+    names = tuple(search.columns[k] for k in keep)
+    if not names:
+        raise ValueError(
+            f"the record determines none of {', '.join(search.columns)}: the signals that they multiply do not move, "
+            "or only a combination of them is determined; fix some."
+        )
+    rows, r_squared = _explained(blocks, errors, len(search.data.equations.equations))
+    return Projection(
+        names=names,
+        values=values[keep],
+        covariance=matrix[np.ix_(keep, keep)],
+        at_bound=tuple(search.columns[k] for k in bound),
+        dof=independent - used,
+        r_squared=r_squared,
+        rows=rows,
+        spread=tuple(spread(blocks, errors)),
+        undetermined=tuple(tuple(search.columns[k] for k in group) for group in groups),
+        search=search,
+        point=point,
+        unknowns=unknowns,
+        weights=weights,
+    )
+
+
+def _explained(blocks: list[Block], errors: list[Array], count: int) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    """Return the rows of every equation, and the share of its target's variance that is explained."""
+    rows, shares = [], []
+    for k in range(count):
+        target = np.concatenate([np.zeros(0), *(b.target for b in blocks if b.equation == k)])
+        error = np.concatenate([np.zeros(0), *(e for b, e in zip(blocks, errors, strict=True) if b.equation == k)])
+        rows.append(target.size)
+        variance = float(np.sum((target - np.mean(target)) ** 2)) if target.size else 0.0
+        shares.append(1 - float(error @ error) / variance if variance > 0 else math.nan)
+    return tuple(rows), tuple(shares)

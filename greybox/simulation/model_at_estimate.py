@@ -1,0 +1,165 @@
+"""A model at one estimate, as simulation and prediction take it: values, their covariance, and what the fit assumed."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.data.record import Record
+from greybox.formulation.time_criteria import OutputError, PredictionError, TimeCriterion
+from greybox.modeling.model import Model, require_known
+from greybox.modeling.realization import Dynamics, dynamics
+
+Array = NDArray[np.float64]
+Inputs = Literal["linear", "held"]
+
+
+class FittedTo(Protocol):
+    """A record that values were fitted to, see `greybox.estimate.result.FittedRecord`."""
+
+    @property
+    def data(self) -> Record:
+        """The signals that the fit used."""
+        ...
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the outputs that were compared."""
+        ...
+
+    @property
+    def noise(self) -> Array:
+        """Covariance (k, k) of the errors of the outputs."""
+        ...
+
+    @property
+    def initial(self) -> Mapping[str, Array]:
+        """States at the first sample of every gapless stretch, (stretches,) each."""
+        ...
+
+    def residual(self, output: str) -> Array:
+        """Return measured less simulated, NaN where nothing was compared."""
+        ...
+
+
+@runtime_checkable
+class Estimate(Protocol):
+    """An answer that knows its model, as `greybox.Fit` does."""
+
+    def at_estimate(self, model: Model | None, *, inputs: Inputs | None, part: int | None) -> "ModelAtEstimate":
+        """Return a model, by default the one that was fitted, at the estimate of a part."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class ModelAtEstimate:
+    """What is simulated.
+
+    Attributes
+    ----------
+    label : str
+        Name of the model.
+    system : Dynamics
+    names, q : tuple of str, (declared,) array
+        The model's parameters, then biases of sensors and gains of the innovations, and their values.
+    covariance : (declared, declared) array or None
+        Of these values; None where they came as plain numbers. What ended at its bound counts as exact, and what the
+        data do not determine has NaN.
+    criterion : TimeCriterion
+        How inputs run, which signals are biased, and whether innovations correct the states.
+    part : FittedTo or None
+        The record that the values were fitted to.
+    """
+
+    label: str
+    system: Dynamics
+    names: tuple[str, ...]
+    q: Array
+    covariance: Array | None
+    criterion: TimeCriterion
+    part: FittedTo | None
+
+    @property
+    def p(self) -> Array:
+        """The parameters of the model alone."""
+        return self.q[: len(self.system.parameters)]
+
+    @property
+    def delays(self) -> Array:
+        """The delay of every input (m,), s."""
+        return np.asarray(self.system.delay(self.p).full()).ravel()
+
+    @property
+    def uncertain(self) -> NDArray[np.integer]:
+        """Which values have an error, or one that is not known."""
+        if self.covariance is None:
+            return np.zeros(0, dtype=int)
+        variance = np.diag(self.covariance)
+        return np.flatnonzero(np.isnan(variance) | (variance > 0))
+
+    def noise(self, outputs: tuple[str, ...]) -> Array | None:
+        """Return the covariance (k, k) of the errors of these outputs, where the fit knows it."""
+        if self.part is None or not set(outputs) <= set(self.part.outputs):
+            return None
+        places = [self.part.outputs.index(name) for name in outputs]
+        return self.part.noise[np.ix_(places, places)]
+
+    def free_running(self) -> TimeCriterion:
+        """Return the criterion without corrections of the states."""
+        return OutputError(inputs=self.criterion.inputs, biases=self.criterion.biases)
+
+
+def model_at(
+    model: Model | Estimate,
+    values: Mapping[str, float] | Estimate | None = None,
+    *,
+    inputs: Inputs | None = None,
+    part: int | None = None,
+) -> ModelAtEstimate:
+    """Bring model and estimate together; a `Fit` may stand for both.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If they do not fit together, or the fit did not converge.
+    LookupError
+        If the model of a loaded fit cannot be imported.
+    """
+    if isinstance(model, Estimate):
+        if values is not None:
+            cure = "give the record by name, record=r" if isinstance(values, Record) else "leave the other out"
+            raise TypeError(f"the model is a Fit, which has an estimate of its own: {cure}.")
+        return model.at_estimate(None, inputs=inputs, part=part)
+    if not isinstance(model, Model):
+        raise TypeError(f"model is {model!r:.80}: give an instance such as LinearTilt(), or a Fit.")
+    if isinstance(values, Estimate):
+        return values.at_estimate(model, inputs=inputs, part=part)
+    if not isinstance(values, Mapping):
+        raise TypeError(f"values is {values!r:.60}: give {{name: value}} or a Fit.")
+    return _of_values(model, values, inputs or "linear")
+
+
+def _of_values(model: Model, given: Mapping[str, float], inputs: Inputs) -> ModelAtEstimate:
+    system = dynamics(model)
+    biases = tuple(n for n in (*model.output_names, *model.input_names) if f"{n}_bias" in given)
+    gains = tuple((s, o) for s in system.states for o in system.outputs if f"K_{s}_{o}" in given)
+    added = [f"{n}_bias" for n in biases] + [f"K_{s}_{o}" for s, o in gains]
+    added = [name for name in added if name not in model.parameters]
+    require_known(given, (*model.parameters, *added), "parameter", model.label)
+    for name, value in given.items():
+        real = isinstance(value, (int, float, np.number, np.ndarray)) and not (np.ndim(value) or np.iscomplexobj(value))
+        if not (real and np.isfinite(value)):
+            raise ValueError(f"values gives {name!r} the value {value!r:.60}: give a finite number.")
+    values = dict(model.values({n: v for n, v in given.items() if n in model.parameters}))
+    values |= {name: float(given[name]) for name in added}
+    criterion = criterion_of(inputs, tuple(b for b in biases if f"{b}_bias" in added), gains)
+    return ModelAtEstimate(model.label, system, tuple(values), np.array([*values.values()]), None, criterion, None)
+
+
+def criterion_of(inputs: Inputs, biases: tuple[str, ...], gains: tuple[tuple[str, str], ...]) -> TimeCriterion:
+    """Return the criterion under which a model runs: with innovations where there are `gains` (state, output)."""
+    if gains:
+        return PredictionError(inputs=inputs, biases=biases, corrected=tuple(dict.fromkeys(s for s, _ in gains)))
+    return OutputError(inputs=inputs, biases=biases)

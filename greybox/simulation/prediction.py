@@ -1,0 +1,165 @@
+"""What a model predicts over windows of a record, with what was measured there."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.data.record import Record
+from greybox.data.text_table import counted, number, text_table
+from greybox.simulation.windows import seconds
+from greybox.statistics.metrics import fit_percent, rms
+
+Array = NDArray[np.float64]
+AHEAD = (0.1, 0.25, 0.5, 1.0)  # shares of the horizon at which the growth of the error is told
+
+
+def samples_ahead(share: float, samples: int) -> int:
+    """Return how many samples ahead a share (0 to 1] of a horizon is, at least one."""
+    return max(1, math.ceil(share * samples - 1e-9))
+
+
+def told_shares(horizons: Sequence[int]) -> list[float]:
+    """Return the shares at which the error is told of horizons of so many samples, each sample once."""
+    places = {share: tuple(samples_ahead(share, h) for h in horizons) for share in AHEAD}
+    return [share for share, at in places.items() if at not in [places[s] for s in AHEAD if s > share]]
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Predictions of k outputs over w windows of h samples. Printing it says how good they are.
+
+    Attributes
+    ----------
+    label : str
+        Name of the model.
+    data : Record
+        What was measured.
+    inputs, outputs, states : tuple of str
+    lead, horizon : float
+        Lengths in s, as used: whole samples.
+    rows : (w, h) int array
+        Indices in `data` of the predicted samples; sample j is j + 1 steps after the last one that informed it.
+    predicted, error : (k, w, h) arrays
+        Of the outputs as their sensors show them, and the standard errors: of the parameters (with the states that
+        they imply, first order) and of the state at the beginning. The noise of the outputs comes on top. A parameter
+        at its bound counts as exact; NaN where an output depends on one that the data of the fit do not determine.
+    noise : (k, k) array
+        Covariance of the outputs' errors, that of the fit or else estimated from the lead-ins.
+    trajectory : (n, w, h) array
+        The states.
+    one_step : (k, w, h) array
+        Errors of predictions one sample ahead, from all that the window had measured before, in units of the standard
+        deviations that they should have: white with unit variance for the right model. NaN where nothing was measured.
+    notes : tuple of str
+        What there is to say of it, in sentences: why an error is not known.
+    """
+
+    label: str
+    data: Record
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    states: tuple[str, ...]
+    lead: float
+    horizon: float
+    rows: NDArray[np.integer]
+    predicted: Array
+    error: Array
+    noise: Array
+    trajectory: Array
+    one_step: Array
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def ahead(self) -> Array:
+        """How far ahead each sample of a window is predicted (h,), s."""
+        return self.data.step * np.arange(1, self.rows.shape[1] + 1)
+
+    @property
+    def record(self) -> Record:
+        """Outputs, their standard errors ``<output>_error`` and states at the data's times, NaN outside the windows.
+
+        A state that bears the name of an output is given once, as the output.
+        """
+        signals, units = {}, {}
+        for k, name in enumerate(self.outputs):
+            signals |= {name: self._spread(self.predicted[k]), f"{name}_error": self._spread(self.error[k])}
+            units |= dict.fromkeys((name, f"{name}_error"), self.data.units.get(name, ""))
+        for i, name in enumerate(self.states):
+            if name not in signals:
+                signals[name] = self._spread(self.trajectory[i])
+                units[name] = self.data.units.get(name, "")
+        return Record(self.data.time, signals, units, name=f"{self.label}, {seconds(self.horizon)} s ahead")
+
+    def kept(self, windows: NDArray[np.bool_]) -> "Prediction":
+        """Return the prediction of some of the windows, (w,)."""
+        named = {name: getattr(self, name)[:, windows] for name in ("predicted", "error", "trajectory", "one_step")}
+        return replace(self, rows=self.rows[windows], **named)
+
+    def measured(self, output: str) -> Array:
+        """Return what was measured in the windows, (w, h), NaN where nothing was."""
+        self._place(output)
+        return self.data[output][self.rows]
+
+    def residual(self, output: str) -> Array:
+        """Return measured less predicted, (w, h)."""
+        return self.measured(output) - self.predicted[self._place(output)]
+
+    def band(self, output: str, level: float = 0.95, noise: bool = False) -> tuple[Array, Array]:
+        """Return the limits, (w, h) each, within which the output lies at this level; with `noise`, its measurement.
+
+        They take the model's structure as right and all errors as normal. What disturbs the plant besides its inputs
+        (wind) and a correlation of the sensors' errors in time widen the truth beyond them.
+        """
+        if not 0 < level < 1:
+            raise ValueError(f"level {level} must lie between 0 and 1, e.g. 0.95.")
+        from scipy.special import ndtri  # noqa: PLC0415  (takes a tenth of a second to import)
+
+        k = self._place(output)
+        half = float(ndtri(0.5 + level / 2)) * np.sqrt(self.error[k] ** 2 + (self.noise[k, k] if noise else 0.0))
+        return self.predicted[k] - half, self.predicted[k] + half
+
+    def rms(self, output: str, share: float | None = None) -> float:
+        """Return the root mean square error over all samples, or at one share (0 to 1] of the horizon."""
+        e = self.residual(output)
+        return rms(e if share is None else e[:, samples_ahead(share, e.shape[1]) - 1])
+
+    def fit_percent(self, output: str) -> float:
+        """Return 100 (1 - |error| / |measured - mean|) over all windows."""
+        return fit_percent(self.measured(output), self.predicted[self._place(output)])
+
+    def _place(self, output: str) -> int:
+        if output not in self.outputs:
+            raise ValueError(f"{output!r} was not predicted; there is {', '.join(self.outputs)}.")
+        return self.outputs.index(output)
+
+    def _spread(self, values: Array) -> Array:
+        result = np.full(len(self.data), np.nan)
+        result[self.rows.ravel()] = values.ravel()
+        return result
+
+    def __str__(self) -> str:
+        head = (
+            f"{self.label}: {counted(len(self), 'window')} of {seconds(self.horizon)} s in "
+            f"{self.data.name or 'the record'}, the state of each from {seconds(self.lead)} s before it"
+        )
+        shares = told_shares([self.rows.shape[1]])
+        ends = [f"after {seconds(self.ahead[samples_ahead(s, self.rows.shape[1]) - 1])} s" for s in shares]
+        rows = [self._row(name, shares) for name in self.outputs]
+        table = text_table(
+            ["output", "unit", "fit %", "error (rms)", *ends, "noise", "error as told"], rows, left=(0, 1)
+        )
+        notes = ["", *("  " + note for note in self.notes)] if self.notes else []
+        return "\n".join([head, "", *("  " + line for line in table.splitlines()), *notes])
+
+    def _row(self, name: str, shares: Sequence[float]) -> Sequence[str]:
+        k = self._place(name)
+        grown = [number(self.rms(name, share), 3) for share in shares]
+        told = float(np.sqrt(np.mean(self.error[k] ** 2)))
+        values = [number(self.fit_percent(name), 4), number(self.rms(name), 3), *grown]
+        return [name, self.data.units.get(name, ""), *values, number(math.sqrt(self.noise[k, k]), 3), number(told, 3)]

@@ -1,0 +1,133 @@
+"""Windows of equal length in a record: a lead-in, from which a state is estimated, and the samples to be predicted."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.compiled.sampled_data import Experiment, gapless
+from greybox.data.record import Record
+
+Array = NDArray[np.float64]
+FEWEST = 10  # samples of a default length
+COVERED = 2.0  # times the longest delay that a default lead-in lasts
+WHOLE = 1e-6  # of a sample, by which a length may fall short of it: times are rounded
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Which samples of a record every window has; the predicted parts follow one another.
+
+    Attributes
+    ----------
+    rows : (w, lead + horizon) int array
+        Indices in the record.
+    lead, horizon : int
+        Samples.
+    """
+
+    record: Record
+    rows: NDArray[np.integer]
+    lead: int
+    horizon: int
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+
+def require_lengths(**lengths: Any) -> None:
+    """Raise ValueError, naming it, for what is no length in s."""
+    for name, value in lengths.items():
+        real = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+        if not real or not (np.isfinite(value) and value > 0):
+            raise ValueError(f"{name} is {value!r}: give a length above 0, in s.")
+
+
+def default_length(records: Sequence[Record], at_least: float, delay: float = 0.0) -> float:
+    """Return `at_least` s, or more where samples are slow: ten of the slowest record, and twice the longest delay."""
+    slowest = max((record.step for record in records if len(record) > 1), default=0.0)
+    return max(at_least, FEWEST * slowest, COVERED * delay)
+
+
+def seconds(length: float) -> str:
+    """Say how long something lasts, in s with three digits or more."""
+    return f"{length:.0f}" if 1000 <= length < 1e6 else f"{length:.3g}"
+
+
+def cut(
+    record: Record,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    *,
+    lead: float,
+    horizon: float,
+    called: str = "horizon",
+) -> Windows:
+    """Cut windows with a lead-in and a horizon in s, within stretches in which no input is missing.
+
+    Lengths are rounded to whole samples. Windows in whose lead-in or horizon no output was measured are left out. The
+    horizon is what the user knows as `called`.
+
+    Raises
+    ------
+    ValueError
+        If a length is not positive or shorter than a sample, or no stretch is long enough.
+    """
+    require_lengths(**{"lead": lead, called: horizon})
+    _require_signals(record, inputs)
+    stretches = gapless(record, tuple(inputs), tuple(outputs))
+    for name, length in (("lead", lead), (called, horizon)):
+        if length < (1 - WHOLE) * record.step:
+            raise ValueError(
+                f"{name}={seconds(length)} s is shorter than a sample of {record.name or 'the record'}, "
+                f"{seconds(record.step)} s: give some samples, e.g. {name}={seconds(FEWEST * record.step)}, or leave "
+                "it out."
+            )
+    # Half a sample is rounded down in all records alike, however their times are rounded.
+    first, after = (max(1, math.floor(min(n / record.step, len(record)) + 0.5 - WHOLE)) for n in (lead, horizon))
+    places = []
+    for stretch in stretches:
+        starts = np.arange(0, len(stretch) - first - after + 1, after)
+        rows = starts[:, None] + np.arange(first + after)
+        there = np.any(np.isfinite(stretch.outputs), axis=0)[rows]
+        usable = there[:, :first].any(axis=1) & there[:, first:].any(axis=1)
+        places.append(stretch.first + rows[usable])
+    found = np.concatenate([np.zeros((0, first + after), dtype=int), *places])
+    if not len(found):
+        longest = max((len(s) * s.step for s in stretches), default=0.0)
+        raise ValueError(
+            f"{record.name or 'the record'} has no room for lead={lead:g} and {called}={horizon:g} s with measured "
+            f"outputs: its longest stretch without a gap lasts {seconds(longest)} s; give a shorter lead or {called}, "
+            "or a longer record."
+        )
+    return Windows(record, found, first, after)
+
+
+def sample_data(windows: Windows, inputs: tuple[str, ...], outputs: tuple[str, ...], delays: Array) -> dict[str, Array]:
+    """Return ``whole, around, measured, step``, each (rows, w, samples), of all samples in the windows.
+
+    Inputs before a window are those of its stretch. What was measured before the delayed input has a past
+    is left out, see `gapless`.
+    """
+    record = windows.record
+    stretches = gapless(record, inputs, outputs, lead=np.maximum(delays, 0.0))
+    whole, around = Experiment(tuple(stretches), outputs, 1).windows(delays)
+    column = np.full(len(record), -1)
+    column[np.concatenate([s.first + np.arange(len(s)) for s in stretches])] = np.arange(whole.shape[1])
+    places = column[windows.rows]
+    measured = np.concatenate([s.outputs for s in stretches], axis=1)
+    step = np.repeat([s.step for s in stretches], [len(s) for s in stretches])[None]
+    named = {"whole": whole, "around": around, "measured": measured, "step": step}
+    return {name: values[:, places] for name, values in named.items()}
+
+
+def _require_signals(record: Record, inputs: Sequence[str]) -> None:
+    missing = [name for name in inputs if name not in record.signals]
+    if missing:
+        raise ValueError(
+            f"the input {missing[0]!r} is needed and the record does not have it; "
+            f"it has {', '.join(record.signals) or 'none'}."
+        )

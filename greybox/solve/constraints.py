@@ -1,0 +1,63 @@
+"""Bounds and constraints of a problem in time, and the way back where a point misses them."""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.solve.quadratic_program import solve_small_qp
+
+Array = NDArray[np.float64]
+ROUNDING = 1e-9  # of the terms of a constraint: it counts as kept
+RESTORATIONS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """What the solver's point z (p,) must keep: low <= z <= high, and constraints(z) >= 0.
+
+    Attributes
+    ----------
+    low, high : (p,) arrays
+    constraints : casadi.Function
+        (z) -> values (c,) and their derivatives (c, p).
+    """
+
+    low: Array
+    high: Array
+    constraints: ca.Function
+
+    def clipped(self, z: Array) -> Array:
+        """Return the point within the bounds."""
+        return np.clip(z, self.low, self.high)
+
+    def missed(self, z: Array) -> float:
+        """Return by how much all constraints together are missed, beyond rounding."""
+        value, normal = (found.full() for found in self.constraints(z))
+        allowed = ROUNDING * (np.abs(normal) @ np.maximum(np.abs(z), 1.0))
+        below = -value.ravel()
+        return float(np.where(below > allowed, below, 0.0).sum())
+
+    def around(self, z: Array, still: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
+        """Return normals (n, p) and limits (n,) of a step dz from z: normals · dz >= limits; `still` (p,) do not move.
+
+        Constraints are linearized, so that a step leads back to one that is missed.
+        """
+        value, normal = (found.full() for found in self.constraints(z))
+        low, high = np.minimum(self.low - z, 0.0), np.minimum(z - self.high, 0.0)
+        if still is not None:
+            low, high = np.where(still, 0.0, low), np.where(still, 0.0, high)
+        eye = np.eye(len(z))
+        rows, limits = np.vstack([eye, -eye, normal]), np.concatenate([low, high, -value.ravel()])
+        there = np.isfinite(limits)
+        return rows[there], limits[there]
+
+    def nearest(self, z: Array) -> Array:
+        """Return the point near z, in the units of the solver, that keeps all limits, as far as one is found."""
+        z = self.clipped(z)
+        for _ in range(RESTORATIONS):
+            if not self.missed(z) > 0:
+                break
+            z = self.clipped(z + solve_small_qp(np.eye(len(z)), np.zeros(len(z)), *self.around(z)))
+        return z

@@ -1,0 +1,34 @@
+"""The cost of a problem at given parameters."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from greybox.compiled.compiled_problem import AnyProblem, compile_problem
+from greybox.compiled.transcription.method import Transcription
+from greybox.modeling.model import require_known
+from greybox.solve.gauss_newton.driver import GaussNewton
+
+
+def cost(problem: AnyProblem, values: Mapping[str, float], method: Transcription | None = None) -> float:
+    """Return the cost of a problem at parameter `values` by name; what is not given is at its start or fixed value.
+
+    The states of records are those of the smallest cost; NaN where there are none, as where the model diverges.
+
+    Raises
+    ------
+    ValueError
+        For a name that is not a parameter of the problem, or another value of a fixed one where data are records.
+    """
+    require_known(values, problem.parameters, "parameter", repr(problem.name))
+    nlp = compile_problem(problem, method)
+    point = np.array([values.get(name, problem.parameters[name].start) for name in nlp.names])
+    if not nlp.records:
+        return float(nlp.weights @ np.asarray(nlp.cost(point)).ravel())
+    for name, value, stated in zip(nlp.constants, point[len(nlp.free) :], nlp.constant_values, strict=True):
+        if value != stated:
+            raise ValueError(
+                f"{name} is fixed at {stated:g} here: give {value:g} to the problem, fixed={{{name!r}: ...}}."
+            )
+    profile = GaussNewton(nlp).profile(point[: len(nlp.free)])
+    return profile.cost if profile.converged else float("nan")

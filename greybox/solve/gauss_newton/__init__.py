@@ -1,0 +1,1 @@
+"""The Gauss-Newton method for problems that have records."""

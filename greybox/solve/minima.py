@@ -1,0 +1,115 @@
+"""What a multistart leaves: every run, and the distinct minima that they found."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.compiled.compiled_problem import Nlp
+from greybox.solve.ipopt import Run
+
+SAME_COST = 1e-4  # relative; the smoothing moves costs by up to 6e-5
+SAME_LIKELIHOOD = 1e-2  # of negative log-likelihoods: a tenth of a standard error is 5e-3
+SAME_RESPONSE = 1e-2  # root mean square of |P_a - P_b| / |P_b| over the data
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """One distinct minimum: a cost and a model response that a group of runs shares.
+
+    Attributes
+    ----------
+    cost : float
+        Without smoothing.
+    estimate : (p,) array
+        The best run's estimate.
+    runs : tuple of int
+        Indices of the runs that ended here, best first.
+    variants : int
+        How many clearly different parameter vectors give this same response (two lags that swap are two).
+    """
+
+    cost: float
+    estimate: NDArray[np.float64]
+    runs: tuple[int, ...]
+    variants: int
+
+
+@dataclass(frozen=True, eq=False)
+class Multistart:
+    """All runs of a problem, in the order of their starts, and its minima, best first.
+
+    `nodes` are the best run's states at the beginning of every segment, (s, n) for each record.
+    """
+
+    runs: tuple[Run, ...]
+    minima: tuple[Minimum, ...]
+    seconds: float
+    nodes: tuple[NDArray[np.float64], ...] | None = None
+
+    @property
+    def converged(self) -> int:
+        """How many runs converged."""
+        return sum(run.converged for run in self.runs)
+
+    @property
+    def failures(self) -> str:
+        """The statuses of the runs that did not converge, with counts."""
+        named = (f"{r.status} ({r.reason})" if r.reason else r.status for r in self.runs if not r.converged)
+        counts = Counter(named)
+        return ", ".join(f"{count} × {status}" for status, count in counts.most_common())
+
+
+def find_minima(
+    nlp: Nlp, runs: Sequence[Run], traces: Sequence[NDArray[np.float64] | None] = ()
+) -> tuple[Minimum, ...]:
+    """Group the converged runs by cost and model response, best first.
+
+    Two runs are at one minimum when their costs and their responses agree, whatever the parameters. Runs in time bring
+    their responses as `traces`, in the order of `runs`.
+    """
+    order = sorted((run for run in runs if run.converged), key=lambda run: run.cost)
+    if not order:
+        return ()
+    if nlp.records:
+        responses = np.array([traces[run.index] for run in order])
+    else:
+        responses = nlp.response_rows(np.array([run.estimate for run in order]))
+    costs = np.array([run.cost for run in order])
+    # What is simulated in time comes in units of the signals' spread.
+    floor = 1.0 if nlp.records else 1e-12 * np.abs(responses).max() + 1e-150
+    ungrouped = np.ones(len(order), dtype=bool)
+    minima = []
+    while ungrouped.any():
+        k = int(np.argmax(ungrouped))
+        relative = (responses - responses[k]) / np.maximum(np.abs(responses[k]), floor)
+        away = np.sqrt(np.mean(np.abs(relative) ** 2, axis=1))
+        near = ungrouped & (costs - costs[k] <= same_cost(nlp, costs[k])) & (away <= SAME_RESPONSE)
+        near[k] = True
+        ungrouped &= ~near
+        members = [order[i] for i in np.flatnonzero(near)]
+        minima.append(
+            Minimum(order[k].cost, order[k].estimate, tuple(run.index for run in members), _variants(nlp, members))
+        )
+    return tuple(minima)
+
+
+def same_cost(nlp: Nlp, cost: float) -> float:
+    """Return the difference of two costs up to which they count as the same."""
+    if nlp.records:
+        return SAME_LIKELIHOOD + 1e-7 * abs(cost)
+    return SAME_COST * max(cost, 1e-3 * sum(len(part.data) for part in nlp.responding))
+
+
+def _variants(nlp: Nlp, members: Sequence[Run]) -> int:
+    """Count the parameter vectors among runs of one minimum that lie more than 5 % of the parameters' size apart."""
+    distinct: list[NDArray[np.float64]] = []
+    for run in members:
+        z = nlp.scaling.to_solver(run.estimate)
+        if not any(
+            np.all(np.abs(z - other) <= 0.05 * np.maximum(np.abs(z), np.abs(other)) + 1e-6) for other in distinct
+        ):
+            distinct.append(z)
+    return len(distinct)

@@ -1,0 +1,289 @@
+"""Is this test worth a fit? What a record and a measured response say about it, in words and as data."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.record import GAP, Record
+from greybox.data.test_segment import Segment
+from greybox.data.text_table import number, text_table
+
+Severity = Literal["note", "warning", "refusal"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at: what it is about, how bad it is, the number and the sentence."""
+
+    about: str
+    severity: Severity
+    value: float
+    text: str
+
+
+@dataclass(frozen=True)
+class Band:
+    """An octave of the measured response: points, median coherence, relative error and samples per period.
+
+    `coherence` and `error` (standard deviation of one component over the magnitude) are NaN where not known.
+    """
+
+    low: float
+    high: float
+    points: int
+    coherence: float
+    error: float
+    samples: float
+
+
+@dataclass(frozen=True)
+class Quality:
+    """The verdict on a test: findings, most serious first, and what each octave holds."""
+
+    findings: tuple[Finding, ...]
+    bands: tuple[Band, ...] = ()
+
+    @property
+    def usable(self) -> bool:
+        """False when the test cannot identify anything; the refusals say why."""
+        return not self.refusals
+
+    @property
+    def refusals(self) -> tuple[str, ...]:
+        """The sentences that refuse the test."""
+        return tuple(f.text for f in self.findings if f.severity == "refusal")
+
+    def __str__(self) -> str:
+        lines = [f"{f.severity}: {f.text}" for f in self.findings] or ["nothing to object to"]
+        if self.bands:
+            header = ["band rad/s", "points", "coherence", "error %", "samples a period"]
+            rows = [
+                [f"{b.low:.3g} to {b.high:.3g}", str(b.points), number(b.coherence, 3), number(100 * b.error, 2),
+                 number(b.samples, 3)]
+                for b in self.bands
+            ]  # fmt: skip
+            lines += ["", text_table(header, rows)]
+        return "\n".join(lines)
+
+
+def check(
+    record: Record,
+    response: FrequencyResponse | None = None,
+    segments: Sequence[Segment] = (),
+    *,
+    input: str = "u",
+    output: str = "theta",
+    limits: tuple[float, float] | None = None,
+) -> Quality:
+    """Judge a test before the fit.
+
+    Parameters
+    ----------
+    record : Record
+        Holds control and output.
+    response : FrequencyResponse, optional
+        What was estimated from it: its coherence and variances are judged by octave.
+    segments : sequence of Segment
+        The excited stretches; without them the record's whole length is judged.
+    input, output : str
+        Signal names.
+    limits : (low, high), optional
+        Of the control; by default flat tops are looked for.
+
+    Returns
+    -------
+    Quality
+        `usable` is False when the test cannot identify anything.
+
+    Raises
+    ------
+    KeyError
+        For a signal that the record does not hold.
+    """
+    findings = [
+        *_filters(record, (input, output)),
+        *_gaps(record),
+        *jitter(record),
+        *_saturation(_excited(record, segments), input, limits),
+        *_amplitude(record, (input, output)),
+        *_segments(segments),
+        *_spread(response, segments),
+        *_length(record, response, segments),
+        *_rate(record, response, segments),
+        *_precision(response),
+    ]
+    rank = {"refusal": 0, "warning": 1, "note": 2}
+    bands = () if response is None else tuple(_bands(record, response))
+    return Quality(tuple(sorted(findings, key=lambda f: rank[f.severity])), bands)
+
+
+def _filters(record: Record, names: Sequence[str]) -> Iterator[Finding]:
+    for name in names:
+        for known in record.filters.get(name, ()):
+            text = f"{name} was logged behind a {known.cutoff:g} Hz low-pass filter: fit the plant times that filter"
+            yield Finding("filters", "note", known.cutoff, f"{text}, greybox.models.filters.LowPass.")
+
+
+def _gaps(record: Record) -> Iterator[Finding]:
+    steps = np.diff(record.time)
+    wide = steps[steps > GAP * record.step]
+    if wide.size:
+        share = wide.sum() / record.duration
+        severity: Severity = "warning" if share > 0.01 else "note"
+        text = f"{wide.size} gaps, the longest {wide.max():.2g} s, {100 * share:.2g} % of the time"
+        yield Finding("gaps", severity, float(share), f"{text}: nothing is interpolated across them.")
+
+
+def jitter(record: Record) -> Iterator[Finding]:
+    """Judge how steadily a message was logged."""
+    steps = np.diff(record.time)
+    steady = steps[steps <= GAP * record.step]
+    jitter = float(np.std(steady) / record.step) if steady.size else 0.0
+    if jitter > 0.1:
+        text = f"the sampling interval varies by {100 * jitter:.0f} %: use time stamps, as prepare does, not the rows."
+        yield Finding("jitter", "note", jitter, text)
+
+
+def _excited(record: Record, segments: Sequence[Segment]) -> Record:
+    """Return the samples within usable segments, where there are such."""
+    inside = np.zeros(len(record), dtype=bool)
+    for segment in segments:
+        if segment.usable:
+            inside |= (record.time >= segment.start) & (record.time <= segment.end)
+    return record.rows(np.flatnonzero(inside)) if inside.any() else record
+
+
+def _saturation(record: Record, name: str, limits: tuple[float, float] | None) -> Iterator[Finding]:
+    u = record[name][np.isfinite(record[name])]
+    low, high = limits or (u.min(), u.max())
+    margin = 1e-3 * (high - low)
+    at_limit = (u <= low + margin) | (u >= high - margin)
+    if limits is None:  # an extreme value is a limit only if the signal stays there
+        at_limit &= np.concatenate([[False], np.diff(u) == 0])
+    share = float(at_limit.mean()) if np.ptp(u) > 0 else 0.0
+    if share > 0.01:
+        severity: Severity = "refusal" if share > 0.2 else "warning"
+        text = f"the control {name} is at a limit {100 * share:.0f} % of the time: a linear model is wrong there"
+        yield Finding("saturation", severity, share, f"{text}; use a smaller amplitude.")
+
+
+def _amplitude(record: Record, names: Sequence[str]) -> Iterator[Finding]:
+    for name in names:
+        values = record[name][np.isfinite(record[name])]
+        levels = np.unique(values)
+        if levels.size == 1:
+            text = f"{name} never moves (it is {levels[0]:g} throughout): nothing can be identified from it."
+            yield Finding("amplitude", "refusal", 0.0, text)
+        elif levels.size < 8:
+            text = f"{name} takes {levels.size} values only: its amplitude is that of its resolution; excite more."
+            yield Finding("amplitude", "refusal" if levels.size < 4 else "warning", float(levels.size), text)
+
+
+def _segments(segments: Sequence[Segment]) -> Iterator[Finding]:
+    for segment in segments:
+        if not segment.usable:
+            text = f"the {segment.kind} from {segment.start:.1f} s is not usable: {'; '.join(segment.findings)}"
+            yield Finding("segments", "warning", segment.start, text.rstrip(".") + ".")
+    if segments and not any(segment.usable for segment in segments):
+        yield Finding("segments", "refusal", 0.0, "none of the excited segments is usable: fly the test again.")
+
+
+def _highest_lowest(response: FrequencyResponse | None, segments: Sequence[Segment]) -> tuple[float, float]:
+    if response is not None:
+        return float(response.omega.max()), float(response.omega.min())
+    ends = [edge for segment in segments if segment.usable for edge in segment.band]
+    return (max(ends), min(ends)) if ends else (math.nan, math.nan)
+
+
+def _spread(response: FrequencyResponse | None, segments: Sequence[Segment]) -> Iterator[Finding]:
+    high, low = _highest_lowest(response, segments)
+    if math.isnan(high):
+        text = "no test segment and no response was given: whether anything was excited has not been judged."
+        yield Finding("spread", "note", math.nan, text)
+    if response is not None:
+        single = len(response) == 1
+    else:
+        usable = [segment for segment in segments if segment.usable]
+        single = bool(usable) and all(segment.kind == "sine" for segment in usable) and high == low
+    if single:
+        text = f"everything is excited at {high:g} rad/s only: one frequency gives two numbers, enough for no dynamics"
+        yield Finding("spread", "refusal", high, f"{text}; add frequencies around the ones of interest.")
+    elif high < 2 * low:
+        text = (
+            f"the excitation covers {low:g} to {high:g} rad/s, less than an octave: few parameters can be told apart."
+        )
+        yield Finding("spread", "warning", high / low, text)
+
+
+def _length(record: Record, response: FrequencyResponse | None, segments: Sequence[Segment]) -> Iterator[Finding]:
+    usable = [s for s in segments if s.usable]
+    if usable:
+        fewest = min(usable, key=lambda s: s.periods)
+        periods, lowest = fewest.periods, fewest.band[0]
+    else:
+        _, lowest = _highest_lowest(response, segments)
+        longest = max(piece.duration for piece in record.pieces)
+        periods = longest * lowest / (2 * math.pi)
+    if periods < 1:
+        text = f"the record holds {periods:.2g} periods of its lowest frequency, {lowest:g} rad/s: fly longer."
+        yield Finding("length", "refusal", periods, text)
+    elif periods < 3:
+        text = (
+            f"the record holds {periods:.2g} periods of its lowest frequency, {lowest:g} rad/s: errors there are large."
+        )
+        yield Finding("length", "warning", periods, text)
+
+
+def _rate(record: Record, response: FrequencyResponse | None, segments: Sequence[Segment]) -> Iterator[Finding]:
+    highest, _ = _highest_lowest(response, segments)
+    samples = 2 * math.pi * record.rate / highest
+    if samples < 10:
+        text = f"there are {samples:.2g} samples in a period of the highest frequency, {highest:g} rad/s"
+        severity: Severity = "refusal" if samples < 2.5 else "warning"
+        yield Finding("rate", severity, samples, f"{text}: log faster, or leave the highest frequencies out.")
+
+
+def _precision(response: FrequencyResponse | None) -> Iterator[Finding]:
+    if response is None:
+        return
+    if response.coherence is not None:
+        weak = response.omega[response.coherence < 0.6]
+        if 0 < weak.size < len(response):
+            places = ", ".join(f"{omega:.3g}" for omega in weak[:5]) + (" ..." if weak.size > 5 else "")
+            text = f"the coherence is below 0.6 at {places} rad/s: leave them out, their errors are understated."
+            yield Finding("coherence", "warning", float(weak.size), text)
+        coherence = float(np.median(response.coherence))
+        if coherence < 0.6:
+            text = (
+                f"half of the points have a coherence below {coherence:.2f}: the output is mostly not due to this input"
+            )
+            yield Finding("coherence", "refusal" if coherence < 0.2 else "warning", coherence, f"{text}; excite more.")
+    if response.variance is not None:
+        error = float(np.median(_error(response)))
+        if error > 0.1:
+            text = f"half of the points are known to no better than {100 * error:.0f} %, the size of the noise"
+            yield Finding("noise", "refusal" if error > 0.5 else "warning", error, f"{text}: excite more or longer.")
+
+
+def _error(response: FrequencyResponse) -> np.ndarray:
+    assert response.variance is not None
+    return np.sqrt(response.variance / 2) / np.maximum(np.abs(response.response), 1e-300)
+
+
+def _bands(record: Record, response: FrequencyResponse) -> Iterator[Band]:
+    octave = np.floor(np.log2(response.omega / response.omega.min()) + 1e-9).astype(int)
+    for k in np.unique(octave):
+        there = octave == k
+        low, high = response.omega.min() * 2.0**k, response.omega.min() * 2.0 ** (k + 1)
+        yield Band(
+            low=float(low),
+            high=float(high),
+            points=int(there.sum()),
+            coherence=math.nan if response.coherence is None else float(np.median(response.coherence[there])),
+            error=math.nan if response.variance is None else float(np.median(_error(response)[there])),
+            samples=2 * math.pi * record.rate / float(response.omega[there].max()),
+        )

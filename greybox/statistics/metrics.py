@@ -1,0 +1,211 @@
+"""Measures of what a model leaves unexplained: how much it is, of what kind, and whether it is more than noise.
+
+All take measured and predicted values, or residuals, as arrays with NaN where there is none.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from greybox.statistics.residual_autocorrelation import autoregression
+
+Array = NDArray[np.float64]
+LAGS = 25
+RANK = 1e-6  # relative eigenvalue of the input's correlations below which a direction holds no information
+
+
+def rms(error: ArrayLike) -> float:
+    """Return the root mean square; NaN without any value."""
+    e = _there(error)
+    return float(np.sqrt(np.mean(e**2))) if e.size else math.nan
+
+
+def fit_percent(measured: ArrayLike, predicted: ArrayLike) -> float:
+    """Return 100 (1 - |y - ŷ| / |y - mean y|), the normalized root mean square error of MATLAB's `compare`."""
+    y, p = _pairs(measured, predicted)
+    spread = float(np.linalg.norm(y - y.mean())) if y.size else 0.0
+    return 100 * (1 - float(np.linalg.norm(y - p)) / spread) if spread > 0 else math.nan
+
+
+def variance_accounted_for(measured: ArrayLike, predicted: ArrayLike) -> float:
+    """Return 100 (1 - var(y - ŷ) / var(y)), which does not see a constant error."""
+    y, p = _pairs(measured, predicted)
+    spread = float(np.var(y)) if y.size else 0.0
+    return 100 * (1 - float(np.var(y - p)) / spread) if spread > 0 else math.nan
+
+
+@dataclass(frozen=True)
+class Theil:
+    """Theil's inequality coefficient and where it comes from.
+
+    Attributes
+    ----------
+    coefficient : float
+        rms(y - ŷ) / (rms y + rms ŷ): 0 for a perfect prediction, 1 for none; below 0.25 to 0.3 in flight mechanics.
+    bias, variance, covariance : float
+        Shares of the mean squared error, of sum 1: of the means, of the standard deviations, and of what is not
+        correlated; only the last is without system.
+
+    Source: Theil (1966), Applied Economic Forecasting, chapter 2; Jategaonkar (2006), Flight Vehicle System
+    Identification, chapter 11.
+    """
+
+    coefficient: float
+    bias: float
+    variance: float
+    covariance: float
+
+
+def theil(measured: ArrayLike, predicted: ArrayLike) -> Theil:
+    """Return Theil's inequality coefficient of predictions, with its proportions."""
+    y, p = _pairs(measured, predicted)
+    square = float(np.mean((y - p) ** 2)) if y.size else math.nan
+    size = float(np.sqrt(np.mean(y**2)) + np.sqrt(np.mean(p**2))) if y.size else math.nan
+    if not square > 0 or not size > 0:
+        nothing = math.nan if math.isnan(square) else 0.0
+        return Theil(nothing, math.nan, math.nan, math.nan)
+    bias = float(y.mean() - p.mean()) ** 2 / square
+    variance = float(y.std() - p.std()) ** 2 / square
+    return Theil(math.sqrt(square) / size, bias, variance, max(1 - bias - variance, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class CorrelationTest:
+    """A statistic with its degrees of freedom under the hypothesis, and the probability of one as large.
+
+    `correlations` (lags,) are those tested, `bound` what 99 % of single ones stay within.
+    """
+
+    statistic: float
+    dof: int
+    p_value: float
+    correlations: Array
+    bound: float
+
+    @property
+    def outside(self) -> int:
+        """How many correlations lie beyond the 99 % bound."""
+        return int(np.sum(np.abs(self.correlations) > self.bound))
+
+
+def whiteness(stretches: Sequence[ArrayLike], lags: int = LAGS, fitted: int = 0) -> CorrelationTest:
+    """Test whether residuals are white: the statistic of Ljung and Box, with as many terms as there are pairs.
+
+    Parameters
+    ----------
+    stretches : sequence of (n,) arrays
+        Uniformly sampled, NaN where there is none.
+    lags : int
+        Correlations at 1 to `lags` samples are tested.
+    fitted : int
+        Parameters of the noise that were estimated (gains of the innovations); those of the model do not count.
+
+    Source: Ljung and Box (1978), Biometrika 65; Box and Pierce (1970), JASA 65; Ljung (1999), System
+    Identification, 2nd ed., section 16.6.
+    """
+    series = [np.asarray(s, dtype=float) for s in stretches]
+    n = sum(int(np.isfinite(s).sum()) for s in series)
+    mean = float(np.nanmean(np.concatenate(series))) if n else 0.0
+    sums, pairs = _lagged([s - mean for s in series], [s - mean for s in series], lags)
+    if n < 3 or not sums[0] > 0:
+        return _unknown(lags)
+    r, pairs = sums[1:] / sums[0], pairs[1:]
+    # Under the hypothesis r has the variance (pairs)/(n (n + 2)), which is (n - k)/(n (n + 2)) without a gap.
+    used = pairs > 0
+    statistic = float(np.sum(r[used] ** 2 * n * (n + 2) / pairs[used]))
+    return _tested(statistic, max(int(used.sum()) - fitted, 1), r, 2.576 / math.sqrt(n))
+
+
+def input_correlation(residuals: Sequence[ArrayLike], inputs: Sequence[ArrayLike], lags: int = LAGS) -> CorrelationTest:
+    """Test whether residuals are correlated with the input 1 to `lags` samples before: what the model has missed.
+
+    Not with the input of the same moment or later, which a controller makes of the very errors. The correlations of
+    an input with itself are accounted for, and so is a correlation of the residuals in time, as an autoregression.
+    Source: Ljung (1999), System Identification, 2nd ed., section 16.6.
+    """
+    e, u = ([np.asarray(s, dtype=float) for s in group] for group in (residuals, inputs))
+    n = sum(int((np.isfinite(a) & np.isfinite(b)).sum()) for a, b in zip(e, u, strict=True))
+    if n < 3:
+        return _unknown(lags)
+    e, u = ([s - float(np.nanmean(np.concatenate(group))) for s in group] for group in (e, u))
+    a = autoregression([np.nan_to_num(s) for s in e])
+    # What whitens the residuals is applied to both, so that one residual says nothing of the next.
+    e, u = ([_filtered(s, a) for s in group] for group in (e, u))
+    sums, pairs = _lagged(e, u, lags)
+    own, counts = _lagged(u, u, lags)
+    errors = np.concatenate(e)
+    variance = float(np.nanmean(errors**2)) if np.isfinite(errors).any() else 0.0
+    if not own[0] > 0 or not variance > 0 or not pairs[1:].all():
+        return _unknown(lags)
+    r_u = own / np.maximum(counts, 1) / (own[0] / counts[0])
+    r = sums[1:] / pairs[1:] / math.sqrt(variance * own[0] / counts[0])
+    places = np.arange(lags)
+    values, vectors = np.linalg.eigh(r_u[np.abs(places[:, None] - places)])
+    kept = values > RANK * values[-1]
+    statistic = float(pairs[1] * np.sum((vectors[:, kept].T @ r) ** 2 / values[kept]))
+    return _tested(statistic, int(kept.sum()), r, 2.576 / math.sqrt(pairs[1]))
+
+
+def mean_test(stretches: Sequence[ArrayLike]) -> tuple[float, float]:
+    """Return the mean of a correlated series and its standard error, by the spectrum of an autoregression at zero.
+
+    Source: Box, Jenkins, Reinsel, Ljung, Time Series Analysis, 5th ed., section 2.2; for differences of
+    forecasts Diebold and Mariano (1995), Journal of Business and Economic Statistics 13.
+    """
+    series = [np.asarray(s, dtype=float) for s in stretches]
+    values = np.concatenate(series) if series else np.zeros(0)
+    n = int(np.isfinite(values).sum())
+    if n < 3:
+        return math.nan, math.nan
+    mean = float(np.nanmean(values))
+    centered = [np.nan_to_num(s - mean) for s in series]
+    a = autoregression(centered)
+    white = np.concatenate([_filtered(np.where(np.isfinite(s), s - mean, np.nan), a) for s in series])
+    variance = float(np.nanmean(white**2)) / float(a.sum()) ** 2
+    return mean, math.sqrt(variance / n)
+
+
+def _filtered(values: Array, a: Array) -> Array:
+    """Return Σ a_k e(t - k), NaN where a term is missing."""
+    result = np.full(values.size, np.nan)
+    if values.size >= a.size:
+        result[a.size - 1 :] = np.convolve(values, a, mode="valid")
+    return result
+
+
+def _lagged(e: Sequence[Array], u: Sequence[Array], lags: int) -> tuple[Array, NDArray[np.int64]]:
+    """Return Σ e(t) u(t - k) for k = 0 ... lags over all stretches, and how many pairs there were."""
+    sums, pairs = np.zeros(lags + 1), np.zeros(lags + 1, dtype=np.int64)
+    for a, b in zip(e, u, strict=True):
+        for k in range(min(lags, a.size - 1) + 1):
+            product = a[k:] * b[: b.size - k]
+            there = np.isfinite(product)
+            sums[k] += product[there].sum()
+            pairs[k] += there.sum()
+    return sums, pairs
+
+
+def _tested(statistic: float, dof: int, correlations: Array, bound: float) -> CorrelationTest:
+    from scipy.special import chdtrc  # noqa: PLC0415  (takes a tenth of a second to import)
+
+    return CorrelationTest(statistic, dof, float(chdtrc(dof, statistic)), correlations, bound)
+
+
+def _unknown(lags: int) -> CorrelationTest:
+    return CorrelationTest(math.nan, 0, math.nan, np.full(lags, np.nan), math.nan)
+
+
+def _there(values: ArrayLike) -> Array:
+    values = np.asarray(values, dtype=float).ravel()
+    return values[np.isfinite(values)]
+
+
+def _pairs(measured: ArrayLike, predicted: ArrayLike) -> tuple[Array, Array]:
+    y, p = np.asarray(measured, dtype=float).ravel(), np.asarray(predicted, dtype=float).ravel()
+    if y.size != p.size:
+        raise ValueError(f"there are {y.size} measured and {p.size} predicted values: give as many of both.")
+    both = np.isfinite(y) & np.isfinite(p)
+    return y[both], p[both]

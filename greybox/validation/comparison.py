@@ -1,0 +1,167 @@
+"""What a comparison of fits answers, in plain values that print themselves."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from greybox.data.text_table import counted, number, text_table
+from greybox.simulation.prediction import Prediction
+from greybox.simulation.windows import seconds
+
+IDENTIFICATION, HELD_OUT = "identification", "held-out"
+SIGNIFICANT = 0.05
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measure, for every fit: None where it is not known or does not exist.
+
+    Attributes
+    ----------
+    data : str
+        "fit", or on which records the windows lie: "identification" or "held-out".
+    output : str
+        Empty for what belongs to the whole fit.
+    measure, unit : str
+    values : tuple of float or None
+        In the order of the fits.
+    """
+
+    data: str
+    output: str
+    measure: str
+    unit: str
+    values: tuple[float | None, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Several fits side by side. Printing it answers the reader's questions in order.
+
+    Attributes
+    ----------
+    labels : tuple of str
+        Of the fits.
+    data : str
+        Whether the fits have the same data, and which, in words.
+    rows : tuple of Row
+        The measures.
+    statements : tuple of str
+        What they mean, in sentences.
+    window, lead : float or None
+        Lengths of the windows in s, as used in the first record: whole samples; None without records.
+    windows : mapping of str to int
+        How many there are on identification data and on held-out records.
+    predictions : mapping of str to tuple of tuples
+        For every fit the `Prediction` of every record, for figures.
+    """
+
+    labels: tuple[str, ...]
+    data: str
+    rows: tuple[Row, ...]
+    statements: tuple[str, ...]
+    window: float | None = None
+    lead: float | None = None
+    windows: Mapping[str, int] = field(default_factory=dict)
+    predictions: Mapping[str, tuple[tuple[Prediction, ...], ...]] = field(default_factory=dict, repr=False)
+
+    @property
+    def table(self) -> list[dict[str, Any]]:
+        """The rows as plain values: data, output, measure, unit, and the value by label."""
+        return [
+            {"data": r.data, "output": r.output, "measure": r.measure, "unit": r.unit}
+            | {"values": dict(zip(self.labels, r.values, strict=True))}
+            for r in self.rows
+        ]
+
+    def value(self, measure: str, label: str, data: str = "fit", output: str = "") -> float | None:
+        """Return one number of the table.
+
+        Raises
+        ------
+        ValueError
+            If there is none of that name.
+        """
+        found = [r for r in self.rows if (r.data, r.output, r.measure) == (data, output, measure)]
+        if not found or label not in self.labels:
+            raise ValueError(f"there is no {measure!r} of {label!r} for {data!r} and output {output!r} in the table.")
+        return found[0].values[self.labels.index(label)]
+
+    def __str__(self) -> str:
+        lines = [f"Comparison of {', '.join(self.labels)}", "", f"  data  {self.data}", ""]
+        lines += self._section([r for r in self.rows if r.data == "fit"])
+        for data in (IDENTIFICATION, HELD_OUT):
+            rows = [r for r in self.rows if r.data == data]
+            if rows:
+                lines += [f"  {data} data: {self._windows(data)}", ""]
+            for output in dict.fromkeys(r.output for r in rows):
+                lines += self._section([r for r in rows if r.output == output], output)
+        return "\n".join([*lines, *(f"  {text}" for text in self.statements)]).rstrip()
+
+    def _windows(self, data: str) -> str:
+        """Say how many windows there are and how long, as used: whole samples of records that may differ."""
+        of = self.predictions[data][0]
+        window, lead = (
+            " to ".join(dict.fromkeys((seconds(min(lengths)), seconds(max(lengths)))))
+            for lengths in ([p.horizon for p in of], [p.lead for p in of])
+        )
+        samples = f" ({counted(of[0].rows.shape[1], 'sample')})" if len(of) == 1 else ""
+        return f"{counted(self.windows.get(data, 0), 'window')} of {window} s{samples}, each from {lead} s before it"
+
+    def _section(self, rows: Sequence[Row], title: str = "") -> list[str]:
+        if not rows:
+            return []
+        cells = [[r.measure, r.unit, *(_cell(v) for v in r.values)] for r in rows]
+        table = text_table([title, "", *self.labels], cells, left=(0, 1))
+        return [*("  " + line for line in table.splitlines()), ""]
+
+
+@dataclass(frozen=True)
+class NestedTest:
+    """Whether terms that one model has more than another are needed. Printing it says so in words.
+
+    Attributes
+    ----------
+    small, large : str
+        The models.
+    terms : tuple of str
+        The parameters that are free in the larger alone.
+    likelihood_ratio : float
+        Twice the difference of the negative log-likelihoods; NaN where the criterion is no likelihood.
+    scale : float
+        By how much the correlation of the residuals in time inflates it; 1 for white residuals.
+    statistic : float
+        What is compared with the F distribution.
+    dof : (float, float)
+        Its degrees of freedom; the second is `Fit.dof` of the larger.
+    p_value : float
+    """
+
+    small: str
+    large: str
+    terms: tuple[str, ...]
+    likelihood_ratio: float
+    scale: float
+    statistic: float
+    dof: tuple[float, float]
+    p_value: float
+
+    def __str__(self) -> str:
+        names = ", ".join(self.terms)
+        reference = f"chi2({self.dof[0]:g})" if math.isinf(self.dof[1]) else f"F({self.dof[0]:g}, {self.dof[1]:.0f})"
+        value = self.statistic * (self.dof[0] if math.isinf(self.dof[1]) else 1)
+        p = "p < 0.0001" if self.p_value < 1e-4 else f"p = {self.p_value:.2g}"
+        verb = "is" if len(self.terms) == 1 else "are"
+        said = f"{names} {verb} not needed: {self.small} explains the data as well as {self.large}"
+        if self.p_value < SIGNIFICANT:
+            said = f"{names} {verb} needed: {self.small} leaves more than chance explains"
+        how = "Wald test with the errors of the fit"
+        if not math.isnan(self.likelihood_ratio):
+            how = f"likelihood ratio {number(self.likelihood_ratio, 4)}, reduced by {number(self.scale, 3)}"
+            how += " for residuals that are correlated in time"
+        return f"{said} ({reference} = {number(value, 4)}, {p}; {how})."
+
+
+def _cell(value: float | None) -> str:
+    return "-" if value is None else number(value, 5)

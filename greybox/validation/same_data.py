@@ -1,0 +1,105 @@
+"""Whether fits have the same data, and whether their costs may be held against one another."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from greybox.data.record import Record
+from greybox.data.text_table import number
+from greybox.estimate.result import Fit, FittedRecord, FittedResponse
+from greybox.formulation.frequency_criteria import MaximumLikelihood
+
+LIKELIHOOD = "negative log-likelihood"
+
+
+def labels_of(fits: Sequence[Fit]) -> tuple[str, ...]:
+    """Return the names of the models, with those of the problems or numbers where they do not tell the fits apart."""
+    models = [", ".join(dict.fromkeys(part.label for part in fit.parts)) for fit in fits]
+    for said in (models, [f"{m} ({fit.name})" for m, fit in zip(models, fits, strict=True)]):
+        if len(set(said)) == len(said):
+            return tuple(said)
+    return tuple(f"{model} {k}" for k, model in enumerate(models, 1))
+
+
+def difference(fits: Sequence[Fit], names: Sequence[str]) -> str:
+    """Return in words how the data of a fit differ from those of the first, or nothing."""
+    first = fits[0]
+    for fit, name in zip(fits[1:], names[1:], strict=True):
+        if len(fit.parts) != len(first.parts):
+            return f"{name} was fitted to {len(fit.parts)} sets of data and {names[0]} to {len(first.parts)}"
+        for a, b in zip(first.parts, fit.parts, strict=True):
+            if not _same(a, b):
+                return (
+                    f"{name} was fitted to other data than {names[0]} ({b.data.name or b.name!r}, checksum "
+                    f"{b.data.checksum[:8]}, and {a.data.name or a.name!r}, {a.data.checksum[:8]})"
+                )
+            if isinstance(a, FittedRecord) and isinstance(b, FittedRecord) and a.outputs != b.outputs:
+                return (
+                    f"{name} was fitted to the outputs {', '.join(b.outputs)} and {names[0]} to {', '.join(a.outputs)}"
+                )
+    return ""
+
+
+def _same(a: FittedResponse | FittedRecord, b: FittedResponse | FittedRecord) -> bool:
+    """Tell whether two parts have the same data: a stretch of a log has the checksum of the whole log."""
+    if a.data.checksum != b.data.checksum:
+        return False
+    if isinstance(a.data, Record) and isinstance(b.data, Record):
+        return np.array_equal(a.data.time, b.data.time) and all(
+            np.array_equal(a.data[n], b.data[n], equal_nan=True) for n in a.data.signals if n in b.data.signals
+        )
+    return type(a) is type(b)
+
+
+def described(fits: Sequence[Fit]) -> str:
+    """Say which data the fits share."""
+    parts = [f"{part.data.name or part.name} ({part.data.checksum[:8]})" for part in fits[0].parts]
+    count = sum(count_numbers(part) for part in fits[0].parts)
+    return f"the same for all: {', '.join(parts)}, {count} numbers"
+
+
+def count_numbers(part: FittedResponse | FittedRecord) -> int:
+    """Return how many real numbers of its data a part compares with the model."""
+    if isinstance(part, FittedResponse):
+        return 2 * len(part.data)
+    return sum(int(np.isfinite(part.residual(name)).sum()) for name in part.outputs)
+
+
+def is_likelihood(fit: Fit) -> bool:
+    """Tell whether the cost is the negative logarithm of a likelihood."""
+    return all(
+        part.weight == 1 and (isinstance(part, FittedRecord) or part.rule == MaximumLikelihood().description)
+        for part in fit.parts
+    )
+
+
+def other_samples(fits: Sequence[Fit], names: Sequence[str]) -> str:
+    """Return in words how a fit leaves out other samples of the same data than the first, or nothing."""
+    for part, first in enumerate(fits[0].parts):
+        for fit, name in zip(fits[1:], names[1:], strict=True):
+            counts = [count_numbers(each) for each in (first, fit.parts[part])]
+            if counts[0] != counts[1]:
+                return (
+                    f"{names[0]} was fitted to {counts[0]} numbers of {first.data.name or first.name!r} and {name} to "
+                    f"{counts[1]} (the longest delay in the bounds keeps the first samples out, and PredictionError "
+                    "those that miss an output)"
+                )
+    return ""
+
+
+def not_comparable(fits: Sequence[Fit], names: Sequence[str]) -> str:
+    """Return why the costs of fits to the same data cannot be compared, or nothing.
+
+    Those in time are negative log-likelihoods whatever the criterion takes the errors for, and so are those of
+    MaximumLikelihood; other criteria can only be compared with themselves.
+    """
+    apart = other_samples(fits, names)
+    weights = list(dict.fromkeys(", ".join(number(part.weight, 3) for part in fit.parts) for fit in fits))
+    rules = list(dict.fromkeys(fit.criterion for fit in fits))
+    if apart:
+        return apart
+    if len(weights) > 1:
+        return f"their data are weighted differently ({'; '.join(weights)})"
+    if len(rules) > 1 and not all(is_likelihood(fit) for fit in fits):
+        return f"they are of different criteria ({'; '.join(rules)})"
+    return ""

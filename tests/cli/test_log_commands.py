@@ -1,0 +1,154 @@
+"""`greybox inspect` and `greybox response`, run as a user runs them, on the shipped flight and on made tables."""
+
+import json
+from importlib.resources import files
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.cli.main import main
+
+LOG = str(files("greybox.problems") / "data" / "sitl_pitch.BIN")
+PITCH = ["--announced", "SINE", "--input", "u=RATE.POut", "--output", "theta=ATT.Pitch"]
+
+
+def run(capsys, *arguments):
+    status = main([str(a) for a in arguments])
+    return status, *capsys.readouterr()
+
+
+def test_inspect_says_what_a_log_holds(capsys, tmp_path):
+    status, out, _ = run(capsys, "inspect", LOG, "--announced", "SINE", "--plot", tmp_path / "log.png")
+    assert status == 0
+    for words in ("ArduCopter", "ATT", "RATE", "20.11", "sitl_pitch.BIN"):
+        assert words in out
+    assert (tmp_path / "log.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_inspect_as_json(capsys):
+    status, out, _ = run(capsys, "inspect", LOG, "--announced", "SINE", "--json")
+    answer = json.loads(out)
+    assert status == 0
+    assert [round(s["omega"], 2) for s in answer["segments"]][:3] == [20.11, 16.01, 12.03]
+    assert "Pitch" in next(m for m in answer["messages"] if m["name"] == "ATT")["signals"]
+
+
+def test_without_an_announcement_the_tests_are_found_in_the_setpoint(capsys):
+    answer = json.loads(run(capsys, "inspect", LOG, "--setpoint", "ATT.DesPitch", "--json")[1])
+    found = [s["omega"] for s in answer["segments"] if s["usable"]]
+    assert found == pytest.approx([20.11, 16.01, 12.03, 8, 5.34, 4, 3.5, 3, 2, 1], rel=0.01)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".h5"])
+def test_log_to_response_to_fit(capsys, tmp_path, suffix):
+    out = tmp_path / f"pitch{suffix}"
+    status, text, _ = run(capsys, "response", LOG, *PITCH, "--out", out, "--plot", tmp_path / "bode.png")
+    assert status == 0
+    assert "nothing to object to" in text
+    measured = gb.read_response(out, input="u", output="theta")
+    assert len(measured) == 10
+    assert measured.variance is not None
+    status, text, _ = run(capsys, "fit", "--model", "rate:DampedAngle", "--data", out, "--starts", "10", "--json")
+    assert status == 0
+    assert json.loads(text)["estimate"]["K_phi"] == pytest.approx(91.0, rel=0.01)
+
+
+def test_the_traces_of_a_chosen_test_are_drawn(capsys, tmp_path):
+    options = ["--tests", "2,9", "--setpoint", "ATT.DesPitch", "--traces", tmp_path / "traces.png"]
+    assert run(capsys, "response", LOG, *PITCH, *options)[0] == 0
+    assert (tmp_path / "traces.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_single_tests_can_be_chosen(capsys):
+    answer = json.loads(run(capsys, "response", LOG, *PITCH, "--tests", "1,4-6", "--json")[1])
+    assert sorted(answer["omega"]) == pytest.approx([4.0, 5.34, 8.0, 20.11], rel=1e-3)
+
+
+def test_one_frequency_alone_is_refused_with_the_reason(capsys, tmp_path):
+    status, out, err = run(capsys, "response", LOG, *PITCH, "--tests", "2", "--json", "--out", tmp_path / "x.csv")
+    assert status == 1
+    assert "one frequency gives two numbers" in json.loads(out)["error"]
+    assert "one frequency gives two numbers" in err
+    assert not (tmp_path / "x.csv").exists()
+
+
+def sweep_table(path, noise=0.0):
+    """A sweep through 5 / (0.2 s + 1), as a table."""
+    from scipy.signal import chirp, lsim
+
+    time = np.arange(0, 60, 0.01)
+    u = chirp(time, 0.1, 60, 5, method="logarithmic") * np.minimum(1, np.minimum(time, 60 - time) / 3)
+    y = lsim(([5], [0.2, 1]), u, time)[1] + noise * np.random.default_rng(0).normal(size=time.size)
+    np.savetxt(path, np.c_[time, u, y], delimiter=",", header="time,u,y", comments="")
+
+
+def closed_loop_table(path, setpoint):
+    """A lag in a feedback loop that follows `setpoint(t)`, with sensor noise, as a table time, r, u, y."""
+    step, y, x = 0.01, 0.0, 0.0
+    rows = []
+    for t, noise in zip(np.arange(0, 80, step), np.random.default_rng(1).normal(0, 1e-3, 8000), strict=True):
+        r, y = setpoint(t), x + noise
+        u = 4 * (r - y)
+        rows.append((t, r, u, y))
+        x += step * (u - x) / 0.5
+    np.savetxt(path, rows, delimiter=",", header="time,r,u,y", comments="")
+
+
+@pytest.mark.parametrize("setpoint", [lambda t: 0.1 * np.sin(0.05 * t), lambda t: 1e-5 * np.sin(3 * t)])
+def test_what_cannot_identify_anything_is_refused(capsys, tmp_path, setpoint):
+    """Excited at 0.05 rad/s only, or with the amplitude of the sensor's noise."""
+    closed_loop_table(tmp_path / "flight.csv", setpoint)
+    status, out, _ = run(capsys, "response", tmp_path / "flight.csv", "--input", "u", "--output", "y", "--json")
+    assert status in (1, 2)
+    assert json.loads(out)["error"]
+
+
+def test_a_table_of_a_sweep_gives_its_response(capsys, tmp_path):
+    sweep_table(tmp_path / "sweep.csv")
+    command = ["response", tmp_path / "sweep.csv", "--input", "u", "--output", "y", "--json"]
+    status, out, _ = run(capsys, *command)
+    assert status == 2
+    assert "or ask for the --whole log" in json.loads(out)["error"]
+    status, out, _ = run(capsys, *command, "--whole")
+    answer = json.loads(out)
+    omega = np.array(answer["omega"])
+    inner = (omega > 1.5) & (omega < 20)
+    found = (np.array(answer["alpha"]) + 1j * np.array(answer["beta"]))[inner]
+    assert status == 0
+    assert inner.sum() > 5
+    assert np.max(np.abs(found / (5 / (0.2j * omega[inner] + 1)) - 1)) < 0.03
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["inspect", "none.BIN"], "there is no file none.BIN"),
+        (["inspect", LOG, "--announced", "SINUS"], "no message 'SINUS'"),
+        (["inspect", LOG, "--plot", "x.xyz"], "no known kind of figure"),
+        (["response", LOG], "--input"),
+        (["response", LOG, "--input", "RATE.POot", "--output", "ATT.Pitch"], "no signal 'POot'"),
+        (["response", LOG, *PITCH, "--tests", "11"], "there is no test 11; the log has 10"),
+        (["response", LOG, *PITCH, "--tests", "a"], "write numbers and ranges"),
+        (["response", LOG, *PITCH, "--tests", "5-3"], "runs backwards"),
+        (["response", LOG, *PITCH, "--tests", "1-99999999999"], "there is no test 99999999999"),
+        (["response", LOG, *PITCH, "--points", "0"], "--points 0"),
+        (["response", LOG, *PITCH, "--settle", "nan"], "--settle nan"),
+        (["response", LOG, *PITCH, "--rate", "1e9"], "more than ten times"),
+        (["response", LOG, "--input", "x=RATE.POut", "--output", "x=ATT.Pitch"], "have one name"),
+        (["response", LOG, "--input", "RATE.POut", "--output", "y=RATE.POut"], "are one signal"),
+        (["response", LOG, *PITCH, "--axis", "roll"], "no test has the axis 'roll'"),
+        (["response", LOG, *PITCH, "--method", "magic"], "'magic'"),
+        (["response", LOG, *PITCH, "--rate", "0"], "rate 0"),
+        (["response", LOG, *PITCH, "--out", "x.txt"], "end it in .csv or .h5"),
+        (["response", LOG, *PITCH, "--fields", "omega"], "write WHAT=FIELD"),
+    ],
+)
+def test_bad_input_is_one_sentence(capsys, tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    status, out, err = run(capsys, *arguments)
+    assert status == 2
+    assert out == ""
+    assert words in err
+    assert len(err.strip().splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,122 @@
+"""The compiled problem: scaling, costs, weights, and an operating point that Newton's method finds."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
+from numpy.testing import assert_allclose
+
+import greybox as gb
+from greybox.compiled.compiled_problem import compile_problem
+from greybox.models.tilt import NonlinearTilt
+
+NOISY = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.05)
+LAG = measured(Lag(), TWO_LAGS_OMEGA, {"K": 3.0, "T": 0.2}, noise=0.05)
+
+
+def relative(problem_model, data, values):
+    response = gb.frequency_response(problem_model, values, data.omega).response
+    return np.sum(np.abs(response - data.response) / np.abs(data.response))
+
+
+def test_scaling_goes_there_and_back():
+    both = compile_problem(gb.Problem(LagLagDelay(), NOISY, rename={"K": "K2"}) + gb.Problem(Lag(), LAG))
+    assert both.scaling.logarithmic.any()
+    assert not both.scaling.logarithmic.all()
+    random = np.random.default_rng(0)
+    x = random.uniform(np.maximum(both.lower, 1e-4), both.upper, (20, len(both.free)))
+    z = both.scaling.to_solver(x)
+    assert_allclose(both.scaling.to_parameters(z), x, rtol=1e-14)
+    symbol = ca.SX.sym("z", len(both.free))
+    expressions = ca.Function("x", [symbol], [ca.vertcat(*both.scaling.expressions(symbol))])
+    assert_allclose(np.asarray(expressions(z[0])).ravel(), x[0], rtol=1e-14)
+
+
+def test_a_linear_variable_is_of_order_one_and_a_logarithmic_one_is_the_logarithm():
+    linear, log = compile_problem(gb.Problem(LagLagDelay(), NOISY)), compile_problem(gb.Problem(Lag(), LAG))
+    assert_allclose(linear.scaling.to_solver(linear.upper), 1)
+    assert_allclose(log.scaling.to_solver(np.array([np.e, np.e**2])), [1, 2])
+
+
+def test_cost_is_the_naive_sum_with_weights():
+    a, b = gb.Problem(LagLagDelay(), NOISY), gb.Problem(Lag(), LAG, rename={"K": "gain"}, weight=2.5)
+    values = {"K": 4.0, "T1": 0.5, "T2": 0.2, "tau": 0.1, "gain": 2.0, "T": 0.3}
+    first = relative(LagLagDelay(), NOISY, {k: values[k] for k in TWO_LAGS})
+    second = relative(Lag(), LAG, {"K": 2.0, "T": 0.3})
+    assert gb.cost(a, {k: values[k] for k in TWO_LAGS}) == pytest.approx(first, rel=1e-12)
+    assert gb.cost(a + b, values) == pytest.approx(first + 2.5 * second, rel=1e-12)
+
+
+def test_cost_takes_declared_starts_and_fixed_values_for_what_is_not_given():
+    problem = gb.Problem(LagLagDelay(), NOISY, fixed={"tau": 0.07})
+    assert gb.cost(problem, {"K": 2.0}) == pytest.approx(
+        relative(LagLagDelay(), NOISY, {"K": 2.0, "tau": 0.07}), rel=1e-12
+    )
+
+
+def test_cost_refuses_an_unknown_name():
+    with pytest.raises(ValueError, match="has no parameter 'gain'; it has K, T1, T2, tau"):
+        gb.cost(gb.Problem(LagLagDelay(), NOISY), {"gain": 1.0})
+
+
+def test_a_problem_without_unknowns_is_refused():
+    with pytest.raises(ValueError, match=r"no parameter of 'made' is free: free one, e\.g\. free=\('K',\)"):
+        gb.fit(gb.Problem(LagLagDelay(), NOISY, fixed=TWO_LAGS))
+
+
+def test_what_the_solver_minimizes_is_the_smoothed_cost_of_the_scaled_variables():
+    nlp = compile_problem(gb.Problem(Lag(), LAG, weight=3.0))
+    f = ca.Function("f", [nlp.expressions["x"], nlp.expressions["p"]], [nlp.expressions["f"]])
+    response = gb.frequency_response(Lag(), {"K": 2.0, "T": 5.0}, LAG.omega).response
+    e = np.abs(response / LAG.response - 1)
+    assert float(f(np.log([2.0, 5.0]), 0.04)) == pytest.approx(3 * np.sum(np.sqrt(e**2 + 0.04)), rel=1e-12)
+
+
+@pytest.mark.parametrize("T", [1e-3, 1e-1, 10.0, 1e3])
+@pytest.mark.parametrize("K", [2e-3, 500.0])
+def test_logarithmic_parameters_recover_the_truth_over_decades(T, K):
+    fit = gb.fit(gb.Problem(Lag(), measured(Lag(), np.geomspace(1e-4, 1e4, 15), {"K": K, "T": T})), starts=12)
+    assert fit.agreeing >= 10
+    assert fit.estimate["K"] == pytest.approx(K, rel=1e-6)
+    assert fit.estimate["T"] == pytest.approx(T, rel=1e-6)
+
+
+def forward_flight(omega, p, theta):
+    """Pitch angle from control about a steady pitch `theta`: (4.23) linearized by hand, drag slope 2 C_x |v0|."""
+    v0 = np.sqrt(gb.g * np.tan(theta) / p["C_x"])
+    A = np.array(
+        [
+            [-2 * p["C_x"] * v0, 0, gb.g / np.cos(theta) ** 2, 0],
+            [-p["a3"], -p["a2"], -p["a1"], p["a4"]],
+            [0, 1, 0, 0],
+            [0, 0, 0, -1 / p["T_rotor"]],
+        ]
+    )
+    b = np.array([0, 0, 0, 1 / p["T_rotor"]])
+    return np.array([np.linalg.solve(1j * w * np.eye(4) - A, b)[2] * np.exp(-1j * w * p["T_delay"]) for w in omega])
+
+
+def test_a_trim_by_newton_compiles_to_mx_and_agrees_with_the_model_linearized_by_hand():
+    omega, theta = np.geomspace(0.5, 20, 12), np.radians(5)
+    truth = {"a1": -10.0, "a2": 3.0, "a3": 4.0, "a4": 250.0, "T_rotor": 0.048, "T_delay": 0.0042, "C_x": 0.08}
+    data = gb.FrequencyResponse(omega, forward_flight(omega, truth, theta), input="u", output="theta", name="5 deg")
+    problem = gb.Problem(NonlinearTilt(), data, at={"theta": theta})
+    assert isinstance(compile_problem(problem).expressions["f"], ca.MX)
+    assert gb.cost(problem, truth) == pytest.approx(0, abs=1e-9)
+    other = truth | {"C_x": 0.3, "a3": 2.0}
+    by_hand = np.sum(np.abs(forward_flight(omega, other, theta) / data.response - 1))
+    assert gb.cost(problem, other) == pytest.approx(by_hand, rel=1e-9)
+
+
+def test_a_problem_without_newton_stays_sx():
+    assert isinstance(compile_problem(gb.Problem(LagLagDelay(), NOISY)).expressions["f"], ca.SX)
+
+
+def test_rows_of_unknowns_are_evaluated_like_single_ones():
+    nlp = compile_problem(gb.Problem(LagLagDelay(), NOISY, fixed={"K": 4.0}))
+    rows = np.random.default_rng(1).uniform(0.01, 0.4, (5, 3))
+    for row, cost, response in zip(rows, nlp.costs(rows), nlp.response_rows(rows), strict=True):
+        values = dict(zip(nlp.free, row, strict=True)) | {"K": 4.0}
+        assert cost == pytest.approx(relative(LagLagDelay(), NOISY, values), rel=1e-12)
+        assert_allclose(response, gb.frequency_response(LagLagDelay(), values, NOISY.omega).response, rtol=1e-12)
+    assert nlp.costs(np.zeros((0, 3))).shape == (0,)

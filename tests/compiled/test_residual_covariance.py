@@ -1,0 +1,99 @@
+"""Covariances of residuals, held against densities by scipy and against the minimum that they promise."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import minimize
+from scipy.stats import multivariate_normal, norm
+
+import greybox as gb
+from greybox.compiled.residual_covariance import noise_of
+
+RANDOM = np.random.default_rng(0)
+RESIDUALS = np.array([[1.0, 0.0, 0.0], [0.6, 0.5, 0.0], [0.0, -0.1, 2e-3]]) @ RANDOM.normal(size=(3, 400))
+NAMES = ("a", "b", "c")
+SIGMA = {"a": 0.8, "b": 0.5, "c": 0.02}
+
+
+def made(noise, residuals=RESIDUALS):
+    """The noise of outputs that are their own residuals, and the products of these."""
+    there = np.nan_to_num(residuals)
+    return noise_of(gb.OutputError(noise=noise), NAMES, residuals), there @ there.T
+
+
+def holed(seed=1):
+    values = RESIDUALS.copy()
+    values[np.random.default_rng(seed).random(values.shape) < 0.3] = np.nan
+    return values
+
+
+def density(values, sigma):
+    return -sum(norm.logpdf(v[np.isfinite(v)], scale=s).sum() for v, s in zip(values, sigma, strict=True))
+
+
+@pytest.mark.parametrize("values", [RESIDUALS, holed()], ids=["whole", "holes"])
+def test_given_deviations(values):
+    noise, products = made(SIGMA, values)
+    assert_allclose(noise.cost(products), density(values, SIGMA.values()))
+    assert_allclose(np.sqrt(np.diag(noise.covariance(products))), [*SIGMA.values()])
+
+
+@pytest.mark.parametrize("values", [RESIDUALS, holed()], ids=["whole", "holes"])
+def test_estimated_variances_are_the_most_likely_ones(values):
+    noise, products = made("diagonal", values)
+    best = minimize(lambda z: density(values, np.exp(z)), np.log([*SIGMA.values()]), options={"gtol": 1e-8})
+    assert_allclose(noise.cost(products), best.fun, rtol=1e-9)
+    assert_allclose(np.sqrt(np.diag(noise.covariance(products))), np.exp(best.x), rtol=1e-5)
+
+
+def test_an_estimated_covariance_is_the_most_likely_one():
+    noise, products = made("full")
+    covariance = noise.covariance(products)
+    assert_allclose(covariance, RESIDUALS @ RESIDUALS.T / 400, rtol=1e-6, atol=1e-12)
+    cost = noise.cost(products)
+    assert_allclose(cost, -multivariate_normal(cov=covariance).logpdf(RESIDUALS.T).sum())
+    for seed in range(20):
+        nudge = 1e-2 * np.random.default_rng(seed).normal(size=(3, 3))
+        other = (np.eye(3) + nudge) @ covariance @ (np.eye(3) + nudge).T
+        assert -multivariate_normal(cov=other).logpdf(RESIDUALS.T).sum() > cost
+
+
+@pytest.mark.parametrize("choice", [SIGMA, "diagonal", "full"])
+def test_weights_make_the_residuals_white(choice):
+    noise, products = made(choice)
+    weight = noise.weight(products)
+    assert_allclose(weight.T @ weight @ noise.covariance(products), np.eye(3), atol=1e-9)
+
+
+@pytest.mark.parametrize("choice", [SIGMA, "diagonal", "full"])
+def test_the_gradient_of_the_cost_is_that_of_the_weighted_squares(choice):
+    """Relaxation: with weights from the residuals the Gauss-Newton gradient is that of the likelihood."""
+    noise, products = made(choice)
+    direction, h = np.random.default_rng(5).normal(size=RESIDUALS.shape) * RESIDUALS.std(axis=1)[:, None], 1e-6
+    costs = [noise.cost(r @ r.T) for r in (RESIDUALS + h * direction, RESIDUALS - h * direction)]
+    weight = noise.weight(products)
+    assert_allclose(np.sum((weight @ RESIDUALS) * (weight @ direction)), (costs[0] - costs[1]) / (2 * h), rtol=1e-6)
+
+
+@pytest.mark.parametrize("choice", ["diagonal", "full"])
+def test_residuals_of_zero_leave_the_cost_finite(choice):
+    noise, products = made(choice)
+    assert np.isfinite(noise.cost(0 * products))
+    assert np.all(np.isfinite(noise.weight(0 * products)))
+    assert noise.cost(np.full((3, 3), np.inf)) == np.inf
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+@pytest.mark.parametrize("choice", ["diagonal", "full"])
+def test_units_change_the_cost_by_a_constant(choice, unit):
+    scale = np.array([1.0, unit, 1 / unit])[:, None]
+    (plain, products), (scaled, other) = made(choice), made(choice, scale * RESIDUALS)
+    shift = 400 * np.log(scale).sum()
+    assert_allclose(scaled.cost(other) - shift, plain.cost(products))
+    assert_allclose(scaled.cost(other / 4) - shift, plain.cost(products / 4))
+
+
+def test_an_output_that_never_moves():
+    values = np.vstack([np.ones(50), np.zeros(50), RESIDUALS[2, :50]])
+    noise, products = made("diagonal", values)
+    assert np.isfinite(noise.cost(products))

@@ -1,0 +1,250 @@
+"""Records as the estimators see them: delayed inputs held against integrals, gaps, missing samples, and bad input."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import quad
+
+import greybox as gb
+from greybox.compiled.sampled_data import Experiment, Stretch, experiment, gapless, input_over_step
+
+STEP = 0.02
+RANDOM = np.random.default_rng(0)
+
+
+def record(n=60, outputs=("y",), step=STEP, start=3.0, **signals):
+    time = start + step * np.arange(n)
+    given = {"u": np.random.default_rng(1).normal(size=n)} | {k: np.arange(n) + 100.0 for k in outputs} | signals
+    return gb.Record(time, given, name="made")
+
+
+def cut(data, *, inputs=("u",), outputs=("y",), lead=0.0, segment=7, complete=False):
+    return experiment(data, inputs, outputs, lead=lead, segment=segment, complete=complete)
+
+
+def measured_input(u, held):
+    """The measured input as a function of time, in steps: constant before its first and after its last sample."""
+    if held:
+        return lambda t: u[int(np.clip(np.floor(t + 1e-12), 0, u.size - 1))]
+    return lambda t: np.interp(t, np.arange(u.size), u)
+
+
+DELAYS = [0.0, 0.25, 0.999999, 1.0, 1.5, 3.0, 4.75]
+
+
+@pytest.mark.parametrize("held", [False, True], ids=["linear", "held"])
+@pytest.mark.parametrize("delay", DELAYS)
+def test_moments_of_the_delayed_input(delay, held):
+    data = record(30)
+    made = cut(data)
+    whole, windows = made.windows(np.array([delay * STEP]))
+    u = measured_input(data["u"], held)
+    for k in range(29):
+        mean, change, now = input_over_step(windows[:, k], delay - whole[0, k], held)
+        breaks = [b for b in (delay % 1,) if 0 < b < 1]
+
+        def late(t, k=k):
+            return u(k + t - delay)
+
+        wanted = quad(late, 0, 1, points=breaks or None, epsabs=1e-12)[0]
+        moment = quad(lambda t: late(t) * (t - 0.5), 0, 1, points=breaks or None, epsabs=1e-12)[0]
+        assert_allclose(mean, wanted, atol=1e-8)
+        assert_allclose(change, 12 * moment, atol=1e-7)  # the slope of the best line
+        assert_allclose(now, late(0), atol=1e-8)
+
+
+def test_moments_and_their_slope_are_continuous_where_a_whole_sample_is_passed():
+    data = record(30)
+    made = cut(data)
+
+    def moments(delay):
+        whole, windows = made.windows(np.array([delay * STEP]))
+        return np.array([input_over_step(windows[:, k], delay - whole[0, k], False)[:2] for k in range(28)])
+
+    for delay in (1.0, 2.0, 5.0):
+        h = 1e-5
+        left, middle, right = (moments(delay + x) for x in (-h, 0, h))
+        assert_allclose(left, right, atol=1e-4)
+        assert_allclose((middle - left) / h, (right - middle) / h, atol=2e-3)
+
+
+def test_a_delay_beyond_the_record_keeps_the_first_value():
+    data = record(20)
+    whole, windows = cut(data).windows(np.array([50 * STEP]))
+    assert_allclose(windows[:, :20], data["u"][0])
+    assert np.all(np.abs(whole) <= 20)
+
+
+def test_the_steps_of_the_whole_record_come_back():
+    data = record(60)
+    made = cut(data)
+    assert made.counts == [9]
+    assert made.segments == 9
+    assert made.measured.shape == (1, 63)
+    assert_allclose(made.measured[0, :60], data["y"])
+    assert np.isnan(made.measured[0, 60:]).all()
+    assert_allclose(made.steps, STEP)
+    assert made.first.tolist() == [True] + 8 * [False]
+    assert made.coupled.tolist() == 8 * [True] + [False]
+    (back,) = made.unpadded(made.measured)
+    assert_allclose(back[0], data["y"])
+
+
+def test_gaps_and_missing_inputs_end_a_stretch():
+    u = RANDOM.normal(size=60)
+    u[20] = np.nan
+    data = record(60, u=u)
+    time = data.time.copy()
+    time[45:] += 1.0
+    data = gb.Record(time, data.signals)
+    made = cut(data, segment=10)
+    assert [s.first for s in made.stretches] == [0, 21, 45]
+    assert [len(s) for s in made.stretches] == [20, 24, 15]
+    assert made.first.tolist() == [True, False, True, False, False, True, False]
+    assert made.coupled.tolist() == [True, False, True, True, False, True, False]
+    for stretch in made.stretches:
+        assert_allclose(stretch.outputs[0], data["y"][stretch.first :][: len(stretch)])
+        assert_allclose(stretch.inputs[0], u[stretch.first :][: len(stretch)])
+        assert_allclose(stretch.step, STEP)
+    back = made.unpadded(made.measured)
+    assert [b.shape[1] for b in back] == [20, 24, 15]
+
+
+def test_a_lost_sample_does_not_shift_those_after_it():
+    """One step of twice the length: the times must stay right to a small part of a step."""
+    data = record(200)
+    lost = data.rows(np.delete(np.arange(200), [50, 120]))
+    for stretch in cut(lost).stretches:
+        times = lost.time[stretch.first] + stretch.step * np.arange(len(stretch))
+        assert_allclose(times, lost.time[stretch.first :][: len(stretch)], atol=0.05 * STEP)
+
+
+def test_missing_outputs_stay_missing():
+    y = np.arange(60.0)
+    y[5:9] = np.nan
+    data = record(60, outputs=("y", "z"), y=y)
+    made = cut(data, outputs=("y", "z"))
+    assert np.isnan(made.measured[0, 5:9]).all()
+    assert np.isfinite(made.measured[1, 5:9]).all()
+    whole = cut(data, outputs=("y", "z"), complete=True)
+    assert np.isnan(whole.measured[:, 5:9]).all()
+    assert np.isfinite(whole.measured[:, :5]).all()
+
+
+def test_the_past_of_a_delay_is_not_compared():
+    made = cut(record(60), lead=2.5 * STEP)
+    assert np.isnan(made.measured[0, :3]).all()
+    assert np.isfinite(made.measured[0, 3:60]).all()
+
+
+@pytest.mark.parametrize(
+    ("u", "masked"),
+    [
+        (np.repeat([0.0, 1.0], [10, 50]), 0),  # a step
+        (np.concatenate([np.zeros(5), RANDOM.normal(size=55)]), 0),
+        (np.concatenate([np.zeros(4), RANDOM.normal(size=56)]), 20),
+        (np.repeat(RANDOM.normal(size=8), 8)[:60], 20),  # commands at a lower rate: the past is as unknown
+        (np.concatenate([np.zeros(20), np.repeat(RANDOM.normal(size=8), 5)]), 0),
+        (np.ones(60), 0),
+    ],
+)
+def test_an_input_that_rests_at_the_beginning_has_rested_before(u, masked):
+    made = cut(record(60, u=u), lead=20 * STEP)
+    assert np.isnan(made.measured[0, :masked]).all()
+    assert np.isfinite(made.measured[0, masked:60]).all()
+    assert made.masked == masked
+
+
+def test_every_input_asks_for_the_past_that_its_own_delay_reaches():
+    made = cut(record(60, w=np.repeat([0.0, 1.0], [30, 30])), inputs=("u", "w"), lead=[3 * STEP, 20 * STEP])
+    assert made.masked == 3
+    made = cut(record(60, w=np.arange(60.0)), inputs=("u", "w"), lead=[3 * STEP, 20 * STEP])
+    assert made.masked == 20
+
+
+def test_after_a_gap_the_past_is_unknown_again():
+    u = np.concatenate([np.zeros(30), RANDOM.normal(size=60), np.zeros(10), RANDOM.normal(size=20)])
+    data = record(120, u=u)
+    time = data.time.copy()
+    time[60:] += 1.0
+    time[90:] += 1.0
+    y = np.arange(120.0)
+    y[62] = np.nan
+    made = cut(gb.Record(time, {"u": u, "y": y}), lead=10 * STEP)
+    there = [np.isfinite(s.outputs[0]) for s in made.stretches]
+    assert there[0].all()
+    assert not there[1][:10].any()
+    assert there[1][10:].all()
+    assert there[2].all()
+    assert made.masked == 9  # of the ten, one was not measured
+
+
+def test_no_inputs():
+    data = record(60)
+    made = cut(data, inputs=())
+    whole, windows = made.windows(np.zeros(0))
+    assert whole.shape == windows.shape == (0, 63)
+
+
+def test_a_thinned_experiment_is_a_part_of_the_whole():
+    data = record(1000)
+    made = cut(data, segment=10)
+    thin = made.thinned(300)
+    assert 200 <= sum(len(s) for s in thin.stretches) <= 400
+    assert len(thin.stretches) == 5
+    assert thin.stretches[0].first == 0
+    assert thin.stretches[-1].first + len(thin.stretches[-1]) == 1000
+    for stretch in thin.stretches:
+        assert_allclose(stretch.outputs[0], data["y"][stretch.first :][: len(stretch)])
+    assert made.thinned(2000) is made
+
+
+def test_two_inputs_with_their_own_delays():
+    data = record(40, w=np.arange(40.0))
+    made = cut(data, inputs=("u", "w"))
+    whole, windows = made.windows(np.array([0.0, 3 * STEP]))
+    assert_allclose(whole[:, :40], np.broadcast_to([[0], [3]], (2, 40)))
+    assert_allclose(windows[1, :40], data["u"])
+    assert_allclose(windows[4, 3:40], np.arange(37.0))
+
+
+def test_filling_up():
+    made = Experiment((Stretch(np.zeros((1, 5)), np.zeros((1, 5)), 0, 0.1),), ("y",), 4)
+    assert_allclose(made.padded([np.ones((2, 5))], -1.0), np.array([[1, 1, 1, 1, 1, -1, -1, -1]] * 2))
+
+
+def jittered(size, n=60):
+    time = STEP * (np.arange(n) + np.random.default_rng(3).uniform(-size, size, n))
+    return gb.Record(time, {"u": RANDOM.normal(size=n), "y": np.arange(n)})
+
+
+def test_small_jitter_counts_as_uniform_and_large_does_not():
+    assert len(cut(jittered(0.02)).stretches) == 1
+    with pytest.raises(ValueError, match=r"not uniform .* gb.prepare"):
+        cut(jittered(0.45))
+
+
+def test_bad_records():
+    with pytest.raises(ValueError, match=r"never move \(u\): nothing can be estimated"):
+        cut(record(u=np.ones(60), y=RANDOM.normal(size=60)))
+    assert cut(record(u=np.ones(60))).resting
+    assert not cut(record()).resting
+    with pytest.raises(ValueError, match="longest delay in the bounds takes 5 s; give a longer record or a smaller"):
+        cut(record(), lead=5.0)
+    with pytest.raises(ValueError, match="no measured value of y"):
+        cut(record(y=np.full(60, np.nan)))
+    with pytest.raises(ValueError, match="no measured value of u"):
+        cut(record(u=np.full(60, np.nan)))
+    hole = np.random.default_rng(0).normal(size=60)
+    hole[::2] = np.nan
+    with pytest.raises(ValueError, match="no usable stretch"):
+        cut(record(u=hole))
+    with pytest.raises(ValueError, match="no usable stretch"):
+        cut(record(2))
+
+
+def test_stretches_of_a_record_with_ramp_times():
+    data = record(50)
+    (stretch,) = gapless(data, ("u",), ("y",))
+    assert (stretch.first, len(stretch)) == (0, 50)
+    assert_allclose(stretch.step, STEP)

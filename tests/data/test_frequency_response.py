@@ -1,0 +1,246 @@
+"""Measured frequency responses: what they refuse, how they are read and written, and turned to rates and back."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+import greybox as gb
+
+OMEGA = [1.0, 2.0, 4.0]
+RESPONSE = [1 + 1j, 0.5j, -0.1 + 0.02j]
+EXTRAS = {"coherence": [1.0, 0.9, 0.5], "variance": [0.1, 0.02, 1e-5], "dof": [18.0, 18.0, 10.0]}
+
+
+def measured(**words):
+    return gb.FrequencyResponse(**{"omega": OMEGA, "response": RESPONSE, "input": "u", "output": "theta"} | words)
+
+
+def columns(response):
+    return [getattr(response, c) for c in ("omega", "response", *EXTRAS)]
+
+
+def assert_same(a, b):
+    assert all(np.array_equal(x, y) for x, y in zip(columns(a), columns(b), strict=True))
+
+
+def test_what_it_holds():
+    response = measured(**EXTRAS, name="pitch")
+    assert len(response) == 3
+    assert_allclose(response.alpha, [1, 0, -0.1])
+    assert_allclose(response.beta, [1, 0.5, 0.02])
+    text = "u -> theta, 3 frequencies from 1 to 4 rad/s"
+    assert str(response) == f"pitch: {text}, with coherence, variance, dof"
+    assert str(measured()) == f"frequency response: {text}"
+
+
+def test_values_are_copied_and_read_only():
+    omega = np.array(OMEGA)
+    response = measured(omega=omega)
+    omega[0] = 9.0
+    assert response.omega[0] == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        response.omega[0] = 9.0
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ({"omega": [], "response": []}, r"the frequency response is empty: give at least one frequency"),
+        ({"omega": [[1, 2, 4]]}, r"omega must be one-dimensional, but has shape \(1, 3\)"),
+        ({"omega": 1.0}, r"omega must be one-dimensional, but has shape \(\)"),
+        ({"omega": ["a", "b", "c"]}, r"omega must be a one-dimensional array of numbers, not \['a'"),
+        ({"omega": [1j, 2, 3]}, r"omega must be a one-dimensional array of numbers"),
+        ({"response": [1, 2]}, r"omega has 3 values but response has 2: they must match"),
+        ({"response": [1, np.nan, 1j]}, r"response is \(nan\+0j\) at index 1 \(omega = 2 rad/s\): leave out"),
+        ({"response": [np.inf, 1, 1j]}, r"response is \(inf\+0j\) at index 0"),
+        ({"omega": [1, 0, 4]}, r"omega is 0 at index 1: frequencies must be finite and above 0 rad/s"),
+        ({"omega": [1, 2, -4]}, r"omega is -4 at index 2"),
+        ({"omega": [1, np.nan, 4]}, r"omega is nan at index 1"),
+        ({"omega": [1, np.inf, 4]}, r"omega is inf at index 1"),
+        ({"omega": [1, 2, 1]}, r"omega = 1 rad/s is repeated: average the points .* or add two problems"),
+        ({"coherence": [1, 1]}, r"omega has 3 values but coherence has 2"),
+        ({"coherence": [1, 0, 1]}, r"coherence is 0 at index 1: it must be above 0 and at most 1"),
+        ({"coherence": [1, 1, 1.1]}, r"coherence is 1\.1 at index 2"),
+        ({"coherence": [1, np.nan, 1]}, r"coherence is nan at index 1"),
+        ({"coherence": "high"}, r"coherence must be a one-dimensional array of numbers, not 'high'"),
+        ({"variance": [1, 0, 1]}, r"variance is 0 at index 1: it must be above 0\."),
+        ({"variance": [1, np.inf, 1]}, r"variance is inf at index 1"),
+        ({"variance": [[1, 1, 1]]}, r"variance must be one-dimensional"),
+        ({"dof": [1, -2, 1]}, r"dof is -2 at index 1: it must be above 0\."),
+    ],
+)
+def test_bad_values_are_refused(words, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        measured(**words)
+
+
+# --- rates and angles
+
+
+def test_times_s_multiplies_and_scales_the_variance():
+    rate = measured(**EXTRAS).times_s("q")
+    assert_allclose(rate.response, 1j * np.array(OMEGA) * RESPONSE)
+    assert_allclose(rate.variance, np.array(EXTRAS["variance"]) * np.array(OMEGA) ** 2)
+    assert (rate.input, rate.output) == ("u", "q")
+    assert_allclose(rate.coherence, EXTRAS["coherence"])
+
+
+def test_over_s_divides_and_scales_the_variance():
+    angle = measured(**EXTRAS).over_s()
+    assert_allclose(angle.response, RESPONSE / (1j * np.array(OMEGA)))
+    assert_allclose(angle.variance, np.array(EXTRAS["variance"]) / np.array(OMEGA) ** 2)
+    assert angle.output == "theta"
+    assert measured().over_s().variance is None
+
+
+def test_a_relative_error_is_the_same_for_rate_and_angle():
+    angle = measured(**EXTRAS)
+    rate = angle.times_s()
+    assert_allclose(rate.variance / np.abs(rate.response) ** 2, angle.variance / np.abs(angle.response) ** 2)
+
+
+def test_there_and_back_again():
+    response = measured(**EXTRAS)
+    back = response.times_s("q").over_s("theta")
+    assert_allclose(back.response, response.response, rtol=1e-15)
+    assert_allclose(back.variance, response.variance, rtol=1e-15)
+    assert back.output == "theta"
+
+
+# --- checksum
+
+
+def test_the_checksum_is_that_of_the_numbers_and_signals():
+    assert measured().checksum == measured(name="another", source="elsewhere").checksum
+    assert measured().checksum == measured(omega=np.array(OMEGA, dtype=np.float32)).checksum
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        {"omega": [1.0, 2.0, np.nextafter(4.0, 5)]},
+        {"response": [1 + 1j, 0.5j, -0.1 + 0.03j]},
+        {"output": "phi"},
+        {"input": "v"},
+        {"coherence": [1.0, 1.0, 1.0]},
+        {"variance": [1.0, 1.0, 1.0]},
+        {"dof": [1.0, 1.0, 1.0]},
+    ],
+)
+def test_other_data_have_another_checksum(words):
+    assert measured().checksum != measured(**words).checksum
+
+
+def test_the_same_numbers_as_another_column_have_another_checksum():
+    ones = [1.0, 1.0, 1.0]
+    assert len({measured(**{c: ones}).checksum for c in EXTRAS}) == 3
+
+
+# --- files
+
+
+@pytest.mark.parametrize("extras", [{}, {"variance": EXTRAS["variance"]}, EXTRAS], ids=lambda e: "+".join(e) or "none")
+def test_what_is_written_is_read_exactly(tmp_path, extras):
+    path = tmp_path / "pitch.csv"
+    response = measured(response=np.array(RESPONSE) / 3, **extras)
+    gb.data.write_response(response, path)
+    back = gb.read_response(path, input="u", output="theta")
+    assert_same(back, response)
+    assert back.checksum == response.checksum
+    assert (back.name, back.source) == ("pitch", "pitch.csv")
+    assert [p.name for p in tmp_path.iterdir()] == ["pitch.csv"]
+
+
+@settings(deadline=None, derandomize=True)
+@given(numbers=st.tuples(*[st.floats(1e-300, 1e300)] * 3))
+def test_any_number_survives_the_file(tmp_path_factory, numbers):
+    path = tmp_path_factory.mktemp("numbers") / "one.csv"
+    omega, alpha, beta = numbers
+    response = gb.FrequencyResponse([omega], [complex(alpha, -beta)])
+    gb.data.write_response(response, path)
+    assert_same(gb.read_response(path), response)
+
+
+def test_writing_twice_keeps_the_last(tmp_path):
+    path = tmp_path / "pitch.csv"
+    gb.data.write_response(measured(**EXTRAS), path)
+    gb.data.write_response(measured(), path)
+    assert_same(gb.read_response(path), measured())
+
+
+def file(tmp_path, text, encoding="utf-8"):
+    path = tmp_path / "data.csv"
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+TABLE = """omega_rad_s, note , roll_alpha, roll_beta, yaw_alpha, yaw_beta, yaw_variance
+1.0, first,  1.5, -2, 0.25, 0.5, 0.01
+2.0,, , , 1e-3, 2, 0.02
+
+4.0, last, 3, 4, , ,
+"""
+
+
+def test_a_table_of_several_responses_is_read_by_prefix(tmp_path):
+    path = file(tmp_path, TABLE)
+    roll = gb.read_response(path, "roll_", input="u", output="phi", name="roll")
+    assert_same(roll, gb.FrequencyResponse([1, 4], [1.5 - 2j, 3 + 4j]))
+    assert (roll.input, roll.output, roll.name) == ("u", "phi", "roll")
+    yaw = gb.read_response(path, prefix="yaw_")
+    assert_same(yaw, gb.FrequencyResponse([1, 2], [0.25 + 0.5j, 0.001 + 2j], variance=[0.01, 0.02]))
+
+
+def test_a_byte_order_mark_and_the_order_of_columns_do_not_matter(tmp_path):
+    text = "beta,omega_rad_s,alpha\r\n2,1,3\r\n"
+    assert_same(gb.read_response(file(tmp_path, text, "utf-8-sig")), gb.FrequencyResponse([1], [3 + 2j]))
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", r"has no column 'omega_rad_s'; it has no header line: the columns must be omega_rad_s, alpha, beta"),
+        ("omega,alpha,beta\n1,2,3\n", r"has no column 'omega_rad_s'; it has omega, alpha, beta"),
+        ("omega_rad_s,alpha\n1,2\n", r"has no column 'beta'"),
+        ("omega_rad_s,alpha,beta\n", r"data\.csv: the frequency response is empty"),
+        ("omega_rad_s,alpha,beta\n1,2,x\n", r"data\.csv, line 2: beta is 'x', which is not a number"),
+        ("omega_rad_s,alpha,beta\n1,2,3\n2,,3\n", r"line 3: alpha is '', which is not a number"),
+        ("omega_rad_s,alpha,beta\n,2,3\n", r"line 2: omega_rad_s is '', which is not a number"),
+        ("omega_rad_s,alpha,beta\n1,2\n", r"line 2, has 2 cells where the header has 3"),
+        ("omega_rad_s,alpha,beta\n1,2,3\n1,2,3\n", r"data\.csv: omega = 1 rad/s is repeated"),
+        ("omega_rad_s,alpha,beta\n1,nan,3\n", r"data\.csv: response is \(nan\+3j\) at index 0"),
+        ("omega_rad_s,alpha,beta,alpha\n1,2,3,4\n", r"data\.csv has two columns 'alpha'"),
+    ],
+)
+def test_bad_files_are_refused_in_a_sentence(tmp_path, text, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        gb.read_response(file(tmp_path, text))
+
+
+def test_a_missing_prefix_names_its_column(tmp_path):
+    with pytest.raises(ValueError, match=r"has no column 'pitch_alpha'; it has omega_rad_s, note, roll_alpha"):
+        gb.read_response(file(tmp_path, TABLE), "pitch_")
+
+
+def test_a_file_that_is_no_text_is_refused(tmp_path):
+    path = tmp_path / "data.csv"
+    path.write_bytes(b"\xff\xfe\x00\x81binary")
+    with pytest.raises(ValueError, match=r"data\.csv is not a CSV text file"):
+        gb.read_response(path)
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"nothing\.csv"):
+        gb.read_response(tmp_path / "nothing.csv")
+
+
+def test_some_points_are_kept_with_all_that_belongs_to_them():
+    omega = np.array([1.0, 2.0, 4.0])
+    full = gb.FrequencyResponse(omega, omega + 1j, coherence=[0.9, 0.5, 0.8], variance=[1.0, 2.0, 3.0], name="a")
+    kept = full.where(full.coherence > 0.6)
+    assert kept.omega.tolist() == [1.0, 4.0]
+    assert kept.variance.tolist() == [1.0, 3.0]
+    assert kept.name == "a"
+    assert kept.dof is None

@@ -1,0 +1,33 @@
+"""What the README shows runs, and its tables are what the code gives."""
+
+import re
+
+import pytest
+from readme_blocks import README, written
+
+TEXT = README.read_text(encoding="utf-8")
+NUMBER = re.compile(r"-?\d+\.?\d*(?:e[+-]?\d+)?")
+
+
+def test_the_example_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
+    assert blocks
+    for block in blocks:
+        exec(compile(block, "README.md", "exec"), {"__name__": "readme_example"})
+    assert "rate per control" in capsys.readouterr().out
+    assert (tmp_path / "roll.h5").exists()
+
+
+def test_the_tables_are_what_the_code_gives():
+    new = written(TEXT)
+    assert NUMBER.sub("#", new) == NUMBER.sub("#", TEXT), "run `python tests/readme.py`"
+    # The yaw problem's values lie in a flat valley: their last digits depend on the machine.
+    shown, found = ([float(n) for n in NUMBER.findall(text)] for text in (TEXT, new))
+    assert found == pytest.approx(shown, rel=5e-3, abs=1e-6), "run `python tests/readme.py`"
+
+
+def test_the_commands_are_there():
+    for heading in ("Run it", "Test it"):
+        section = TEXT.split(f"## {heading}\n")[1].split("\n## ")[0]
+        assert re.search(r"```bash\n.+\n```", section)

@@ -1,0 +1,236 @@
+"""The answer: errors of derived quantities, intervals, earlier fits, and what it prints."""
+
+import numpy as np
+import pytest
+from declared_models import (
+    ROTOR,
+    ROTOR_OMEGA,
+    TILT,
+    TILT_OMEGA,
+    TWO_LAGS,
+    TWO_LAGS_OMEGA,
+    Lag,
+    LagLagDelay,
+    measured,
+)
+from evaluation import numeric_jacobian
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import stats
+
+import greybox as gb
+from greybox.models.rotor import Rotor
+from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
+
+ORDERED = [lambda p: p.T1 - p.T2]
+LAG = gb.fit(gb.Problem(Lag(), measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0, "T": 0.3}, noise=0.05)), starts=6)
+LAGS = gb.fit(
+    gb.Problem(
+        LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2), constraints=ORDERED
+    ),
+    starts=12,
+)
+
+
+def test_derived_quantities_and_their_errors_by_the_delta_method():
+    def derived(x):
+        K, T = x
+        return np.array([1 / T, K * T**2])
+
+    x = [LAG.estimate["K"], LAG.estimate["T"]]
+    slope = numeric_jacobian(derived, x)
+    expected = np.sqrt(np.diag(slope @ LAG.covariance_of(["K", "T"]) @ slope.T))
+    assert_allclose(list(LAG.derived.values()), derived(x), rtol=1e-12)
+    assert_allclose([LAG.standard_error[n] for n in LAG.derived], expected, rtol=1e-6)
+    assert list(LAG.derived) == ["bandwidth", "area"]
+
+
+@pytest.mark.parametrize("level", [0.5, 0.68, 0.95, 0.999])
+def test_intervals_are_those_of_students_t(level):
+    assert LAG.dof == 2 * len(TWO_LAGS_OMEGA) - 2
+    for name, (low, high) in LAG.interval(level).items():
+        value = {**LAG.estimate, **LAG.derived}[name]
+        expected = stats.t.interval(level, LAG.dof, loc=value, scale=LAG.standard_error[name])
+        assert (low, high) == pytest.approx(expected, rel=1e-9)
+
+
+def test_intervals_of_known_noise_are_normal():
+    exact = gb.frequency_response(Lag(), {"K": 2.0}, TWO_LAGS_OMEGA).response
+    noisy = measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0}, noise=0.05)
+    data = gb.FrequencyResponse(noisy.omega, noisy.response, variance=2 * 0.05**2 * np.abs(exact) ** 2)
+    fit = gb.fit(gb.Problem(Lag(), data, gb.MaximumLikelihood()), starts=4)
+    low, high = fit.interval(0.95)["T"]
+    assert (high - low) / 2 / fit.standard_error["T"] == pytest.approx(1.959964, rel=1e-5)
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0, 95, -0.1, float("nan")])
+def test_a_level_that_is_no_probability_is_refused(level):
+    with pytest.raises(ValueError, match=f"level {level} must lie between 0 and 1"):
+        LAG.interval(level)
+
+
+def test_covariance_of_picks_names_in_their_order():
+    full = LAGS.covariance_of(["K", "T1", "T2", "tau"])
+    assert_array_equal(LAGS.covariance_of(["tau", "K"]), full[np.ix_([3, 0], [3, 0])])
+    assert_allclose(np.sqrt(np.diag(full)), [LAGS.standard_error[n] for n in ("K", "T1", "T2", "tau")])
+    assert np.linalg.eigvalsh(full).min() > 0
+    with pytest.raises(ValueError, match="no parameter 'gain' with a covariance; it has K, T1, T2, tau"):
+        LAGS.covariance_of(["gain"])
+
+
+def test_standard_errors_of_least_squares_are_those_of_the_textbook():
+    data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=4)
+    fit = gb.fit(gb.Problem(LagLagDelay(), data, gb.SquaredRelativeError(), constraints=ORDERED), starts=8)
+
+    def residuals(x):
+        P = gb.frequency_response(LagLagDelay(), dict(zip(TWO_LAGS, x, strict=True)), data.omega).response
+        e = (P - data.response) / np.abs(data.response)
+        return np.concatenate([e.real, e.imag])
+
+    x = [fit.estimate[n] for n in TWO_LAGS]
+    J = numeric_jacobian(residuals, x, 1e-4)
+    s2 = np.sum(residuals(x) ** 2) / (2 * len(data) - 4)
+    assert_allclose(fit.covariance_of(list(TWO_LAGS)), s2 * np.linalg.inv(J.T @ J), rtol=1e-5, atol=1e-14)
+
+
+SQUARES = gb.SquaredRelativeError()
+SHARED = {n: ROTOR[n] for n in ("T_rotor", "T_delay")}
+ROTOR_FIT = gb.fit(gb.Problem(Rotor(), measured(Rotor(), ROTOR_OMEGA, ROTOR, noise=0.02, seed=3), SQUARES), starts=8)
+TILT_DATA = measured(Tilt(), TILT_OMEGA, TILT | SHARED, noise=0.02, seed=4)
+
+
+def refit(T_rotor, T_delay):
+    fixed = {"T_rotor": T_rotor, "T_delay": T_delay}
+    return gb.fit(gb.Problem(Tilt(), TILT_DATA, SQUARES, fixed=fixed), starts=[TILT], solver_options={"tol": 1e-12})
+
+
+def test_an_earlier_fit_widens_the_standard_errors_by_how_the_estimate_moves_with_its_values():
+    """C + S Σ Sᵀ, with S from refits at shifted values."""
+    names, given = list(TILT), list(SHARED)
+    widened = gb.fit(gb.Problem(Tilt(), TILT_DATA, SQUARES, fixed=ROTOR_FIT), starts=20)
+    centre = np.array([ROTOR_FIT.estimate[n] for n in given])
+    narrow = refit(*centre)
+    assert_allclose([widened.estimate[n] for n in names], [narrow.estimate[n] for n in names], rtol=1e-6)
+    columns = []
+    for k in range(2):
+        shift = np.zeros(2)
+        shift[k] = 1e-3 * centre[k]
+        up, down = refit(*(centre + shift)), refit(*(centre - shift))
+        columns.append([(up.estimate[n] - down.estimate[n]) / (2 * shift[k]) for n in names])
+    S, sigma = np.array(columns).T, ROTOR_FIT.covariance_of(given)
+    expected = narrow.covariance_of(names) + S @ sigma @ S.T
+    # The refits see the residuals' curvature, which Gauss-Newton neglects: a few percent at 2 % noise.
+    assert_allclose([widened.standard_error[n] for n in names], np.sqrt(np.diag(expected)), rtol=0.05)
+    assert_allclose(widened.covariance_of(given), sigma, rtol=1e-12)
+    assert all(widened.standard_error[n] > 1.03 * narrow.standard_error[n] for n in names)
+    assert widened.standard_error["a3_tilde"] == pytest.approx(gb.g * widened.standard_error["a3"], rel=1e-9)
+
+
+def test_fixed_numbers_have_no_error_and_those_of_a_fit_keep_theirs():
+    plain = gb.fit(gb.Problem(Tilt(), TILT_DATA, SQUARES, fixed=SHARED), starts=8)
+    assert {plain.standard_error[n] for n in SHARED} == {0.0}
+    assert not set(SHARED) & set(plain.interval())
+    widened = gb.fit(gb.Problem(Tilt(), TILT_DATA, SQUARES, fixed=ROTOR_FIT), starts=8)
+    assert set(SHARED) < set(widened.interval())
+
+
+@pytest.mark.parametrize("model", [Tilt(), LinearTilt()], ids=repr)
+@pytest.mark.parametrize("delay", ["exact", "pade:2"])
+def test_response_is_the_models_at_the_estimate(model, delay):
+    problem = gb.Problem(model, TILT_DATA, fixed=SHARED, delay=delay)
+    fit = gb.fit(problem, starts=8)
+    omega = [0.5, 3.0, 40.0]
+    expected = gb.frequency_response(model, fit.estimate, omega, input="u", output="theta", delay=delay)
+    assert_array_equal(fit.response(omega).response, expected.response)
+    assert_allclose(fit.parts[0].response, fit.response(TILT_OMEGA).response, rtol=1e-10)
+    assert fit.cost == pytest.approx(np.sum(np.abs(fit.parts[0].response / TILT_DATA.response - 1)), rel=1e-9)
+
+
+def test_response_of_a_part_uses_its_renamed_and_tied_values_and_operating_point():
+    theta = np.radians(5)
+    truth = TILT | SHARED | {"a1": -10.0, "C_x": 0.08}
+    forward = measured(NonlinearTilt(), TILT_OMEGA, truth, output="theta", at={"theta": theta}, noise=0.01)
+    parts = [
+        gb.Problem(Tilt(), TILT_DATA, tied={"a2": lambda p: p.a4 / 50}),
+        gb.Problem(NonlinearTilt(), forward, at={"theta": theta}, rename={n: f"{n}_5" for n in TILT}),
+    ]
+    fit = gb.fit(sum(parts), starts=6)
+    values = {n: fit.estimate[f"{n}_5"] for n in TILT} | {n: fit.estimate[n] for n in ("T_rotor", "T_delay", "C_x")}
+    expected = gb.frequency_response(NonlinearTilt(), values, TILT_OMEGA, output="theta", at={"theta": theta})
+    assert_array_equal(fit.response(TILT_OMEGA, part=1).response, expected.response)
+    first = {n: fit.estimate[n] for n in Tilt().parameters}
+    assert first["a2"] == pytest.approx(first["a4"] / 50, rel=1e-12)
+    assert_array_equal(fit.response(TILT_OMEGA).response, gb.frequency_response(Tilt(), first, TILT_OMEGA).response)
+
+
+def test_derived_quantities_of_renamed_parts_are_all_reported():
+    # Two flights of one log name: each has its own a3, so there are two a3_tilde.
+    parts = [gb.Problem(Tilt(), TILT_DATA, rename={"a3": name}) for name in ("a3_up", "a3_down")]
+    fit = gb.fit(sum(parts), starts=6)
+    assert len(fit.derived) == 2
+
+
+def test_a_mistake_in_a_derived_quantity_is_a_sentence():
+    class Typo(Lag):
+        derived = {"bandwidth": lambda p: 1 / p.Tau}
+
+    with pytest.raises(ValueError, match=r"'bandwidth'.*'Tau'"):
+        gb.fit(gb.Problem(Typo(), LAG.parts[0].data), starts=2)
+
+
+def test_the_print_answers_in_order():
+    text = str(LAG)
+    value, error = LAG.estimate["T"], LAG.standard_error["T"]
+    (line,) = (line for line in text.splitlines() if line.strip().startswith("T "))
+    words = line.split()
+    assert float(words[1]) == pytest.approx(value, abs=0.6 * float(words[2]))
+    assert float(words[2]) == pytest.approx(error, rel=0.05)
+    assert words[3] == "s"
+    assert line.endswith("time constant")
+    ordered = [
+        "made: Lag",
+        "6 of 6 converged; 6 agree on the best of 1 distinct minimum",
+        "sum of relative errors, (4.26)",
+        "30 points",
+        "parameter",
+        "bandwidth",
+        "other criteria at this estimate",
+        "CIFER",
+        "seed 0",
+    ]
+    places = [text.index(part) for part in ordered]
+    assert places == sorted(places)
+    for rule, cost in LAG.costs.items():
+        assert (f"{cost:.5g}" in text) == np.isfinite(cost) or rule == LAG.criterion
+
+
+def test_other_criteria_are_the_costs_of_their_own_problems():
+    by_rule = {c.description: c for c in (gb.MagnitudePhase(), SQUARES, gb.RelativeError(normalized="model"))}
+    for rule, criterion in by_rule.items():
+        expected = gb.cost(gb.Problem(Lag(), LAG.parts[0].data, criterion), {n: LAG.estimate[n] for n in LAG.free})
+        assert LAG.costs[rule] == pytest.approx(expected, rel=1e-10)
+    assert np.isnan(LAG.costs[gb.MaximumLikelihood().description])
+
+
+@pytest.mark.parametrize("rule", [gb.solve.Sobol, gb.solve.LatinHypercube, gb.solve.Uniform])
+def test_the_answer_names_the_seed_that_was_used(rule):
+    fit = gb.fit(gb.Problem(Lag(), LAG.parts[0].data), starts=rule(4, seed=7))
+    assert "seed=7" in fit.starts or fit.seed == 7
+    assert "seed 0" not in str(fit)
+
+
+def test_criteria_agree_within_their_errors():
+    data = LAGS.parts[0].data
+    fits = [
+        gb.fit(gb.Problem(LagLagDelay(), data, c, constraints=ORDERED), starts=8)
+        for c in (SQUARES, gb.MagnitudePhase())
+    ]
+    for name, truth in TWO_LAGS.items():
+        for fit in (LAGS, *fits):
+            assert abs(fit.estimate[name] - truth) < 4 * fit.standard_error[name]
+            assert fit.standard_error[name] == pytest.approx(LAGS.standard_error[name], rel=0.5)
+
+
+@pytest.mark.parametrize("options", [[1], "tol"])
+def test_solver_options_of_another_kind_are_refused(options):
+    with pytest.raises(TypeError, match="give IPOPT's options as"):
+        gb.fit(gb.Problem(Lag(), LAGS.parts[0].data), starts=2, solver_options=options)

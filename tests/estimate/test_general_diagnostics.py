@@ -1,0 +1,210 @@
+"""Warnings appear when they should and not otherwise."""
+
+import numpy as np
+import pytest
+from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, Oscillator, Parabola, measured
+
+import greybox as gb
+from greybox.models.yaw import YawStates
+
+ORDERED = [lambda p: p.T1 - p.T2]
+SMALL = {"K": 5.0, "T1": 1.0, "T2": 0.1, "tau": 0.05}
+
+
+def warned(model, data, criterion=None, starts=12, **statement):
+    return gb.fit(gb.Problem(model, data, criterion, **statement), starts=starts).warnings
+
+
+def lags(noise=0.02, seed=1, **changes):
+    return measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS | changes, noise=noise, seed=seed)
+
+
+@pytest.mark.parametrize(
+    "criterion", [gb.RelativeError(), gb.SquaredRelativeError(), gb.MagnitudePhase()], ids=lambda c: type(c).__name__
+)
+def test_a_good_fit_has_no_warnings(criterion):
+    assert warned(LagLagDelay(), lags(), criterion, constraints=ORDERED) == ()
+
+
+def test_lags_that_may_swap_are_told():
+    (text,) = warned(LagLagDelay(), lags(), starts=30)
+    assert "at least 2 clearly different parameter vectors give this same response" in text
+
+
+@pytest.mark.parametrize(("side", "truth", "bound"), [("lower", -0.02, "0"), ("upper", 0.7, "0.5")])
+def test_a_parameter_at_its_bound_is_named_with_side_and_bound(side, truth, bound):
+    fit = gb.fit(gb.Problem(LagLagDelay(), lags(tau=truth), constraints=ORDERED), starts=12)
+    assert any(text.startswith(f"tau ended at its {side} bound {bound}, where") for text in fit.warnings)
+    assert np.isnan(fit.standard_error["tau"])
+    assert {q.name for q in fit.quantities if q.at_bound} == {"tau"}
+    assert "AT BOUND" in str(fit)
+
+
+def test_one_start_and_few_agreeing_starts_are_told():
+    (text,) = warned(Lag(), measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0}, noise=0.02), starts=1)
+    assert text.startswith("one start only: whether this is the global minimum is not known")
+    bumps = measured(Parabola(), [0.5, 1.0, 2.0, 4.0], {"x": 1.0, "slope": 0.0}, noise=0.01)
+    lone = warned(Parabola(), bumps, starts=[{"x": -1.5}] * 11 + [{"x": 1.3}])
+    assert any(text.startswith("only 1 of 12 starts reached the best minimum") for text in lone)
+    several = warned(Parabola(), bumps, starts=[{"x": -1.5}] * 8 + [{"x": 1.3}] * 4)
+    assert not any("reached the best minimum" in text for text in several)
+
+
+def test_runs_that_failed_are_counted_when_they_are_the_majority():
+    data = measured(Oscillator(), [1.0, 2.0, 4.0, 8.0], {"w0": 3.0, "K": 2.0}, noise=0.01)
+    starts = [{"w0": 2.0}, {"w0": 4.0}, {"w0": 2.0}, {"w0": 3.2}, {"w0": 3.1}]
+    (text,) = warned(Oscillator(), data, starts=starts)
+    assert text.startswith("only 2 of 5 runs converged (2 × Invalid_Number_Detected (no finite response at omega = 2 ")
+    few = warned(Oscillator(), data, starts=[{"w0": 2.0}, {"w0": 3.2}, {"w0": 3.1}])
+    assert not any("runs converged" in text for text in few)
+
+
+@pytest.mark.parametrize(("beta", "excess"), [(0.0005, 0.2), (0.01, None)])
+def test_a_rival_minimum_is_told_with_its_excess(beta, excess):
+    class Twins(gb.TransferFunction):
+        """Nearest to 3 at x = 1 and at x = -1, with the responses 3.2 ± 0.1j; `beta` favors the first."""
+
+        x = gb.Parameter(0.5, bounds=(-2, 2))
+
+        def response(self, s, p):
+            j = s / abs(s)
+            return 3.2 + 2 * (p.x**2 - 1) ** 2 + 0.1 * p.x * j
+
+    data = gb.FrequencyResponse([1.0, 2.0, 3.0], [3 + beta * 1j] * 3)
+    fit = gb.fit(gb.Problem(Twins(), data), starts=12)
+    assert len(fit.minima) == 2
+    texts = [text for text in fit.warnings if "another minimum" in text]
+    assert len(texts) == (excess is not None)
+    assert all(text == f"another minimum costs only {excess} % more and has a different response." for text in texts)
+
+
+def pade_phase(order, z):
+    """Phase error in degrees of exp(-z j) by its diagonal Padé approximant, from SciPy."""
+    from math import factorial
+
+    from scipy.interpolate import pade
+
+    p, q = pade([(-1) ** k / factorial(k) for k in range(2 * order + 1)], order)
+    return np.degrees(np.abs(np.angle(p(1j * z) / q(1j * z) / np.exp(-1j * z)))).max()
+
+
+@pytest.mark.parametrize(
+    ("order", "tau", "expected"), [(1, 0.05, True), (2, 0.05, False), (2, 0.1, True), (3, 0.1, False)]
+)
+def test_a_pade_delay_is_told_when_it_errs_by_more_than_a_degree(order, tau, expected):
+    delay = f"pade:{order}"
+    data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS | {"tau": tau}, delay=delay, noise=0.001)
+    fit = gb.fit(gb.Problem(LagLagDelay(), data, delay=delay, constraints=ORDERED), starts=10)
+    error = pade_phase(order, TWO_LAGS_OMEGA * fit.estimate["tau"])
+    assert fit.parts[0].pade_error == pytest.approx(error, rel=1e-6)
+    assert (error > 1) == expected
+    texts = [text for text in fit.warnings if text.startswith(f"{delay} is wrong by up to {error:.2g}° of phase")]
+    assert len(texts) == expected
+    assert f"Padé phase error up to {error:.2g}°" in str(fit)
+
+
+def test_an_exact_delay_has_no_pade_error():
+    fit = gb.fit(gb.Problem(LagLagDelay(), lags(), constraints=ORDERED), starts=5)
+    assert fit.parts[0].pade_error is None
+    assert "Padé" not in str(fit)
+
+
+def test_a_dead_parameter_is_named_and_has_no_standard_error():
+    class Dead(Lag):
+        mass = gb.Parameter(1.0, bounds=(-5, 5))
+
+        def response(self, s, p):
+            return super().response(s, p) + 0 * p.mass
+
+    fit = gb.fit(gb.Problem(Dead(), measured(Dead(), TWO_LAGS_OMEGA, {"K": 2.0}, noise=0.02)), starts=10)
+    (text,) = fit.warnings
+    assert text.startswith("mass is not determined: it does not change the response")
+    assert np.isnan(fit.standard_error["mass"])
+    assert np.isfinite(fit.standard_error["K"])
+
+
+def test_parameters_seen_only_as_a_product_are_named_together():
+    truth = {"a1": 500.0, "a2": 50.0, "a3": 900.0, "a4": 5.0}
+    data = measured(YawStates(), np.geomspace(1, 60, 30), truth, noise=0.02, seed=2, input="u", output="r")
+    fit = gb.fit(gb.Problem(YawStates(), data, free=("K_nu",)), starts=20)
+    texts = [text for text in fit.warnings if "see only a combination" in text]
+    assert len(texts) == 1
+    assert set(texts[0].split(" are not determined")[0].split(" and ")) == {"K_nu", "a1"}
+    assert np.isnan([fit.standard_error[n] for n in ("K_nu", "a1")]).all()
+    # The product is determined as well as with K_nu fixed.
+    alone = gb.fit(gb.Problem(YawStates(), data), starts=20)
+    assert not any("determined" in text for text in alone.warnings)
+    for name in ("a1_tilde", "a2", "a3", "a4"):
+        assert fit.standard_error[name] == pytest.approx(alone.standard_error[name], rel=0.05)
+    assert fit.derived["a1_tilde"] == pytest.approx(alone.derived["a1_tilde"], rel=1e-3)
+
+
+def test_hardly_determined_combinations_are_told_with_their_collinearity():
+    omega = np.geomspace(0.01, 0.1, 12)  # far below both corners the lags act as one delay
+    data = measured(LagLagDelay(), omega, SMALL, noise=0.02, seed=3)
+    texts = [t for t in warned(LagLagDelay(), data, constraints=ORDERED) if "hardly determined" in t]
+    assert texts
+    assert all("collinearity index" in text for text in texts)
+    assert any("tau" in text for text in texts)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+@pytest.mark.parametrize("points", [1, 2])
+def test_too_few_data_are_told_and_give_no_standard_errors(points, noise):
+    data = measured(LagLagDelay(), [0.5, 8.0][:points], TWO_LAGS, noise=noise)
+    fit = gb.fit(gb.Problem(LagLagDelay(), data), starts=8)
+    words = f"{2 * points} real numbers of data for 4 unknowns leave nothing to judge the errors by: add data."
+    assert words in fit.warnings
+    assert np.isnan([fit.standard_error[n] for n in fit.free]).all()
+
+
+def test_three_points_are_enough_for_four_unknowns():
+    data = measured(LagLagDelay(), [0.5, 2.0, 8.0], TWO_LAGS, noise=0.02)
+    assert not any("leave nothing" in text for text in warned(LagLagDelay(), data))
+
+
+def test_noise_beyond_a_tenth_is_told_with_the_side_to_which_it_errs():
+    loud = lags(noise=0.2)
+    measured_, model = (
+        warned(LagLagDelay(), loud, gb.RelativeError(normalized=n), constraints=ORDERED) for n in ("measured", "model")
+    )
+    assert any("% too low" in text and "normalized='model'" in text for text in measured_)
+    assert any("% too high" in text and "normalized='measured'" in text for text in model)
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"), [(1.0, None), (0.04, "variances are too small"), (25.0, "they are too large")]
+)
+def test_variances_that_do_not_match_the_residuals_are_told(factor, words):
+    exact = gb.frequency_response(LagLagDelay(), TWO_LAGS, TWO_LAGS_OMEGA).response
+    noisy = lags(noise=0.02)
+    data = gb.FrequencyResponse(
+        noisy.omega, noisy.response, variance=factor * 2 * 0.02**2 * np.abs(exact) ** 2, name="made"
+    )
+    texts = [t for t in warned(LagLagDelay(), data, gb.MaximumLikelihood(), constraints=ORDERED) if "variances" in t]
+    assert len(texts) == (words is not None)
+    assert all(words in text for text in texts)
+
+
+def test_words_about_a_part_name_that_part():
+    small = measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0, "T": 0.3}, noise=0.01, name="quiet", seed=1)
+    loud = measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0, "T": 0.3}, noise=0.3, name="loud", seed=2)
+    texts = gb.fit(gb.Problem(Lag(), small) + gb.Problem(Lag(), loud), starts=8).warnings
+    assert next(text for text in texts if "% too low" in text).startswith("'loud'")
+    assert not any("'quiet'" in text for text in texts)
+
+
+def test_one_of_a_thing_is_singular():
+    record = gb.Record(np.arange(6) * 0.1, {"u": [1.0, 0.0, 1.0, 1.0, 0.0, 1.0], "y": [0.0, 1.0, 0.5, 1.0, 1.2, 0.8]})
+    fit = gb.fit(gb.Problem(Lag(), record, fixed={"T": 0.3}), starts=1, progress=False)
+    assert "1 of 1 converged; 1 agrees on the best of 1 distinct minimum" in str(fit)
+    assert "6 samples in 1 record" in str(fit)
+    few = gb.Record(record.time, {"u": record["u"], "y": [np.nan, 1.0, np.nan, 1.5, np.nan, np.nan]})
+    (said,) = [w for w in gb.fit(gb.Problem(Lag(), few), starts=1, progress=False).warnings if "real numbers" in w]
+    assert said.startswith("2 real numbers of data for 2 unknowns and 1 initial state leave nothing to judge")
+    one = measured(Lag(), [1.0], noise=0.1)
+    alone = str(gb.fit(gb.Problem(Lag(), one, fixed={"T": 1.0}), starts=1))
+    assert "1 point in 1 response" in alone
+    assert "; Student's t with 1 degree of freedom." in alone
+    assert "1 frequency from 1 to 1 rad/s" in str(one)
+    assert "1 sample at" in str(record.rows(np.arange(1)))

@@ -1,0 +1,158 @@
+"""What a stranger reads where a model has no finite value at its starts: the state or output, when, and the cure."""
+
+import numpy as np
+import pytest
+from stiff_lag import StiffLag
+
+import greybox as gb
+
+
+class Tank(gb.StateSpace):
+    """A root leaves its domain where the level is below the drain."""
+
+    states, inputs, outputs = ("level", "flow"), ("u",), ("level",)
+    c = gb.Parameter(1.0, bounds=(0.1, 5))
+    h = gb.Parameter(0.5, bounds=(-3, 3), about="height of the drain")
+
+    def derivative(self, x, u, p):
+        return (x.flow + u.u, -p.c * gb.sqrt(x.level - p.h) - x.flow)
+
+    def output(self, x, u, p):
+        return (x.level,)
+
+
+class Logarithm(gb.StateSpace):
+    """Its output has no value where it rests."""
+
+    states, inputs, outputs = ("x",), ("u",), ("y",)
+    a = gb.Parameter(1.0, bounds=(0.1, 5))
+    h = gb.Parameter(50.0, bounds=(20, 60))
+
+    def derivative(self, x, u, p):
+        return (-p.a * x.x + u.u,)
+
+    def output(self, x, u, p):
+        return (gb.log(gb.sin(x.x) - p.h),)
+
+
+class Explosive(gb.StateSpace):
+    """Leaves all bounds within a sample, with finite values at first."""
+
+    states, inputs, outputs = ("x",), ("u",), ("x",)
+    a = gb.Parameter(500.0, bounds=(100, 1000))
+
+    def derivative(self, x, u, p):
+        return (p.a * x.x**2 + p.a + u.u,)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+def record(output, start=7.0, n=100, **more):
+    random = np.random.default_rng(0)
+    values = 1 + 0.1 * np.sin(0.3 * np.arange(n)) + 0.01 * random.normal(size=n)
+    signals = {"u": np.repeat(random.normal(size=n // 10), 10), output: values} | more
+    return gb.Record(start + 0.1 * np.arange(n), signals)
+
+
+def fit(problem, starts=4, **options):
+    return gb.fit(problem, starts=starts, progress=False, **options)
+
+
+@pytest.mark.parametrize(
+    ("problem", "what", "why"),
+    [
+        (
+            gb.Problem(Tank(), record("level"), fixed={"h": 2.5}),
+            "4 × not finite at the start (the derivative of flow)",
+            "at the declared values the derivative of flow is not finite at 7 s, where level = 0, flow = 0, u = ",
+        ),
+        (
+            gb.Problem(Logarithm(), record("y")),
+            "4 × not finite at the start (the output y)",
+            "at the declared values the output y is not finite at 7 s, where x = 0, u = ",
+        ),
+        (
+            gb.Problem(Explosive(), record("x")),
+            "4 × not finite at the start (x, simulated)",
+            "at the declared values x is no longer finite at 7.1 s: start elsewhere, or bound the parameters",
+        ),
+    ],
+    ids=["derivative", "output", "simulation"],
+)
+def test_where_no_start_is_finite_the_sentence_names_what_when_and_the_cure(problem, what, why):
+    found = fit(problem)
+    assert not found.converged
+    assert found.status == f"no start converged ({what})"
+    (said,) = found.warnings
+    assert said.startswith(why)
+    label, state = problem.model.label, problem.model.states[0]
+    assert f"bound the parameters to where {label} has finite values, or give known states, initial={{{state!r}" in said
+    assert said in str(found)
+
+
+def test_the_cures_work():
+    apart = record("y", y=np.log(0.5 + 0.2 * np.sin(0.3 * np.arange(100))))
+    assert not fit(gb.Problem(Logarithm(), apart)).converged
+
+    class Bounded(Logarithm):
+        h = gb.Parameter(-2.0, bounds=(-3, -1.2))
+
+    assert fit(gb.Problem(Bounded(), apart)).converged
+
+
+def test_a_stiff_model_is_sent_to_the_method_for_it():
+    data = record("y")
+    problem = gb.Problem(StiffLag(), data, gb.OutputError(inputs="held"), fixed={"k": 1e4})
+    found = fit(problem)
+    assert "4 × not finite at the start (x and f, stiff)" in found.status
+    (said,) = found.warnings
+    assert "since a time constant of 0.0001 s is too short for 64 explicit steps in a sample of 0.1 s" in said
+    assert said.endswith(
+        "use method=MultipleShooting(integrator=Rosenbrock()), or bound the parameters to slower models."
+    )
+    assert fit(problem, method=gb.MultipleShooting(integrator=gb.Rosenbrock())).converged
+
+
+class Root(gb.StateSpace):
+    """A lag with a gain whose square is the parameter; an input may be too low for its sensor."""
+
+    states, inputs, outputs = ("x",), ("u",), ("y",)
+    h = gb.Parameter(1.0, bounds=(-3, 3))
+    low = gb.Parameter(-9.0, fixed=True)
+
+    def derivative(self, x, u, p):
+        return (2 * (u.u - x.x),)
+
+    def output(self, x, u, p):
+        return (gb.sqrt(p.h) * x.x + 1e-9 * gb.log(u.u - p.low),)
+
+
+def test_where_some_starts_are_finite_it_is_a_warning_once_these_are_the_fewer():
+    data = record("y")
+    output = gb.simulate(Root(), {"h": 2.0}, data, inputs="held")["y"]
+    data = data.with_signals(y=output + 0.01 * np.random.default_rng(1).normal(size=len(data)))
+    problem = gb.Problem(Root(), data, gb.OutputError(inputs="held"))
+    found = fit(problem, [{"h": 1.0}, {"h": -1.0}, {"h": -2.0}, {"h": -3.0}])
+    assert [run.reason for run in found.runs[:4]] == ["", *3 * ["the output y"]]
+    (said,) = [text for text in found.warnings if "is not finite at" in text]
+    assert said.startswith("at h = -1 the output y is not finite at 7 s, where x = 0, u = 0.5027: start elsewhere")
+    assert any("converged (3 × not finite at the start (the output y))" in text for text in found.warnings)
+    most = fit(problem, [{"h": 1.5}, {"h": 1.0}, {"h": -2.0}])
+    assert not any("not finite" in text for text in most.warnings)
+
+
+def test_the_time_is_that_of_the_record_also_after_a_gap():
+    data = record("y")
+    time = np.concatenate([data.time[:47], data.time[47:] + 5.0])
+    low = np.flatnonzero(data["u"] == data["u"].min())
+    assert low[0] > 47
+    after = gb.Record(time, data.signals)
+    found = fit(gb.Problem(Root(), after, gb.OutputError(inputs="held"), fixed={"low": data["u"].min()}), 1)
+    said = found.warnings[0].partition("the output y is not finite at ")[2]
+    assert np.abs(time[low] - float(said.split(" s, where")[0])).min() < 1e-9
+
+
+def test_a_solver_that_meets_an_invalid_number_has_the_same_reason():
+    found = fit(gb.Problem(Logarithm(), record("y")), method=gb.SingleShooting())
+    assert "the output y is not finite at 7 s" in found.warnings[0]

@@ -1,0 +1,59 @@
+import math
+
+import numpy as np
+import pytest
+
+from greybox.experiment.multisine import multisine
+
+
+@pytest.mark.parametrize(("points", "signals"), [(None, ["u"]), (None, ["p", "q", "r"]), (12, ["p", "q"])])
+def test_multisines_are_orthogonal_and_start_at_zero(points, signals):
+    made = multisine(1.0, 20.0, 20.0, 100, amplitude=0.1, signals=signals, points=points)
+    period = np.array([made[name][:2000] for name in signals])
+    gram = period @ period.T
+    np.testing.assert_allclose(gram, np.diag(np.diag(gram)), atol=1e-12 * gram.max())
+    np.testing.assert_allclose(np.abs(period).max(axis=1), 0.1)
+    np.testing.assert_allclose(period[:, 0], 0, atol=1e-14)
+    np.testing.assert_array_equal(made[signals[0]][:2000], made[signals[0]][2000:4000])
+    assert not set.intersection(*map(set, made.settings["harmonics"].values())) or len(signals) == 1
+
+
+def test_power_is_equal_and_in_the_band():
+    made = multisine(1.0, 20.0, 20.0, 100, signals=["p", "q"])
+    step = 2 * math.pi / 20
+    for name, harmonics in made.settings["harmonics"].items():
+        size = np.abs(np.fft.rfft(made[name][:2000]))
+        excited = np.zeros(size.size, dtype=bool)
+        excited[list(harmonics)] = True
+        np.testing.assert_allclose(size[excited], size[excited][0], rtol=1e-9)
+        assert size[~excited].max() < 1e-9 * size.max()
+        assert min(harmonics) * step >= 1.0
+        assert max(harmonics) * step <= 20.0
+
+
+def test_peaks_are_low():
+    """Schroeder's phases alone give about 1.2 for flat spectra; a sine has 1, random phases 2 to 3."""
+    dense = multisine(1.0, 20.0, 20.0, 100)
+    assert dense.peak_factors["u"] < 1.06
+    assert max(multisine(1.0, 20.0, 20.0, 100, signals=["p", "q", "r"]).peak_factors.values()) < 1.25
+    assert multisine(1.0, 20.0, 60.0, 100, points=12).peak_factors["u"] < 1.6
+    assert "peak factor 1.0" in str(dense)
+
+
+def test_sparse_harmonics_spread_over_octaves():
+    harmonics = np.array(multisine(0.5, 30.0, 60.0, 100, points=10).settings["harmonics"]["u"])
+    assert harmonics.size == 10
+    assert np.diff(np.log(harmonics)).max() < 0.8
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((1.0, 20.0, 20.003, 100), "make that whole"),
+        ((1.0, 1.2, 20.0, 100), "lengthen the period"),
+        ((1.0, 200.0, 20.0, 100), "raise the rate"),
+    ],
+)
+def test_mistakes_are_sentences(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        multisine(*arguments)

@@ -1,0 +1,154 @@
+"""Each criterion against its formula in plain numpy, its readings, its Jacobian, and what it refuses."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
+from evaluation import numeric_jacobian
+from numpy.testing import assert_allclose
+
+import greybox as gb
+from greybox.formulation.frequency_criteria import evaluate
+from greybox.modeling.functions import Complex
+
+RANDOM = np.random.default_rng(0)
+N = len(TWO_LAGS_OMEGA)
+COLUMNS = {"coherence": RANDOM.uniform(0.3, 1, N), "variance": RANDOM.uniform(0.01, 0.1, N)}
+DATA = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.1, columns=COLUMNS)
+WRONG = {"K": 3.0, "T1": 0.5, "T2": 0.3, "tau": 0.2}
+MODEL = gb.frequency_response(LagLagDelay(), WRONG, TWO_LAGS_OMEGA).response
+
+
+def cifer(P, data):
+    """The cost of CIFER in dB and degrees, point by point: Tischler and Remple, section 11.2."""
+    total = 0.0
+    for k in range(len(data)):
+        weight = (1.58 * (1 - np.exp(-data.coherence[k]))) ** 2
+        magnitude = 20 * np.log10(abs(P[k])) - 20 * np.log10(abs(data.response[k]))
+        phase = np.degrees(np.angle(P[k])) - np.degrees(np.angle(data.response[k]))
+        phase = (phase + 180) % 360 - 180
+        total += weight * (1.0 * magnitude**2 + 0.01745 * phase**2)
+    return 20 / len(data) * total
+
+
+FORMULAS = {
+    gb.RelativeError(): lambda P, d: np.sum(np.abs(P - d.response) / np.abs(d.response)),
+    gb.RelativeError(normalized="model"): lambda P, d: np.sum(np.abs(P - d.response) / np.abs(P)),
+    gb.SquaredRelativeError(): lambda P, d: np.sum(np.abs(P - d.response) ** 2 / np.abs(d.response) ** 2),
+    gb.SquaredRelativeError(normalized="model"): lambda P, d: np.sum(np.abs(P - d.response) ** 2 / np.abs(P) ** 2),
+    gb.MagnitudePhase(): cifer,
+    gb.MaximumLikelihood(): lambda P, d: np.sum(np.abs(P - d.response) ** 2 / d.variance),
+}
+criteria = pytest.mark.parametrize("criterion", list(FORMULAS), ids=repr)
+
+
+@criteria
+def test_cost_is_the_published_formula_in_numbers_and_in_casadi(criterion):
+    expected = FORMULAS[criterion](MODEL, DATA)
+    assert evaluate(criterion, MODEL, DATA) == pytest.approx(expected, rel=1e-12)
+    re, im = ca.SX.sym("re", N), ca.SX.sym("im", N)
+    compiled = ca.Function("cost", [re, im], [criterion.cost(Complex(re, im), DATA)])
+    assert float(compiled(MODEL.real, MODEL.imag)) == pytest.approx(expected, rel=1e-12)
+
+
+@criteria
+def test_cost_of_the_data_themselves_is_zero(criterion):
+    assert evaluate(criterion, DATA.response, DATA) == pytest.approx(0, abs=1e-20)
+
+
+def test_phases_are_compared_on_the_circle():
+    data = gb.FrequencyResponse([1.0], [np.exp(1j * np.radians(179))])
+    model = np.array([np.exp(-1j * np.radians(179))])
+    expected = 20 * (1.58 * (1 - np.exp(-1))) ** 2 * 0.01745 * 2**2
+    assert evaluate(gb.MagnitudePhase(), model, data) == pytest.approx(expected, rel=1e-9)
+
+
+def test_without_coherence_every_point_counts_as_fully_coherent():
+    bare = gb.FrequencyResponse(DATA.omega, DATA.response)
+    full = gb.FrequencyResponse(DATA.omega, DATA.response, coherence=np.ones(N))
+    assert evaluate(gb.MagnitudePhase(), MODEL, bare) == pytest.approx(cifer(MODEL, full), rel=1e-12)
+
+
+def held_residuals(criterion, data, scale):
+    """Real residuals whose derivative `jacobian` must be, with the normalization held at `scale`."""
+    if isinstance(criterion, gb.MagnitudePhase):
+        root = np.sqrt(20 / N) * 1.58 * (1 - np.exp(-data.coherence))
+
+        def residuals(P):
+            ratio = P / data.response
+            return np.concatenate(
+                [root * 20 * np.log10(np.abs(ratio)), root * np.sqrt(0.01745) * np.degrees(np.angle(ratio))]
+            )
+
+        return residuals
+    return lambda P: np.concatenate([((P - data.response) / scale).real, ((P - data.response) / scale).imag])
+
+
+@criteria
+def test_jacobian_is_the_derivative_of_the_residuals(criterion):
+    def response(x):
+        return gb.frequency_response(LagLagDelay(), dict(zip(WRONG, x, strict=True)), DATA.omega).response
+
+    x = list(WRONG.values())
+    if isinstance(criterion, gb.MaximumLikelihood):
+        scale = np.sqrt(DATA.variance)
+    else:
+        model = getattr(criterion, "normalized", "measured") == "model"
+        scale = np.abs(MODEL) if model else np.abs(DATA.response)
+    residuals = held_residuals(criterion, DATA, scale)
+    sensitivity = numeric_jacobian(response, x, 1e-3)
+    expected = numeric_jacobian(lambda y: residuals(response(y)), x, 1e-3)
+    assert_allclose(criterion.jacobian(MODEL, sensitivity, DATA), expected, rtol=1e-7, atol=1e-9)
+
+
+@criteria
+def test_smoothing_moves_the_cost_up_and_by_at_most_n_sqrt_eps(criterion):
+    numbers = Complex(MODEL.real, MODEL.imag)
+    bare = criterion.cost(numbers, DATA)
+    for eps in (1e-13, 1e-8, 1e-2):
+        rise = criterion.cost(numbers, DATA, eps) - bare
+        assert -1e-12 * bare <= rise <= N * np.sqrt(eps)
+        exact = criterion.cost(Complex(DATA.response.real, DATA.response.imag), DATA, eps)
+        assert exact == pytest.approx(N * np.sqrt(eps) if criterion.smoothed else 0, rel=1e-6, abs=1e-18)
+
+
+@pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.SquaredRelativeError(), gb.MagnitudePhase()], ids=repr)
+def test_a_zero_response_is_refused_where_it_would_be_divided_by(criterion):
+    data = gb.FrequencyResponse([1.0, 2.5], [1.0, 0.0], variance=[0.1, 0.1])
+    with pytest.raises(ValueError, match=r"response is zero at omega = 2\.5 rad/s.*leave that point out"):
+        gb.Problem(LagLagDelay(), data, criterion)
+    gb.Problem(LagLagDelay(), data, gb.MaximumLikelihood())
+
+
+def test_maximum_likelihood_refuses_data_without_variance():
+    bare = gb.FrequencyResponse(DATA.omega, DATA.response)
+    with pytest.raises(ValueError, match=r"needs the variance of every point.*variance=.*or use RelativeError"):
+        gb.Problem(LagLagDelay(), bare, gb.MaximumLikelihood())
+    assert np.isnan(evaluate(gb.MaximumLikelihood(), MODEL, bare))
+
+
+@pytest.mark.parametrize("criterion", [gb.RelativeError, gb.SquaredRelativeError])
+def test_unknown_normalization_is_refused(criterion):
+    with pytest.raises(ValueError, match="normalized 'data' is not known: use 'measured' or 'model'"):
+        criterion(normalized="data")
+
+
+def test_a_gain_is_biased_low_by_the_measured_normalization_and_high_by_the_models():
+    sigma = 0.2  # the two gains have a closed form, with the bias -2 sigma² and 2 sigma² to first order
+
+    class Gain(gb.TransferFunction):
+        K = gb.Parameter(1.0, bounds=(0.1, 10))
+
+        def response(self, s, p):
+            return p.K + 0 * s
+
+    data = measured(Gain(), np.geomspace(0.1, 10, 400), {"K": 2.0}, noise=sigma, seed=5)
+    low, high = (
+        gb.fit(gb.Problem(Gain(), data, gb.SquaredRelativeError(normalized=n)), starts=3).estimate["K"]
+        for n in ("measured", "model")
+    )
+    size = np.abs(data.response)
+    assert low == pytest.approx(np.sum(data.response.real / size**2) / np.sum(1 / size**2), rel=1e-6)
+    assert high == pytest.approx(np.sum(size**2) / np.sum(data.response.real), rel=1e-6)
+    assert low / 2 - 1 < -(sigma**2)
+    assert high / 2 - 1 > sigma**2

@@ -1,0 +1,207 @@
+"""Fits of records, held against known truths, brute-force likelihoods, and fits that must give the same."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.linalg import expm
+from scipy.optimize import minimize
+from spring_lag_tilt import (
+    FINE,
+    HELD,
+    LAG,
+    SPRING,
+    TILT,
+    FullTilt,
+    Lag,
+    Spring,
+    assert_true,
+    fit,
+    lag,
+    spring,
+    tilt_flight,
+)
+
+import greybox as gb
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return tilt_flight()
+
+
+# --- the tilt plant in closed loop ------------------------------------------------------------------------------------
+
+
+def test_every_parameter_of_a_flight_is_found(flight):
+    problem = gb.Problem(FullTilt(), flight, HELD, free=("T_rotor", "T_delay"))
+    near = [{"T_rotor": 0.03, "T_delay": 0.03, "a1": 10.0, "a2": 1.0, "a4": 300.0, "C_x": 0.5}]
+    found = fit(problem, near)
+    assert_true(found, TILT, 3.0)
+    assert all(found.standard_error[name] < 0.05 * max(abs(value), 0.1) for name, value in TILT.items())
+    assert found.records[0].fit_percent("theta") > 90
+    assert_allclose(np.sqrt(np.diag(found.records[0].noise)), [0.05, 0.02, 0.005], rtol=0.05)
+
+
+def test_a_lag_that_has_changed_places_with_another_is_put_back(flight):
+    """The rotor's lag and the slow pole of the tilt may swap, and nearly all wide starts end there."""
+    problem = gb.Problem(FullTilt(), flight, HELD, free=("T_rotor", "T_delay"))
+    swapped = fit(problem, [{"T_rotor": 0.3}])
+    assert swapped.estimate["T_rotor"] > 3 * TILT["T_rotor"]
+    found = fit(problem, [{"T_rotor": 0.3}, {"T_rotor": 0.5}])
+    assert found.cost < swapped.cost - 10
+    assert_true(found, TILT, 3.0)
+    assert len(found.runs) == 3
+    assert any("only 1 of 3 starts reached the best minimum" in text for text in found.warnings)
+
+
+def test_random_starts_in_wide_boxes_agree(flight):
+    problem = gb.Problem(FullTilt(), flight, HELD, fixed={"T_rotor": TILT["T_rotor"]}, free=("T_delay",))
+    found = fit(problem, 30)
+    assert_true(found, {k: v for k, v in TILT.items() if k != "T_rotor"}, 3.0)
+    assert found.agreeing >= 0.95 * 30
+
+
+# --- delays -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("held", [False, True], ids=["linear", "held"])
+@pytest.mark.parametrize("samples", [0.0, 0.13, 1.0, 1.5, 2.87, 3.0, 4.99])
+def test_a_free_delay_is_found_to_a_tenth_of_a_sample(samples, held):
+    data = lag(samples * 0.05, held, noise=0.01)
+    problem = gb.Problem(Lag(), data, gb.OutputError(inputs="held" if held else "linear"), free=("d",))
+    found = fit(problem, [{"d": 0.18}, {"d": 0.02}, {"d": 0.1}])
+    assert found.converged
+    assert abs(found.estimate["d"] / 0.05 - samples) < 0.1
+    assert_allclose([found.estimate["K"], found.estimate["T"]], [3, 0.2], rtol=0.02)
+    # A held input has a kink in the delay at whole samples, on both sides of which there may be a minimum.
+    assert found.agreeing >= (1 if held and samples % 1 == 0 else 3)
+
+
+class Direct(Lag):
+    """Half of the input reaches the output directly."""
+
+    def response(self, s, p):
+        return (p.K / (p.T * s + 1) + 1) * gb.exp(-s * p.d)
+
+
+def direct(samples, seed):
+    """The lag of a held input and its input, which a sample sees as it was just before if the delay is a fraction."""
+    data = lag(samples * 0.05, True, noise=0.01, seed=seed)
+    late = np.clip(np.arange(len(data)) - int(np.ceil(samples - 1e-9)), 0, None)
+    return data.with_signals(y=data["y"] + data["u"][late])
+
+
+@pytest.mark.parametrize("samples", [0.0, 0.3, 1.5, 2.0])
+def test_a_held_input_that_reaches_the_output_directly_has_the_value_before_its_late_change(samples):
+    """The delay is then found within its sample; a mean of both values would draw it to the next whole one."""
+    exact = direct(samples, 0)
+    starts = [{"d": d} for d in (0.0, 0.02, 0.07, 0.12)]
+    found = fit(gb.Problem(Direct(), exact, HELD, free=("d",)), starts)
+    assert found.estimate["d"] / 0.05 == pytest.approx(samples, abs=0.06)
+    assert_allclose([found.estimate["K"], found.estimate["T"]], [3, 0.2], rtol=0.03)
+    assert np.nanmean(found.records[0].residual("y") ** 2) < 1.2 * 0.01**2
+    assert any("the cost jumps where d passes a whole sample" in text for text in found.warnings)
+    lone = fit(gb.Problem(Lag(), lag(samples * 0.05, True, noise=0.01), HELD, free=("d",)))
+    assert not any("the cost jumps" in text for text in lone.warnings)
+    simulated = gb.simulate(Direct(), {**LAG, "d": samples * 0.05}, exact, inputs="held")
+    assert_allclose(simulated["y"][5:], exact["y"][5:], atol=0.05)  # five standard deviations of the noise
+
+
+def test_a_delay_by_pade_states_is_nearly_the_same():
+    data = lag(0.115, False, noise=0.005)
+    exact, pade = (
+        fit(gb.Problem(Lag(), data, free=("d",), delay=delay), [{"d": 0.1}]) for delay in ("exact", "pade:2")
+    )
+    assert_allclose(pade.estimate["d"], 0.115, atol=0.01)
+    assert_allclose(pade.estimate["K"], exact.estimate["K"], rtol=0.02)
+    assert_allclose(exact.estimate["d"], 0.115, atol=0.001)
+
+
+# --- the likelihood ---------------------------------------------------------------------------------------------------
+
+
+def simulated(record, k, c, b, x0, v0):
+    """The spring with held forces, sample by sample with the matrix exponential: (2, n)."""
+    step = record.step
+    big = expm(step * np.array([[0, 1, 0], [-k, -c, b], [0, 0, 0]]))
+    rows = np.empty((len(record), 2))
+    x = rows[0] = np.array([x0, v0])
+    A, B = big[:2, :2], big[:2, 2]
+    for i, force in enumerate(record["F"][:-1]):
+        rows[i + 1] = x = A @ x + B * force
+    return rows.T
+
+
+def brute_force(record, likelihood):
+    """Minimize a likelihood of residuals (2, n) over parameters and initial states, by scipy alone."""
+    y = np.array([record["x"], record["v"]])
+
+    def cost(z):
+        return likelihood(y - simulated(record, *z))
+
+    return minimize(cost, [8.9, 1.2, 4.0, *(record[name][0] for name in "xv")], method="BFGS", options={"gtol": 1e-4})
+
+
+def gaussian(residual, sigma):
+    there = np.isfinite(residual)
+    z = residual[there] / np.broadcast_to(np.array(sigma)[:, None], residual.shape)[there]
+    return 0.5 * (z @ z) + (there * np.log(np.sqrt(2 * np.pi) * np.array(sigma))[:, None]).sum()
+
+
+def diagonal(residual):
+    sigma = np.sqrt(np.nanmean(residual**2, axis=1))
+    return gaussian(residual, sigma)
+
+
+def full(residual):
+    n = residual.shape[1]
+    return n / 2 * np.linalg.slogdet(residual @ residual.T / n)[1] + n * (np.log(2 * np.pi) + 1)
+
+
+def correlated(seed=3, n=150):
+    data = spring(n, noise=0.0, seed=seed, initial={"x": 0.4, "v": -0.5})
+    error = np.array([[0.05, 0.0], [0.12, 0.05]]) @ np.random.default_rng(seed).normal(size=(2, n))
+    return data.with_signals(x=data["x"] + error[0], v=data["v"] + error[1])
+
+
+KNOWN = {"x": 0.05, "v": 0.13}
+
+
+@pytest.mark.parametrize(
+    ("noise", "likelihood"),
+    [(KNOWN, lambda r: gaussian(r, [*KNOWN.values()])), ("diagonal", diagonal), ("full", full)],
+    ids=["known", "diagonal", "full"],
+)
+def test_the_estimate_is_the_most_likely_one(noise, likelihood):
+    data = correlated()
+    wanted = brute_force(data, likelihood)
+    found = fit(gb.Problem(Spring(), data, gb.OutputError(noise=noise, inputs="held")), method=FINE)
+    assert_allclose([found.estimate[n] for n in SPRING], wanted.x[:3], rtol=2e-4)
+    assert_allclose([found.records[0].initial[n][0] for n in "xv"], wanted.x[3:], atol=2e-3)
+    assert_allclose(found.cost, wanted.fun, rtol=1e-6)
+
+
+def test_missing_samples_are_left_out_of_the_likelihood():
+    data = correlated()
+    holes = {n: np.where(np.random.default_rng(k).random(150) < 0.3, np.nan, data[n]) for k, n in enumerate("xv")}
+    data = data.with_signals(**holes)
+    wanted = brute_force(data, diagonal)
+    found = fit(gb.Problem(Spring(), data, HELD), method=FINE)
+    assert_allclose([found.estimate[n] for n in SPRING], wanted.x[:3], rtol=2e-4)
+    assert_allclose(found.cost, wanted.fun, rtol=1e-6)
+    assert np.isnan(found.records[0].residual("x")[np.isnan(data["x"])]).all()
+
+
+def test_standard_errors_are_those_of_the_brute_force_likelihood():
+    data = spring(400, seed=2)
+    wanted = brute_force(data, diagonal)
+    found, h = fit(gb.Problem(Spring(), data, HELD)), 1e-4
+    y = np.array([data["x"], data["v"]])
+    columns = [
+        (simulated(data, *(wanted.x + h * e)) - simulated(data, *(wanted.x - h * e))) / (2 * h) for e in np.eye(5)
+    ]
+    sigma = np.sqrt(np.mean((y - simulated(data, *wanted.x)) ** 2, axis=1))
+    J = np.array([(c / sigma[:, None]).ravel() for c in columns]).T
+    errors = np.sqrt(np.diag(np.linalg.inv(J.T @ J)))[:3]
+    assert_allclose([found.standard_error[n] for n in SPRING], errors, rtol=0.1)  # residuals nearly white
+    assert_allclose(np.sqrt(np.diag(found.white)), errors, rtol=0.01)

@@ -1,0 +1,102 @@
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from synthetic_logs import table
+
+from greybox.logs.readers import read
+
+
+@pytest.fixture
+def saved(tmp_path):
+    def write_and_read(text, name="flight.csv", **options):
+        path = tmp_path / name
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return read(path, **options)
+
+    return write_and_read
+
+
+@pytest.mark.parametrize(("separator", "comma"), [(",", False), (";", False), (";", True), ("\t", False), ("\t", True)])
+def test_separators_and_decimal_commas(saved, separator, comma):
+    recording = saved(table(separator=separator, comma=comma))
+    record = recording["flight"]
+    np.testing.assert_allclose(record.time, 0.01 * np.arange(400))
+    np.testing.assert_allclose(record["pitch"], np.sin(0.1 * np.arange(400)), atol=1e-6)
+    assert np.flatnonzero(np.isnan(record["u"])).tolist() == list(range(0, 400, 50))
+    assert record.units == {"pitch": "deg", "u": ""}
+    assert recording.findings == ("columns without numbers were left out: note.",)
+
+
+@pytest.mark.parametrize(
+    ("heading", "scale"),
+    [
+        ("time", 1),
+        ("Time [s]", 1),
+        ("t", 1),
+        ("time_s", 1),
+        ("time_ms", 1e-3),
+        ("Timestamp (us)", 1e-6),
+        ("TimeUS", 1e-6),
+        ("TimeMS", 1e-3),
+        ("timestamp_us", 1e-6),
+        ("elapsed [ms]", 1e-3),
+        ('"time [ms]"', 1e-3),
+    ],
+)
+def test_the_time_column(saved, heading, scale):
+    record = saved(f"{heading},x\n10,1\n20,2\n30,3\n")["flight"]
+    np.testing.assert_allclose(record.time, np.array([10, 20, 30]) * scale)
+    np.testing.assert_array_equal(record["x"], [1, 2, 3])
+
+
+@given(
+    values=st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=1, max_size=20),
+    separator=st.sampled_from([",", ";", "\t"]),
+)
+@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_numbers_survive(saved, values, separator):
+    lines = [f"t{separator}x"] + [f"{i}{separator}{value!r}" for i, value in enumerate(values)]
+    np.testing.assert_array_equal(saved("\n".join(lines) + "\n")["flight"]["x"], values)
+
+
+def test_rows_of_another_length_are_counted(saved):
+    recording = saved("t,x\n0,1\n1\n2,3,4\n3,5\n")
+    assert recording["flight"]["x"].tolist() == [1, 5]
+    assert recording.findings == ("2 of 4 lines have another number of cells than the header and were skipped.",)
+
+
+def test_separators_at_the_end_of_lines_and_quotes(saved):
+    record = saved('t;"roll; filtered [deg]";\n0;1;\n1;;\n2;"3";\n')["flight"]
+    np.testing.assert_array_equal(record["roll; filtered"], [1, np.nan, 3])
+
+
+def test_a_table_is_read_whole(saved):
+    assert list(saved("t,x,y\n0,1,2\n1,3,4\n", messages=("ATT",))["flight"].signals) == ["x", "y"]
+
+
+def test_the_clock_may_start_again(saved):
+    rows = [f"{i / 100},{i}" for i in list(range(1000)) + list(range(500))]
+    recording = saved("t,x\n" + "\n".join(rows))
+    assert len(recording["flight"]) == 1500
+    assert "the clock restarted at 10.0 s" in recording.findings[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("t,x\n", "has no table: write a header line"),
+        ("0,1\n1,2\n2,3\n", "has no header line: its first line, '0,1', must name the columns"),
+        ("pitch,roll\n1,2\n2,3\n", r"has no time column among 'pitch', 'roll': name it 'time \[s\]'"),
+        ("t,name\n1,a\n2,b\n", "has no numeric column beside the time"),
+        ("t,x,x\n1,2,3\n2,3,4\n", "has two columns named 'x'"),
+    ],
+)
+def test_what_is_no_table_is_refused(saved, text, match):
+    with pytest.raises(ValueError, match=match):
+        saved(text)
+
+
+def test_other_encodings(saved):
+    assert saved("t,Neigung [°]\n0,1\n1,2\n".encode("cp1252"))["flight"].units == {"Neigung": "°"}
+    assert saved("t,Neigung [°]\n0,1\n1,2\n".encode("utf-8-sig"))["flight"].units == {"Neigung": "°"}

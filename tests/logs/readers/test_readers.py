@@ -1,0 +1,77 @@
+"""The choice of the reader, and what damaged files may do."""
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from synthetic_logs import samples
+
+from greybox.logs.readers import FORMATS, read
+
+ROOT = Path(__file__).parents[3]
+
+
+def fuzzer():
+    """Load the benchmark that feeds the readers with damaged files."""
+    spec = importlib.util.spec_from_file_location("fuzz_readers", ROOT / "benchmarks" / "fuzz_readers.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("suffix", samples())
+def test_the_contents_decide_not_the_name(tmp_path, suffix):
+    for name in ("right" + suffix, "nosuffix", "wrong.csv", "wrong.bin"):
+        path = tmp_path / name
+        path.write_bytes(samples()[suffix][0])
+        assert len(read(path))
+
+
+def test_a_file_that_is_not_there(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"^there is no file .*x\.BIN\.$"):
+        read(tmp_path / "x.BIN")
+
+
+def test_a_folder(tmp_path):
+    with pytest.raises(OSError, match="is a folder: give the log file in it"):
+        read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("data", "match"),
+    [
+        (b"", "is empty: the logging never started"),
+        (b"PK\3\4rest", "looks like a zip archive, which greybox does not read; give it one of: ArduPilot DataFlash"),
+        (b"just a few words", "looks like text that starts with 'just a few words', which"),
+        (b"\1\2\3\4\5", "looks like binary data that start with 01 02 03 04, which"),
+    ],
+)
+def test_anything_else_is_refused_in_one_sentence(tmp_path, data, match):
+    path = tmp_path / "thing.xyz"
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match=match) as caught:
+        read(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_library_is_loaded_before_it_is_needed():
+    libraries = ("pymavlink", "h5py", "scipy", "pyulog")
+    code = f"import sys, greybox.logs.readers; print([m for m in {libraries} if m in sys.modules])"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert loaded.strip() == "[]"
+
+
+def test_every_format_has_its_reader():
+    for known in FORMATS:
+        assert (ROOT / "greybox" / "readers" / f"{known.module}.py").exists()
+
+
+@pytest.mark.parametrize(("count", "kinds"), [(270, ["bin", "log", "tlog", "csv"]), (30, ["h5", "mat"])])
+def test_damaged_files_never_hang_crash_or_print(count, kinds):
+    counts, failures, _ = fuzzer().fuzz(read, range(count), seed=2, limit=15, kinds=kinds)
+    assert failures == []
+    assert sum(counts.values()) == count
+    assert sum(n for (_, outcome), n in counts.items() if outcome == "read") > count / 10

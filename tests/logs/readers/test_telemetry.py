@@ -1,0 +1,140 @@
+import struct
+
+import numpy as np
+import pytest
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from synthetic_logs import radio, tlog
+
+from greybox.logs.readers import read
+
+BOOT = 1_700_000_000_000_000  # µs since 1970
+
+
+@pytest.fixture
+def saved(tmp_path):
+    def write_and_read(data, **options):
+        path = tmp_path / "flight.tlog"
+        path.write_bytes(data)
+        return read(path, **options)
+
+    return write_and_read
+
+
+@pytest.mark.parametrize("first", [False, True])
+def test_every_number_is_as_pymavlink_reads_it(saved, tmp_path, first):
+    recording = saved(tlog(radio(), first=first))
+    link = mavutil.mavlink_connection(str(tmp_path / "flight.tlog"))
+    messages = {}
+    while (message := link.recv_match()) is not None:
+        sender = f"{message.get_srcSystem()}:{message.get_srcComponent()}"
+        messages.setdefault((message.get_type(), sender), []).append(message)
+    link.close()
+    for name in ("ATTITUDE[1:1]", "ATTITUDE[1:100]", "VFR_HUD", "SERVO_OUTPUT_RAW[0]", "HEARTBEAT[255:190]"):
+        kind, _, sender = name.partition("[")
+        theirs = messages[kind, sender[:-1] if ":" in sender else "1:1"]
+        theirs.sort(key=lambda m: getattr(m, "time_boot_ms", 0))
+        assert len(recording[name]) == len(theirs)
+        for field, values in recording[name].signals.items():
+            np.testing.assert_array_equal(values, [getattr(m, field) for m in theirs])
+            assert recording[name].units[field].replace("µs", "us") == theirs[0].fieldunits_by_name.get(field, "")
+
+
+def test_the_senders_time_is_free_of_jitter_and_of_disorder(saved):
+    attitude = saved(tlog(radio()))["ATTITUDE[1:1]"]
+    np.testing.assert_allclose(attitude.time, 1 + np.arange(200) / 50, atol=1e-9)
+    np.testing.assert_allclose(attitude["pitch"], 0.1 * np.sin(0.2 * np.arange(200)), atol=1e-7)
+
+
+def test_all_senders_are_on_the_vehicles_clock(saved):
+    recording = saved(tlog(radio()))
+    assert recording["ATTITUDE[1:100]"].time[0] == pytest.approx(1, abs=0.05)
+    assert recording["VFR_HUD"].time[0] == pytest.approx(1, abs=0.05)
+    assert recording.findings == (
+        "these carry no time of their own and stand where they were received: HEARTBEAT, VFR_HUD.",
+    )
+
+
+def test_metadata(saved):
+    about = saved(tlog(radio()), messages=("ATTITUDE",)).metadata
+    assert about["vehicle"] == "ArduCopter"
+    assert about["firmware"] == "ArduCopter V4.5.7 (2a3dc4b7)"
+    assert about["parameters"] == {"ATC_RAT_PIT_P": pytest.approx(0.135), "INS_GYRO_FILTER": 20}
+    assert [name for _, name in about["modes"]] == ["LOITER", "SYSTEMID"]
+    assert about["armed"] == ((pytest.approx(2, abs=0.1), pytest.approx(4, abs=0.1)),)
+
+
+def test_only_what_is_asked_for_is_read(saved):
+    recording = saved(tlog(radio()), messages=("ATTITUDE", "GPS_RAW_INT"))
+    assert list(recording) == ["ATTITUDE[1:1]", "ATTITUDE[1:100]"]
+    assert recording.findings[0].startswith("there is no message GPS_RAW_INT; the log has HEARTBEAT,")
+
+
+def test_a_restart_keeps_the_true_pause(saved):
+    packets = [
+        (BOOT + (start + i / 50) * 1e6, 1, 1, mavlink.MAVLink_attitude_message(1000 + 20 * i, 0, 0, 0, 0, 0, 0))
+        for start in (0, 60)
+        for i in range(500)
+    ]
+    recording = saved(tlog(packets))
+    time = recording["ATTITUDE"].time
+    assert time.size == 1000
+    assert time[500] - time[0] == pytest.approx(60)
+    assert any("sender 1:1 restarted at 61.0 s" in finding for finding in recording.findings)
+
+
+def test_damaged_packets_cost_only_themselves(saved):
+    data = tlog(radio())
+    whole, rng = saved(data), np.random.default_rng(0)
+    broken = bytearray(data)
+    for at in rng.integers(500, len(data), 5):
+        broken[at] ^= 0xFF
+    recording = saved(bytes(broken))
+    lost = sum(map(len, whole.values())) - sum(map(len, recording.values()))
+    assert 0 < lost <= 8
+    assert any("are damaged and were skipped" in finding for finding in recording.findings)
+    rows = np.searchsorted(whole["ATTITUDE"].time, recording["ATTITUDE"].time - 1e-6)
+    np.testing.assert_array_equal(recording["ATTITUDE"]["pitch"], whole["ATTITUDE"]["pitch"][rows])
+
+
+def test_arrays_become_signals_and_instances_records(saved):
+    voltages = [4100 + i for i in range(10)]
+    packets = [
+        (BOOT + i * 100_000, 1, 1, mavlink.MAVLink_battery_status_message(lane, 0, 1, 2500, voltages, 1200, 50, 5, 90))
+        for i in range(20)
+        for lane in (0, 1)
+    ]
+    battery = saved(tlog(packets))["BATTERY_STATUS[1]"]
+    assert len(battery) == 20
+    assert battery["voltages[3]"][0] == 4103
+    assert battery.units["voltages[3]"] == "mV"
+
+
+def test_px4_sends_the_bytes_of_integer_parameters(saved):
+    value = struct.unpack("<f", struct.pack("<i", 4))[0]
+    packets = [
+        (BOOT, 1, 1, mavlink.MAVLink_heartbeat_message(2, 12, 81 | 128, 3 << 16, 4, 3)),
+        (BOOT + 1000, 1, 1, mavlink.MAVLink_param_value_message(b"CBRK_IO", value, 6, 2, 0)),
+        (BOOT + 2000, 1, 1, mavlink.MAVLink_param_value_message(b"MC_PITCH_P", 6.5, 9, 2, 1)),
+        (BOOT + 3000, 1, 1, mavlink.MAVLink_heartbeat_message(2, 12, 81 | 128, 3 << 16, 4, 3)),
+    ]
+    about = saved(tlog(packets)).metadata
+    assert about["vehicle"] == "PX4"
+    assert about["parameters"] == {"CBRK_IO": 4, "MC_PITCH_P": 6.5}
+    assert about["modes"] == ((0, "POSCTL"),)
+
+
+def test_long_texts_are_put_together(saved):
+    said = [(b"a text of more than fifty characters comes in two p", 9, 0), (b"ieces", 9, 1), (b"short", 0, 0)]
+    packets = [
+        (BOOT + 1000 * i, 1, 1, mavlink.MAVLink_statustext_message(6, text[:50], number, chunk))
+        for i, (text, number, chunk) in enumerate(said)
+    ]
+    packets.append((BOOT + 9000, 1, 1, mavlink.MAVLink_vfr_hud_message(1.0, 1.5, 90, 30, 12.0, 0.5)))
+    texts = [text for _, text in saved(tlog(packets)).metadata["texts"]]
+    assert texts == ["a text of more than fifty characters comes in two ieces", "short"]
+
+
+def test_a_file_without_packets_is_refused(saved):
+    with pytest.raises(ValueError, match="holds no MAVLink packet that can be read"):
+        saved(BOOT.to_bytes(8, "big") + b"\xfd" * 300)

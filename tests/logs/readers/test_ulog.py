@@ -1,0 +1,54 @@
+import importlib.util
+
+import numpy as np
+import pytest
+from synthetic_logs import ulog
+
+from greybox.logs.readers import read
+
+installed = pytest.mark.skipif(importlib.util.find_spec("pyulog") is None, reason="the extra px4 is not installed")
+
+
+@pytest.fixture
+def saved(tmp_path):
+    def write_and_read(data, **options):
+        path = tmp_path / "log.ulg"
+        path.write_bytes(data)
+        return read(path, **options)
+
+    return write_and_read
+
+
+@installed
+def test_topics_are_records(saved):
+    recording = saved(ulog())
+    assert set(recording) == {"vehicle_attitude", "sensor_accel[0]", "sensor_accel[1]", "vehicle_status"}
+    attitude = recording["vehicle_attitude"]
+    np.testing.assert_allclose(attitude.time, 2 + np.arange(200) / 100)
+    np.testing.assert_array_equal(attitude["q[2]"], np.sin(0.1 * np.arange(200)).astype("f4"))
+    np.testing.assert_allclose(recording["sensor_accel[1]"]["x"], 10.81)
+    assert recording.findings == ()
+
+
+@installed
+def test_metadata(saved):
+    recording = saved(ulog(), messages=("vehicle_attitude", "vehicle_gps_position"))
+    assert list(recording) == ["vehicle_attitude"]
+    assert recording.findings == ("there is no topic vehicle_gps_position.",)
+    about = recording.metadata
+    assert (about["vehicle"], about["firmware"]) == ("PX4", "29f5e2a1")
+    assert about["parameters"] == {"MC_PITCH_P": 7, "CBRK_IO": 4}
+    assert about["texts"] == ((2.1, "[commander] Takeoff detected"),)
+    assert about["modes"] == ((2, "POSCTL"), (3, "STAB"))
+    assert about["armed"] == ((2.5, 3.5),)
+
+
+@installed
+def test_a_truncated_log_is_read_up_to_its_end(saved):
+    assert len(saved(ulog()[:-5000])["vehicle_attitude"]) > 100
+
+
+def test_without_pyulog_the_cure_is_named(saved, monkeypatch):
+    monkeypatch.setattr("greybox.logs.readers.ulog.find_spec", lambda name: None)
+    with pytest.raises(ValueError, match=r"log\.ulg is a PX4 log, which needs pyulog: install it with pip install"):
+        saved(ulog())

@@ -1,0 +1,201 @@
+"""`prepare`: signals of different messages on one time base, against signals known in closed form."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import greybox as gb
+from greybox.data.record import Record, Recording
+from greybox.logs.prepare import SecondOrderLowPass, negative
+
+RANDOM = np.random.default_rng(0)
+
+
+def recording(metadata=None, **messages):
+    """Build a recording from message -> (time, {field: values}, {field: unit})."""
+    return Recording({name: Record(t, s, u) for name, (t, s, u) in messages.items()}, "made.bin", "sum", metadata or {})
+
+
+def stamps(rate, duration, jitter=0.0, start=0.0):
+    time = start + np.arange(int(duration * rate)) / rate
+    return time + jitter / rate * RANDOM.uniform(-0.5, 0.5, time.size)
+
+
+def wave(time, omega=3.0):
+    return np.sin(omega * time + 0.3)
+
+
+def test_signals_of_different_rates_meet_by_their_time_stamps():
+    fast, slow = stamps(400, 20, 0.4), stamps(23.6, 20, 0.4, start=0.11)
+    log = recording(RATE=(fast, {"POut": wave(fast)}, {}), XKF1=(slow, {"VN": wave(slow)}, {"VN": "m/s"}))
+    record = gb.prepare(log, {"u": "RATE.POut", "v": "XKF1.VN"}, rate=50)
+    assert np.ptp(np.diff(record.time)) < 1e-9
+    assert record.rate == pytest.approx(50)
+    inner = slice(10, -10)
+    assert record["u"][inner] == pytest.approx(wave(record.time[inner]), abs=1e-3)
+    assert record["v"][inner] == pytest.approx(wave(record.time[inner]), abs=1e-3)
+    assert record.units["v"] == "m/s"
+    assert record.checksum == "sum"
+
+
+def test_the_default_rate_is_that_of_the_slowest():
+    fast, slow = stamps(400, 5), stamps(25, 5)
+    log = recording(A=(fast, {"x": fast}, {}), B=(slow, {"y": slow}, {}))
+    assert gb.prepare(log, {"x": "A.x", "y": "B.y"}).rate == pytest.approx(25)
+
+
+@pytest.mark.parametrize(("omega", "kept"), [(2 * np.pi * 5, 1.0), (2 * np.pi * 17, 1.0), (2 * np.pi * 60, 0.0)])
+def test_what_is_above_half_the_new_rate_is_filtered_and_the_rest_is_not(omega, kept):
+    time = stamps(400, 20)
+    record = gb.prepare(recording(A=(time, {"x": wave(time, omega)}, {})), {"x": "A.x"}, rate=50)
+    inner = slice(60, -60)
+    expected = kept * wave(record.time[inner], omega)
+    assert record["x"][inner] == pytest.approx(expected, abs=2e-3)
+
+
+def test_units_become_si_and_angles_are_unwrapped():
+    time = stamps(100, 10)
+    heading = np.degrees(1.5 * time) % 360
+    log = recording(
+        ATT=(time, {"Yaw": heading, "Pitch": np.full(time.size, 3.0)}, {"Yaw": "deg", "Pitch": "deg"}),
+        RATE=(time, {"P": np.full(time.size, 180.0)}, {"P": "deg/s"}),
+    )
+    record = gb.prepare(log, {"psi": "ATT.Yaw", "theta": "ATT.Pitch", "q": "RATE.P"}, rate=100, interpolation="linear")
+    assert record.units == {"psi": "rad", "theta": "rad", "q": "rad/s"}
+    assert record["psi"] == pytest.approx(1.5 * record.time, abs=1e-9)
+    assert record["theta"] == pytest.approx(np.radians(3.0))
+    assert record["q"] == pytest.approx(np.pi)
+
+
+def test_nothing_is_invented_across_a_gap():
+    time = stamps(100, 20)
+    holed = time[(time < 5) | (time > 8)]
+    log = recording(A=(time, {"x": wave(time)}, {}), B=(holed, {"y": wave(holed)}, {}))
+    record = gb.prepare(log, {"x": "A.x", "y": "B.y"}, rate=100)
+    assert len(record.pieces) == 2
+    assert record.pieces[0].time[-1] == pytest.approx(5, abs=0.02)
+    assert record.pieces[1].time[0] == pytest.approx(8, abs=0.03)
+    assert record["y"] == pytest.approx(wave(record.time), abs=1e-4)
+
+
+def test_missing_samples_are_left_out():
+    time = stamps(100, 5)
+    values = wave(time)
+    values[100:103] = np.nan
+    record = gb.prepare(recording(A=(time, {"x": values}, {})), {"x": "A.x"}, rate=100)
+    assert len(record.pieces) == 2
+
+
+@given(st.floats(-3, 3), st.floats(-2, 2), st.floats(-2, 2))
+@settings(max_examples=30, deadline=None)
+def test_the_horizontal_velocity_is_turned_into_the_body(yaw, forward, right):
+    time = np.arange(0, 1, 0.02)
+    ones = np.ones(time.size)
+    north, east = forward * np.cos(yaw) - right * np.sin(yaw), forward * np.sin(yaw) + right * np.cos(yaw)
+    log = recording(
+        XKF1=(time, {"VN": north * ones, "VE": east * ones}, {"VN": "m/s", "VE": "m/s"}),
+        ATT=(time, {"Yaw": np.degrees(yaw) % 360 * ones}, {"Yaw": "deg"}),
+    )
+    names = {"v": gb.logs.horizontal_velocity(axis="forward"), "w": gb.logs.horizontal_velocity(axis="right")}
+    names |= {"paper": gb.logs.horizontal_velocity(), "back": negative("XKF1.VN")}
+    record = gb.prepare(log, names, rate=50)
+    assert record["v"] == pytest.approx(forward, abs=1e-9)
+    assert record["w"] == pytest.approx(right, abs=1e-9)
+    assert record["back"] == pytest.approx(-north, abs=1e-9)
+    assert record["paper"] == pytest.approx(-forward, abs=1e-9)  # a positive pitch accelerates backward
+    assert set(record.units.values()) == {"m/s"}
+
+
+def test_cut_and_detrend():
+    time = stamps(100, 30)
+    log = recording(A=(time, {"x": 2 + 0.5 * time}, {}))
+    record = gb.prepare(log, {"x": "A.x"}, rate=20, start=5, end=10, detrend="linear")
+    assert (record.time[0], record.time[-1]) == pytest.approx((5, 10), abs=0.051)
+    assert record["x"] == pytest.approx(0, abs=1e-6)
+    mean = gb.prepare(log, {"x": "A.x"}, rate=20, start=5, end=10, detrend="mean")
+    assert mean["x"].mean() == pytest.approx(0, abs=1e-9)
+    assert np.ptp(mean["x"]) > 2
+
+
+def test_the_gyro_filter_is_recorded():
+    time = stamps(100, 2)
+    log = recording(
+        {"parameters": {"INS_GYRO_FILTER": 20.0}},
+        RATE=(time, {"P": time, "POut": time}, {"P": "deg/s"}),
+    )
+    record = gb.prepare(log, {"u": "RATE.POut", "q": "RATE.P"}, rate=50)
+    assert record.filters == {"q": (SecondOrderLowPass(20.0),)}
+
+
+def test_the_filter_model_is_the_filter():
+    from scipy.signal import butter, freqs
+
+    from greybox.models.filters import LowPass
+
+    omega = np.array([1.0, 50, 125, 400])
+    _, expected = freqs(*butter(2, 2 * np.pi * 20, analog=True), omega)
+    assert gb.frequency_response(LowPass(20.0), {}, omega).response == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_digital_filter_model_is_the_digital_filter():
+    from scipy.signal import butter, freqz
+
+    from greybox.modeling.linearization import response_function
+    from greybox.models.filters import LowPass
+
+    omega = np.array([1.0, 50, 125, 400])
+    _, expected = freqz(*butter(2, 20, fs=400), worN=omega, fs=2 * np.pi * 400)
+    model = LowPass(20.0, rate=400)
+    assert gb.frequency_response(model, {}, omega).response == pytest.approx(expected, rel=1e-9)
+    re, im = response_function(model, omega)(list(model.values().values()))
+    assert np.asarray(re).ravel() + 1j * np.asarray(im).ravel() == pytest.approx(expected, rel=1e-9)
+    with pytest.raises(ValueError, match="not below half the sampling rate"):
+        LowPass(20.0, rate=30)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"signals": {}}, ValueError, "signals is empty"),
+        ({"signals": {"u": "RATE.Nothing"}}, KeyError, "no signal 'Nothing'; it has POut"),
+        ({"signals": {"u": "RTAE.POut"}}, KeyError, "no message 'RTAE'; it has RATE"),
+        ({"rate": 0}, ValueError, "rate 0 must be"),
+        ({"rate": np.nan}, ValueError, "rate nan must be"),
+        ({"start": 100.0}, ValueError, "no stretch of time in common"),
+        ({"interpolation": "magic"}, ValueError, "interpolation 'magic'"),
+        ({"detrend": "all"}, ValueError, "detrend 'all'"),
+    ],
+)
+def test_bad_input_is_a_sentence(options, error, words):
+    time = stamps(100, 5)
+    log = recording(RATE=(time, {"POut": wave(time)}, {}))
+    with pytest.raises(error, match=words):
+        gb.prepare(log, **{"signals": {"u": "RATE.POut"}, "rate": 50, **options})
+
+
+def test_what_was_logged_behind_a_filter_is_fitted_with_it_and_said():
+    from greybox.models.filters import LowPass
+    from greybox.models.rate import YawRateLag
+
+    omega = np.geomspace(1, 100, 20)
+    plant = YawRateLag()
+    behind = plant * LowPass(20.0, signal="r")
+    truth = {"K_2": 12.0, "T_2": 0.3, "T_delay": 0.01}
+    data = gb.frequency_response(behind, truth, omega)
+    assert data.output == "r"
+    fit = gb.fit(gb.Problem(behind, data), starts=10, progress=False)
+    assert {name: fit.estimate[name] for name in truth} == pytest.approx(truth, rel=1e-5)
+
+
+def test_known_filters_survive_a_second_preparation_and_are_noted():
+    time = stamps(100, 20)
+    log = recording(
+        {"parameters": {"INS_GYRO_FILTER": 20.0}},
+        RATE=(time, {"P": wave(time), "POut": wave(time, 2.0)}, {"P": "deg/s"}),
+    )
+    first = gb.prepare(log, {"u": "RATE.POut", "q": "RATE.P"}, rate=50)
+    again = gb.prepare(first, {"u": "u", "q2": "q"}, rate=50)
+    assert again.filters == {"q2": (SecondOrderLowPass(20.0),)}
+    (note,) = [f for f in gb.spectral.check(first, output="q").findings if f.about == "filters"]
+    assert "20 Hz low-pass" in note.text

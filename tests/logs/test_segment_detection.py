@@ -1,0 +1,258 @@
+"""Excited segments: from System Identification mode, from a message, and from the setpoint alone."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from greybox.data.record import Record, Recording
+from greybox.data.test_segment import Segment, segment_table
+from greybox.logs.segment_detection import find_segments, steady_runs
+
+STEP = 1 / 100  # s
+
+
+def test_a_segment_says_what_it_is():
+    segment = Segment(1.0, 11.0, omega=2 * math.pi, axis="pitch")
+    assert segment.duration == 10
+    assert segment.periods == pytest.approx(10)
+    assert segment.band == (segment.omega, segment.omega)
+    assert segment.refused("a", "b").findings == ("a", "b")
+    assert not segment.refused("a").usable
+    with pytest.raises(ValueError, match=r"the segment ends at 1 s, not after its start at 1 s"):
+        Segment(1.0, 1.0)
+    with pytest.raises(ValueError, match="the kind of a segment is 'step'"):
+        Segment(0.0, 1.0, "step")
+
+
+# --- System Identification mode
+
+
+def system_identification(last=91.0, texts=(), **changes):
+    setting = {"Ax": 11, "Mag": 0.06, "FSt": 0.1, "FSp": 6.0, "TFin": 5.0, "TC": 20.0, "TR": 60.0, "TFout": 5.0}
+    sids = Record([100.0], {name: [value] for name, value in (setting | changes).items()})
+    time = np.arange(100.0, 100.0 + last, 0.01)
+    return Recording({"SIDS": sids, "SIDD": Record(time, {"Targ": 0 * time})}, metadata={"texts": texts})
+
+
+def test_a_system_identification_run():
+    (run,) = find_segments(system_identification())
+    assert (run.kind, run.axis, run.amplitude, run.usable) == ("sweep", "mixer pitch", 0.06, True)
+    assert (run.start, run.end) == (101.0, 161.0)
+    assert run.band == pytest.approx((0.2 * math.pi, 12 * math.pi))
+    assert "0.628 to 37.7" in segment_table([run])
+
+
+def test_a_run_at_one_frequency_is_a_sine_and_unknown_axes_are_numbers():
+    (run,) = find_segments(system_identification(FSp=0.1, Ax=77))
+    assert (run.kind, run.axis) == ("sine", "77")
+    assert run.omega == pytest.approx(0.2 * math.pi)
+
+
+def test_aborted_runs():
+    (run,) = find_segments(system_identification(last=31.0))
+    assert not run.usable
+    assert run.end == pytest.approx(131, abs=0.02)
+    assert run.findings == ("ended early, after 30.0 of 60.0 s",)
+    (run,) = find_segments(system_identification(texts=((99.0, "SystemID Stopped"), (111.0, "SystemID Stopped: lean"))))
+    assert run.findings[0] == "ended early, after 10.0 of 60.0 s (SystemID Stopped: lean)"
+    (run,) = find_segments(system_identification(last=0.5))
+    assert run.findings[0] == "ended before the waveform began"
+    assert not run.usable
+
+
+@pytest.mark.parametrize("changes", [{"TR": math.nan}, {"FSt": 0.0}, {"FSp": -1.0}, {"Ax": math.inf}])
+def test_runs_without_sense_are_no_segments(changes):
+    assert find_segments(system_identification(**changes)) == ()
+
+
+# --- announced tests
+
+PLAN = [(20.0, 15.0), (8.0, 15.0), (4.0, 16.0), (2.0, 32.0)]  # rad/s, s
+
+
+def announced(plan=PLAN, modes=(), **columns):
+    time, omega, number, now = [], [], [], 5.0
+    for k, (w, duration) in enumerate(plan, start=1):
+        t = np.arange(now, now + duration, 0.0123)
+        time, omega, number = [*time, *t], [*omega, *([w] * t.size)], [*number, *([k] * t.size)]
+        now += duration + 2.0
+    fields = {"Seg": number, "Ax": np.full(len(time), 2.0), "W": omega, "Eta": np.full(len(time), 3.0)}
+    record = Record(time, fields | columns, units={"Eta": "deg"})
+    return Recording({"SINE": record}, source="flight.BIN", metadata={"modes": modes})
+
+
+def test_announced_sines():
+    found = find_segments(announced(), message="SINE")
+    assert [s.omega for s in found] == [20, 8, 4, 2]
+    assert [round(s.duration) for s in found] == [15, 15, 16, 32]
+    assert {(s.axis, s.amplitude, s.unit, s.source, s.usable) for s in found} == {("2", 3.0, "deg", "SINE", True)}
+    assert math.isnan(found[0].offset)
+    assert "3 deg" in segment_table(found)
+    named = find_segments(announced(), message="SINE", fields={"omega": "W", "axis": "Ax"})
+    assert [s.omega for s in named] == [20, 8, 4, 2]
+    hertz = find_segments(announced(), message="SINE", fields={"frequency": "W"})
+    assert hertz[0].omega == pytest.approx(40 * math.pi)
+
+
+def test_a_record_announces_by_its_own_signals():
+    found = find_segments(announced()["SINE"], fields={"omega": "W"})
+    assert [s.omega for s in found] == [20, 8, 4, 2]
+
+
+def test_the_same_frequency_twice_is_two_tests():
+    found = find_segments(announced([(5.0, 10.0), (5.0, 10.0)]), message="SINE", fields={"omega": "W"})
+    assert len(found) == 2
+
+
+def test_useless_tests_are_listed_with_the_reason():
+    found = find_segments(announced([*PLAN, (4.0, 2.0), (0.05, 20.0)]), message="SINE")
+    assert [s.usable for s in found] == [True] * 4 + [False] * 2
+    assert "ended early, after 1.3 periods where others have about" in found[4].findings[0]
+    assert found[5].findings[0] == "shorter than one period (0.16 of one)"
+    assert "5: ended early" in segment_table(found)
+    flight = announced()
+    weak = np.where(flight["SINE"]["Seg"] == 2, 0.0, np.where(flight["SINE"]["Seg"] == 3, 0.01, 3.0))
+    found = find_segments(announced(Eta=weak), message="SINE")
+    assert [s.usable for s in found] == [True, False, False, True]
+    assert found[1].findings == ("barely excited: the amplitude is 0",)
+    assert found[2].findings == ("barely excited: amplitude 0.01 where others reach 3",)
+
+
+def test_a_change_of_mode_during_a_test():
+    found = find_segments(announced(modes=((0.0, "GUIDED"), (25.0, "LOITER"))), message="SINE")
+    assert [s.usable for s in found] == [True, False, True, True]
+    assert found[1].findings == ("the mode changed to LOITER at 25.0 s, during the test",)
+
+
+def test_what_cannot_be_found_is_said():
+    with pytest.raises(KeyError, match=r"flight.BIN has no message 'TEST'; it has SINE"):
+        find_segments(announced(), message="TEST")
+    with pytest.raises(KeyError, match="no signal 'F'"):
+        find_segments(announced(), message="SINE", fields={"omega": "F"})
+    with pytest.raises(ValueError, match="neither omega nor frequency is among them: write"):
+        find_segments(announced(), message="SINE", fields={"axis": "Ax"})
+    with pytest.raises(ValueError, match="'speed' is not one of them"):
+        find_segments(announced(), message="SINE", fields={"omega": "W", "speed": "W"})
+    with pytest.raises(KeyError, match="ATT"):
+        find_segments(announced(), setpoint="ATT.DesPitch")
+    assert find_segments(announced()) == ()
+    assert segment_table(()) == "no excited segment was found"
+
+
+# --- the setpoint alone
+
+
+def schedule(plan, pause=2.0, lead=5.0, amplitude=3.0, step=STEP):
+    """Return time and setpoint: one frequency after another, each from rest and back to it."""
+    plan = [(omega, math.ceil(least * omega / (2 * math.pi)) * 2 * math.pi / omega) for omega, least in plan]
+    t, now = np.arange(0, lead + sum(duration + pause for _, duration in plan) + 3, step), lead
+    r, starts = np.zeros(t.size), []
+    for omega, duration in plan:
+        inside = (t >= now) & (t < now + duration)
+        r[inside] = amplitude * np.sin(omega * (t[inside] - now))
+        starts.append((now, now + duration))
+        now += duration + pause
+    return t, r, starts
+
+
+def assert_found(runs, plan, starts, within=1.0):
+    assert [run.kind for run in runs] == ["sine"] * len(plan)
+    for run, (omega, _), (start, end) in zip(runs, plan, starts, strict=True):
+        assert run.omega == pytest.approx(omega, rel=2e-3)
+        assert run.amplitude == pytest.approx(3.0, rel=0.1)
+        assert run.start == pytest.approx(start, abs=within * math.pi / omega)
+        assert run.end == pytest.approx(end, abs=within * math.pi / omega)
+
+
+def staircase(t, r, hold=0.012):
+    return r[np.searchsorted(t, np.floor(t / hold) * hold)]
+
+
+@pytest.mark.parametrize("pause", [0.0, 2.0, 7.0])
+@pytest.mark.parametrize("spoiled", ["clean", "staircase", "offset", "step", "coarse"])
+def test_sines_one_after_another(pause, spoiled):
+    plan = [(20.0, 10.0), (8.0, 10.0), (4.0, 15.0), (3.5, 15.0), (2.0, 20.0), (1.0, 40.0)]
+    t, r, starts = schedule(plan, pause)
+    spoil = {
+        "clean": lambda: r,
+        "staircase": lambda: staircase(t, r),
+        "offset": lambda: r + 5,
+        "step": lambda: r + np.where(t < 3, -20.0, 0.0),
+        "coarse": lambda: np.round(r, 1),
+    }
+    assert_found(steady_runs(t, spoil[spoiled]()), plan, starts)
+
+
+@given(seed=st.integers(0, 10_000), ratio=st.floats(6, 100), omega=st.floats(1, 15))
+@settings(max_examples=25, deadline=None, derandomize=True)
+def test_sines_in_noise(seed, ratio, omega):
+    plan = [(omega, 15.0 + 20 / omega), (1.3 * omega, 15.0 + 20 / omega)]
+    t, r, starts = schedule(plan)
+    noisy = r + 3 / ratio * np.random.default_rng(seed).standard_normal(t.size)
+    runs = [run for run in steady_runs(t, noisy) if run.amplitude > 1]
+    assert_found(runs, plan, starts, within=8.0)
+
+
+@given(
+    low=st.floats(0.3, 3),
+    factor=st.floats(5, 60),
+    duration=st.floats(30, 90),
+    logarithmic=st.booleans(),
+    sign=st.booleans(),
+)
+@settings(max_examples=30, deadline=None, derandomize=True)
+def test_a_sweep_is_not_called_sines(low, factor, duration, logarithmic, sign):
+    t = np.arange(0, duration, STEP)
+    x = t / duration
+    phase = low * duration * ((factor**x - 1) / math.log(factor) if logarithmic else x + (factor - 1) * x**2 / 2)
+    r = np.sin(phase)[:: -1 if sign else 1]
+    runs = steady_runs(t, r)
+    assert not [run for run in runs if run.kind == "sine"]
+
+
+def test_a_sweep_is_called_a_sweep():
+    t = np.arange(0, 60, STEP)
+    phase = 60 * (30 ** (t / 60) - 1) / math.log(30)
+    (run,) = steady_runs(t, 2 * np.sin(phase))
+    assert run.kind == "sweep"
+    assert run.band == pytest.approx((3, 28), rel=0.5)
+    assert run.amplitude == pytest.approx(2, rel=0.1)
+    assert "sweep" in segment_table([run])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_steps_squares_and_walks_are_no_sines(seed):
+    rng = np.random.default_rng(seed)
+    t = np.arange(0, 60, STEP)
+    for r in (
+        rng.standard_normal(t.size),
+        np.cumsum(rng.standard_normal(t.size)),
+        np.sign(np.sin(2 * t)),
+        np.repeat(rng.standard_normal(60), 100),
+        np.zeros(t.size),
+        t,
+    ):
+        assert not [run for run in steady_runs(t, r) if run.kind == "sine" and run.duration > 3]
+
+
+def test_setpoints_of_a_recording():
+    t, r, starts = schedule([(8.0, 10.0), (4.0, 15.0)])
+    attitude = Record(t, {"DesRoll": 0 * t, "DesPitch": r}, units={"DesPitch": "deg"})
+    for words in ({}, {"setpoint": "ATT.DesPitch"}, {"setpoint": ["ATT.DesPitch"]}):
+        found = find_segments(Recording({"ATT": attitude}), **words)
+        assert [round(s.omega, 2) for s in found] == [8, 4]
+        assert {(s.axis, s.unit, s.source) for s in found} == {("ATT.DesPitch", "deg", "setpoint ATT.DesPitch")}
+    prepared = Record(t, {"r": np.where(t < starts[0][1] - 3, np.nan, r)})
+    assert [round(s.omega, 2) for s in find_segments(prepared)] == [8, 4]
+    assert [round(s.omega, 2) for s in find_segments(prepared, setpoint="r")] == [8, 4]
+    gap = (t < starts[1][0] + 5) | (t > starts[1][0] + 8)
+    assert len(find_segments(Record(t[gap], {"r": r[gap]}))) == 3
+
+
+@given(st.lists(st.floats(-1e6, 1e6, allow_subnormal=False), min_size=1, max_size=60))
+@settings(max_examples=100, deadline=None)
+def test_any_short_signal_is_survived(values):
+    steady_runs(np.arange(len(values)) * 0.3, np.array(values))

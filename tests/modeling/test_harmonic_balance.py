@@ -1,0 +1,401 @@
+"""Finite amplitudes: describing functions, simulated and periodic solutions, the linear limit, derivatives, fits."""
+
+import re
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+from evaluation import numeric_jacobian
+from numpy.testing import assert_allclose
+from scipy.integrate import solve_bvp, solve_ivp
+
+import greybox as gb
+from greybox.modeling.harmonic_balance import harmonic_function
+from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
+from greybox.models.yaw import YawStates
+
+TRUTH = {"a1": -11.0, "a2": 2.6, "a3": 8.0, "a4": 290.0, "T_rotor": 0.048, "T_delay": 0.0042, "C_x": 0.3}
+TRUTH_FREE = {name: value for name, value in TRUTH.items() if not name.startswith("T_")}
+OMEGA = np.array([1.0, 1.7, 2.8, 4.5, 8.0, 16.0])
+SWING = float(np.radians(6))
+PERIODS = 40  # until the drag, the slowest thing here, has forgotten the beginning
+
+
+def static(formula):
+    body = {
+        "inputs": ("u",),
+        "outputs": ("y",),
+        "K": gb.Parameter(1.0),
+        "output": lambda self, x, u, p: (formula(u.u),),
+    }
+    return type("Static", (gb.StateSpace,), body)()
+
+
+class Slider(gb.StateSpace):
+    """Velocity from the tilt angle, the first line of (4.23)."""
+
+    states, inputs, outputs = ("v",), ("theta",), ("v",)
+    C_x = gb.Parameter(0.3, bounds=(0.001, 2), unit="1/m", scale="log")
+
+    def derivative(self, x, u, p):
+        return (gb.g * gb.tan(u.theta) - p.C_x * abs(x.v) * x.v,)
+
+    def output(self, x, u, p):
+        return (x.v,)
+
+
+def first_harmonic(signal):
+    """Complex amplitude of exp(jωt) from samples of one period."""
+    return 2 * np.fft.fft(signal)[1] / signal.size
+
+
+@cache
+def simulated_velocity(omega, swing, middle=0.0, C_x=TRUTH["C_x"]):
+    """First harmonic of the velocity while the angle is middle + swing cos ωt, by simulation until it repeats."""
+    period = 2 * np.pi / omega
+
+    def slope(t, v):
+        return gb.g * np.tan(middle + swing * np.cos(omega * t)) - C_x * np.abs(v) * v
+
+    begin = np.sign(middle) * np.sqrt(gb.g * np.tan(abs(middle)) / C_x)
+    last = (PERIODS + np.arange(256) / 256) * period
+    found = solve_ivp(slope, (0, last[-1]), [begin], t_eval=last, rtol=1e-9, atol=1e-11, method="LSODA")
+    return first_harmonic(found.y[0])
+
+
+def simulated_response(omega, swing, middle=0.0, truth=TRUTH):
+    """Angle over control: the angle and the simulated velocity, put into the other lines of (4.23) one by one."""
+    p, s = truth, 1j * omega
+    v = simulated_velocity(omega, swing, middle, p["C_x"])
+    torque = ((s**2 + p["a2"] * s + p["a1"]) * swing + p["a3"] * v) / p["a4"]
+    return swing / (torque * (1 + p["T_rotor"] * s) * np.exp(s * p["T_delay"]))
+
+
+# --- numbers
+
+
+@pytest.mark.parametrize("amplitude", [0.1, 3.0])
+@pytest.mark.parametrize(
+    ("formula", "gain"),
+    [(lambda u: abs(u) * u, lambda V: 8 / (3 * np.pi) * V), (lambda u: u**3 + 2 * u, lambda V: 0.75 * V**2 + 2)],
+    ids=["|u| u", "u³ + 2 u"],
+)
+def test_the_response_of_a_static_model_is_its_describing_function(formula, gain, amplitude):
+    response = gb.modeling.harmonic_response(static(formula), {}, [0.5, 7.0], amplitude={"u": amplitude}).response
+    assert_allclose(response, gain(amplitude), rtol=3e-5)
+
+
+@pytest.mark.parametrize("middle", [0.0, float(np.radians(5))])
+def test_the_velocity_is_that_of_a_simulation(middle):
+    sine = gb.modeling.Sine("theta", SWING, harmonics=9)
+    response = gb.modeling.harmonic_response(Slider(), {}, OMEGA, amplitude=sine, at={"theta": middle}).response
+    assert_allclose(response, [simulated_velocity(w, SWING, middle) / SWING for w in OMEGA], rtol=2e-5)
+
+
+@pytest.mark.parametrize("middle", [0.0, float(np.radians(5))])
+def test_the_tilt_with_an_angle_held_to_a_sine_is_that_of_a_simulation(middle):
+    options = {"output": "theta", "at": {"theta": middle}}
+    response = gb.modeling.harmonic_response(
+        NonlinearTilt(), TRUTH, OMEGA, amplitude={"theta": SWING}, **options
+    ).response
+    wanted = [simulated_response(w, SWING, middle) for w in OMEGA]
+    assert_allclose(response, wanted, rtol=1e-3)  # of three harmonics
+    more = gb.modeling.Sine("theta", SWING, harmonics=9)
+    response = gb.modeling.harmonic_response(NonlinearTilt(), TRUTH, OMEGA, amplitude=more, **options).response
+    assert_allclose(response, wanted, rtol=1e-5)
+    linear = gb.frequency_response(NonlinearTilt(), TRUTH, OMEGA, **options).response
+    assert np.abs(linear / wanted - 1).max() > 0.02
+
+
+@pytest.mark.parametrize("omega", [2.0, 5.0])
+def test_the_tilt_with_a_sine_for_control_solves_the_periodic_boundary_value_problem(omega):
+    """The plant is unstable, so no simulation gets there; collocation on the whole orbit does."""
+    amplitude, p = 0.02, TRUTH
+
+    def slope(t, x):
+        v, q, theta, rotor = x
+        control = amplitude * np.cos(omega * t)
+        acceleration = -p["a1"] * theta - p["a2"] * q - p["a3"] * v + p["a4"] * rotor
+        drag = p["C_x"] * np.abs(v) * v
+        return np.array([gb.g * np.tan(theta) - drag, acceleration, q, (control - rotor) / p["T_rotor"]])
+
+    t = np.linspace(0, 2 * np.pi / omega, 101)
+    found = solve_bvp(slope, lambda a, b: a - b, t, np.zeros((4, t.size)), tol=1e-8, max_nodes=20000)
+    assert found.success
+    theta = found.sol(t[-1] * np.arange(256) / 256)[2]
+    wanted = first_harmonic(theta) / amplitude * np.exp(-1j * omega * p["T_delay"])
+    sine = gb.modeling.Sine("u", amplitude, harmonics=7)
+    response = gb.modeling.harmonic_response(NonlinearTilt(), p, omega, amplitude=sine, output="theta").response
+    assert_allclose(response, wanted, rtol=1e-4)
+
+
+@pytest.mark.parametrize("model", [LinearTilt(), YawStates()], ids=repr)
+@pytest.mark.parametrize("delay", ["exact", "pade:2"])
+def test_a_linear_model_keeps_its_linear_response_whatever_moves_sinusoidally(model, delay):
+    for signal in (*model.inputs, *model.outputs, *model.states):
+        for output in model.outputs:
+            options = {"output": output, "delay": delay}
+            response = gb.modeling.harmonic_response(model, {}, OMEGA, amplitude={signal: 40.0}, **options).response
+            assert_allclose(response, gb.frequency_response(model, {}, OMEGA, **options).response, rtol=1e-10)
+
+
+@pytest.mark.parametrize("signal", ["theta", "u"])
+@pytest.mark.parametrize("degrees", [0, 5])
+def test_a_vanishing_amplitude_gives_the_linear_response(signal, degrees):
+    options = {"output": "theta", "at": {"theta": float(np.radians(degrees))}}
+    linear = gb.frequency_response(NonlinearTilt(), TRUTH, OMEGA, **options).response
+    error = [
+        np.abs(
+            gb.modeling.harmonic_response(NonlinearTilt(), TRUTH, OMEGA, amplitude={signal: a}, **options).response
+            / linear
+            - 1
+        )
+        for a in (1e-3, 1e-5)
+    ]
+    # With the square of the amplitude where the model is smooth, with the amplitude itself where |v| v has its kink.
+    assert error[1].max() < (0.02 if degrees == 0 else 2e-4) * error[0].max()
+    assert error[1].max() < (2e-4 if degrees == 0 else 1e-8)
+
+
+def test_every_frequency_has_its_own_amplitude():
+    amplitudes = np.linspace(0.02, 0.2, OMEGA.size)
+    together = gb.modeling.harmonic_response(
+        NonlinearTilt(), TRUTH, OMEGA, amplitude={"theta": amplitudes}, output="theta"
+    )
+    for omega, amplitude, wanted in zip(OMEGA, amplitudes, together.response, strict=True):
+        alone = gb.modeling.harmonic_response(
+            NonlinearTilt(), TRUTH, omega, amplitude={"theta": amplitude}, output="theta"
+        )
+        assert_allclose(alone.response, wanted, rtol=1e-9)
+
+
+def test_a_sine_that_is_a_formula_of_the_states_is_met():
+    """The output is theta / 2: half the amplitude there is the same motion."""
+
+    class Halved(NonlinearTilt):
+        outputs = ("half", "v")
+
+        def output(self, x, u, p):
+            return (x.theta / 2, x.v)
+
+    half = gb.modeling.harmonic_response(Halved(), TRUTH, OMEGA, amplitude={"half": SWING / 2}, output="v").response
+    whole = gb.modeling.harmonic_response(
+        NonlinearTilt(), TRUTH, OMEGA, amplitude={"theta": SWING}, output="v"
+    ).response
+    assert_allclose(half, whole, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("signal", "amplitude"), [("theta", SWING), ("u", 0.01)])
+def test_jacobian_and_hessian_through_the_balance(signal, amplitude):
+    function = harmonic_function(NonlinearTilt(), OMEGA[:3], gb.modeling.Sine(signal, amplitude), output="theta")
+    p, point = ca.MX.sym("p", 7), np.array(list(TRUTH.values()))
+    column = ca.vertcat(*function(p))
+    weights = ca.DM(np.cos(np.arange(6)))
+    hessian = ca.hessian(ca.dot(weights, column), p)[0]
+    value, jacobian, hessian = (ca.Function("f", [p], [e]) for e in (column, ca.jacobian(column, p), hessian))
+    wanted = numeric_jacobian(lambda x: np.asarray(value(x)).ravel(), point, 1e-4)
+    assert_allclose(jacobian(point), wanted, rtol=1e-7, atol=1e-8 * np.abs(wanted).max(axis=0).min())
+    wanted = numeric_jacobian(lambda x: np.asarray(weights).ravel() @ np.asarray(jacobian(x)), point, 1e-4)
+    assert_allclose(hessian(point), wanted, rtol=1e-6, atol=1e-8 * np.abs(wanted).max())
+
+
+def test_an_angle_held_to_a_sine_has_a_response_in_the_whole_box():
+    parameters = NonlinearTilt().parameters
+    points = gb.solve.Sobol(128).draw(parameters)
+    for swing in (0.01, 0.5):
+        function = harmonic_function(NonlinearTilt(), OMEGA[::2], gb.modeling.Sine("theta", swing), output="theta")
+        assert np.all(np.isfinite(np.asarray(function(points.T)[0])))
+
+
+# --- fits
+
+
+def made(swing, middle=0.0, noise=0.005, seed=0, omega=OMEGA):
+    """A sine test with the simulated truth."""
+    random = np.random.default_rng(seed)
+    exact = np.array([simulated_response(w, swing, middle) for w in omega])
+    error = noise * (random.normal(size=omega.size) + 1j * random.normal(size=omega.size))
+    return gb.FrequencyResponse(omega, exact * (1 + error), input="u", output="theta", name=f"sines about {middle:g}")
+
+
+@cache
+def fitted():
+    problem = gb.Problem(NonlinearTilt(), made(SWING), amplitude={"theta": SWING})
+    return gb.fit(problem, 4, progress=False, solver_options={"max_iter": 150})
+
+
+def test_the_drag_shows_in_hover_at_finite_amplitude():
+    fit = fitted()
+    assert fit.agreeing >= 3
+    assert fit.warnings == ()
+    for name in fit.free:
+        assert abs(fit.estimate[name] - TRUTH[name]) < 3 * fit.standard_error[name]
+    assert fit.standard_error["C_x"] < 0.1 * fit.estimate["C_x"]
+
+
+def test_the_linearization_does_not_see_it():
+    fit = gb.fit(gb.Problem(NonlinearTilt(), made(SWING)), 4, progress=False)
+    assert any("C_x is not determined" in text for text in fit.warnings)
+    assert fit.cost > 1.5 * fitted().cost
+
+
+def test_the_standard_errors_are_those_of_repeated_tests():
+    """The scatter of estimates from other noise, in standard errors, is near one."""
+    fits = [
+        gb.fit(
+            gb.Problem(NonlinearTilt(), made(SWING, seed=seed), amplitude={"theta": SWING}),
+            [TRUTH_FREE],
+            progress=False,
+        )
+        for seed in range(1, 7)
+    ]
+    scatter = [(fit.estimate["C_x"] - TRUTH["C_x"]) / fit.standard_error["C_x"] for fit in fits]
+    assert 0.4 < np.sqrt(np.mean(np.square(scatter))) < 2.0
+
+
+def dragged():
+    """The response of a slider to sines so slow and wide that drag makes it anything but a sine."""
+    omega = np.array([0.05, 0.1, 0.2, 0.4, 0.8])
+    sine = gb.modeling.Sine("theta", 0.3, harmonics=21)
+    exact = gb.modeling.harmonic_response(Slider(), {"C_x": 0.3}, omega, amplitude=sine)
+    random = np.random.default_rng(0)
+    error = 1e-3 * (random.normal(size=omega.size) + 1j * random.normal(size=omega.size))
+    return gb.FrequencyResponse(omega, exact.response * (1 + error), input="theta", output="v")
+
+
+def slid(harmonics):
+    amplitude = gb.modeling.Sine("theta", 0.3, harmonics=harmonics)
+    problem = gb.Problem(Slider(), dragged(), gb.SquaredRelativeError(), amplitude=amplitude)
+    return gb.fit(problem, [{}], progress=False)
+
+
+def test_harmonics_that_do_not_suffice_are_told_with_the_shift_that_more_bring():
+    """The shift is that of a second fit, with as many harmonics as the sentence names."""
+    few = slid(1)
+    (said,) = [text for text in few.warnings if "harmonics" in text]
+    found = re.search(r"with (\d+) the response .* and C_x by ([\d.]+) standard errors; use .*harmonics=(\d+)\)", said)
+    assert found[1] == found[3]
+    many = slid(int(found[1]))
+    moved = abs(many.estimate["C_x"] - few.estimate["C_x"]) / few.standard_error["C_x"]
+    assert moved > 1
+    assert float(found[2]) == pytest.approx(moved, rel=0.3)
+
+
+def test_the_harmonics_that_are_proposed_lead_to_enough():
+    said, tried = [""], 3
+    while said:
+        fit = slid(tried)
+        said = [text for text in fit.warnings if "too few for" in text]
+        tried = int(re.search(r"harmonics=(\d+)", said[0])[1]) if said else tried
+    assert 3 < tried <= 21
+    assert abs(fit.estimate["C_x"] - 0.3) < 3 * fit.standard_error["C_x"]
+
+
+def test_small_and_large_sines_and_two_operating_points_are_one_fit():
+    middle = float(np.radians(5))
+    parts = [
+        gb.Problem(NonlinearTilt(), made(SWING / 6, seed=2), amplitude={"theta": np.full(OMEGA.size, SWING / 6)}),
+        gb.Problem(NonlinearTilt(), made(SWING, middle, seed=3), amplitude={"theta": SWING}, at={"theta": middle}),
+    ]
+    fit = gb.fit(parts[0] + parts[1], 3, progress=False)
+    for name in fit.free:
+        assert abs(fit.estimate[name] - TRUTH[name]) < 3 * fit.standard_error[name]
+
+
+def test_a_saved_fit_answers_at_the_amplitude_it_was_tested_with(tmp_path):
+    fit = fitted()
+    gb.save(fit, tmp_path / "fit.h5")
+    loaded = gb.load(tmp_path / "fit.h5")
+    assert_allclose(loaded.response(OMEGA).response, fit.parts[0].response, rtol=1e-9)
+    linear = gb.frequency_response(NonlinearTilt(), fit.estimate, OMEGA, output="theta")
+    assert np.abs(linear.response / fit.parts[0].response - 1).max() > 0.02
+    assert fit.parts[0].curve is not None
+    ends = fit.parts[0].curve.response[[0, -1]]
+    assert_allclose(ends, fit.parts[0].response[[0, -1]], rtol=1e-9)
+
+
+def test_between_the_frequencies_the_amplitude_is_interpolated():
+    sine = gb.modeling.Sine("theta", np.array([0.3, 0.1])).between(np.array([4.0, 1.0]), np.array([1.0, 2.0, 4.0, 9.0]))
+    assert_allclose(sine.amplitude, [0.1, 0.2, 0.3, 0.3])
+
+
+# --- what is refused
+
+
+def respond(amplitude, model=None, **options):
+    gb.modeling.harmonic_response(
+        model or NonlinearTilt(), {}, OMEGA, amplitude=amplitude, **{"output": "theta", **options}
+    )
+
+
+@pytest.mark.parametrize(
+    ("amplitude", "sentence"),
+    [
+        ({"speed": 0.1}, r"the sine names 'speed'; of NonlinearTilt it may be u, theta, v, q, rotor"),
+        ({"theta": 0.0}, r"amplitude of 'theta' is 0\.0: give a finite number above 0"),
+        ({"theta": np.nan}, r"amplitude of 'theta' is nan"),
+        ({"theta": "5"}, r"amplitude of 'theta' is"),
+        ({"theta": -0.1}, r"amplitude of 'theta' is -0\.1"),
+        ({"theta": [0.1, 0.2]}, r"has 2 values for 6 frequencies: give one for each"),
+        ({"theta": 0.1, "u": 0.2}, r"amplitude names 'theta', 'u': give the one signal"),
+        ({}, r"amplitude names nothing"),
+        (0.1, r"amplitude is 0\.1: give \{signal: amplitude\} or a Sine"),
+    ],
+)
+def test_a_wrong_amplitude_is_refused_alike_in_numbers_and_in_a_problem(amplitude, sentence):
+    data = gb.FrequencyResponse(OMEGA, np.ones(OMEGA.size), input="u", output="theta")
+    for use in (respond, lambda given: gb.Problem(NonlinearTilt(), data, amplitude=given)):
+        with pytest.raises((ValueError, TypeError), match=sentence):
+            use(amplitude)
+
+
+def test_a_sine_needs_a_name_and_harmonics():
+    for harmonics in (0, 2.5, True, 51):
+        with pytest.raises(ValueError, match=r"harmonics .* whole number from 1 to 50"):
+            gb.modeling.Sine("theta", 0.1, harmonics=harmonics)
+    with pytest.raises(TypeError, match="the signal of a sine is 3"):
+        gb.modeling.Sine(3, 0.1)
+
+
+def test_a_transfer_function_has_no_amplitude():
+    with pytest.raises(ValueError, match=r"Tilt is a transfer function.* leave out the amplitude"):
+        respond({"theta": 0.1}, Tilt())
+
+
+def test_a_record_has_no_amplitude():
+    record = gb.Record(np.arange(5) / 10, {"u": np.zeros(5), "theta": np.zeros(5)})
+    with pytest.raises(ValueError, match="amplitude belongs to a frequency response"):
+        gb.Problem(NonlinearTilt(), record, amplitude={"theta": 0.1})
+
+
+def test_a_signal_that_the_input_does_not_drive_is_said():
+    class Apart(NonlinearTilt):
+        states = ("v", "q", "theta", "rotor", "alone")
+        outputs = ("theta", "alone")
+
+        def derivative(self, x, u, p):
+            return (*super().derivative(x, u, p), -x.alone)
+
+        def output(self, x, u, p):
+            return (x.theta, x.alone)
+
+    with pytest.raises(ValueError, match="the input u cannot make 'alone' a sine in Apart"):
+        respond({"alone": 0.1}, Apart())
+
+
+def test_a_motion_that_does_not_exist_is_said_and_prints_nothing(capfd):
+    """A speed is never negative, so it is no sine about zero."""
+
+    class Speed(NonlinearTilt):
+        outputs = ("theta", "speed")
+
+        def output(self, x, u, p):
+            return (x.theta, abs(x.v) + 0.01 * x.v)
+
+    with pytest.raises(
+        ValueError, match=r"Speed has no periodic motion at omega = .* speed is a sine of amplitude 0.5"
+    ):
+        respond({"speed": 0.5}, Speed())
+    printed = capfd.readouterr()
+    assert (printed.out, printed.err) == ("", "")

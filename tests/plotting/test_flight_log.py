@@ -1,0 +1,57 @@
+"""Figures of time histories."""
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.data.record import Record, Recording
+from greybox.data.test_segment import Segment
+
+mpl.use("Agg")
+TIME = np.arange(0, 100, 0.0025)
+RECORD = Record(
+    TIME, {"u": np.sin(20 * TIME), "theta": 0.1 * np.cos(20 * TIME), "r": 0.1 * np.sin(20 * TIME)},
+    {"theta": "rad", "r": "rad"}, name="made",
+)  # fmt: skip
+
+
+def test_one_test_is_drawn_with_setpoint_and_output_together():
+    figure = gb.plotting.traces(RECORD, Segment(10, 60, omega=20.0), periods=4)
+    control, angles = figure.axes
+    assert [line.get_label() for line in angles.lines] == ["theta", "r"]
+    assert "°" in angles.get_ylabel()
+    assert np.nanmax(angles.lines[0].get_ydata()) == pytest.approx(np.degrees(0.1), rel=1e-3)
+    times = control.lines[0].get_xdata()
+    assert np.nanmax(times) == pytest.approx(60, abs=0.01)
+    assert np.ptp(times[np.isfinite(times)]) == pytest.approx(4 * 2 * np.pi / 20, rel=0.01)
+    assert "20 rad/s" in control.get_title()
+
+
+def test_long_lines_are_thinned_without_losing_their_extremes():
+    figure = gb.plotting.traces(RECORD)
+    line = figure.axes[0].lines[0]
+    assert len(line.get_xdata()) < 5000
+    assert np.nanmax(line.get_ydata()) == pytest.approx(1, abs=1e-3)
+
+
+def test_gaps_stay_open():
+    holed = RECORD.time[(RECORD.time < 1) | (RECORD.time > 2)][:800]
+    figure = gb.plotting.traces(Record(holed, {"x": holed}))
+    assert np.isnan(figure.axes[0].lines[0].get_ydata()).sum() == 1
+
+
+def test_a_recording_is_drawn_with_its_tests_shaded():
+    degrees = Record(TIME, {"DesPitch": TIME, "Pitch": (10 * TIME) % 360}, {"DesPitch": "deg", "Pitch": "deg"})
+    segments = [Segment(10, 20, omega=3.0), Segment(30, 40, omega=2.0, usable=False)]
+    figure = gb.plotting.recording(Recording({"ATT": degrees}, "made.bin"), segments)
+    (axes,) = figure.axes
+    assert len(axes.patches) == 2
+    assert np.nanmax(axes.lines[1].get_ydata()) == pytest.approx(1000, rel=1e-2)
+
+
+def test_any_signals_will_do_and_none_is_said():
+    figure = gb.plotting.recording(Recording({"table": RECORD}, "made.csv"))
+    assert len(figure.axes) == 3
+    with pytest.raises(ValueError, match=r"made\.csv holds no signal"):
+        gb.plotting.recording(Recording({}, "made.csv"))

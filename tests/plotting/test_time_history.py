@@ -1,0 +1,124 @@
+"""Figures of fitted and predicted records show what they hold: lines, gaps, bands, windows."""
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from declared_models import TWO_LAGS_OMEGA, Lag, measured
+from hardening_spring import Spring, driven
+
+import greybox as gb
+
+mpl.use("Agg")
+WHOLE = driven(20.0, noise=0.05, seed=2)
+GAPPED = WHOLE.rows(np.flatnonzero((WHOLE.time < 6) | (WHOLE.time > 7.5)))
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return gb.fit(gb.Problem(Spring(), GAPPED), starts=2, progress=False)
+
+
+@pytest.fixture(scope="module")
+def stiff():
+    return gb.fit(gb.Problem(Spring(), GAPPED, fixed={"stiffness": 4.4}), starts=2, progress=False)
+
+
+def line(axis, color):
+    (found,) = [k for k in axis.lines if k.get_color() == color and k.get_linestyle() == "-" and len(k.get_xdata()) > 2]
+    return found.get_data()
+
+
+def test_a_fit_is_drawn_over_what_was_measured_with_what_is_left_and_the_input(fit):
+    figure = gb.plotting.time_history(fit)
+    output, below, force = figure.axes
+    assert [axis.get_ylabel() for axis in figure.axes] == ["position, m", "residual", "force"]
+    assert output.get_title() == "spring"
+    time, drawn = line(output, "#0072B2")
+    there = np.isfinite(drawn)
+    assert np.allclose(np.interp(time[there], GAPPED.time, fit.parts[0].simulated["position"]), drawn[there])
+    time, left = line(below, "#0072B2")
+    assert np.sqrt(np.nanmean(left**2)) == pytest.approx(0.05, rel=0.1)
+    time, drawn = line(force, "#222222")
+    assert np.isclose(np.nanmax(drawn), GAPPED["force"].max())
+
+
+def test_a_gap_is_left_open(fit):
+    for axis, color in zip(gb.plotting.time_history(fit).axes, ("#0072B2", "#0072B2", "#222222"), strict=True):
+        time, drawn = line(axis, color)
+        kept = time[np.isfinite(time) & np.isfinite(drawn)]
+        (gap,) = np.flatnonzero(np.diff(kept) > 1)
+        place = np.flatnonzero(time == kept[gap])[0]
+        assert np.isnan(time[place + 1 : np.flatnonzero(time == kept[gap + 1])[0]]).any()
+
+
+def test_several_fits_are_laid_over_one_another(fit, stiff):
+    figure = gb.plotting.time_history(fit, stiff, labels=("free", "stiff"))
+    texts = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert texts == ["measured", "free", "stiff"]
+    left = [np.nanstd(line(figure.axes[1], color)[1]) for color in ("#0072B2", "#D55E00")]
+    assert left[1] > 1.5 * left[0]
+    names = [text.get_text() for text in gb.plotting.time_history(fit, stiff).legends[0].get_texts()]
+    assert names[1:] == ["fit of Spring 1", "fit of Spring 2"]
+
+
+def test_predictions_begin_anew_in_every_window_and_have_a_band(fit):
+    prediction = gb.predict(fit, record=WHOLE, horizon=2.0)
+    figure = gb.plotting.time_history(prediction)
+    output = figure.axes[0]
+    _, drawn = line(output, "#0072B2")
+    assert np.isnan(drawn).sum() == len(prediction) == 9
+    (band,) = output.collections
+    assert len(band.get_paths()) == 9
+    assert max(path.get_extents().y1 for path in band.get_paths()) > np.nanmax(drawn)
+    begins = [k for k in output.lines if k.get_marker() == "." and k.get_color() == "#0072B2"]
+    assert begins[0].get_xdata().tolist() == WHOLE.time[prediction.rows[:, 0]].tolist()
+    assert "95 % band without noise" in [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def test_angles_are_drawn_in_degrees():
+    record = gb.Record(WHOLE.time, dict(WHOLE.signals), {"position": "rad"})
+    figure = gb.plotting.time_history(gb.predict(Spring(), {}, record, horizon=1.0))
+    assert figure.axes[0].get_ylabel() == "position, °"
+    shown = np.nanmax(line(figure.axes[0], "#0072B2")[1])
+    assert shown == pytest.approx(np.degrees(np.nanmax(WHOLE["position"])), rel=0.2)
+
+
+def test_long_records_are_thinned_to_their_extremes():
+    time = np.arange(60_000) / 50
+    force = np.sin(time)
+    force[31_234] = 9.0
+    record = gb.Record(time, {"force": force, "position": np.zeros(time.size)})
+    axis = gb.plotting.time_history(gb.predict(Spring(), {}, record, horizon=100.0, lead=1.0)).axes[-1]
+    shown = line(axis, "#222222")[1]
+    assert shown.size < 6000
+    assert np.nanmax(shown) == 9.0
+
+
+def test_plot_shows_the_records_of_a_fit_and_its_responses(fit, tmp_path):
+    figure = gb.plot(fit)
+    assert [axis.get_ylabel() for axis in figure.axes] == ["position, m", "residual", "force", "Cost"]
+    figure.savefig(tmp_path / "a.png")
+    response = gb.Problem(Spring(), measured(Spring(), np.geomspace(0.5, 8, 12), noise=0.02))
+    both = gb.plot(gb.fit(gb.Problem(Spring(), GAPPED) + response, starts=2, progress=False))
+    labels = [axis.get_ylabel() for axis in both.axes]
+    assert labels[:4] == ["position, m", "residual", "force", "Cost"]
+    assert labels[4].startswith("Magnitude")
+    both.savefig(tmp_path / "b.png")
+
+
+def test_wrong_use_is_said_in_a_sentence(fit):
+    response = gb.fit(gb.Problem(Lag(), measured(Lag(), TWO_LAGS_OMEGA)), starts=3, progress=False)
+    with pytest.raises(ValueError, match=r"has no record: draw its responses with gb\.plot"):
+        gb.plotting.time_history(response)
+    with pytest.raises(ValueError, match=r"no frequency response to draw: gb.plotting.time_history draws"):
+        gb.plotting.bode(fit)
+    with pytest.raises(ValueError, match="there is nothing to draw"):
+        gb.plotting.time_history()
+    with pytest.raises(TypeError, match="give a Fit or a Prediction"):
+        gb.plotting.time_history(WHOLE)
+    with pytest.raises(ValueError, match="record 1 is not there: the fit has 1"):
+        gb.plotting.time_history(fit, record=1)
+    with pytest.raises(ValueError, match="belong to different records"):
+        gb.plotting.time_history(fit, gb.predict(fit, record=WHOLE))
+    with pytest.raises(ValueError, match="there are 2 labels for 1 items"):
+        gb.plotting.time_history(fit, labels=("a", "b"))

@@ -1,0 +1,483 @@
+"""Equation error: known truths recovered, intervals that cover, unmeasured states, delays, gaps, and bad input."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import solve_ivp
+
+import greybox as gb
+from greybox.modeling.realization import dynamics
+from greybox.models.controller import AttitudeController
+from greybox.models.mixer import Torques
+from greybox.models.rigid_body import RigidBody
+from greybox.models.rotor import Rotor
+from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
+from greybox.models.yaw import YawStates
+from greybox.regression.least_squares import Block, colors, covariance, residuals, solve
+from greybox.regression.linear_in_parameters import regressions
+
+TILT = {"a1": -2.0, "a2": 4.0, "a3": 3.0, "a4": 200.0}
+WAVES = np.geomspace(0.5, 16, 9)
+PHASES = np.random.default_rng(5).uniform(0, 2 * np.pi, 9)
+
+
+class Slider(gb.StateSpace):
+    """A mass on a spring with viscous and Coulomb friction; `d` delays the force."""
+
+    states = ("x", "v")
+    inputs = ("F",)
+    outputs = ("x",)
+    delays = {"F": "d"}
+    k = gb.Parameter(1.0, bounds=(0, 100), unit="1/s²", about="stiffness per mass")
+    c = gb.Parameter(1.0, bounds=(0, 10), unit="1/s", about="viscous friction per mass")
+    mu = gb.Parameter(0.1, bounds=(0, 10), unit="m/s²", about="Coulomb friction per mass")
+    b = gb.Parameter(1.0, bounds=(0, 10), unit="1/kg", about="acceleration per force")
+    d = gb.Parameter(0.0, bounds=(0, 0.3), unit="s", about="delay of the force", fixed=True)
+
+    def derivative(self, x, u, p):
+        return (x.v, -p.k * x.x - p.c * x.v - p.mu * gb.sign(x.v) + p.b * u.F)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+class Integrator(gb.StateSpace):
+    """The one regressor is the input, which is exact."""
+
+    states = ("y",)
+    b = gb.Parameter(1.0, bounds=(-10, 10))
+
+    def derivative(self, x, u, p):
+        return (p.b * u.u,)
+
+    def output(self, x, u, p):
+        return (x.y,)
+
+
+SLIDER = {"k": 9.0, "c": 1.2, "mu": 0.5, "b": 4.0}
+
+
+def force(t):
+    return np.sin(np.multiply.outer(t, WAVES) + PHASES) @ np.ones(9) / 3
+
+
+def solved(derivative, start, time):
+    return solve_ivp(derivative, (time[0], time[-1]), start, t_eval=time, rtol=1e-7, atol=1e-9, max_step=0.05).y
+
+
+def slider(mu=0.5, delay=0.0, seconds=40.0, step=0.01):
+    time = np.arange(round(seconds / step)) * step
+
+    def derivative(t, y):
+        friction = mu * np.tanh(y[1] * 1e3)
+        return y[1], -9 * y[0] - 1.2 * y[1] - friction + 4 * force(max(t - delay, 0.0))
+
+    x, v = solved(derivative, [0, 0], time)
+    return gb.Record(time, {"F": force(time), "x": x, "v": v}, name="slider")
+
+
+def tilt(model, values, seconds=40.0, step=0.01):
+    """Closed loop u = K (reference - state), which keeps the unstable plant near hover."""
+    time = np.arange(round(seconds / step)) * step
+    p = model.values({**TILT, **values, "T_delay": 0.0})
+
+    def control(t, y):
+        return 0.25 * (0.1 * force(t) - y[2]) - 0.035 * y[1] - 0.004 * y[0]
+
+    def derivative(t, y):
+        v, q, theta, rotor = y
+        drag = p.C_x * abs(v) * v - gb.g * (np.tan(theta) - theta) if "C_x" in p else p.a5 * v
+        acceleration = -p.a1 * theta - p.a2 * q - p.a3 * v + p.a4 * rotor
+        return gb.g * theta - drag, acceleration, q, (control(t, y) - rotor) / p.T_rotor
+
+    y = solved(derivative, [0, 0, 0, 0], time)
+    u = np.array([control(t, column) for t, column in zip(time, y.T, strict=True)])
+    return gb.Record(time, {"u": u, "v": y[0], "q": y[1], "theta": y[2], "rotor": y[3]}, name="tilt")
+
+
+@pytest.fixture(scope="module")
+def sliding():
+    return slider()
+
+
+@pytest.fixture(scope="module")
+def flown():
+    return tilt(LinearTilt(), {"a5": 0.3})
+
+
+def measured(record, names, noise=0.0, seed=0, exact=("u", "F")):
+    """Some signals of a record, with white noise relative to their size."""
+    random = np.random.default_rng(seed)
+    errors = {n: 0 if n in exact else noise * np.std(record[n]) * random.normal(size=len(record)) for n in names}
+    return gb.Record(record.time, {n: record[n] + errors[n] for n in names}, name=record.name)
+
+
+def assert_near(result, truth, rel):
+    assert {n: result.estimate[n] for n in truth} == pytest.approx(truth, rel=rel)
+
+
+# --- known truths
+
+
+@pytest.mark.parametrize("names", [("u", "v", "q", "theta"), ("u", "v", "theta")])
+@pytest.mark.parametrize(("noise", "rel"), [(0.0, 2e-3), (1e-3, 5e-3), (0.01, 0.02)])
+def test_linear_tilt(flown, names, noise, rel):
+    record = measured(flown, names, noise)
+    result = gb.regression.equation_error(LinearTilt(), record, fixed={"T_delay": 0.0}, free=["a5"])
+    assert_near(result, {**TILT, "a5": 0.3}, rel)
+    assert all(e.r_squared > 0.99 for e in result.equations)
+
+
+def test_a_virtual_flight_under_a_sampled_controller():
+    time = np.arange(20 * 400) / 400
+    noise = {"theta": 0.001, "q": 0.01, "v": 0.02}
+    flight = {"controller": AttitudeController(), "excitation": {"reference": 0.15 * force(time)}}
+    record = gb.virtual_flight(LinearTilt(), {**TILT, "a5": 0.3, "T_delay": 0.0042}, noise=noise, **flight)
+    held = 0.5 * record.step
+    assert_near(gb.regression.equation_error(LinearTilt(), record, fixed={"T_delay": 0.0042 + held}), TILT, 0.04)
+    free = gb.regression.equation_error(LinearTilt(), record, free="T_delay")
+    assert free.estimate["T_delay"] == pytest.approx(0.0042 + held, abs=4 * free.standard_error["T_delay"])
+
+
+def test_nonlinear_tilt():
+    record = measured(tilt(NonlinearTilt(), {"C_x": 0.08}), ("u", "v", "theta"), 0.01)
+    result = gb.regression.equation_error(NonlinearTilt(), record, fixed={"T_delay": 0.0})
+    assert_near(result, {**TILT, "C_x": 0.08}, 0.02)
+
+
+def test_a_rotor_that_is_not_measured_gives_its_time_constant(flown):
+    record = measured(flown, ("u", "v", "theta"), 1e-3)
+    result = gb.regression.equation_error(LinearTilt(), record, fixed={"T_delay": 0.0}, free=["a5", "T_rotor"])
+    assert_near(result, {**TILT, "T_rotor": 0.048}, 0.01)
+
+
+@pytest.mark.parametrize(("noise", "rel"), [(0.0, 0.02), (1e-3, 0.02), (0.01, 0.06)])
+def test_coulomb_friction(sliding, noise, rel):
+    assert_near(gb.regression.equation_error(Slider(), measured(sliding, ("F", "x", "v"), noise)), SLIDER, rel)
+
+
+def test_a_free_delay():
+    record = measured(slider(delay=0.083), ("F", "x", "v"), 1e-3)
+    result = gb.regression.equation_error(Slider(), record, free="d")
+    assert result.estimate["d"] == pytest.approx(0.083, abs=0.002)
+    assert_near(result, SLIDER, 0.02)
+    fixed = gb.regression.equation_error(Slider(), record, fixed={"d": 0.083})
+    assert_near(fixed, SLIDER, 0.02)
+    wrong = gb.regression.equation_error(Slider(), record)
+    assert wrong.equations[0].r_squared < fixed.equations[0].r_squared
+
+
+def test_the_busy_part_of_a_long_record_gives_the_delay():
+    record = measured(slider(delay=0.083), ("F", "x", "v"), 1e-3)
+    time = np.arange(9000) * 0.01
+    signals = {n: np.concatenate([1e-4 * np.sin(time[:5000]), v]) for n, v in record.signals.items()}
+    late = time + np.where(time >= 50, 1.0, 0.0)
+    result = gb.regression.equation_error(Slider(), gb.Record(late, signals), free="d")
+    assert result.estimate["d"] == pytest.approx(0.083, abs=0.003)
+
+
+def test_several_equations_share_nonlinear_parameters():
+    truth = {"J_x": 0.012, "J_y": 0.016, "J_z": 0.025}
+    body, time = RigidBody(), np.arange(1500) * 0.01
+    f, p = dynamics(body).derivative, list(truth.values())
+    shift = np.array([0.0, 1.3, 2.6])
+
+    def torque(t):
+        return 0.04 * np.array([float(force(np.array(t + 7 * s))) for s in shift])
+
+    def derivative(t, y):
+        return np.asarray(f(y, torque(t) - 0.02 * y[3:] - 0.05 * np.sin(y[:3]), p)).ravel()
+
+    y = solved(derivative, np.zeros(6), time)
+    u = np.array([torque(t) for t in time]).T - 0.02 * y[3:] - 0.05 * np.sin(y[:3])
+    record = gb.Record(time, dict(zip((*body.inputs, *body.states), [*u, *y], strict=True)))
+    record = measured(record, (*body.inputs, *body.states), 1e-3, exact=body.inputs)
+    assert_near(gb.regression.equation_error(body, record), truth, 5e-3)
+
+
+def test_a_transfer_function_with_one_pole_and_a_hidden_state():
+    time = np.arange(4000) * 0.005
+    (speed,) = solved(lambda t, y: (900 * force(max(t - 0.02, 0.0)) - y) / 0.08, [0.0], time)
+    record = gb.Record(time, {"u": force(time), "Omega": speed})
+    truth = {"K_Omega": 900.0, "T_rotor": 0.08, "T_delay": 0.02}
+    assert_near(gb.regression.equation_error(Rotor(), record), truth, 0.01)
+
+
+def test_a_static_model():
+    random = np.random.default_rng(0)
+    speeds = {f"Omega_{k}": random.uniform(300, 900, 500) for k in (1, 2, 3, 4)}
+    one, two, three, four = (w**2 for w in speeds.values())
+    torques = {
+        "tau_phi": 3e-6 * (two + three - one - four) + 0.1 * random.normal(size=500),
+        "tau_psi": 4e-7 * (one + two - three - four),
+    }
+    result = gb.regression.equation_error(Torques(), gb.Record(np.arange(500) * 0.01, {**speeds, **torques}))
+    assert_near(result, {"K_tau": 3e-6, "K_psi": 4e-7}, 0.02)
+    assert [e.left for e in result.equations] == ["tau_phi", "tau_psi"]
+    assert "all" in str(result)
+
+
+# --- how far to believe it
+
+
+def test_intervals_cover_for_exact_regressors_and_white_noise():
+    random, hits = np.random.default_rng(1), []
+    speeds = {f"Omega_{k}": random.uniform(300, 900, 120) for k in (1, 2, 3, 4)}
+    one, two, three, four = (w**2 for w in speeds.values())
+    for _ in range(200):
+        torque = 2e-6 * (two + three - one - four) + 0.2 * random.normal(size=120)
+        result = gb.regression.equation_error(
+            Torques(), gb.Record(np.arange(120) * 0.01, {**speeds, "tau_phi": torque})
+        )
+        hits.append(abs(result.estimate["K_tau"] - 2e-6) < 1.96 * result.standard_error["K_tau"])
+    assert 0.89 <= np.mean(hits) <= 0.99
+
+
+def test_intervals_cover_for_colored_residuals():
+    """Smoothed derivatives of white noise; errors that take the residuals as white are far off."""
+    random, time, errors = np.random.default_rng(2), np.arange(1000) * 0.01, []
+    u = force(time)
+    y = np.concatenate([[0], np.cumsum((u[1:] + u[:-1]) / 2 * 0.01)]) * 2.0
+    for _ in range(60):
+        result = gb.regression.equation_error(
+            Integrator(), gb.Record(time, {"u": u, "y": y + 0.05 * random.normal(size=1000)})
+        )
+        errors.append([result.estimate["b"] - 2, result.standard_error["b"]])
+    error, claimed = np.array(errors).T
+    assert 0.88 <= np.mean(np.abs(error) < 1.96 * claimed) <= 0.99
+    assert np.mean(claimed) == pytest.approx(np.std(error), rel=0.35)
+
+
+def test_covariance_of_known_color():
+    """First-order autoregressive residuals: the scatter over repetitions."""
+    random, n = np.random.default_rng(3), 800
+    X = np.column_stack([np.ones(n), np.sin(np.arange(n) / 20)])
+    drawn, claimed = [], []
+    for _ in range(200):
+        noise = np.zeros(n)
+        for k, e in enumerate(random.normal(size=n)):
+            noise[k] = 0.8 * noise[k - 1] + e
+        blocks = [Block(0, X @ [1.0, 2.0] + noise, np.zeros(n), X)]
+        found = solve(blocks, np.ones(1), np.full(2, -np.inf), np.full(2, np.inf))
+        drawn.append(found)
+        claimed.append(np.diag(covariance(blocks, np.ones(1), colors(blocks, residuals(blocks, found)))))
+    assert_allclose(np.sqrt(np.mean(claimed, axis=0)), np.std(drawn, axis=0), rtol=0.2)
+
+
+def test_the_bias_by_noise_has_the_right_size_and_sign(flown):
+    results = [
+        gb.regression.equation_error(
+            LinearTilt(), measured(flown, ("u", "v", "theta"), 0.1, seed), fixed={"T_delay": 0.0}
+        )
+        for seed in range(6)
+    ]
+    error = np.mean([r.estimate["a2"] - TILT["a2"] for r in results])
+    claimed = np.mean([r.bias["a2"] for r in results])
+    assert claimed == pytest.approx(error, rel=0.6, abs=0.02)
+
+
+def test_high_noise_is_said(flown):
+    result = gb.regression.equation_error(LinearTilt(), measured(flown, ("u", "v", "theta"), 0.3), free="T_delay")
+    assert any("noise in the measured states biases the estimate" in text for text in result.warnings)
+    assert "Noise in the regressors biases" in str(result)
+    quiet = gb.regression.equation_error(
+        LinearTilt(), measured(flown, ("u", "v", "q", "theta"), 1e-3), fixed={"T_delay": 0.0}
+    )
+    assert not any("biases the estimate" in text for text in quiet.warnings)
+
+
+# --- what the record lacks
+
+
+def test_nothing_crosses_gaps_and_missing_samples(sliding):
+    signals = dict(measured(sliding, ("F", "x", "v"), 1e-3).signals)
+    signals = {n: v.copy() for n, v in signals.items()}
+    signals["x"][np.random.default_rng(0).choice(4000, 40, replace=False)] = np.nan
+    signals["v"][1500:1600] = np.nan
+    time = sliding.time + np.where(sliding.time >= 25, 12.3, 0.0)
+    rows = (sliding.time < 22) | (sliding.time >= 25)
+    result = gb.regression.equation_error(Slider(), gb.Record(time, signals).rows(np.flatnonzero(rows)))
+    assert_near(result, SLIDER, 0.03)
+    assert result.equations[0].rows < 3600
+
+
+def test_a_state_follows_from_a_derivative_where_no_free_parameter_is_in_the_way(flown):
+    record = measured(flown, ("u", "v", "q"), 1e-3)
+    result = gb.regression.equation_error(LinearTilt(), record, fixed={"T_delay": 0.0, "a5": 0.3})
+    assert_near(result, TILT, 0.02)
+    assert "theta from the derivative of v" in result.states
+    with pytest.raises(
+        ValueError, match=r"no equation .* \(v' \(it needs theta, not known\); q' \(it needs theta, not"
+    ):
+        gb.regression.equation_error(LinearTilt(), record, free="a5")
+
+
+def test_equations_with_unknown_states_are_left_out(flown):
+    result = gb.regression.equation_error(
+        NonlinearTilt(), measured(flown, ("u", "v", "theta")), fixed={"T_rotor": 0.048}
+    )
+    assert set(result.estimate) == {*TILT, "C_x"}
+    angle_only = gb.regression.equation_error(
+        LinearTilt(), measured(flown, ("u", "theta", "q")), fixed={"T_delay": 0.0, "a5": 0.3}
+    )
+    assert "rotor simulated from u" in angle_only.states
+    assert_near(angle_only, TILT, 0.02)  # the velocity is solved from the angle, with a5 fixed
+    assert "v simulated from theta" in angle_only.states
+
+
+def test_a_hidden_state_with_a_free_parameter_is_solved_for_it():
+    truth = {"a1": -60.0, "a2": 20.0, "a3": 300.0, "a4": 3.0}
+    values = YawStates().values({**truth, "T_delay": 0.0})
+    f, time = dynamics(YawStates()).derivative, np.arange(2000) * 0.01
+    y = solved(
+        lambda t, y: np.asarray(f(y, 0.1 * force(t) - 0.02 * y[1], list(values.values()))).ravel(), [0] * 4, time
+    )
+    record = gb.Record(time, {"u": 0.1 * force(time) - 0.02 * y[1], "r": y[1]})
+    assert_near(gb.regression.equation_error(YawStates(), record, fixed={"T_delay": 0.0}), truth, 0.05)
+
+
+def test_a_hidden_state_that_remembers_longer_than_its_start_says(flown):
+    class Slow(LinearTilt):
+        T_rotor = gb.Parameter(0.002, bounds=(0.001, 1), unit="s")
+
+    late = measured(flown, ("u", "v", "theta"), 1e-3).between(10.0, 25.0)
+    slow = gb.regression.equation_error(Slow(), late, fixed={"T_delay": 0.0})
+    known = gb.regression.equation_error(LinearTilt(), late, fixed={"T_delay": 0.0}, free=["T_rotor"])
+    assert slow.estimate["T_rotor"] == pytest.approx(known.estimate["T_rotor"], rel=1e-3)
+    assert abs(slow.equations[0].rows - known.equations[0].rows) <= 2
+
+
+def test_an_unstable_hidden_state_is_not_solved(flown):
+    class Drifting(LinearTilt):
+        a5 = gb.Parameter(-0.1, bounds=(-1, 1), unit="1/s", about="negative drag", fixed=True)
+
+    with pytest.raises(ValueError, match=r"no equation of Drifting can be used \(q' \(it needs v, not known\)\)"):
+        gb.regression.equation_error(Drifting(), measured(flown, ("u", "theta", "q")))
+
+
+def test_what_is_not_determined_is_said():
+    class Doubled(Slider):
+        b2 = gb.Parameter(1.0, bounds=(0, 10))
+        idle = gb.Parameter(1.0, bounds=(0, 10))
+
+        def derivative(self, x, u, p):
+            v, a = super().derivative(x, u, p)
+            return v, a + p.b2 * u.F + p.idle * (x.v - x.v)
+
+    result = gb.regression.equation_error(Doubled(), slider(seconds=20.0))
+    assert set(result.missing) == {"b", "b2", "idle"}
+    assert "only a combination of b, b2 is determined" in result.missing["b"]
+    assert result.estimate["k"] == pytest.approx(9.0, rel=0.02)
+    assert result.standard_error["k"] < 0.1
+
+
+def test_bounds_hold(sliding):
+    class Bounded(Slider):
+        k = gb.Parameter(5.0, bounds=(0, 8), unit="1/s²")
+
+    result = gb.regression.equation_error(Bounded(), sliding)
+    assert result.estimate["k"] == 8.0
+    assert result.at_bound == ("k",)
+    assert np.isnan(result.standard_error["k"])
+    assert result.standard_error["c"] > 0
+    assert "AT BOUND" in str(result)
+
+
+def test_a_parameter_inside_a_sign_is_not_linear():
+    class Threshold(Slider):
+        v0 = gb.Parameter(0.1, bounds=(-1, 1), unit="m/s")
+
+        def derivative(self, x, u, p):
+            return x.v, -p.k * x.x - p.mu * gb.sign(x.v - p.v0) + p.b * u.F
+
+    form = dynamics(Threshold())
+    found = regressions(form, ["F", "x", "v"], {"c": 1.0, "d": 0.0}, np.ones(4))
+    assert (set(found.linear), found.nonlinear) == ({"k", "mu", "b"}, ("v0",))
+    hidden = regressions(form, ["F"], {"c": 1.0, "d": 0.0}, np.ones(4))
+    assert not hidden.equations  # friction is not linear, so that the states cannot be solved
+
+
+def test_parameters_are_sorted_into_linear_and_nonlinear():
+    def sort(model, signals, **fixed):
+        form = dynamics(model)
+        start = np.array([p.start for n, p in model.parameters.items() if n not in fixed])
+        found = regressions(form, signals, fixed, start)
+        return set(found.linear), set(found.nonlinear)
+
+    assert sort(Slider(), ["F", "x", "v"]) == ({"k", "c", "mu", "b"}, {"d"})
+    assert sort(LinearTilt(), ["u", "theta", "v"], T_delay=0.0) == ({*TILT, "a5"}, {"T_rotor"})
+    assert sort(YawStates(), ["u", "r"], T_delay=0, T_rotor=0.05, K_nu=1) == ({"a1", "a2", "a3"}, {"a4"})
+    body = RigidBody()
+    assert sort(body, [*body.states, *body.inputs]) == (set(), {"J_x", "J_y", "J_z"})
+
+
+# --- as a start
+
+
+def test_the_estimate_is_a_start(flown):
+    result = gb.regression.equation_error(
+        LinearTilt(), measured(flown, ("u", "v", "theta"), 0.01), fixed={"T_delay": 0.0}
+    )
+    truth = {**TILT, "a5": 0.16, "T_delay": 0.0}
+    data = gb.frequency_response(LinearTilt(), truth, np.geomspace(1, 20, 12), input="u", output="theta")
+    fit = gb.fit(gb.Problem(LinearTilt(), data, fixed={"T_delay": 0.0}), starts=[result.estimate])
+    assert fit.converged
+    assert result.covariance_of(["a2", "a1"]).shape == (2, 2)
+    assert result.covariance_of(["a1"])[0, 0] == pytest.approx(result.standard_error["a1"] ** 2)
+    later = gb.Problem(LinearTilt(), data, fixed={"a1": result, "T_delay": 0.0})
+    assert later.parameters["a1"].start == result.estimate["a1"]
+
+
+def test_it_prints_itself(flown):
+    text = str(
+        gb.regression.equation_error(LinearTilt(), measured(flown, ("u", "v", "theta"), 0.01), fixed={"T_delay": 0.0})
+    )
+    assert text.startswith("LinearTilt, tilt: equation error\n")
+    for part in ("a4", "1/(m·s)", "q' ", "state q from the derivative of theta", "state rotor simulated from u"):
+        assert part in text
+
+
+# --- bad input
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "sentence"),
+    [
+        ({"F": None}, {}, "the record has no signal 'F', an input of Slider; it has x, v"),
+        ({"F": 0.3}, {}, "F of Slider never moves in the record"),
+        ({"x": None, "v": None}, {}, r"no equation of Slider can be used \(v' \(the state v is not known\)\)"),
+        ({"v": 0.0, "x": 0.0}, {"fixed": {"b": 4.0}}, "the record determines none of k, c, mu"),
+        ({}, {"fixed": SLIDER}, "Slider has no free parameter here"),
+        ({}, {"fixed": {"nu": 1}}, "Slider has no parameter 'nu'"),
+        ({}, {"free": ["nu"]}, "Slider has no parameter 'nu'"),
+        ({}, {"fixed": {"d": 0.1}, "free": "d"}, "'d' is both fixed and free"),
+        ({}, {"fixed": {"d": 7.0}}, r"fixed gives 'd' the value 7\.0: give a number within \(0, 0\.3\)"),
+        ({}, {"cutoff": 0}, "cutoff 0 must be a number of Hz above 0"),
+        ({}, {"cutoff": 0.01}, "no stretch without a gap is long enough: the longest piece of the record has 40 s"),
+    ],
+)
+def test_bad_input(sliding, change, options, sentence):
+    signals = {
+        n: np.full(len(sliding), change[n]) if n in change else v
+        for n, v in sliding.signals.items()
+        if change.get(n, 0.0) is not None
+    }
+    with pytest.raises(ValueError, match=sentence):
+        gb.regression.equation_error(Slider(), gb.Record(sliding.time, signals), **options)
+
+
+def test_bad_records(sliding):
+    uneven = sliding.time + 0.3 * 0.01 * np.sin(np.arange(len(sliding)))
+    with pytest.raises(ValueError, match="sampling is not uniform"):
+        gb.regression.equation_error(Slider(), gb.Record(uneven, sliding.signals))
+    with pytest.raises(ValueError, match="the record has 5 samples"):
+        gb.regression.equation_error(Slider(), sliding.rows(np.arange(5)))
+    with pytest.raises(TypeError, match="give an instance such as"):
+        gb.regression.equation_error(Slider, sliding)
+    with pytest.raises(TypeError, match="give a Record"):
+        gb.regression.equation_error(Slider(), sliding.signals)
+
+
+def test_a_transfer_function_of_higher_order_is_refused(flown):
+    with pytest.raises(ValueError, match=r"Tilt needs derivatives of 'theta' .* declare it as a StateSpace"):
+        gb.regression.equation_error(Tilt(), flown)

@@ -1,0 +1,126 @@
+"""Smoothing: derivatives of known truths, noise found again, gaps and missing samples, uneven sampling refused."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.signal import savgol_filter
+
+import greybox as gb
+from greybox.regression.smoothing import low_pass, reach, regular, smooth, stretches
+
+STEP = 0.02
+TIME = np.arange(1500) * STEP
+OMEGA = 2 * np.pi * np.array([0.1, 0.37, 0.9, 1.9])
+PHASE = np.array([0.3, 1.7, 4.0, 2.2])
+
+
+def truth(derivative=0):
+    waves = OMEGA**derivative * np.sin(np.multiply.outer(TIME, OMEGA) + PHASE + derivative * np.pi / 2)
+    return waves @ np.array([1.0, 0.8, 0.5, 0.2])
+
+
+def noisy(size, seed=0):
+    return truth() + size * np.random.default_rng(seed).normal(size=TIME.size)
+
+
+def derivative_error(derivative):
+    return float(np.sqrt(np.mean((derivative - truth(1))[75:-75] ** 2)) / np.std(truth(1)))
+
+
+@pytest.mark.parametrize(("size", "limit"), [(0.0, 1e-4), (1e-3, 6e-3), (0.01, 0.03), (0.1, 0.15)])
+def test_derivative_of_a_known_signal(size, limit):
+    assert derivative_error(smooth(TIME, noisy(size)).derivative) < limit
+
+
+@pytest.mark.parametrize("size", [0.01, 0.1])
+def test_no_window_of_savitzky_and_golay_does_better(size):
+    ours = [derivative_error(smooth(TIME, noisy(size, seed)).derivative) for seed in range(5)]
+    windows = range(5, 151, 4)
+    theirs = [
+        min(derivative_error(savgol_filter(noisy(size, seed), w, 3, deriv=1, delta=STEP)) for w in windows)
+        for seed in range(5)
+    ]
+    assert np.mean(ours) < np.mean(theirs)
+
+
+@pytest.mark.parametrize("size", [1e-3, 0.01, 0.1])
+def test_the_noise_is_found_again(size):
+    assert smooth(TIME, noisy(size)).noise == pytest.approx(size, rel=0.1)
+
+
+def test_a_lower_cutoff_passes_less():
+    known = smooth(TIME, noisy(0.01), cutoff=3.0)
+    assert known.cutoff == 3.0
+    assert np.std(known.derivative) < 0.8 * np.std(truth(1))
+
+
+def test_the_filter_halves_its_cutoff_and_passes_a_line():
+    line = 3 - 0.5 * TIME
+    assert_allclose(low_pass(line, STEP, 2.0), line, atol=1e-12)
+    omega = 10 * np.pi / TIME[-1]
+    wave = np.sin(omega * TIME)
+    assert_allclose(low_pass(wave, STEP, omega), wave / 2, atol=1e-12)
+    columns = low_pass(np.column_stack([wave, line]), STEP, omega)
+    assert_allclose(columns, np.column_stack([wave / 2, line]), atol=1e-12)
+
+
+def test_the_reach_is_that_of_an_impulse():
+    cutoff = 5.0
+    impulse = np.zeros(TIME.size)
+    impulse[750] = 1.0
+    answer = np.abs(low_pass(impulse, STEP, cutoff))
+    beyond = np.abs(TIME - TIME[750]) > 2 * reach(cutoff)
+    assert answer[beyond].max() < 0.02 * answer.max()
+
+
+def test_nothing_crosses_a_gap():
+    time = np.where(TIME < 15, TIME, TIME + 7)
+    jump = np.where(TIME < 15, 0.0, 100.0)
+    known = smooth(time, truth() + jump)
+    assert np.abs(known.values - truth() - jump).max() < 0.01
+    assert np.abs(known.derivative - truth(1)).max() < 0.5
+
+
+def test_single_missing_samples_are_interpolated_and_longer_holes_are_not():
+    values = noisy(0.001)
+    values[[300, 700]] = np.nan
+    values[1000:1010] = np.nan
+    known = smooth(TIME, values)
+    assert np.flatnonzero(np.isnan(known.values)).tolist() == list(range(1000, 1010))
+    assert known.values[[300, 700]] == pytest.approx(truth()[[300, 700]], abs=0.01)
+    assert [rows.start for rows in stretches(TIME, known.values)] == [0, 1010]
+
+
+def test_a_missing_row_is_put_in():
+    rows = np.delete(np.arange(200), [50, 120])
+    gap = np.concatenate([rows, rows + 1000])
+    record = gb.Record(TIME[gap], {"y": truth()[gap]})
+    full = regular(record)
+    assert len(full) == 400
+    assert len(full.pieces) == 2
+    assert_allclose(full.time[:200], TIME[:200], atol=1e-12)
+    assert np.flatnonzero(np.isnan(full["y"])).tolist() == [50, 120, 250, 320]
+    assert regular(full) is full
+
+
+@pytest.mark.parametrize(
+    ("time", "values", "cutoff", "sentence"),
+    [
+        (TIME + 0.1 * STEP * (np.arange(1500) == 700), TIME, None, r"not uniform: the step at 13\.98 s is 0\.022 s"),
+        (TIME[:8], TIME[:8], None, "no stretch of 12 samples without a gap among its 8, of which 8 are there"),
+        (TIME, np.where(np.arange(1500) % 10, np.nan, 1.0), None, "of which 150 are there: put it on the time base"),
+        (TIME, TIME, -1.0, r"cutoff -1\.0 must be a number of rad/s above 0"),
+        (TIME[:1], TIME[:1], None, "1 sample has no derivative"),
+    ],
+)
+def test_bad_input(time, values, cutoff, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        smooth(time, values, cutoff)
+
+
+def test_uneven_records_are_refused():
+    time = np.cumsum(np.random.default_rng(0).uniform(0.01, 0.02, 300))
+    with pytest.raises(ValueError, match="sampling is not uniform"):
+        regular(gb.Record(time, {"y": time}))
+    with pytest.raises(ValueError, match="the record has 3 samples"):
+        regular(gb.Record(TIME[:3], {"y": TIME[:3]}))

@@ -1,0 +1,87 @@
+"""Constraints of fits in time: starts that miss them, curved ones, and every method the same answer."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.solve.constraints import Limits
+
+
+class Lag(gb.StateSpace):
+    """First-order lag."""
+
+    states, inputs, outputs = ("x",), ("u",), ("y",)
+    a = gb.Parameter(1.0, bounds=(0.01, 50), unit="1/s", about="pole")
+    b = gb.Parameter(1.0, bounds=(-50, 50), unit="1/s", about="gain")
+
+    def derivative(self, x, u, p):
+        return (-p.a * x.x + p.b * u.u,)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+HELD = gb.OutputError(inputs="held")
+METHODS = [
+    gb.MultipleShooting(),
+    gb.MultipleShooting(ipopt=True),
+    gb.MultipleShooting(hessian="exact"),
+    gb.SingleShooting(),
+    gb.Collocation(),
+]
+
+
+def record(samples=300, step=0.05, a=2.0, b=3.0, noise=0.1):
+    """Return a record of the lag, its response to held inputs in closed form."""
+    random = np.random.default_rng(0)
+    u = np.repeat(random.normal(size=samples // 10 + 1), 10)[:samples]
+    y, decay = np.zeros(samples), np.exp(-a * step)
+    for k in range(samples - 1):
+        y[k + 1] = decay * y[k] + b / a * (1 - decay) * u[k]
+    return gb.Record(np.arange(samples) * step, {"u": u, "y": y + noise * random.normal(size=samples)})
+
+
+@pytest.mark.parametrize("method", METHODS, ids=repr)
+def test_a_start_that_misses_the_constraint_is_led_back_to_it(method):
+    """The declared start misses b >= 1.6 a, and so does the truth: the tie b = 1.6 a has the same minimum."""
+    data = record()
+    fit = gb.fit(gb.Problem(Lag(), data, HELD, constraints=[lambda p: p.b - 1.6 * p.a]), starts=3, method=method)
+    tied = gb.fit(gb.Problem(Lag(), data, HELD, tied={"b": lambda p: 1.6 * p.a}), starts=3)
+    assert fit.agreeing == 3
+    assert fit.estimate["b"] >= 1.6 * fit.estimate["a"] - 1e-6
+    assert fit.estimate["a"] == pytest.approx(tied.estimate["a"], rel=1e-4)
+    assert fit.cost == pytest.approx(tied.cost, abs=1e-4)
+    assert fit.standard_error["a"] == pytest.approx(tied.standard_error["a"], rel=1e-3)
+
+
+@pytest.mark.parametrize("samples", [300, 30000])
+def test_a_curved_constraint_is_kept(samples):
+    """On the circle a² + b² = 9 the cost is minimized by hand, over the angle."""
+    data = record(samples)
+    fit = gb.fit(gb.Problem(Lag(), data, HELD, constraints=[lambda p: 9 - p.a**2 - p.b**2]), starts=4)
+    angle = np.arctan2(fit.estimate["b"], fit.estimate["a"])
+    assert fit.agreeing == 4
+    assert np.hypot(fit.estimate["a"], fit.estimate["b"]) == pytest.approx(3, rel=1e-6)
+    problem = gb.Problem(Lag(), data, HELD)
+    beside = [gb.cost(problem, {"a": 3 * np.cos(t), "b": 3 * np.sin(t)}) for t in (angle - 1e-3, angle, angle + 1e-3)]
+    assert beside[1] <= min(beside[0], beside[2])
+
+
+def test_constraints_that_contradict_one_another_are_no_answer():
+    """Nothing can be converged where the constraints leave no point."""
+    nothing = [lambda p: p.a - 3, lambda p: 2 - p.a]
+    fit = gb.fit(gb.Problem(Lag(), record(), HELD, constraints=nothing), starts=2)
+    assert not fit.converged
+
+
+def test_the_nearest_point_keeps_bounds_and_constraints():
+    """Of (2, 2) on the line x + y = 1 within the unit square, and a point that keeps all stays."""
+    z = ca.SX.sym("z", 2)
+    constraint = 1 - z[0] - z[1]
+    limits = Limits(
+        np.zeros(2), np.ones(2), ca.Function("c", [z], [constraint, ca.densify(ca.jacobian(constraint, z))])
+    )
+    assert limits.nearest(np.array([2.0, 2.0])) == pytest.approx([0.5, 0.5])
+    assert limits.nearest(np.array([0.2, 0.3])) == pytest.approx([0.2, 0.3])
+    assert limits.missed(np.array([1.0, 1.0])) == pytest.approx(1.0)

@@ -1,0 +1,69 @@
+"""One IPOPT run: options, failures that stay results, poles on the imaginary axis, silence."""
+
+import numpy as np
+import pytest
+from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, Oscillator, measured
+
+import greybox as gb
+
+PROBLEM = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS))
+OSCILLATOR = measured(Oscillator(), [1.0, 2.0, 4.0, 8.0], {"w0": 3.0, "K": 2.0})
+CRITERIA = [gb.RelativeError(), gb.SquaredRelativeError(), gb.MagnitudePhase()]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"max_itr": 3}, "solver_options 'max_itr' = 3 is not an option of IPOPT"),
+        ({"max_iter": 50, "tolerance": 1e-9}, "solver_options 'tolerance' = 1e-09 is not an option"),
+        ({"tol": "small"}, "solver_options 'tol' = 'small' is not an option of IPOPT with such a value"),
+        ({"max_iter": -3}, "solver_options 'max_iter' = -3"),
+        ({"linear_solver": "nope"}, "solver_options 'linear_solver' = 'nope'"),
+    ],
+)
+def test_an_option_that_ipopt_does_not_take_is_named(options, words):
+    with pytest.raises(ValueError, match=words):
+        gb.fit(PROBLEM, starts=1, solver_options=options)
+
+
+@pytest.mark.parametrize("most", [0, 1, 4])
+def test_max_iter_is_respected(most):
+    fit = gb.fit(PROBLEM, starts=5, solver_options={"max_iter": most})
+    assert not any(run.converged for run in fit.runs)
+    assert [run.iterations for run in fit.runs] == [most] * 5
+
+
+def test_tolerance_reaches_the_solver():
+    coarse, fine = (gb.fit(PROBLEM, starts=5, solver_options={"tol": tol}) for tol in (1e-1, 1e-11))
+    assert sum(run.iterations for run in coarse.runs) < sum(run.iterations for run in fine.runs)
+    assert min(run.cost for run in fine.runs) < min(run.cost for run in coarse.runs)
+
+
+@pytest.mark.parametrize("criterion", CRITERIA, ids=repr)
+def test_a_start_whose_pole_lies_on_a_data_frequency_fails_and_never_wins(criterion):
+    fit = gb.fit(gb.Problem(Oscillator(), OSCILLATOR, criterion), starts=[{"w0": 2.0}, {"w0": 4.0}, {"w0": 3.2}])
+    for run in fit.runs[:2]:
+        assert run.status == "Invalid_Number_Detected" or (run.converged and np.isfinite(run.cost))
+    assert fit.runs[2].converged
+    assert fit.minima[0].runs[0] == 2 or fit.runs[fit.minima[0].runs[0]].converged
+    assert fit.estimate == pytest.approx({"w0": 3.0, "K": 2.0}, rel=1e-6)
+
+
+def test_only_failures_are_an_answer_too():
+    fit = gb.fit(gb.Problem(Oscillator(), OSCILLATOR), starts=[{"w0": 2.0}, {"w0": 4.0}])
+    assert not fit.converged
+    assert "1 × Invalid_Number_Detected (no finite response at omega = 2 rad/s)" in fit.status
+    assert "1 × Invalid_Number_Detected (no finite response at omega = 4 rad/s)" in fit.status
+
+
+def test_failed_and_good_runs_print_nothing(capfd):
+    gb.fit(gb.Problem(Oscillator(), OSCILLATOR), starts=[{"w0": 2.0}, {"w0": 3.2}], progress=False)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_estimates_stay_inside_their_bounds_to_the_last_bit():
+    data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS | {"tau": 0.0, "T2": 0.001}, noise=0.02, seed=3)
+    fit = gb.fit(gb.Problem(LagLagDelay(), data), starts=20)
+    for run in fit.runs:
+        assert np.all(run.estimate >= [0, 0.001, 0.001, 0])
+        assert np.all(run.estimate <= [100, 10, 10, 0.5])

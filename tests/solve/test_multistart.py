@@ -1,0 +1,113 @@
+"""Many runs: all are kept, failures never win, noise-free truths are found from nearly every start."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from declared_models import TILT, TILT_OMEGA, TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
+from numpy.testing import assert_array_equal
+
+import greybox as gb
+from greybox.compiled.compiled_problem import compile_problem
+from greybox.models.tilt import Tilt
+from greybox.solve.minima import find_minima
+from greybox.solve.multistart import multistart
+
+NOISY = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.05))
+CRITERIA = [
+    gb.RelativeError(),
+    gb.RelativeError(normalized="model"),
+    gb.SquaredRelativeError(),
+    gb.MagnitudePhase(),
+    gb.MaximumLikelihood(),
+]
+
+
+@pytest.mark.parametrize("criterion", CRITERIA, ids=repr)
+def test_two_lags_and_a_delay_are_found_from_95_of_100_starts(criterion):
+    exact = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS)
+    data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, columns={"variance": 1e-4 * np.abs(exact.response) ** 2})
+    ordered = [lambda p: p.T1 - p.T2]
+    fit = gb.fit(gb.Problem(LagLagDelay(), data, criterion, constraints=ordered), starts=100)
+    assert fit.agreeing >= 95
+    assert fit.estimate == pytest.approx(TWO_LAGS, rel=1e-6)
+
+
+@pytest.mark.parametrize("criterion", CRITERIA[:4], ids=repr)
+def test_tilt_is_found_from_95_of_100_starts(criterion):
+    fit = gb.fit(gb.Problem(Tilt(), measured(Tilt(), TILT_OMEGA, TILT), criterion), starts=100)
+    assert fit.agreeing >= 95
+    assert {n: fit.estimate[n] for n in TILT} == pytest.approx(TILT, rel=1e-6)
+
+
+def test_every_run_is_kept_with_its_story():
+    fit = gb.fit(NOISY, gb.solve.LatinHypercube(12, seed=5))
+    assert [run.index for run in fit.runs] == list(range(12))
+    assert_array_equal([r.start for r in fit.runs], gb.solve.LatinHypercube(12, seed=5).draw(NOISY.parameters))
+    for run in fit.runs:
+        assert run.status == "Solve_Succeeded"
+        assert run.converged
+        assert run.iterations > 1
+        assert 0 < run.seconds < fit.seconds
+        values = dict(zip(fit.free, run.estimate, strict=True))
+        assert gb.cost(NOISY, values) == pytest.approx(run.cost, rel=1e-12)
+
+
+def test_without_a_converged_run_there_is_no_answer_and_it_says_why():
+    fit = gb.fit(NOISY, starts=4, solver_options={"max_iter": 1})
+    assert not fit.converged
+    assert fit.minima == ()
+    assert fit.agreeing == 0
+    assert np.isnan(fit.cost)
+    assert all(np.isnan(value) for value in (*fit.estimate.values(), *fit.standard_error.values()))
+    assert fit.status == "no start converged (4 × Maximum_Iterations_Exceeded)"
+    assert "FAILED: no start converged (4 × Maximum_Iterations_Exceeded)" in str(fit)
+    assert len(fit.runs) == 4
+    assert all(np.isfinite(run.cost) for run in fit.runs)
+
+
+def test_a_failed_fit_with_ties_and_derived_quantities_is_a_result_too():
+    class Derived(LagLagDelay):
+        derived = {"sum": lambda p: p.T1 + p.T2}
+
+    problem = gb.Problem(Derived(), NOISY.data, tied={"T2": lambda p: p.T1 / 10})
+    fit = gb.fit(problem, starts=2, solver_options={"max_iter": 1})
+    assert not fit.converged
+    assert np.isnan(fit.estimate["T2"])
+    assert np.isnan(fit.derived["sum"])
+    assert "FAILED" in str(fit)
+
+
+def test_a_run_that_did_not_converge_never_wins_however_cheap_it_is():
+    exact = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS)
+    nlp = compile_problem(gb.Problem(LagLagDelay(), exact))
+    truth = np.array(list(TWO_LAGS.values()))
+    stopped = multistart(nlp, truth[None], {"max_iter": 0})
+    assert stopped.runs[0].status == "Maximum_Iterations_Exceeded"
+    assert stopped.minima == ()
+    worse = replace(stopped.runs[0], index=1, cost=9.0, converged=True, estimate=truth * 1.5)
+    (only,) = find_minima(nlp, [replace(stopped.runs[0], cost=0.0), worse])
+    assert (only.cost, only.runs) == (9.0, (1,))
+
+
+def test_the_polish_ends_no_higher_than_the_best_run():
+    fit = gb.fit(NOISY, starts=10)
+    assert fit.cost <= min(run.cost for run in fit.runs)
+    assert gb.cost(NOISY, {n: fit.estimate[n] for n in fit.free}) == pytest.approx(fit.cost, rel=1e-12)
+
+
+def test_progress_is_told_after_every_run():
+    told = []
+    gb.fit(NOISY, starts=5, progress=lambda done, total: told.append((done, total)))
+    assert told == [(k, 5) for k in range(1, 6)]
+
+
+def test_the_same_seed_gives_the_same_runs_bit_by_bit():
+    first, second, other = (gb.fit(NOISY, starts=8, seed=seed) for seed in (3, 3, 4))
+    for a, b in zip(first.runs, second.runs, strict=True):
+        assert_array_equal(a.start, b.start)
+        assert_array_equal(a.estimate, b.estimate)
+        assert (a.cost, a.status, a.iterations) == (b.cost, b.status, b.iterations)
+    assert first.estimate == second.estimate
+    assert first.standard_error == second.standard_error
+    assert not np.array_equal(first.runs[0].start, other.runs[0].start)

@@ -1,0 +1,180 @@
+"""Identifications of other vehicles and machines: what they ask of a framework that a tilt loop does not."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import greybox as gb
+from greybox.compiled.compiled_problem import compile_problem
+from greybox.solve.discretization_error import integration_error, integration_warnings, well_integrated
+from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.multistart import multistart
+
+
+def simulated(derivative, x0, time):
+    """Return states (n, samples) by SciPy, which shares nothing with the code under test."""
+    return solve_ivp(derivative, (time[0], time[-1]), x0, t_eval=time, rtol=1e-10, atol=1e-12, max_step=0.1).y
+
+
+def point(problem, **values):
+    """Return the compiled problem, its first record and the record's place at these parameters."""
+    nlp = compile_problem(problem)
+    z = nlp.scaling.to_solver(np.array([values[name] for name in nlp.free]))
+    return nlp, nlp.records[0], nlp.records[0].place(z)
+
+
+class LotkaVolterra(gb.StateSpace):
+    """Hares and lynxes, sampled once a year; no input."""
+
+    states = outputs = ("H", "L")
+    inputs = ()
+    a = gb.Parameter(0.5, bounds=(0.05, 5), scale="log")
+    b = gb.Parameter(0.02, bounds=(0.001, 0.2), scale="log")
+    c = gb.Parameter(0.5, bounds=(0.05, 5), scale="log")
+    d = gb.Parameter(0.02, bounds=(0.001, 0.2), scale="log")
+
+    def derivative(self, x, u, p):
+        return (p.a * x.H - p.b * x.H * x.L, p.d * x.H * x.L - p.c * x.L)
+
+    def output(self, x, u, p):
+        return (x.H, x.L)
+
+
+def test_a_model_without_inputs_sampled_sparsely():
+    true = {"a": 0.55, "b": 0.028, "c": 0.84, "d": 0.026}
+    time = np.arange(21.0)
+    x = simulated(lambda t, x: [0.55 * x[0] - 0.028 * x[0] * x[1], 0.026 * x[0] * x[1] - 0.84 * x[1]], [33, 6], time)
+    x = x + 2 * np.random.default_rng(0).standard_normal(x.shape)
+    fit = gb.fit(gb.Problem(LotkaVolterra(), gb.Record(time, {"H": x[0], "L": x[1]})), starts=5, progress=False)
+    assert fit.converged
+    for name, value in true.items():
+        assert abs(fit.estimate[name] - value) < 3.5 * fit.standard_error[name]
+
+
+class Pendulum(gb.StateSpace):
+    """A pendulum swinging freely with large amplitude."""
+
+    states = ("theta", "q")
+    inputs = ()
+    outputs = ("theta",)
+    k = gb.Parameter(39.0, bounds=(35, 45), unit="1/s²")
+    c = gb.Parameter(0.1, bounds=(0, 2), unit="1/s")
+
+    def derivative(self, x, u, p):
+        return (x.q, -p.k * gb.sin(x.theta) - p.c * x.q)
+
+    def output(self, x, u, p):
+        return (x.theta,)
+
+
+@pytest.fixture(scope="module")
+def slow_pendulum():
+    """Two samples and a half a period: four standard steps of Runge-Kutta damp more than the pendulum itself."""
+    time = 0.4 * np.arange(60)
+    x = simulated(lambda t, x: [x[1], -39 * np.sin(x[0]) - 0.08 * x[1]], [1.2, 0], time)
+    return gb.Record(time, {"theta": x[0] + 0.01 * np.random.default_rng(0).standard_normal(60)})
+
+
+def coarse(record, substeps=None):
+    """Return a fit whose substeps are few, as a choice by stability alone makes them."""
+    problem = gb.Problem(Pendulum(), record)
+    nlp = compile_problem(problem, gb.MultipleShooting(integrator=gb.RungeKutta(substeps=substeps)))
+    return nlp, multistart(nlp, np.array([[39.0, 0.1]]))
+
+
+def test_too_few_substeps_are_told_from_their_shift(slow_pendulum):
+    nlp, search = coarse(slow_pendulum, substeps=2)
+    assert search.converged
+    profile = GaussNewton(nlp).profile(search.minima[0].estimate, search.nodes)
+    assert integration_error(nlp, profile).largest > 1
+    (sentence,) = integration_warnings(nlp, profile)
+    assert "4 substeps a sample instead of 2" in sentence
+    assert well_integrated(nlp, search) == (nlp, search, None)  # what the method fixes stays
+
+
+def test_the_shift_is_that_of_a_second_fit(slow_pendulum):
+    found = []
+    for substeps in (40, 80):
+        nlp, search = coarse(slow_pendulum, substeps)
+        profile = GaussNewton(nlp).profile(search.minima[0].estimate, search.nodes)
+        found.append((search.minima[0].estimate, integration_error(nlp, profile).shift))
+    errors = np.array([0.010, 0.00032])  # of k and c at this noise
+    assert np.all(np.abs((found[1][0] - found[0][0]) / errors - found[0][1]) < 0.05)
+    assert np.abs(found[1][1]).max() < 0.1
+
+
+def test_substeps_are_refined_until_the_truth_is_found(slow_pendulum):
+    nlp, search = coarse(slow_pendulum)
+    finer, refined, _ = well_integrated(nlp, search)
+    profile = GaussNewton(finer).profile(refined.minima[0].estimate, refined.nodes)
+    assert integration_error(finer, profile).largest <= 0.1
+    assert np.all(np.abs(refined.minima[0].estimate - [39, 0.08]) < 3.5 * np.array([0.010, 0.00032]))
+
+
+def test_an_undamped_oscillation_gets_substeps_by_its_frequency(slow_pendulum):
+    # One step of Runge-Kutta is stable up to |pole| · step = 2.7, and here, at 2.5, wrong.
+    nlp = compile_problem(gb.Problem(Pendulum(), slow_pendulum))
+    assert nlp.records[0].substeps >= np.sqrt(39) * 0.4 / 0.7
+
+
+class Airspeed(gb.StateSpace):
+    """Airspeed and angle of attack of a glider, which no airspeed of zero allows; the density of the air is hidden."""
+
+    states = ("V", "alpha", "rho")
+    inputs = ("gamma",)
+    outputs = ("V", "lift")
+    drag = gb.Parameter(0.01, bounds=(0.001, 0.1))
+    lift = gb.Parameter(0.05, bounds=(0.01, 1))
+
+    def derivative(self, x, u, p):
+        return (
+            -p.drag * x.rho * x.V**2 - gb.g * gb.sin(u.gamma),
+            gb.g / x.V - p.lift * gb.sqrt(x.rho) * x.V * x.alpha,
+            -0.01 * gb.log(x.rho),
+        )
+
+    def output(self, x, u, p):
+        return (x.V, gb.sqrt(x.rho) * x.V * x.alpha)
+
+
+def test_first_states_lie_where_the_model_is_finite():
+    time = 0.1 * np.arange(45)
+    speed = 30 + np.sin(time)
+    record = gb.Record(time, {"gamma": -0.1 + 0.02 * np.cos(time), "V": speed, "lift": np.full(45, 6.0)})
+    _, part, place = point(gb.Problem(Airspeed(), record), drag=0.001, lift=0.05)
+    nodes = part.first_nodes(place)
+    assert np.allclose(nodes[:, 0], speed[:: part.experiment.segment])  # an output shows it
+    assert np.all(nodes[:, 2] > 0)
+    assert part.path(nodes, place).finite
+    assert not part.path(np.zeros_like(nodes), place).finite
+
+
+class Bicycle(gb.StateSpace):
+    """Side slip and yaw rate of a car; its measured speed divides, and so must not end with the record."""
+
+    states = ("v", "r")
+    inputs = ("speed", "steer")
+    outputs = ("r",)
+    C = gb.Parameter(50.0, bounds=(5, 500), scale="log", unit="N/(kg·rad)")
+
+    def derivative(self, x, u, p):
+        front, rear = u.steer - (x.v + 1.2 * x.r) / u.speed, -(x.v - 1.5 * x.r) / u.speed
+        return (p.C * (front + rear) - u.speed * x.r, p.C * (front - 1.1 * rear))
+
+    def output(self, x, u, p):
+        return (x.r,)
+
+
+def test_a_last_segment_is_not_filled_up_with_inputs_of_zero():
+    time = 0.02 * np.arange(203)
+
+    def derivative(t, x):
+        front, rear = 0.05 * np.sin(3 * t) - (x[0] + 1.2 * x[1]) / 20, -(x[0] - 1.5 * x[1]) / 20
+        return [60 * (front + rear) - 20 * x[1], 60 * (front - 1.1 * rear)]
+
+    x = simulated(derivative, [0, 0], time)
+    noisy = x[1] + 0.002 * np.random.default_rng(0).standard_normal(203)
+    record = gb.Record(time, {"speed": np.full(203, 20.0), "steer": 0.05 * np.sin(3 * time), "r": noisy})
+    fit = gb.fit(gb.Problem(Bicycle(), record), starts=3, progress=False)
+    assert fit.converged
+    assert abs(fit.estimate["C"] - 60) < 3.5 * fit.standard_error["C"]

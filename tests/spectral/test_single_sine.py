@@ -1,0 +1,361 @@
+"""Finite-frequency estimates against systems that are known, in open and in closed loop, with and without noise."""
+
+import functools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy import signal, stats
+
+from greybox.data.record import Record
+from greybox.data.test_segment import Segment
+from greybox.spectral.single_sine import demodulate, finite_frequency
+
+STEP = 1 / 400  # s
+K, A, TAU = 91.0, -0.68, 0.05  # an unstable plant K / ((TAU s + 1) s (s + A)), one step of delay
+
+uneven = functools.partial(st.floats, allow_nan=False, allow_infinity=False)
+
+
+def sine(t, omega, amplitude):
+    """What `amplitude` = alpha + j beta stands for."""
+    return amplitude.real * np.sin(omega * t) + amplitude.imag * np.cos(omega * t)
+
+
+def irregular(seed, duration, rate=80):
+    rng = np.random.default_rng(seed)
+    return np.cumsum(rng.uniform(0.3, 1.7, int(duration * rate)) / rate)
+
+
+def one_test(u, y, t, omega, **words):
+    record = Record(t, {"u": u, "theta": y, **words.pop("signals", {})})
+    return finite_frequency(record, [Segment(t[0], t[-1], omega=omega)], **words)
+
+
+# --- exactness
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    omega=uneven(0.5, 30),
+    alpha=uneven(-3, 3),
+    beta=uneven(-3, 3),
+    offset=uneven(-50, 50),
+    trend=uneven(-5, 5),
+)
+@settings(max_examples=60, deadline=None)
+def test_least_squares_is_exact_on_any_sampling(seed, omega, alpha, beta, offset, trend):
+    t = irregular(seed, max(6.0, 20 / omega))
+    amplitude = complex(alpha, beta)
+    values = sine(t - t[0], omega, amplitude) + offset + trend * t
+    assert abs(demodulate(t, values, omega) - amplitude) < 1e-9
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    omega=uneven(1, 30),
+    gain=uneven(0.01, 100),
+    phase=uneven(-3.1, 3.1),
+    periods=st.integers(1, 12),
+)
+@settings(max_examples=60, deadline=None)
+def test_a_noise_free_periodic_response_is_exact(seed, omega, gain, phase, periods):
+    t = irregular(seed, 5 + periods * 2 * math.pi / omega)  # its steps are random, so its length is too
+    truth = gain * np.exp(1j * phase)
+    u = sine(t, omega, 0.3 - 0.2j) + 0.1 * np.sin(2 * omega * t) + 0.02 * t - 1
+    y = sine(t, omega, truth * (0.3 - 0.2j)) + 0.5 - 0.01 * t
+    found = one_test(u, y, t, omega, periods=periods)
+    assert abs(found.response.response[0] / truth - 1) < 1e-9
+    assert found.points[0].periods == periods
+
+
+@given(samples=st.integers(8, 300), periods=st.integers(1, 8), alpha=uneven(-3, 3), beta=uneven(-3, 3))
+@settings(max_examples=60, deadline=None)
+def test_quadrature_is_exact_when_a_period_is_a_whole_number_of_samples(samples, periods, alpha, beta):
+    t = np.arange(samples * periods) * STEP
+    omega = 2 * math.pi / (samples * STEP)
+    values = sine(t, omega, complex(alpha, beta)) + 7
+    assert abs(demodulate(t, values, omega, method="quadrature") - complex(alpha, beta)) < 1e-9
+
+
+def test_quadrature_is_not_exact_otherwise_but_near():
+    t = np.arange(4000) * STEP
+    values = np.sin(20.11 * t) + 0.3
+    assert 1e-6 < abs(demodulate(t, values, 20.11, method="quadrature") - 1) < 0.01
+    assert abs(demodulate(t, values, 20.11) - 1) < 1e-12
+
+
+@pytest.mark.parametrize("method", ["least-squares", "quadrature"])
+def test_a_lag_has_a_negative_phase_and_a_delay_too(method):
+    t = np.arange(8000) * STEP
+    omega = 2 * math.pi / (160 * STEP)
+    truth = np.exp(-1j * omega * 0.004) / (0.05j * omega + 1)
+    found = one_test(np.sin(omega * t), sine(t, omega, truth), t, omega, method=method)
+    assert_allclose(found.response.response, truth, rtol=1e-9)
+    assert found.response.beta[0] < 0
+    assert found.response.omega[0] == omega
+
+
+def test_the_last_whole_periods_after_the_settling_time_are_used():
+    t = np.arange(4000) * STEP
+    omega = 4.0
+    values = np.where(t < 2.0, 100.0, np.sin(omega * t))
+    assert abs(demodulate(t, values, omega, settle=2.0) - 1) < 1e-9
+    assert abs(demodulate(t, values, omega, periods=3) - 1) < 1e-9
+    assert abs(demodulate(t, np.where(np.arange(4000) % 7 == 0, np.nan, values), omega, settle=2.0) - 1) < 1e-9
+    with pytest.raises(ValueError, match=r"10 s do not hold 2 s of settling and 6 x 1.57 s"):
+        demodulate(t, values, omega, settle=2.0, periods=6)
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ({"omega": 0.1}, "cannot be demodulated at 0.1 rad/s: 10 s do not hold 0 s of settling and 1 x 62.8 s"),
+        ({"omega": -1.0}, "the frequency is -1 rad/s: it must be above 0"),
+        ({"omega": 1000.0}, "has less than four samples"),
+        ({"omega": 5.0, "method": "fft"}, "the method is 'fft': it must be 'least-squares' or 'quadrature'"),
+        ({"omega": 5.0, "periods": 0}, "0 x 1.26 s"),
+        ({"omega": 5.0, "values": np.zeros(3)}, "time has 4000 samples but values has 3"),
+        ({"omega": 5.0, "values": np.full(4000, np.nan)}, "only 0 samples"),
+    ],
+)
+def test_what_demodulate_refuses(words, sentence):
+    t = np.arange(4000) * STEP
+    with pytest.raises(ValueError, match=sentence):
+        demodulate(t, **{"values": np.sin(t), **words})
+
+
+# --- closed loop with noise: an unstable plant, cascaded control of the measured output
+
+
+def plant():
+    a = np.array([[0, 1, 0], [0, -A, K], [0, 0, -1 / TAU]])
+    discrete = signal.cont2discrete((a, np.array([[0], [0], [1 / TAU]]), np.eye(3), np.zeros((3, 1))), STEP)
+    return discrete[0], discrete[1]
+
+
+def truth(omega):
+    a, b = plant()
+    z = np.exp(1j * omega * STEP)
+    return np.linalg.solve(z * np.eye(3) - a, b)[0, 0] / z
+
+
+def colored(rng, shape, sd, pole):
+    white = rng.standard_normal(shape)
+    start = white[:, :1] * pole  # stationary from the first sample
+    return sd * signal.lfilter([math.sqrt(1 - pole**2)], [1, -pole], white, axis=1, zi=start)[0]
+
+
+@functools.cache
+def flights(omega, periods, repeats, sd, pole):
+    """Setpoint (n,), control and output (repeats, n) of the closed loop with output noise."""
+    a, b = plant()
+    n = round((3 + periods * 2 * math.pi / omega) / STEP) + 1
+    t = np.arange(n) * STEP
+    r = 0.05 * np.sin(omega * t)
+    noise = colored(np.random.default_rng(7), (repeats, n), sd, pole).T
+    x, held, filtered = np.zeros((3, repeats)), np.zeros(repeats), noise[0].copy()
+    u, y = np.zeros((n, repeats)), np.zeros((n, repeats))
+    for k in range(n):
+        y[k] = x[0] + noise[k]
+        rate = (y[k] - filtered) / 0.01
+        filtered = filtered + rate * STEP
+        u[k] = 0.12 * (4.5 * (r[k] - y[k]) - rate)
+        x = a @ x + b * held
+        held = u[k]
+    return t, r, u.T, y.T
+
+
+def estimates(omega, periods, repeats, sd, pole, **words):
+    t, r, us, ys = flights(omega, periods, repeats, sd, pole)
+    found = [
+        one_test(u, y, t, omega, setpoint="r", signals={"r": r}, periods=periods, **words).response
+        for u, y in zip(us, ys, strict=True)
+    ]
+    return tuple(np.array([getattr(f, name)[0] for f in found]) for name in ("response", "variance", "dof"))
+
+
+def coverage(error, variance, dof):
+    half = stats.t.ppf(0.975, dof) * np.sqrt(variance / 2)  # a variance is E|P̂ - P|², both components together
+    return (np.mean(np.abs(error.real) < half) + np.mean(np.abs(error.imag) < half)) / 2
+
+
+@pytest.mark.parametrize(
+    ("omega", "periods", "sd", "pole"),
+    [
+        (8.0, 10, 0.004, 0.99),
+        (3.0, 5, 0.004, 0.99),
+        (16.0, 20, 0.02, 0.0),
+    ],
+)
+def test_intervals_cover_in_closed_loop(omega, periods, sd, pole):
+    response, variance, dof = estimates(omega, periods, 500, sd, pole)
+    error = response - truth(omega)
+    assert 0.92 <= coverage(error, variance, dof) <= 0.97
+    assert np.all(dof == dof[0])
+    assert abs(error.mean()) < 4 * np.sqrt(np.mean(np.abs(error) ** 2) / 500) + 1e-3 * abs(truth(omega))
+    assert 0.9 < np.sqrt(variance.mean() / np.mean(np.abs(error) ** 2)) < 1.35
+
+
+@pytest.mark.parametrize("method", ["least-squares", "quadrature"])
+@pytest.mark.parametrize("periods", [2, 3, 4, 10])
+@pytest.mark.parametrize("pole", [0.0, 0.9])
+def test_intervals_cover_in_open_loop(method, periods, pole):
+    rng = np.random.default_rng(3)
+    omega = 2 * math.pi / (100 * STEP)
+    t = np.arange((periods + 1) * 100) * STEP
+    u, g = np.sin(omega * t), 2 * np.exp(-0.8j)
+    noise = colored(rng, (500, t.size), 0.3, pole)
+    found = [
+        one_test(u, sine(t, omega, g) + v, t, omega, settle=0.1, periods=periods, method=method).response for v in noise
+    ]
+    response, variance, dof = (np.array([getattr(f, n)[0] for f in found]) for n in ("response", "variance", "dof"))
+    assert 0.92 <= coverage(response - g, variance, dof) <= 0.97
+    if method == "quadrature":
+        assert dof[0] == 2 * (periods - 1)
+
+
+def test_single_periods_scatter_too_much_in_closed_loop():
+    response, variance, dof = estimates(8.0, 10, 100, 0.004, 0.99, method="quadrature")
+    error = response - truth(8.0)
+    assert variance.mean() > 1.3 * np.mean(np.abs(error) ** 2)  # what the lines near omega put right
+    assert dof[0] == 18
+
+
+def test_the_direct_ratio_of_spectra_is_biased_in_closed_loop():
+    omega, periods = 3.0, 10
+    t, _, us, ys = flights(omega, periods, 100, 0.02, 0.0)
+    response, *_ = estimates(omega, periods, 100, 0.02, 0.0)
+    wave = np.exp(-1j * omega * t)[-round(periods * 2 * math.pi / omega / STEP) :]
+    u, y = ([[part.sum() for part in np.array_split(x[-wave.size :] * wave, periods)] for x in xs] for xs in (us, ys))
+    u, y = np.array(u), np.array(y)
+    direct = np.sum(y * u.conj(), axis=1) / np.sum(np.abs(u) ** 2, axis=1)
+    bias = abs(direct.mean() / truth(omega) - 1), abs(response.mean() / truth(omega) - 1)
+    assert bias[0] > 0.05
+    assert bias[1] < 0.005
+
+
+def test_leakage_of_a_wandering_plant_is_taken_off():
+    omega, periods = 3.0, 10
+    errors = {}
+    for method in ("least-squares", "quadrature"):
+        response, *_ = estimates(omega, periods, 100, 0.02, 0.0, method=method)
+        errors[method] = np.sqrt(np.mean(np.abs(response / truth(omega) - 1) ** 2))
+    assert errors["least-squares"] < 0.5 * errors["quadrature"]
+
+
+# --- what is found, and what is left out
+
+OMEGA = 5.0
+T = np.arange(6000) * STEP
+
+
+def flight(u=None, y=None, noise=1e-4, **words):
+    rng = np.random.default_rng(0)
+    u = np.sin(OMEGA * T) if u is None else u
+    y = sine(T, OMEGA, 0.5 - 0.5j) if y is None else y
+    return one_test(u, y + noise * rng.standard_normal(T.size), T, OMEGA, **words)
+
+
+def said(found):
+    return "; ".join(found.findings)
+
+
+def test_a_clean_test_has_nothing_to_say():
+    found = flight()
+    assert found.findings == ()
+    point = found.points[0]
+    assert point.saturation == 0
+    assert max(point.distortion) < 1e-3
+    assert "u -> theta, 1 frequency" in str(found)
+    assert "harmonics" in str(found)
+    assert math.isnan(point.r.real)
+
+
+def test_harmonics_saturation_and_drift_are_flagged():
+    clipped = np.clip(1.5 * np.sin(OMEGA * T), -1, 1)
+    found = flight(u=clipped)
+    assert found.points[0].saturation == pytest.approx(0.53, abs=0.02)
+    assert "at its limit for 54%" in said(found)
+    assert "control has harmonics of 15%" in said(found)
+    assert flight(limits=(-0.9, 0.9)).points[0].saturation == pytest.approx(0.29, abs=0.02)
+    assert "trim of the output drifts by" in said(flight(y=sine(T, OMEGA, 0.5 - 0.5j) + 0.1 * T))
+    assert math.isnan(flight(u=np.round(np.sin(OMEGA * T), 2)).points[0].saturation)
+
+
+def test_a_setpoint_gives_its_amplitude_and_its_true_frequency():
+    found = flight(setpoint="r", signals={"r": 3 * np.sin(OMEGA * T)})
+    assert found.points[0].r == pytest.approx(3)
+    assert found.findings == ()
+    t, actual = T, 5.05
+    u, y, r = np.sin(actual * t), sine(t, actual, 0.5 - 0.5j), 3 * np.sin(actual * t)
+    found = one_test(u, y, t, OMEGA, setpoint="r", signals={"r": r})
+    assert found.response.omega[0] == pytest.approx(actual, abs=2e-3)
+    assert "the setpoint runs at 5.0" in said(found)
+    assert_allclose(found.response.response, 0.5 - 0.5j, rtol=1e-3)
+
+
+def test_one_period_has_no_variance():
+    found = flight(periods=1)
+    assert found.response.variance is None
+    assert "one period only: its error is not known" in said(found)
+    assert str(found)
+
+
+def test_what_cannot_be_used_is_left_out_with_the_reason():
+    t = np.arange(40_000) * STEP
+    rng = np.random.default_rng(0)
+    u = np.where(t < 50, np.sin(5 * t), 0) + 0.01 * rng.standard_normal(t.size)
+    record = Record(t, {"u": u, "theta": u})
+    good, quiet = Segment(0, 20, omega=5.0), Segment(60, 80, omega=7.0)
+    short, refused = Segment(20, 23, omega=5.0), Segment(20, 40, omega=5.0).refused("ended early")
+    sweep = Segment(0, 20, "sweep", band=(1, 9))
+    found = finite_frequency(record, [good, quiet, short, refused, sweep])
+    assert len(found.response) == 1
+    reasons = [reason for _, reason in found.left_out]
+    assert reasons[0].startswith("barely excited: the control's amplitude is")
+    assert reasons[1] == "3 s do not hold 2 s of settling and 1 x 1.26 s"
+    assert reasons[2:] == ["ended early", "a sweep is not a single sine"]
+    with pytest.raises(ValueError, match="no segment gives a point of the response: a sweep is not a single sine"):
+        finite_frequency(record, [sweep])
+    with pytest.raises(ValueError, match="no segment gives a point of the response: there is none"):
+        finite_frequency(record, [])
+    with pytest.raises(ValueError, match=r"several axes \(pitch, roll\)"):
+        finite_frequency(record, [Segment(0, 9, axis=a, omega=5.0) for a in ("roll", "pitch")])
+    with pytest.raises(KeyError, match="no signal 'q'"):
+        finite_frequency(record, [good], output="q")
+
+
+def test_gaps_and_missing_samples():
+    rng = np.random.default_rng(0)
+    keep = (rng.random(T.size) > 0.2) & ~((T > 6) & (T < 6.5))
+    u, y = np.sin(OMEGA * T), sine(T, OMEGA, 0.5 - 0.5j)
+    found = one_test(u[keep], np.where(T[keep] > 14.5, np.nan, y[keep]), T[keep], OMEGA)
+    assert_allclose(found.response.response, 0.5 - 0.5j, rtol=1e-9)
+    hole = ~((T > 6) & (T < 9))
+    with pytest.raises(ValueError, match="a whole period is missing after"):
+        one_test(u[hole], y[hole], T[hole], OMEGA)
+
+
+@pytest.mark.parametrize("samples", [0, 1, 5, 9])
+def test_few_samples(samples):
+    record = Record(T, {"u": np.sin(T), "theta": np.sin(T)})
+    with pytest.raises(ValueError, match="no segment gives a point"):
+        finite_frequency(record, [Segment(1.0, 1.001 + samples * STEP, omega=OMEGA)])
+
+
+def test_repeated_tests_of_one_frequency_are_averaged():
+    rng = np.random.default_rng(0)
+    t = np.arange(20_000) * STEP
+    u, y = np.sin(5 * t), sine(t, 5, 0.5 - 0.5j) + 0.3 * rng.standard_normal(t.size)
+    record = Record(t, {"u": u, "theta": y})
+    parts = [Segment(0, 25, omega=5.0), Segment(25, 49, omega=5.0)]
+    both, one = finite_frequency(record, parts), finite_frequency(record, parts[:1])
+    assert both.points[0].periods == sum(finite_frequency(record, [p]).points[0].periods for p in parts)
+    assert both.points[0].dof > one.points[0].dof
+    assert both.points[0].standard_error == pytest.approx(one.points[0].standard_error / math.sqrt(2), rel=0.5)
+    assert "mean of 2 tests" in said(both)
+    assert abs(both.response.response[0] - (0.5 - 0.5j)) < 4 * both.points[0].standard_error

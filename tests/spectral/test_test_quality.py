@@ -1,0 +1,101 @@
+"""The data check: every kind of bad test is found and named, and a good one passes."""
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.data.record import Record
+from greybox.data.test_segment import Segment
+from greybox.spectral.test_quality import check
+
+RANDOM = np.random.default_rng(3)
+
+
+def record(duration=60.0, rate=50.0, u=None, y=None, time=None):
+    time = np.arange(int(duration * rate)) / rate if time is None else time
+    u = np.sin(3 * time) if u is None else u(time)
+    y = np.sin(3 * time - 0.4) if y is None else y(time)
+    return Record(time, {"u": u, "theta": y}, {"theta": "rad"})
+
+
+def sine(omega, start=0.0, end=60.0, **more):
+    return Segment(start, end, omega=omega, axis="pitch", **more)
+
+
+GOOD = [sine(1.0), sine(3.0), sine(9.0)]
+
+
+def found(quality):
+    return {f.about: f.severity for f in quality.findings}
+
+
+def test_a_good_test_passes():
+    quality = check(record(), None, GOOD)
+    assert quality.usable
+    assert found(quality) == {}
+    assert str(quality) == "nothing to object to"
+
+
+@pytest.mark.parametrize(
+    ("made", "segments", "about", "severity"),
+    [
+        (record(u=lambda t: np.clip(2 * np.sin(3 * t), -1.9, 1.9)), GOOD, "saturation", "warning"),
+        (record(u=lambda t: np.clip(5 * np.sin(3 * t), -1, 1)), GOOD, "saturation", "refusal"),
+        (record(u=np.zeros_like), GOOD, "amplitude", "refusal"),
+        (record(y=lambda t: np.round(0.6 * np.sin(3 * t))), GOOD, "amplitude", "refusal"),
+        (record(rate=10.0), GOOD, "rate", "warning"),
+        (record(rate=3.0), GOOD, "rate", "refusal"),
+        (record(), [sine(0.05), sine(0.07)], "length", "refusal"),
+        (record(), [sine(0.2), sine(3.0)], "length", "warning"),
+        (record(), [sine(3.0)], "spread", "refusal"),
+        (record(), [sine(3.0), sine(4.0)], "spread", "warning"),
+        (record(), [sine(3.0, usable=False, findings=("aborted",))], "segments", "refusal"),
+        (record(), [*GOOD, sine(20.0, usable=False, findings=("aborted",))], "segments", "warning"),
+    ],
+)
+def test_a_bad_test_is_named(made, segments, about, severity):
+    quality = check(made, None, segments)
+    assert severity in [f.severity for f in quality.findings if f.about == about]
+    assert quality.usable == (severity != "refusal")
+
+
+def test_gaps_and_jitter_are_named():
+    time = np.arange(3000) / 50
+    time = time[(time < 20) | (time > 30)] + 0.008 * RANDOM.uniform(-1, 1, np.sum((time < 20) | (time > 30)))
+    assert found(check(record(time=time), None, GOOD)) == {"gaps": "warning", "jitter": "note"}
+
+
+def response(noise, coherence=None):
+    omega = np.geomspace(1, 10, 12)
+    size = np.ones(12)
+    return gb.FrequencyResponse(
+        omega, size, variance=2 * (noise * size) ** 2, coherence=None if coherence is None else coherence * size
+    )
+
+
+@pytest.mark.parametrize(
+    ("measured", "expected"),
+    [
+        (response(0.01, 0.99), {}),
+        (response(0.2), {"noise": "warning"}),
+        (response(0.7), {"noise": "refusal"}),
+        (response(0.01, 0.5), {"coherence": "warning"}),
+        (response(0.01, 0.1), {"coherence": "refusal"}),
+    ],
+)
+def test_a_response_of_the_size_of_the_noise_is_refused(measured, expected):
+    assert found(check(record(), measured, GOOD)) == expected
+
+
+def test_the_bands_are_octaves_that_hold_every_point():
+    quality = check(record(), response(0.02, 0.9), GOOD)
+    assert [b.low for b in quality.bands] == [1.0, 2.0, 4.0, 8.0]
+    assert sum(b.points for b in quality.bands) == 12
+    assert quality.bands[0].coherence == pytest.approx(0.9)
+    assert quality.bands[0].error == pytest.approx(0.02)
+    assert "samples a period" in str(quality)
+
+
+def test_a_signal_that_is_not_there_is_named():
+    with pytest.raises(KeyError, match="no signal 'q'; it has u, theta"):
+        check(record(), input="q")

@@ -1,0 +1,62 @@
+"""The generated tables of the README; `python tests/readme.py` writes them."""
+
+import re
+from pathlib import Path
+
+import greybox as gb
+from greybox.cli.catalog import find_problem, models_of, shipped, shipped_module
+from greybox.modeling.model import equation
+
+README = Path(__file__).parents[2] / "README.md"
+
+
+def problems_table():
+    """One row per problem: published and refitted values side by side."""
+    lines = ["| problem | what it is | published | refitted | cost, published | cost, refitted |", "| --- " * 6 + "|"]
+    for name in shipped("problems"):
+        module = shipped_module("problems", name)
+        problem, settings = find_problem(name)
+        fit = gb.fit(problem, **settings, progress=False)
+        published = getattr(module, "published", {})
+        values = {n: v for n, v in fit.estimate.items() if n in fit.free}
+        about = (module.__doc__ or "").partition("\n")[0]
+        cost = f"{published['cost']:.4f}" if published else ""
+        old = _values(published.get("values", {}), published.get("source", ""))
+        lines.append(f"| `{name}` | {about} | {old} | {_values(values)} | {cost} | {fit.cost:.4f} |")
+    return "\n".join(lines)
+
+
+def models_table():
+    """One row per model."""
+    lines = ["| model | what it is |", "| --- | --- |"]
+    for name in shipped("models"):
+        for model in models_of(shipped_module("models", name)):
+            lines.append(f"| `{name}:{model.__name__}` | {equation(model).partition(chr(10))[0]} |")
+    return "\n".join(lines)
+
+
+def least_squares_table():
+    """One row per table of the paper: what plain least squares (3.17) gives."""
+    lines = ["| data | least squares (3.17), n = 4, m = 1 | cost (4.26) |", "| --- " * 3 + "|"]
+    for name in ("roll_hover_ls", "pitch_hover_ls", "yaw_hover_ls"):
+        data = shipped_module("problems", name).data()
+        found = gb.regression.levy(data, 4, 1, integrator=name.startswith("yaw"))
+        lines.append(f"| `{name}` | {found.factored} | {found.cost:.4f} |")
+    return "\n".join(lines)
+
+
+def written(text):
+    """Return the README's text with its tables made anew."""
+    tables = {"problems": problems_table(), "least squares": least_squares_table(), "models": models_table()}
+    for title, table in tables.items():
+        pattern = rf"(<!-- {title} -->\n).*?(<!-- end -->)"
+        text = re.sub(pattern, lambda m, table=table: f"{m[1]}{table}\n{m[2]}", text, flags=re.DOTALL)
+    return text
+
+
+def _values(values, source=""):
+    return (f"{source} " if source else "") + ", ".join(f"{name} {value:.4g}" for name, value in values.items())
+
+
+if __name__ == "__main__":
+    README.write_text(written(README.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,0 +1,246 @@
+"""Comparisons say what is true of data whose truth is known, and the tests behind them have their nominal size."""
+
+import json
+
+import numpy as np
+import pytest
+from declared_models import TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
+from drag_flights import LINEAR, QUADRATIC, Drag, LinearDrag, QuadraticDrag, fitted, flight
+from scipy.signal import lfilter
+
+import greybox as gb
+from greybox.statistics.metrics import (
+    fit_percent,
+    input_correlation,
+    mean_test,
+    theil,
+    variance_accounted_for,
+    whiteness,
+)
+
+
+@pytest.fixture(scope="module")
+def quadratic():
+    """Nonlinear truth: the quadratic and the linear model fitted to one flight, and another flight."""
+    record = flight(QUADRATIC, 1)
+    assert np.ptp(record["v"]) > 5
+    return fitted(QuadraticDrag(), record), fitted(LinearDrag(), record), flight(QUADRATIC, 2)
+
+
+def test_a_quadratic_truth_is_told_on_records_that_were_held_out(quadratic):
+    right, wrong, other = quadratic
+    found = gb.compare(wrong, right, records=other)
+    text = str(found)
+    assert "QuadraticDrag predicts held-out data better than LinearDrag" in text
+    assert "QuadraticDrag describes the data of the fit better than LinearDrag (Vuong, p < 0.0001)" in text
+    (said,) = [s for s in found.statements if s.startswith("C_x")]
+    assert said.endswith("1/m (QuadraticDrag): determined by these data.")
+    (said,) = [s for s in found.statements if s.startswith("a5")]
+    assert "QuadraticDrag, without it, explains the data better" in said
+    for place in ("identification", "held-out"):
+        fits = [found.value("fit", name, place, "v") for name in found.labels]
+        assert fits[1] > fits[0] + 0.5
+        assert found.value("  white (p)", "QuadraticDrag", place, "v") > 0.01
+        assert found.value("  white (p)", "LinearDrag", place, "v") < 0.001
+        assert found.value("one step ahead: error over noise", "QuadraticDrag", place, "v") == pytest.approx(1, abs=0.1)
+    assert found.value("AIC less the least", "QuadraticDrag") == 0
+
+
+def test_a_linear_truth_is_not_taken_for_a_quadratic_one():
+    record, other = flight(LINEAR, 3), flight(LINEAR, 4)
+    both, linear, quadratic = (fitted(m, record) for m in (Drag(), LinearDrag(), QuadraticDrag()))
+    found = gb.compare(both, linear, records=other)
+    (said,) = [s for s in found.statements if s.startswith("C_x")]
+    assert said.endswith("(Drag): not distinguishable from zero.")
+    assert "as well as one another" in str(found)
+    found = gb.compare(quadratic, linear, records=[other])
+    (said,) = [s for s in found.statements if s.startswith("C_x")]
+    assert said.endswith("not zero, but LinearDrag, without it, explains the data better.")
+
+
+def test_slow_flight_does_not_determine_the_quadratic_term():
+    record, other = (flight({"a5": 0.3, "C_x": 0.05}, seed, noise=0.1, amplitude=0.004) for seed in (5, 6))
+    found = gb.compare(fitted(Drag(), record), fitted(LinearDrag(), record), records=other)
+    (said,) = [s for s in found.statements if s.startswith("C_x")]
+    assert "determined by these data" not in said
+
+
+def test_the_measures_are_those_of_the_predictions(quadratic):
+    right, wrong, other = quadratic
+    found = gb.compare(right, wrong, records=other, window=2.0, lead=1.0)
+    alone = gb.predict(wrong, record=other, horizon=2.0, lead=1.0)
+    assert found.windows == {"identification": 14, "held-out": 14}
+    assert found.value("error (rms)", "LinearDrag", "held-out", "v") == pytest.approx(alone.rms("v"), rel=1e-6)
+    assert found.value("  1 s ahead", "LinearDrag", "held-out", "v") == pytest.approx(alone.rms("v", 0.5), rel=1e-6)
+    assert found.value("fit", "LinearDrag", "held-out", "v") == pytest.approx(alone.fit_percent("v"), rel=1e-6)
+    first, second = (p[0] for p in found.predictions["held-out"])
+    assert np.array_equal(first.rows, second.rows)
+
+
+def test_aic_and_bic_are_those_of_the_likelihood(quadratic):
+    right, wrong, _ = quadratic
+    found = gb.compare(right, wrong)
+    e = right.parts[0].residual("v")
+    n, variance = e.size, np.mean(e**2)
+    logarithm = -0.5 * n * (np.log(2 * np.pi * variance) + 1)
+    k = 1 + 1 + 1  # C_x, the initial state, the variance
+    assert found.value("AIC", "QuadraticDrag") == pytest.approx(2 * k - 2 * logarithm, rel=1e-6)
+    assert found.value("BIC", "QuadraticDrag") == pytest.approx(k * np.log(n) - 2 * logarithm, rel=1e-6)
+
+
+def test_the_table_is_plain(quadratic):
+    found = gb.compare(*quadratic[:2], records=quadratic[2], labels=("a", "b"))
+    assert json.loads(json.dumps(found.table, allow_nan=False)) == found.table
+    assert found.table[0]["values"].keys() == {"a", "b"}
+    with pytest.raises(ValueError, match="there is no 'speed' of 'a'"):
+        found.value("speed", "a")
+
+
+def test_a_record_that_a_fit_has_seen_is_told(quadratic):
+    right, wrong, _ = quadratic
+    found = gb.compare(right, wrong, records=right.parts[0].data)
+    assert "warning: flight 1 is not held out: QuadraticDrag was fitted to samples of it." in found.statements
+
+
+def test_other_data_are_refused_and_judged_by_records_alone(quadratic):
+    right, _, other = quadratic
+    elsewhere = fitted(LinearDrag(), other)
+    with pytest.raises(ValueError, match=r"LinearDrag was fitted to other data than QuadraticDrag \('flight 2', .*\)"):
+        gb.compare(right, elsewhere)
+    # A stretch of one log has the checksum of the whole log.
+    half = fitted(LinearDrag(), right.parts[0].data.between(0, 10))
+    with pytest.raises(ValueError, match="was fitted to other data"):
+        gb.compare(right, half)
+    found = gb.compare(right, elsewhere, records=flight(QUADRATIC, 7))
+    assert "their costs are not compared" in found.data
+    assert found.value("AIC", "LinearDrag") is None
+    assert found.value("fit", "QuadraticDrag", "held-out", "v") > found.value("fit", "LinearDrag", "held-out", "v")
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "sentence"),
+    [
+        (lambda a, b, r: gb.compare(a), ValueError, "there is 1 fit to compare"),
+        (lambda a, b, r: gb.compare(a, r), TypeError, "give fits"),
+        (lambda a, b, r: gb.compare(a, b, labels=("x", "x")), ValueError, "give a list of 2 different texts"),
+        (lambda a, b, r: gb.compare(a, b, labels="ab"), ValueError, "labels is 'ab': give a list of 2"),
+        (lambda a, b, r: gb.compare(a, b, labels=("x", 3)), ValueError, "labels is ('x', 3): give a list of 2"),
+        (lambda a, b, r: gb.compare(a, b, window="x"), ValueError, "window is 'x': give a length above 0, in s"),
+        (lambda a, b, r: gb.compare(a, b, window=-1.0), ValueError, "window is -1.0: give a length above 0"),
+        (lambda a, b, r: gb.compare(a, b, lead=np.inf), ValueError, "lead is inf: give a length above 0"),
+        (lambda a, b, r: gb.compare(a, b, window=100.0), ValueError, "no room for lead=0.5 and window=100 s"),
+        (lambda a, b, r: gb.compare(a, b, records="r.csv"), TypeError, "records is 'r.csv': give a Record or a list"),
+        (lambda a, b, r: gb.compare(a, b, records=[r, a]), TypeError, "give a Record or a list of them"),
+        (lambda a, b, r: gb.compare(a, b, records=gb.Record(r.time, {"theta": r["theta"]})), ValueError, "no output"),
+        (lambda a, b, r: gb.compare(a, b, records=gb.Record(r.time, {"v": r["v"]})), ValueError, "'theta' is needed"),
+        (
+            lambda a, b, r: gb.validation.nested_test(a, b),
+            ValueError,
+            "is not LinearDrag (free: a5) with terms removed",
+        ),
+    ],
+)
+def test_mistakes_are_told_in_a_sentence(quadratic, call, error, sentence):
+    with pytest.raises(error) as caught:
+        call(*quadratic)
+    assert sentence in str(caught.value)
+
+
+def test_a_nested_test_says_what_is_needed():
+    record = flight({"a5": 0.2, "C_x": 0.05}, 8)
+    small, large = fitted(LinearDrag(), record), fitted(Drag(), record)
+    found = gb.validation.nested_test(small, large)
+    assert found.terms == ("C_x",)
+    assert found.p_value < 1e-6
+    assert str(found).startswith("C_x is needed: LinearDrag leaves more than chance explains")
+    held = gb.validation.nested_test(fitted(Drag(), record, fixed={"C_x": 0.05}), large)
+    assert held.p_value > 0.01
+    assert str(held).startswith("C_x is not needed: Drag with C_x fixed explains the data as well as Drag (F(1, 597)")
+    # Of a term that changes little the scaled ratio is the squared t-value.
+    record = flight({"a5": 0.2, "C_x": 0.03}, 8, noise=0.6)
+    small, large = fitted(LinearDrag(), record), fitted(Drag(), record)
+    t = large.estimate["C_x"] / large.standard_error["C_x"]
+    assert 2 < t < 12
+    assert gb.validation.nested_test(small, large).statistic == pytest.approx(t**2, rel=0.15)
+
+
+def test_a_nested_test_keeps_its_size_where_residuals_are_correlated():
+    scaled, bare = [], []
+    for seed in range(80):
+        record = flight(LINEAR, 100 + seed, duration=15.0, color=0.7)
+        found = gb.validation.nested_test(fitted(LinearDrag(), record), fitted(Drag(), record))
+        scaled.append(found.p_value < 0.05)
+        bare.append(found.likelihood_ratio > 3.84)
+    assert np.mean(bare) > 0.2  # as if the residuals were white
+    assert np.mean(scaled) < 0.125  # at 5 %: 97.5 % of such experiments with up to 80 of 80
+
+
+def colored(values, random, count=400):
+    return lfilter([1], [1, -values], random.normal(size=count + 50))[50:]
+
+
+def test_whiteness_has_its_nominal_size_and_finds_color():
+    random = np.random.default_rng(0)
+    holes = [random.normal(size=400) for _ in range(400)]
+    for e in holes[::2]:
+        e[random.uniform(size=400) < 0.2] = np.nan
+    assert 0.02 < np.mean([whiteness([e]).p_value < 0.05 for e in holes]) < 0.085
+    assert np.mean([whiteness([colored(0.3, random)]).p_value < 0.05 for _ in range(50)]) > 0.9
+    # Two stretches tell of correlations within them alone.
+    step = np.repeat([5.0, -5.0], 200)
+    halves = np.split(random.normal(size=400) + 0 * step, 2)
+    assert whiteness(halves).dof == 25
+    assert np.isnan(whiteness([np.full(9, np.nan)]).p_value)
+
+
+def test_correlation_with_the_input_has_its_nominal_size_and_finds_what_was_missed():
+    random = np.random.default_rng(1)
+    for color in (0.0, 0.7):
+        p = [input_correlation([colored(color, random)], [colored(0.9, random)]).p_value for _ in range(300)]
+        assert 0.015 < np.mean(np.array(p) < 0.05) < 0.10, color
+    missed = []
+    for _ in range(50):
+        u = colored(0.9, random)
+        missed.append(input_correlation([random.normal(size=400) + 0.15 * np.roll(u, 3)], [u]).p_value < 0.05)
+    assert np.mean(missed) > 0.9
+
+
+def test_the_error_of_a_mean_takes_the_correlation_into_account():
+    random = np.random.default_rng(2)
+    z = [np.divide(*mean_test([colored(0.7, random)])) for _ in range(300)]
+    assert 0.85 < np.std(z) < 1.25
+
+
+def test_theils_shares_are_those_of_what_was_made():
+    y = np.sin(np.arange(1000) / 30)
+    assert theil(y, y).coefficient == 0
+    assert theil(y, y + 0.5).bias == pytest.approx(1)
+    assert theil(y, 0.5 * y).variance == pytest.approx(1, abs=0.01)
+    noisy = theil(y, y + 0.1 * np.random.default_rng(0).normal(size=1000))
+    assert noisy.covariance > 0.95
+    assert noisy.bias + noisy.variance + noisy.covariance == pytest.approx(1)
+    assert theil(y, -y).coefficient == pytest.approx(1)
+    assert variance_accounted_for(y, y + 3) == pytest.approx(100)
+    assert fit_percent(y, np.full(1000, y.mean())) == pytest.approx(0)
+
+
+def test_fits_of_responses_are_compared_by_their_costs():
+    data = measured(LagLagDelay(), TWO_LAGS_OMEGA, {"K": 5.0, "T1": 1.0, "T2": 0.1, "tau": 0.05}, noise=0.02)
+    fits = [gb.fit(gb.Problem(m, data), starts=20) for m in (Lag(), LagLagDelay())]
+    found = gb.compare(*fits)
+    rule = gb.RelativeError().description
+    assert found.value(f"cost: {rule}", "Lag") == fits[0].cost > 5 * fits[1].cost
+    assert found.value(f"cost: {gb.SquaredRelativeError().description}", "LagLagDelay") is not None
+    assert found.value("AIC", "Lag") is None
+    assert found.value("degrees of freedom", "LagLagDelay") == 56
+    assert found.windows == {}
+    assert any(s.startswith("AIC and BIC do not exist for") for s in found.statements)
+    others = [fits[0], gb.fit(gb.Problem(LagLagDelay(), data, gb.SquaredRelativeError()), starts=20)]
+    (said,) = [s for s in gb.compare(*others).statements if s.startswith("Costs, AIC and BIC are not compared")]
+    assert "they are of different criteria" in said
+    assert "the table has each criterion" in said
+    likely = measured(Lag(), TWO_LAGS_OMEGA, noise=0.02, columns={"variance": np.full(30, 1e-4)})
+    fits = [gb.fit(gb.Problem(m, likely, gb.MaximumLikelihood()), starts=20) for m in (Lag(), LagLagDelay())]
+    found = gb.compare(*fits)
+    assert found.value("AIC", "Lag") == pytest.approx(2 * fits[0].cost + 4)
+    assert not any("do not exist" in s for s in found.statements)

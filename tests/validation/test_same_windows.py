@@ -1,0 +1,157 @@
+"""Comparisons use windows that suit the sample time, say which, and hold against one another what may be compared."""
+
+import numpy as np
+import pytest
+from drag_flights import QUADRATIC, LinearDrag, QuadraticDrag, fitted, flight
+from scipy.signal import lfilter
+
+import greybox as gb
+
+
+@pytest.fixture(scope="module")
+def flights():
+    """The quadratic and the linear model fitted to one flight of quadratic drag, and another flight."""
+    record = flight(QUADRATIC, 1)
+    return fitted(QuadraticDrag(), record), fitted(LinearDrag(), record), flight(QUADRATIC, 2)
+
+
+class Room(gb.StateSpace):
+    """Temperature of a room from that outside, in hours as houses are: slow samples."""
+
+    states, inputs, outputs = ("inside",), ("outside",), ("inside",)
+    tau = gb.Parameter(5e4, bounds=(1e3, 1e6), unit="s")
+    gain = gb.Parameter(0.9, bounds=(0, 10))
+
+    def derivative(self, x, u, p):
+        return ((p.gain * u.outside - x.inside) / p.tau,)
+
+    def output(self, x, u, p):
+        return (x.inside,)
+
+
+class RoomLog(Room):
+    """The same with a logarithmic scale."""
+
+    tau = gb.Parameter(9e4, bounds=(1e3, 1e6), unit="s", scale="log")
+
+
+class LateRoom(Room):
+    """With a delay that may be hours."""
+
+    delay = gb.Parameter(3600.0, bounds=(0, 6 * 3600.0), unit="s")
+    delays = {"outside": "delay"}
+
+
+def days(hours=400, noise=0.1, seed=0):
+    time, random = 3600.0 * np.arange(hours), np.random.default_rng(seed)
+    outside = lfilter([0.3], [1, -0.95], random.normal(size=hours))
+    inside = gb.simulate(Room(), {"tau": 4e4, "gain": 1.0}, gb.Record(time, {"outside": outside}))["inside"]
+    return gb.Record(time, {"outside": outside, "inside": inside + noise * random.normal(size=hours)}, name="house")
+
+
+@pytest.fixture(scope="module")
+def rooms():
+    """One model declared twice, fitted to one slow record."""
+    record = days()
+    return record, fitted(Room(), record), fitted(RoomLog(), record)
+
+
+def test_windows_follow_the_sample_time_and_one_model_is_as_good_as_itself(rooms):
+    record, one, other = rooms
+    found = gb.compare(one, other, records=days(300, seed=1))
+    text = str(found)
+    assert "identification data: 39 windows of 36000 s (10 samples), each from 36000 s before it" in text
+    prediction = found.predictions["identification"][0][0]
+    assert prediction.ahead.tolist() == [3600.0 * k for k in range(1, 11)]
+    told = [row.measure.strip() for row in found.rows if row.data == "identification" and "ahead" in row.measure]
+    assert told[:4] == ["3600 s ahead", "10800 s ahead", "18000 s ahead", "36000 s ahead"]
+    at_three = np.sqrt(np.nanmean(prediction.residual("inside")[:, 2] ** 2))
+    assert found.value("  10800 s ahead", "Room", "identification", "inside") == pytest.approx(at_three)
+    for data in ("their own data", "held-out data"):
+        assert f"Room and RoomLog predict {data} alike" in text
+    assert "Room and RoomLog describe the data of the fit as well as one another" in text
+    single = gb.predict(one, record=record, horizon=3600.0, lead=7200.0)
+    assert "windows of 3600 s in house, the state of each from 7200 s before it" in str(single)
+    assert str(single).count("after ") == 1
+    assert gb.predict(one, record=record).horizon == 36000.0
+    # A small difference in every window is one all the same.
+    worse = fitted(Room(), record, fixed={"gain": one.estimate["gain"] + 0.05})
+    assert "Room 1 predicts its own data better than Room 2" in str(gb.compare(one, worse, labels=["Room 1", "Room 2"]))
+
+
+def test_lengths_are_whole_samples_and_not_less_than_one(rooms, flights):
+    record, one, other = rooms
+    with pytest.raises(ValueError, match=r"window=1 s is shorter than a sample of house, 3600 s: give some samples"):
+        gb.compare(one, other, window=1.0)
+    with pytest.raises(ValueError, match=r"lead=0.5 s is shorter than a sample"):
+        gb.predict(one, record=record, lead=0.5)
+    found = gb.compare(*flights[:2], window=1.03, lead=0.48)
+    assert (found.window, found.lead) == pytest.approx((1.05, 0.5))
+    assert "windows of 1.05 s (21 samples), each from 0.5 s before it" in str(found)
+    for shift in (0.0, 37.1, 1234.567):  # 12.5 samples in figures that rounding disturbs
+        record = flights[2].rows(np.arange(0, 300))
+        slow = gb.Record(shift + 0.08 * np.arange(300), dict(record.signals), name="slow")
+        assert gb.predict(flights[0], record=slow, horizon=1.0).rows.shape[1] == 12
+    few = gb.compare(*flights[:2], window=10.0)
+    assert "predicts their own data better cannot be told from 2 windows" in str(few)
+    mixed = gb.compare(*flights[:2], window=1.0, lead=1.0, records=[flights[2], flights[2].rows(np.arange(0, 600, 3))])
+    assert "held-out data: 56 windows of 1 to 1.05 s, each from 1 to 1.05 s before it" in str(mixed)
+
+
+def test_criteria_in_time_are_compared_by_their_likelihoods(rooms):
+    record, one, _ = rooms
+    other = fitted(Room(), record, criterion=gb.PredictionError())
+    found = gb.compare(one, other, labels=["output", "prediction"])
+    assert found.value("cost: negative log-likelihood", "output") == one.cost
+    assert found.value("cost: negative log-likelihood", "prediction") == other.cost
+    assert found.value("AIC", "prediction") == pytest.approx(2 * other.cost + 2 * (3 + 2))  # a state, a variance
+    late = fitted(LateRoom(), record)
+    found = gb.compare(one, late)
+    assert found.value("cost", "Room") is None
+    assert found.value("fit", "LateRoom", "identification", "inside") > 0
+    (said,) = [s for s in found.statements if s.startswith("Costs, AIC and BIC are not compared: Room was fitted to")]
+    assert "400 numbers of 'house' and LateRoom to 394 (the longest delay in the bounds" in said
+
+
+class Tank(gb.StateSpace):
+    """Level by Torricelli's law, which has no value below zero."""
+
+    states, inputs, outputs = ("level",), ("flow",), ("level",)
+    k = gb.Parameter(0.5, bounds=(0.1, 2))
+
+    def derivative(self, x, u, p):
+        return (u.flow - p.k * gb.sqrt(x.level),)
+
+    def output(self, x, u, p):
+        return (x.level,)
+
+
+class SafeTank(Tank):
+    """The same where it runs empty."""
+
+    def derivative(self, x, u, p):
+        return (u.flow - p.k * gb.sqrt(gb.maximum(x.level, 0)),)
+
+
+def test_windows_without_a_finite_value_are_left_out_and_counted():
+    time = np.arange(600) / 10.0
+    flow = 0.8 + 0.4 * np.sin(time)
+    records = []
+    for seed, given in enumerate((flow, np.where((time > 20) & (time < 28), 0.0, flow))):
+        level = gb.simulate(SafeTank(), {"k": 0.6}, gb.Record(time, {"flow": given}), initial={"level": 2.0})["level"]
+        level = level + 0.01 * np.random.default_rng(seed).normal(size=time.size)
+        records.append(gb.Record(time, {"flow": given, "level": level}, name=f"tank {seed}"))
+    fits = [fitted(model, records[0]) for model in (Tank(), SafeTank())]
+    found = gb.compare(*fits, records=records[1])
+    assert found.windows["identification"] == 59
+    assert 45 < found.windows["held-out"] < 59
+    count = 59 - found.windows["held-out"]
+    (said,) = [
+        s for s in found.statements if s.startswith(f"warning: {count} windows of 59 in tank 1 left out for all")
+    ]
+    assert "(Tank is not finite in " in said
+    assert "Tank and SafeTank predict held-out data alike" in str(found)
+    with pytest.raises(
+        ValueError, match=r"no comparison is possible where .* of .* in tank 1 are not finite \(Tank is"
+    ):
+        gb.compare(*fits, records=records[1].between(19, 30))
