@@ -43,8 +43,8 @@ class Hang(BaseException):
 
 def seeds() -> dict[str, list[bytes]]:
     """Return sound files by suffix."""
-    sys.path.insert(0, str(ROOT / "tests"))
-    made = importlib.import_module("made_logs")
+    sys.path.insert(0, str(ROOT / "tests" / "support"))
+    made = importlib.import_module("synthetic_logs")
     return {suffix: [data[:LARGEST] for data in files] for suffix, files in made.samples().items()}
 
 

@@ -40,8 +40,8 @@ print(peak() - before, kept)
 
 def synthetic(path: Path, megabytes: float) -> None:
     """Write a log of about that size."""
-    sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-    from made_logs import Log  # noqa: PLC0415 (needed for this alone)
+    sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
+    from synthetic_logs import Log  # noqa: PLC0415 (needed for this alone)
 
     log = Log()
     log.fmt(

@@ -258,7 +258,8 @@ def _require_equations(model: Model, equations: Equations, record: Record) -> No
     if isinstance(model, TransferFunction):
         raise ValueError(
             f"the equation of {model.label} needs derivatives of {model.output!r} that cannot be had from the record: "
-            "declare it as a StateSpace whose states are measured, or fit its frequency response, see gb.regression.levy."
+            "declare it as a StateSpace whose states are measured, or fit its frequency response, see "
+            "gb.regression.levy."
         )
     reasons = "; ".join(equations.left_out) or "none of them holds a free parameter and only signals that are there"
     raise ValueError(

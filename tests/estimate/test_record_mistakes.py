@@ -85,7 +85,7 @@ class Wild(gb.StateSpace):
         (lambda: gb.Problem(Spring(), [DATA, DATA]), r"data is a list with 2 in it: use gb.several\(model, records\)"),
         (lambda: gb.Problem(Spring(), (DATA,)), "data is a list with 1 in it: take it out of the list"),
         (lambda: gb.Problem(Spring(), gb.data.Recording({"A": DATA, "B": DATA})), r"messages A, B: give .* log\['A'\]"),
-        (lambda: gb.Problem(Spring(), np.zeros(3)), "give a FrequencyResponse, a Record, or the name of a file"),
+        (lambda: gb.Problem(Spring(), np.zeros(3)), "give a FrequencyResponse or a Record"),
         (lambda: gb.several(Spring(), DATA), "takes a list of at least two records"),
         (lambda: gb.several(Spring(), None), "takes a list of at least two records"),
         (

@@ -17,9 +17,9 @@ from hardening_spring import Spring, driven
 from numpy.testing import assert_array_equal
 
 import greybox as gb
-from greybox import store
 from greybox.data.record_file import read_record, write_record
 from greybox.data.sealed_files import seal
+from greybox.estimate import storage
 from greybox.models.polynomial import Polynomial
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import LinearTilt, Tilt
@@ -194,7 +194,7 @@ def test_a_failing_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypa
     path = tmp_path / "a.h5"
     gb.save(LAG, path)
     before = path.read_bytes()
-    monkeypatch.setattr(store, "_write_runs", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+    monkeypatch.setattr(storage, "_write_runs", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
     with pytest.raises(OSError, match="disk full"):
         gb.save(LAG, path)
     assert path.read_bytes() == before

@@ -125,7 +125,7 @@ def test_every_input_has_its_own_delay_and_the_sample_sees_what_is_in_effect():
     u, w = (np.maximum(flown.time - d, 0) for d in values.values())
     assert_allclose(flown["y"], u + 4 * w + 6 * (w > 0), atol=1e-12)
     assert_allclose(flown["b"], u**2 / 2 + 2 * w**2, atol=1e-12)
-    undelayed = gb.virtual_flight(Drift(), excitation={"w": np.ones(5)}, rate=10)
+    undelayed = gb.virtual_flight(Drift(), {}, excitation={"w": np.ones(5)}, rate=10)
     assert_allclose(undelayed["y"], 3 + 2 * undelayed.time)
 
 
@@ -153,7 +153,7 @@ def test_a_mode_that_becomes_fast_on_the_way_is_noticed():
         def output(self, x, u, p):
             return (x.x,)
 
-    flown = gb.virtual_flight(Cubic(), excitation={"u": np.full(40, 1e4)}, rate=100)
+    flown = gb.virtual_flight(Cubic(), {}, excitation={"u": np.full(40, 1e4)}, rate=100)
     exact = solve_ivp(
         lambda t, x: 1e4 - 10 * x**3, (0, 0.39), [0.0], "LSODA", t_eval=flown.time, rtol=1e-11, atol=1e-11
     )
@@ -264,8 +264,8 @@ def test_a_multisine_on_two_axes_is_two_flights():
     made = gb.experiment.multisine(
         1.0, 20.0, 10.0, 400, amplitude=0.05, signals=("reference", "roll"), unit="rad", periods=2
     )
-    both = gb.virtual_flight(TwoAxes(), controller=(pitch, roll), excitation=made)
-    alone = gb.virtual_flight(TwoAxes(), controller=roll, excitation={"roll": made["roll"]})
+    both = gb.virtual_flight(TwoAxes(), {}, controller=(pitch, roll), excitation=made)
+    alone = gb.virtual_flight(TwoAxes(), {}, controller=roll, excitation={"roll": made["roll"]})
     assert_allclose(both["phi"], alone["phi"], atol=1e-9)
     assert np.ptp(both["theta"]) > 0.05
     assert alone["theta"].any() == 0
@@ -310,6 +310,7 @@ def test_a_transfer_function_is_flown_with_the_derivative_of_its_output():
     assert_allclose(flown["theta_dot"], states["q"], atol=1e-6)
     yaw = gb.virtual_flight(
         YawAngle(),
+        {},
         controller=AttitudeController(signals={"theta": "psi", "q": "psi_dot"}),
         excitation={"reference": np.full(4000, 0.3)},
     )
@@ -392,12 +393,12 @@ def test_process_noise_is_white_and_independent_of_the_sensors():
     """A random walk's increments, and a decay's stationary variance σ² / (2 a)."""
     silent = {"excitation": {"u": np.zeros(50000)}, "rate": 100}
     forced = {"process_noise": {"a": 0.3, "c": 0.4}}
-    flown = gb.virtual_flight(Drift(), seed=1, **silent, **forced)
+    flown = gb.virtual_flight(Drift(), {}, seed=1, **silent, **forced)
     increments = np.diff(flown["y"])
     assert_allclose(increments.std(), 0.3 * 0.1, rtol=0.01)
     assert abs(np.corrcoef(increments[1:], increments[:-1])[0, 1]) < 0.02
     assert_allclose(flown["c"].var(), 0.4**2 / (2 * 2.0), rtol=0.15)
-    noisy = gb.virtual_flight(Drift(), seed=1, noise={"c": 0.1}, **silent, **forced)
+    noisy = gb.virtual_flight(Drift(), {}, seed=1, noise={"c": 0.1}, **silent, **forced)
     assert_allclose(noisy["y"], flown["y"])
 
 
@@ -460,7 +461,7 @@ def test_a_flight_that_diverges_says_when_and_what():
     with pytest.raises(ValueError, match=r"diverges: the state '\w+' is .* s; give a controller"):
         gb.virtual_flight(LinearTilt(), TRUTH, excitation={"u": np.full(4000, 0.1)}, rate=50)
     with pytest.raises(ValueError, match=r"diverges: 'u' is nan at 0\.00 s"):
-        gb.virtual_flight(Drift(), controller=Broken(), excitation={"reference": np.zeros(9)})
+        gb.virtual_flight(Drift(), {}, controller=Broken(), excitation={"reference": np.zeros(9)})
 
 
 class Broken(gb.Controller):
@@ -484,7 +485,7 @@ def test_a_plant_that_is_not_smooth_says_what_the_integration_misses():
         def output(self, x, u, p):
             return (x.v,)
 
-    flown = gb.virtual_flight(Friction(), excitation={"u": 10 * np.sin(np.arange(50) / 5)}, rate=100)
+    flown = gb.virtual_flight(Friction(), {}, excitation={"u": 10 * np.sin(np.arange(50) / 5)}, rate=100)
     assert len(flown.findings) == 1
     assert "stiff or not smooth" in flown.findings[0]
 

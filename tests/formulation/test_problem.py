@@ -339,12 +339,11 @@ def test_an_earlier_value_without_standard_error_is_not_taken_as_exact():
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".h5"])
-def test_a_file_of_a_response_is_data_too(tmp_path, suffix):
+def test_a_file_is_read_before_it_is_data(tmp_path, suffix):
     path = tmp_path / f"rotor{suffix}"
     data = measured(Rotor(), ROTOR_OMEGA, ROTOR)
     gb.data.write_response(data, path)
-    problem = gb.Problem(Rotor(), path)
+    problem = gb.Problem(Rotor(), gb.read_response(path))
     assert np.array_equal(problem.data.response, data.response)
-    assert np.array_equal(gb.Problem(Rotor(), str(path)).data.omega, data.omega)
-    with pytest.raises(FileNotFoundError, match=r"there is no file .*none"):
-        gb.Problem(Rotor(), tmp_path / f"none{suffix}")
+    with pytest.raises(TypeError, match=r"data is the path .*: read the file first, gb.read_response"):
+        gb.Problem(Rotor(), path)

@@ -131,8 +131,9 @@ def test_other_delay_words_are_refused(word):
 )
 @pytest.mark.parametrize("read", [gb.frequency_response, response_function, gb.modeling.rational])
 def test_signals_that_are_not_there_are_refused(read, names, sentence):
+    arguments = {gb.frequency_response: ({}, OMEGA), response_function: (OMEGA,), gb.modeling.rational: ()}[read]
     with pytest.raises(ValueError, match=sentence):
-        read(LinearTilt(), **names) if read is gb.modeling.rational else read(LinearTilt(), OMEGA, **names)
+        read(LinearTilt(), *arguments, **names)
 
 
 def test_the_only_signals_need_no_name():
@@ -146,7 +147,7 @@ def test_the_only_signals_need_no_name():
 @pytest.mark.parametrize("read", [gb.frequency_response, response_function])
 def test_a_transfer_function_has_no_operating_point(read):
     with pytest.raises(ValueError, match=r"Tilt is a transfer function and has no operating point: leave out at"):
-        read(Tilt(), OMEGA, at={"theta": 0.1})
+        read(Tilt(), *([{}] if read is gb.frequency_response else []), OMEGA, at={"theta": 0.1})
     with pytest.raises(ValueError, match=r"Tilt is a transfer function and has no operating point"):
         gb.modeling.rational(Tilt(), at={"theta": 0.1})
 
@@ -229,7 +230,7 @@ def transfer_function(formula):
 )
 def test_wrong_responses_are_said_in_a_sentence(read, formula, sentence):
     with pytest.raises(ValueError, match=sentence):
-        read(transfer_function(formula), OMEGA)
+        read(transfer_function(formula), *([{}] if read is gb.frequency_response else []), OMEGA)
 
 
 @pytest.mark.parametrize(

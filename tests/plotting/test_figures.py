@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox import plotting
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import Tilt
+from greybox.plotting import figures as plotting
 
 DATA = Path(__file__).parents[2] / "problems" / "data"
 QUICK = {"starts": 8, "progress": False}

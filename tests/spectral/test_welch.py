@@ -9,10 +9,10 @@ from scipy.signal import cont2discrete, freqz, lfilter
 from scipy.sparse import csr_array
 from scipy.stats import t as student
 
-from greybox import spectra
 from greybox.data.record import Record
 from greybox.experiment.excitation import sweep
 from greybox.experiment.multisine import multisine
+from greybox.spectral import welch
 from greybox.spectral.welch import periodic_response, spectral_response
 
 HZ = 2 * math.pi
@@ -63,7 +63,7 @@ def test_formula_of_bendat_and_piersol():
     rng = np.random.default_rng(0)
     u = rng.standard_normal(2000)
     values = np.array([u, u + rng.standard_normal(2000), u])
-    got = spectra._estimate(spectra._windowed([spectra._Stretch(values, 0.1, "")], 10.0, 0.0, np.array([5.0])), 0)
+    got = welch._estimate(welch._windowed([welch._Stretch(values, 0.1, "")], 10.0, 0.0, np.array([5.0])), 0)
     assert got.dof == pytest.approx(2 * 19)
     expected = (1 - got.coherence) / (got.coherence * 19) * abs(got.response) ** 2
     assert got.variance == pytest.approx(expected)
@@ -77,7 +77,7 @@ def test_traces_are_those_of_the_matrices(order):
     left, right = rng.standard_normal((2, n, p)) + 1j * rng.standard_normal((2, n, p))
     q = np.eye(n) - left @ right.conj().T
     m = q @ c @ q.conj().T
-    np.testing.assert_allclose(spectra._traces(csr_array(c), left, right), [np.trace(m).real, np.trace(m @ m).real])
+    np.testing.assert_allclose(welch._traces(csr_array(c), left, right), [np.trace(m).real, np.trace(m @ m).real])
 
 
 @settings(max_examples=15, deadline=None)
@@ -119,7 +119,7 @@ def test_leakage_terms_take_most_of_the_bias(monkeypatch):
     omega = np.geomspace(1.5, 25, 15)
     errors = []
     for order in (0, 2):
-        monkeypatch.setattr(spectra, "ORDER", order)
+        monkeypatch.setattr(welch, "ORDER", order)
         errors.append(np.abs(spectral_response(flown, omega=omega).response / freqz(b, a, omega / RATE)[1] - 1))
     assert errors[0].max() > 0.1
     assert errors[1].max() < 0.015

@@ -66,7 +66,7 @@ def test_no_library_is_loaded_before_it_is_needed():
 
 def test_every_format_has_its_reader():
     for known in FORMATS:
-        assert (ROOT / "greybox" / "readers" / f"{known.module}.py").exists()
+        assert (ROOT / "greybox" / "logs" / "readers" / f"{known.module}.py").exists()
 
 
 @pytest.mark.parametrize(("count", "kinds"), [(270, ["bin", "log", "tlog", "csv"]), (30, ["h5", "mat"])])
