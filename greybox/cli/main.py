@@ -211,7 +211,7 @@ def _fit(options: argparse.Namespace) -> Answer:
         notes.append(f"saved {options.out}")
 
     def draw() -> Any:
-        from greybox.plotting.figures import plot  # noqa: PLC0415
+        from greybox.plotting import plot  # noqa: PLC0415
 
         return plot(result)
 
