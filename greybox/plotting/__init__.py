@@ -1,6 +1,7 @@
 """Figures; each function takes axes and returns them.
 
-`nyquist` and `figures` draw frequency responses and starts, `time_history` records, `flight_log` logs and their tests.
+Begin with `figures`, which draws frequency responses and starts; `nyquist` holds the Nyquist diagram, `time_history`
+draws records, `flight_log` logs and their tests. `style` holds colors, fonts and legends.
 """
 
 from greybox.plotting.figures import plot as plot
