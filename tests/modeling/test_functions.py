@@ -14,7 +14,9 @@ from numpy.testing import assert_allclose
 from scipy.interpolate import pade
 
 import greybox as gb
-from greybox.modeling.functions import Complex, Rational, pade_coefficients
+from greybox.modeling.complex_arithmetic import Complex
+from greybox.modeling.pade_delay import pade_coefficients
+from greybox.modeling.rational import Rational
 
 settings.register_profile("steady", deadline=None, derandomize=True)
 settings.load_profile("steady")

@@ -9,7 +9,9 @@ from evaluation import compiled_response
 from numpy.testing import assert_allclose
 
 import greybox as gb
-from greybox.modeling.linearization import delay_order, pick_signals, response_function
+from greybox.modeling.linear_response import response_function
+from greybox.modeling.model import pick_signals
+from greybox.modeling.pade_delay import delay_order
 from greybox.models.mixer import Torques
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
 from greybox.models.yaw import YawStates
