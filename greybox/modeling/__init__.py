@@ -2,8 +2,9 @@
 
 Begin with `model` (`TransferFunction`, `StateSpace`) and `parameter`. One formula has several readings: `functions`
 serves numbers and CasADi expressions alike, `symbolic_reading` traces it, `linearization` gives the response of a model
-at its operating point (`trim`), where the exact and the Padé delay are made; `realization` turns a model into
-differential equations, `integrators` step them, `harmonic_balance` answers sines of finite amplitude.
+at its operating point (`trim`), with the exact or the Padé delay, by `elimination` of the states; `realization` turns a
+model into differential equations and `integrators` step them. `harmonic_balance` answers a `sine` of finite amplitude.
+`model_reference` names a model in a stored result.
 """
 
 from greybox.modeling.harmonic_balance import harmonic_response as harmonic_response
