@@ -10,7 +10,6 @@ from greybox.compiled.record_part import Path, Place, RecordPart
 from greybox.data.record import Record
 from greybox.estimate.result import FittedRecord
 from greybox.formulation.problem import Problem
-from greybox.formulation.time_criteria import PredictionError
 from greybox.modeling.model import equation
 from greybox.modeling.model_reference import reference, source_text
 from greybox.solve.gauss_newton.driver import Profile
@@ -69,15 +68,9 @@ def fitted_record(nlp: Nlp, part: Problem, profile: Profile | None) -> FittedRec
         method=record.words,
         inputs=record.criterion.inputs,
         biases=tuple(record.criterion.biases),
-        gains=_gains(part, record),
+        gains=record.criterion.gains(part.model, record.outputs),
         nuisances=record.unknown_initial + _noise_unknowns(record),
     )
-
-
-def _gains(part: Problem, record: RecordPart) -> tuple[tuple[str, str], ...]:
-    if not isinstance(part.criterion, PredictionError):
-        return ()
-    return tuple(part.criterion.gains(part.model, record.outputs))
 
 
 def _noise_unknowns(record: RecordPart) -> int:

@@ -1,7 +1,17 @@
-"""Readers of flight logs: one format a file, chosen by what the file holds, then by its name.
+"""Readers of flight logs: one format a file, chosen by the contents of the file, then by its suffix.
 
-A reader is a module with ``read(path, messages=None) -> Recording``. It is imported when a file of its kind is read, so
-that `greybox.logs.readers` itself loads neither pymavlink nor h5py nor scipy.
+Begin here, with `FORMATS` and `read`. A reader is a module with ``read(path, messages=None) -> Recording``. It is
+imported when a file of its format is read, so that `greybox.logs.readers` itself loads neither pymavlink nor h5py nor
+scipy.
+
+Formats
+    `dataflash` (ArduPilot, binary), with `dataflash_index` (where the messages lie) and `dataflash_units`;
+    `dataflash_text` (ArduPilot, text); `telemetry` (MAVLink), with `telemetry_frames` (where the packets lie) and
+    `telemetry_about` (modes, parameters, texts); `ulog` (PX4); `csv_table`; `hdf5`; `matlab`.
+Shared by several
+    `logged` (messages to records), `clock` (restarts and damaged times), `columns` (which column is the time, units in
+    headings), `ardupilot` (vehicles, modes and parameters), `apart` (runs a library in a subprocess) and `child` (what
+    runs there).
 """
 
 from collections.abc import Callable, Collection
