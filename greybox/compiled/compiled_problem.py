@@ -16,10 +16,11 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.problem import Problem, Sum
-from greybox.modeling.functions import Complex
+from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.harmonic_balance import harmonic_function
-from greybox.modeling.linearization import delay_order, response_function
+from greybox.modeling.linear_response import response_function
 from greybox.modeling.model import Names
+from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.parameter import Parameter
 
 AnyProblem = Problem | Sum

@@ -14,9 +14,9 @@ from greybox.data.record import Record
 from greybox.data.text_table import counted, number, text_table, with_error
 from greybox.formulation.frequency_criteria import CRITERIA
 from greybox.modeling.harmonic_balance import response_of_test
-from greybox.modeling.linearization import delay_order
 from greybox.modeling.model import Model
 from greybox.modeling.model_reference import reference, resolve
+from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import dynamics
 from greybox.modeling.sine import Sine
 from greybox.simulation.model_at_estimate import Inputs, ModelAtEstimate, criterion_of

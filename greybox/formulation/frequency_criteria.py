@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.formulation.criterion import AnyCriterion
-from greybox.modeling.functions import Complex, sqrt
+from greybox.modeling.complex_arithmetic import Complex
+from greybox.modeling.functions import sqrt
 
 _DECIBEL = 20 / math.log(10)  # dB per unit of natural logarithm of a magnitude
 _DEGREE = 180 / math.pi

@@ -9,8 +9,9 @@ import numpy as np
 
 from greybox.data.record import Record
 from greybox.formulation.criterion import AnyCriterion
-from greybox.modeling.model import Model, StateSpace, require_known
+from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter
+from greybox.modeling.state_space import StateSpace
 
 
 @dataclass(frozen=True, eq=False)
