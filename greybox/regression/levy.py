@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.text_table import counted, number, text_table
+from greybox.data.text_table import counted, number, one_line, text_table
 from greybox.formulation.frequency_criteria import RelativeError, evaluate
 
 NEAR = 0.1  # relative distance below which a pole and a zero obviously cancel
@@ -139,6 +139,9 @@ class RationalFit:
         names = self.data.input, self.data.output, f"least squares ({self.n}, {self.m})"
         return FrequencyResponse(omega, values, input=names[0], output=names[1], name=names[2], source="model")
 
+    def __repr__(self) -> str:
+        return one_line(self, f"n = {self.n}, m = {self.m}", f"cost {number(self.cost)}")
+
     def __str__(self) -> str:
         how = f"reweighted {counted(self.iterations, 'time')}" if self.iterations else "not reweighted"
         roots = [("zero", z) for z in _upper(self.zeros)] + [("pole", p) for p in _upper(self.poles)]
@@ -179,6 +182,9 @@ class OrderPath:
     def orders(self) -> tuple[tuple[int, int], ...]:
         """(n, m) of every step."""
         return tuple((step.n, step.m) for step in self.steps)
+
+    def __repr__(self) -> str:
+        return one_line(self, counted(len(self.steps), "step"), f"ends at (n, m) = {self.orders[-1]}")
 
     def __str__(self) -> str:
         marks = [""] * (len(self.steps) - 1) + [f"<- ends here: {self.reasons[-1]}"]

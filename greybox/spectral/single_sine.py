@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.test_segment import Segment, checked_segments
-from greybox.data.text_table import counted, number, text_table
+from greybox.data.text_table import counted, number, one_line, text_table
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -114,6 +114,9 @@ class FiniteFrequency:
         """What was found wrong, in words."""
         found = [f"{p.omega:g} rad/s: {text}" for p in self.points for text in p.findings]
         return (*found, *(f"{s.kind} from {s.start:.1f} s left out: {reason}" for s, reason in self.left_out))
+
+    def __repr__(self) -> str:
+        return one_line(self, counted(len(self.points), "frequency", "frequencies"), f"{len(self.left_out)} left out")
 
     def __str__(self) -> str:
         header = ("rad/s", "periods", "|u|", "|y|", "gain", "phase °", "error %", "harmonics u, y %", "saturated %")
