@@ -6,18 +6,21 @@ from declared_models import TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from drag_flights import QUADRATIC, Drag, LinearDrag, fitted, flight
 
 import greybox as gb
+from greybox.regression.levy import OrderPath
 from greybox.solve.minima import Multistart
+from greybox.spectral.single_sine import FiniteFrequency
 
 RECORD = flight(QUADRATIC, 1, duration=10.0)
 RESPONSE = measured(LagLagDelay(), TWO_LAGS_OMEGA, noise=0.02, name="a name of a test that is long " * 10)
 PROBLEM = gb.Problem(Lag(), RESPONSE)
 FIT = gb.fit(PROBLEM, starts=3)
 SMALL, LARGE = fitted(LinearDrag(), RECORD), fitted(Drag(), RECORD)
-SCHEDULE = gb.experiment.multisine(("u",), 0.1, (0.5, 5.0), 20.0, 50.0)
+SCHEDULE = gb.experiment.multisine(0.5, 5.0, 20.0, 50.0)
 VALUES = {
     "Comparison": gb.compare(SMALL, LARGE),
-    "EquationError": gb.regression.equation_error(gb.Problem(Drag(), RECORD)),
+    "EquationError": gb.regression.equation_error(Drag(), RECORD),
     "Excitation": SCHEDULE,
+    "FiniteFrequency": FiniteFrequency(RESPONSE, ()),
     "Fit": FIT,
     "FittedRecord": SMALL.parts[0],
     "FittedResponse": FIT.parts[0],
@@ -27,9 +30,10 @@ VALUES = {
     "Minimum": FIT.minima[0],
     "Multistart": Multistart(FIT.runs, FIT.minima, 1.0),
     "NestedTest": gb.validation.nested_test(SMALL, LARGE),
+    "OrderPath": OrderPath((gb.regression.levy(RESPONSE, 2, 0),), ("made",)),
     "Prediction": gb.predict(SMALL),
     "Problem": PROBLEM,
-    "Quality": gb.spectral.check(RECORD),
+    "Quality": gb.spectral.check(RECORD, input="theta", output="v"),
     "Quantity": FIT.quantities[0],
     "RationalFit": gb.regression.levy(RESPONSE, 2, 0),
     "Record": RECORD,
