@@ -10,8 +10,8 @@ from scipy.sparse import csr_array
 from scipy.stats import t as student
 
 from greybox.data.record import Record
-from greybox.experiment.excitation import sweep
 from greybox.experiment.multisine import multisine
+from greybox.experiment.sweep import sweep
 from greybox.spectral import welch
 from greybox.spectral.welch import periodic_response, spectral_response
 
