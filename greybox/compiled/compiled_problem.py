@@ -16,10 +16,11 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.problem import Problem, Sum
-from greybox.modeling.functions import Complex
+from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.harmonic_balance import harmonic_function
-from greybox.modeling.linearization import delay_order, response_function
+from greybox.modeling.linear_response import response_function
 from greybox.modeling.model import Names
+from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.parameter import Parameter
 
 AnyProblem = Problem | Sum
@@ -171,7 +172,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     z, smoothing = kind.sym("z", len(free)), kind.sym("smoothing")
     scaled, scaled_limits = trace([*scaling.expressions(z), *constant_values])
     statement = {"x": z, "p": smoothing, "g": ca.vertcat(kind(0, 1), *scaled_limits.values())}
-    locating = any(part.criterion.first is not None for part in responding)
+    locating = any(_criterion(part).locator is not None for part in responding)
     point = ca.SX.sym("z", len(free))
     named = dict(zip((*free, *constants), [*scaling.expressions(point), *constant_values], strict=True))
     records = [part for part in problem.parts if isinstance(part.data, Record)]
@@ -207,7 +208,7 @@ def _limits(part: Problem, p: Names) -> dict[str, Any]:
 def _total(parts: list[Problem], responses: list[Complex], smoothing: Any, locate: bool) -> Any:
     total: Any = 0.0
     for part, response in zip(parts, responses, strict=True):
-        criterion = (part.criterion.first if locate else None) or _criterion(part)
+        criterion = (_criterion(part).locator if locate else None) or _criterion(part)
         total = total + part.weight * criterion.cost(response, part.response, smoothing)
     return total
 

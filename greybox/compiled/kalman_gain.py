@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.record_part import Path, Place, RecordPart
-from greybox.formulation.time_criteria import PredictionError
 
 Array = NDArray[np.float64]
 COMPARED = 3000  # samples on which sizes of the process noise are compared
@@ -139,7 +138,7 @@ class Predictor:
 
 def predictor(part: RecordPart) -> Predictor | None:
     """Return the predictor of a record; None where its criterion has none."""
-    if not isinstance(part.criterion, PredictionError):
+    if not part.criterion.corrects_states:
         return None
     pairs = part.criterion.gains(part.part.model, part.outputs)
     names = [f"K_{state}_{output}" for state, output in pairs]

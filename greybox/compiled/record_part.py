@@ -25,8 +25,8 @@ from greybox.data.text_table import counted
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator
-from greybox.modeling.linearization import delay_order
 from greybox.modeling.model import Names
+from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import traced
 

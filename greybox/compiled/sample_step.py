@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.sampled_data import input_over_step
-from greybox.formulation.time_criteria import PredictionError, TimeCriterion
+from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator, step_function
 from greybox.modeling.realization import Dynamics
 
@@ -108,7 +108,7 @@ def _before(
     simulated = system.output(x, now, p)[rows] + ca.vertcat(*[bias.get(name, 0) for name in outputs])
     residual = present * (measured - simulated)
     corrected = ca.SX(x)  # a copy: assignment to its entries below would change the symbol
-    if isinstance(criterion, PredictionError):
+    if criterion.corrects_states:
         for i, state in enumerate(system.states):
             for j, output in enumerate(outputs):
                 if f"K_{state}_{output}" in names:

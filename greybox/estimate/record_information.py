@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.record_part import Path, Place, RecordPart
-from greybox.formulation.time_criteria import PredictionError
 from greybox.statistics.residual_autocorrelation import colored_information
 
 Array = NDArray[np.float64]
@@ -52,7 +51,7 @@ def information(part: RecordPart, path: Path, place: Place) -> Information:
         triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows]), mode="r"))
         white += rows.T @ rows
         weighted[some] = weight.T @ root
-    if isinstance(part.criterion, PredictionError):
+    if part.criterion.errors_are_white:
         return _corrected(part, triangle, white, 1.0)
     residual = part.shooting.in_order(part.shooting.residuals(path.states, place.q, place.data))
     stretches = part.experiment.unpadded(np.moveaxis(weighted.reshape(s * length, k, p), 0, -1))

@@ -7,8 +7,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.modeling.model import Names, StateSpace, require_known
+from greybox.modeling.model import Names, require_known
 from greybox.modeling.parameter import Parameter
+from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import column, derivative_function, parameter_names, traced, traced_derivative
 
 _TOLERANCE = 1e-9  # of the derivative at a trim, relative to the size of its terms

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.sampled_data import Experiment, Stretch
-from greybox.formulation.time_criteria import PredictionError, TimeCriterion
+from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator
 from greybox.simulation.flow import Flow
 from greybox.simulation.model_at_estimate import ModelAtEstimate
@@ -116,7 +116,7 @@ class Runner:
         slopes = whole.slopes(found.states, at.q, columns)
         error, unknown = _window_errors(found, slopes, known, at, n)
         e, by_state = measured - outputs, slopes[..., :n]
-        if isinstance(self._criterion, PredictionError):  # whose corrections go on where one step ahead is meant
+        if self._criterion.corrects_states:  # whose corrections go on where one step ahead is meant
             columns = _columns(data, there, length)
             e = measured - whole.simulate(found.states, at.q, columns)[1]
             by_state = whole.slopes(found.states, at.q, columns)[..., :n]
