@@ -9,17 +9,28 @@ from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.record_part import Path, Place, RecordPart
 from greybox.data.record import Record
 from greybox.estimate.result import FittedRecord
+from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.problem import Problem
 from greybox.modeling.model import equation
 from greybox.modeling.model_reference import reference, source_text
 from greybox.solve.gauss_newton.driver import Profile
 
 
+def criterion_values(criterion: AnyCriterion) -> dict[str, Any]:
+    """Return what identifies a criterion in an answer, in plain values."""
+    return {
+        "criterion": criterion.name,
+        "criterion_class": criterion.class_path,
+        "settings": criterion.settings,
+        "is_likelihood": criterion.is_likelihood,
+    }
+
+
 def stated(part: Problem) -> dict[str, Any]:
     """Return what a fitted part says about its problem, whatever the data."""
     return {
         "name": part.name,
-        "criterion": repr(part.criterion),
+        **criterion_values(part.criterion),
         "rule": part.criterion.description,
         "condition": part.criterion.condition,
         "delay": part.delay,

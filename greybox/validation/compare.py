@@ -16,12 +16,12 @@ from greybox.validation.comparison import HELD_OUT, IDENTIFICATION, Comparison, 
 from greybox.validation.same_data import (
     LIKELIHOOD,
     count_numbers,
+    data_difference,
     described,
-    difference,
     is_likelihood,
     labels_of,
-    not_comparable,
     other_samples,
+    why_not_comparable,
 )
 from greybox.validation.same_windows import Predictions, lengths_of, predicted
 from greybox.validation.significance import verdicts
@@ -74,10 +74,10 @@ def compare(
     require_lengths(**{name: v for name, v in (("window", window), ("lead", lead)) if v is not None})
     names = tuple(labels) or labels_of(fits)
     held_out = _records(records)
-    different = difference(fits, names)
+    different = data_difference(fits, names)
     if different and not held_out:
         raise ValueError(f"{different}: fit them to the same data, or give records=[...] on which to judge them.")
-    apart = different or not_comparable(fits, names)
+    apart = different or why_not_comparable(fits, names)
     rows = _whole(fits, same=not different, comparable=not apart)
     data: dict[str, list[list[Record]]] = {}  # of every fit
     if not different and fits[0].records:
@@ -128,7 +128,7 @@ def nested_test(small: Fit, large: Fit) -> NestedTest:
     """
     _check((small, large), ())
     names = _nested_labels(small, large)
-    different = difference((small, large), names) or other_samples((small, large), names)
+    different = data_difference((small, large), names) or other_samples((small, large), names)
     if different:
         raise ValueError(f"{different}: a nested test needs fits of the same data.")
     extra = tuple(name for name in large.free if name not in small.free)
