@@ -8,7 +8,7 @@ from drag_flights import QUADRATIC, Drag, LinearDrag, fitted, flight
 import greybox as gb
 from greybox.regression.levy import OrderPath
 from greybox.solve.minima import Multistart
-from greybox.spectral.single_sine import FiniteFrequency
+from greybox.spectral.frequency_points import FiniteFrequency
 
 RECORD = flight(QUADRATIC, 1, duration=10.0)
 RESPONSE = measured(LagLagDelay(), TWO_LAGS_OMEGA, noise=0.02, name="a name of a test that is long " * 10)

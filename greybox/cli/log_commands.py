@@ -16,9 +16,11 @@ from greybox.data.text_table import number, text_table
 from greybox.logs.prepare import prepare
 from greybox.logs.readers import read
 from greybox.logs.segment_detection import find_segments
-from greybox.spectral.single_sine import METHODS, finite_frequency
+from greybox.spectral.composite_windows import spectral_response
+from greybox.spectral.demodulation import METHODS
+from greybox.spectral.multisine_lines import periodic_response
+from greybox.spectral.single_sine import finite_frequency
 from greybox.spectral.test_quality import Finding, Quality, check, jitter
-from greybox.spectral.welch import periodic_response, spectral_response
 
 INSTRUMENT, SETPOINT = "instrument", "setpoint"
 

@@ -5,13 +5,15 @@ imported when a file of its format is read, so that `greybox.logs.readers` itsel
 scipy.
 
 Formats
-    `dataflash` (ArduPilot, binary), with `dataflash_index` (where the messages lie) and `dataflash_units`;
-    `dataflash_text` (ArduPilot, text); `telemetry` (MAVLink), with `telemetry_frames` (where the packets lie) and
-    `telemetry_about` (modes, parameters, texts); `ulog` (PX4); `csv_table`; `hdf5`; `matlab`.
+    `dataflash` (ArduPilot, binary), with `dataflash_index` (finds the messages in a file) and `dataflash_units`;
+    `dataflash_text` (ArduPilot, text); `telemetry` (MAVLink), with `telemetry_frames` (finds the packets in a file) and
+    `telemetry_metadata`; `ulog` (PX4); `csv_table`; `hdf5`; `matlab`.
 Shared by several
-    `logged` (messages to records), `clock` (restarts and damaged times), `columns` (which column is the time, units in
-    headings), `ardupilot` (vehicles, modes and parameters), `apart` (runs a library in a subprocess) and `child` (what
-    runs there).
+    `messages` (messages of one type, and the records made of them), `time_stamps` (clock restarts, impossible and
+    repeated stamps), `table_columns` (units in headings, the time column), `ardupilot_metadata` (vehicle, firmware,
+    parameters, modes, arming).
+Libraries that a damaged file can crash
+    `subprocess_reader` runs them in a subprocess, whose script is `subprocess_main`.
 """
 
 from collections.abc import Callable, Collection
