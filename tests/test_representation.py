@@ -6,7 +6,7 @@ from declared_models import TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from drag_flights import QUADRATIC, Drag, LinearDrag, fitted, flight
 
 import greybox as gb
-from greybox.regression.levy import OrderPath
+from greybox.regression.order_selection import OrderPath
 from greybox.solve.minima import Multistart
 from greybox.spectral.frequency_points import FiniteFrequency
 
