@@ -10,7 +10,8 @@ import pytest
 from declared_models import Lag, measured
 
 import greybox as gb
-from greybox.cli.main import _with_criterion, main
+from greybox.cli.main import main
+from greybox.cli.stated_problem import _with_criterion
 from greybox.models.drag import Drag
 
 QUICK = ["--starts", "8"]
@@ -239,7 +240,7 @@ def test_a_run_that_fails_has_status_1_and_its_reason(capsys, own):
     ("arguments", "words"),
     [
         (["fit", "pitch_hoover"], "did you mean 'pitch_hover'"),
-        (["fit", "no_such_thing_at_all"], "the shipped ones are"),
+        (["fit", "no_such_thing_at_all"], "the included ones are"),
         (["fit", "missing.py"], "there is no file missing.py"),
         (["fit"], "give either a PROBLEM or --model"),
         (["fit", "pitch_hover", "--model", "tilt:Tilt"], "give either a PROBLEM or --model"),
@@ -247,8 +248,8 @@ def test_a_run_that_fails_has_status_1_and_its_reason(capsys, own):
         (["fit", "--model", "tilt:Tlit", "--data", "x.csv"], "tilt has Tilt"),
         (["fit", "--model", "tilt:Tilt", "--data", "x.csv"], "there is no file x.csv"),
         (["fit", "pitch_hover", "--data", "x.csv"], "--data goes with --model"),
-        (["fit", "pitch_hover", "--starts", "0"], "'0' is not a whole number of at least 1"),
-        (["fit", "pitch_hover", "--starts", "many"], "'many' is not a whole number"),
+        (["fit", "pitch_hover", "--starts", "0"], "'0' is not an integer of at least 1"),
+        (["fit", "pitch_hover", "--starts", "many"], "'many' is not an integer"),
         (["fit", "pitch_hover", "--seed", "-1"], "--seed"),
         (["fit", "pitch_hover", "--delay", "padé"], "use 'exact' or 'pade:n'"),
         (["fit", "pitch_hover", "--criterion", "best"], "use relative-error"),
@@ -282,7 +283,7 @@ def test_errors_are_json_too(capsys):
         ("def problem", "raise RuntimeError('boom')\n\ndef problem", "line 17: RuntimeError: boom"),
         ("return gb.Problem(Lag(), data())", "return 1 / 0", "ZeroDivisionError: division by zero"),
         ("import greybox as gb", "import greybox as gb\nx = (", "line 2: '(' was never closed"),
-        ("return gb.Problem(Lag(), data())", "return 7", "it must give a gb.Problem"),
+        ("return gb.Problem(Lag(), data())", "return 7", "it must be, or return, a gb.Problem"),
         ("def problem", "def stuff", "define problem()"),
         ("p.K / (p.T * s + 1)", "p.K / (p.tau * s + 1)", "has no 'tau'; it has K, T"),
         ("p.K / (p.T * s + 1)", "p.K / (p.T * undefined + 1)", "line 11: NameError"),
@@ -446,7 +447,7 @@ def test_a_table_of_a_record_is_fitted_with_a_model_alone(capsys):
             "pitch",
             "no message with the signals of Drag (theta, v); it has data: pitch, v: make the record with",
         ),
-        ("[rad]", "[deg]", "theta in deg, and a fit takes rad: make the record with gb.prepare(gb.read("),
+        ("[rad]", "[deg]", "theta in deg, but a fit needs rad: make the record with gb.prepare(gb.read("),
         ("time [s]", "when", "neither a frequency response, with columns omega_rad_s, alpha, beta, nor a record"),
     ],
 )

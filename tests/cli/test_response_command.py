@@ -109,7 +109,7 @@ def test_a_table_of_a_sweep_gives_its_response(capsys, tmp_path):
     command = ["response", tmp_path / "sweep.csv", "--input", "u", "--output", "y", "--json"]
     status, out, _ = run(capsys, *command)
     assert status == 2
-    assert "or ask for the --whole log" in json.loads(out)["error"]
+    assert "or use the --whole log" in json.loads(out)["error"]
     status, out, _ = run(capsys, *command, "--whole")
     answer = json.loads(out)
     omega = np.array(answer["omega"])
@@ -125,7 +125,7 @@ def test_a_table_of_a_sweep_gives_its_response(capsys, tmp_path):
     [
         (["inspect", "none.BIN"], "there is no file none.BIN"),
         (["inspect", LOG, "--announced", "SINUS"], "no message 'SINUS'"),
-        (["inspect", LOG, "--plot", "x.xyz"], "no known kind of figure"),
+        (["inspect", LOG, "--plot", "x.xyz"], "not a known kind of figure"),
         (["response", LOG], "--input"),
         (["response", LOG, "--input", "RATE.POot", "--output", "ATT.Pitch"], "no signal 'POot'"),
         (["response", LOG, *PITCH, "--tests", "11"], "there is no test 11; the log has 10"),
@@ -135,8 +135,8 @@ def test_a_table_of_a_sweep_gives_its_response(capsys, tmp_path):
         (["response", LOG, *PITCH, "--points", "0"], "--points 0"),
         (["response", LOG, *PITCH, "--settle", "nan"], "--settle nan"),
         (["response", LOG, *PITCH, "--rate", "1e9"], "more than ten times"),
-        (["response", LOG, "--input", "x=RATE.POut", "--output", "x=ATT.Pitch"], "have one name"),
-        (["response", LOG, "--input", "RATE.POut", "--output", "y=RATE.POut"], "are one signal"),
+        (["response", LOG, "--input", "x=RATE.POut", "--output", "x=ATT.Pitch"], "have the same name"),
+        (["response", LOG, "--input", "RATE.POut", "--output", "y=RATE.POut"], "are the same signal"),
         (["response", LOG, *PITCH, "--axis", "roll"], "no test has the axis 'roll'"),
         (["response", LOG, *PITCH, "--method", "magic"], "'magic'"),
         (["response", LOG, *PITCH, "--rate", "0"], "rate 0"),
