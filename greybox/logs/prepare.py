@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from greybox.data.record import GAP, Record, Recording
 from greybox.data.text_table import counted
+from greybox.logs.ardupilot import gyro_filter
 
 Array = NDArray[np.float64]
 
@@ -48,18 +49,6 @@ class Derived:
     inputs: tuple[str, ...]
     compute: Callable[..., Array]
     unit: str
-
-
-@dataclass(frozen=True)
-class SecondOrderLowPass:
-    """A second-order low-pass filter that a signal has passed: cutoff in Hz, damping, and its sampling rate if digital.
-
-    `greybox.models.filters` has the model of it.
-    """
-
-    cutoff: float
-    damping: float = math.sqrt(0.5)
-    rate: float | None = None
 
 
 def horizontal_velocity(
@@ -264,21 +253,9 @@ def _detrended(record: Record, how: str) -> Record:
 
 
 def _known_filters(recording: Recording, names: Sequence[str]) -> tuple[Any, ...]:
-    """Return the filters that the record knows of, or the gyro low-pass that ArduPilot applies before it logs rates."""
+    """Return the filters that the record knows of, or else ArduPilot's filter of gyro rates."""
     for name in names:
         record, field = recording.locate(name)
         if field in record.filters:
             return record.filters[field]
-    cutoff = recording.metadata.get("parameters", {}).get("INS_GYRO_FILTER")
-    rates = {
-        "RATE": ("R", "P", "Y"),
-        "IMU": ("GyrX", "GyrY", "GyrZ"),
-        "PIDR": ("Act",),
-        "PIDP": ("Act",),
-        "PIDY": ("Act",),
-    }
-    for name in names:
-        message, _, field = name.rpartition(".")
-        if cutoff and field in rates.get(message.partition("[")[0], ()):
-            return (SecondOrderLowPass(float(cutoff)),)
-    return ()
+    return next(((known,) for name in names if (known := gyro_filter(recording, name))), ())

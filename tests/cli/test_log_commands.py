@@ -45,7 +45,7 @@ def test_log_to_response_to_fit(capsys, tmp_path, suffix):
     out = tmp_path / f"pitch{suffix}"
     status, text, _ = run(capsys, "response", LOG, *PITCH, "--out", out, "--plot", tmp_path / "bode.png")
     assert status == 0
-    assert "nothing to object to" in text
+    assert "no problems found" in text
     measured = gb.read_response(out, input="u", output="theta")
     assert len(measured) == 10
     assert measured.variance is not None
