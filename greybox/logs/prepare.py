@@ -132,7 +132,8 @@ def prepare(
     keep = np.logical_and.reduce([np.isfinite(values) for values in sampled.values()])
     if keep.sum() < 2:
         raise ValueError(f"{', '.join(sources)} are never there together from {grid[0]:.1f} to {grid[-1]:.1f} s.")
-    values, units = {}, {}
+    values = {}
+    units = {}
     for name, item in signals.items():
         columns = [sampled[source][keep] for source in needed[name]]
         values[name] = item.compute(*columns) if isinstance(item, Derived) else columns[0]
@@ -168,7 +169,8 @@ class _Source:
 def _source(recording: Recording, signal: str) -> _Source:
     record, field = recording.locate(signal)
     there = np.isfinite(record[field])
-    time, values = record.time[there], record[field][there]
+    time = record.time[there]
+    values = record[field][there]
     if time.size < 2:
         raise ValueError(f"{signal} has {counted(time.size, 'sample')}: there is nothing to put on a time base.")
     unit = record.units.get(field, "")

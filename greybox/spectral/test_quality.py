@@ -259,7 +259,8 @@ def _length(record: Record, response: FrequencyResponse | None, segments: Sequen
     usable = [s for s in segments if s.usable]
     if usable:
         fewest = min(usable, key=lambda s: s.periods)
-        periods, lowest = fewest.periods, fewest.band[0]
+        periods = fewest.periods
+        lowest = fewest.band[0]
     else:
         _, lowest = _highest_lowest(response, segments)
         longest = max(piece.duration for piece in record.pieces)

@@ -112,7 +112,8 @@ def whiteness(stretches: Sequence[ArrayLike], lags: int = LAGS, fitted: int = 0)
     sums, pairs = _lagged([s - mean for s in series], [s - mean for s in series], lags)
     if n < 3 or not sums[0] > 0:
         return _unknown(lags)
-    r, pairs = sums[1:] / sums[0], pairs[1:]
+    r = sums[1:] / sums[0]
+    pairs = pairs[1:]
     # Under the hypothesis r has the variance (pairs)/(n (n + 2)), which is (n - k)/(n (n + 2)) without a gap.
     used = pairs > 0
     statistic = float(np.sum(r[used] ** 2 * n * (n + 2) / pairs[used]))
@@ -178,7 +179,8 @@ def _filtered(values: Array, a: Array) -> Array:
 
 def _lagged(e: Sequence[Array], u: Sequence[Array], lags: int) -> tuple[Array, NDArray[np.int64]]:
     """Return Σ e(t) u(t - k) for k = 0 ... lags over all stretches, and how many pairs there were."""
-    sums, pairs = np.zeros(lags + 1), np.zeros(lags + 1, dtype=np.int64)
+    sums = np.zeros(lags + 1)
+    pairs = np.zeros(lags + 1, dtype=np.int64)
     for a, b in zip(e, u, strict=True):
         for k in range(min(lags, a.size - 1) + 1):
             product = a[k:] * b[: b.size - k]

@@ -50,7 +50,8 @@ def movement(stretches: Sequence[ArrayLike]) -> Movement:
     """Return how stretches of samples (n,) move, each about its own mean; NaN among them are skipped."""
     series = [s[np.isfinite(s)] for s in (np.asarray(stretch, dtype=float) for stretch in stretches)]
     series = [s for s in series if s.size > 1]
-    samples, free = sum(s.size for s in series), sum(s.size - 1 for s in series)
+    samples = sum(s.size for s in series)
+    free = sum(s.size - 1 for s in series)
     squares = sum(float(np.sum((s - s.mean()) ** 2)) for s in series)
     if samples < 4 or not squares > 0:
         return Movement(math.nan, samples)

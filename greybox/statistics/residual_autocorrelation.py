@@ -14,7 +14,8 @@ ORDERS = (*range(1, 13), 14, 16, 20, 25, 32, 40, 50)  # that are tried for a vec
 
 def autocovariance(stretches: list[Array], lags: int) -> Array:
     """Return the mean products of samples 0 to `lags` apart, within stretches (n,): (lags + 1,). Zeros are no data."""
-    total, count = np.zeros(lags + 1), 0
+    total = np.zeros(lags + 1)
+    count = 0
     for e in stretches:
         size = 1 << int(2 * e.size - 1).bit_length()
         spectrum = np.abs(np.fft.rfft(e, size)) ** 2
@@ -35,8 +36,10 @@ def autoregression(stretches: list[Array]) -> Array:
     r = autocovariance(stretches, order)
     if not r[0] > 0:
         return np.ones(1)
-    a, variance = np.ones(1), r[0]
-    best, least = a, count * np.log(variance)
+    a = np.ones(1)
+    variance = r[0]
+    best = a
+    least = count * np.log(variance)
     for k in range(1, order + 1):
         reflection = -(a @ r[k:0:-1]) / variance
         a = np.append(a, 0.0)
@@ -46,7 +49,8 @@ def autoregression(stretches: list[Array]) -> Array:
             break
         score = count * np.log(variance) + k * np.log(count)
         if score < least:
-            best, least = a.copy(), score
+            best = a.copy()
+            least = score
     return best
 
 
@@ -87,7 +91,8 @@ def color(stretches: list[Array]) -> Color:
     size = np.where(deviation > 0, deviation, 1.0)
     r = r / (size * size[:, None])
     r[0] += np.diag(np.where(deviation > 0, 1e-9, 1.0))
-    best, least = Color(np.zeros((0, k, k)), r[0]), count * np.linalg.slogdet(r[0])[1]
+    best = Color(np.zeros((0, k, k)), r[0])
+    least = count * np.linalg.slogdet(r[0])[1]
     both = np.concatenate([r[:0:-1].transpose(0, 2, 1), r])  # of lags -longest ... longest
     for order in [n for n in ORDERS if n <= longest]:
         # Σ_j A_j r(i - j) = -r(i) for i = 1 ... order, with r(l) = E e(t + l) e(t)ᵀ and r(-l) = r(l)ᵀ.
@@ -102,7 +107,8 @@ def color(stretches: list[Array]) -> Color:
         score = count * logarithm + order * k**2 * np.log(count)
         if score < least:
             coefficients = across.reshape(k, order, k).transpose(1, 0, 2)
-            best, least = Color(coefficients, (innovation + innovation.T) / 2), score
+            best = Color(coefficients, (innovation + innovation.T) / 2)
+            least = score
     return Color(best.coefficients * size[:, None] / size, best.innovation * deviation * deviation[:, None])
 
 
