@@ -18,7 +18,7 @@ from greybox.compiled.residual_covariance import Noise, eased, lessened, noise_o
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.sampled_data import Experiment, experiment
 from greybox.compiled.sensitivities import Blocks, Shooting
-from greybox.compiled.step_size import pace
+from greybox.compiled.step_size import substeps_and_segment
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.record import Record
 from greybox.data.text_table import counted
@@ -124,7 +124,7 @@ class RecordPart:
         self._first_states = FirstStates(self.system, self.outputs)
         seen = at_samples(whole, max(whole.segments // LOOKS, 1))
         known = lambda q: self.initial(q)[0].full().ravel()  # noqa: E731  (of one line and one use)
-        substeps, segment = pace(part, method, self.system, self._first_states, seen, known)
+        substeps, segment = substeps_and_segment(part, method, self.system, self._first_states, seen, known)
         self.experiment: Experiment = replace(whole, segment=segment)
         self.substeps = substeps
         self.step: SampleStep = self._step(method.integrator, substeps)

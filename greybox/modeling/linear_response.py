@@ -17,7 +17,7 @@ from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import parameter_names, require_no_nan, traced
 from greybox.modeling.transfer_function import TransferFunction, require_no_operating_point
-from greybox.modeling.trim import some_value, trim_function
+from greybox.modeling.trim import trim_function
 
 
 def frequency_response(
@@ -122,7 +122,7 @@ def _order(
     """Choose the order of elimination from the matrices at the start values and at some others."""
     random = np.random.default_rng(0)
     points = [[q.start for q in model.parameters.values()]]
-    points += [[some_value(q, random) for q in model.parameters.values()] for _ in range(3)]
+    points += [[q.draw(random) for q in model.parameters.values()] for _ in range(3)]
     blocks = [[np.asarray(ca.DM(block)) for block in matrices(point, *trim(point))[:2]] for point in points]
     usable = [(A, B[:, input]) for A, B in blocks if np.all(np.isfinite(A)) and np.all(np.isfinite(B))]
     if not usable:

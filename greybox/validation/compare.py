@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from greybox.data.record import Record
 from greybox.estimate.result import Fit
-from greybox.simulation.prediction import Prediction, samples_ahead, told_shares
+from greybox.simulation.prediction import Prediction, reported_shares, samples_ahead
 from greybox.simulation.windows import require_lengths, seconds
 from greybox.statistics.metrics import fit_percent, input_correlation, rms, theil, variance_accounted_for, whiteness
 from greybox.validation.comparison import HELD_OUT, IDENTIFICATION, Comparison, NestedTest, Row
@@ -248,7 +248,7 @@ def _measured(place: str, predictions: Predictions, fits: Sequence[Fit]) -> list
         for share in ("bias", "variance", "covariance"):
             add(f"  its share of {share}", "", [getattr(t, share) for t in coefficients])
         add("error (rms)", unit, [rms(y - p) for y, p in pairs])
-        for share in told_shares([p.rows.shape[1] for p in of[0]]):
+        for share in reported_shares([p.rows.shape[1] for p in of[0]]):
             add(f"  {_how_far(of[0], share)} s ahead", unit, [_grown(ps, output, share) for ps in of])
         tests = [whiteness(_one_step(ps, output), fitted=_gains(fit, output)) for ps, fit in zip(of, fits, strict=True)]
         add("one step ahead: error over noise", "", [rms(np.concatenate(_one_step(ps, output))) for ps in of])
