@@ -10,7 +10,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import GAP, Record
 from greybox.data.test_segment import Segment
-from greybox.data.text_table import number, text_table
+from greybox.data.text_table import counted, number, one_line, text_table
 
 Severity = Literal["note", "warning", "refusal"]
 
@@ -91,6 +91,9 @@ class Quality:
     def refusals(self) -> tuple[str, ...]:
         """The sentences that refuse the test."""
         return tuple(f.text for f in self.findings if f.severity == "refusal")
+
+    def __repr__(self) -> str:
+        return one_line(self, "usable" if self.usable else "not usable", counted(len(self.findings), "finding"))
 
     def __str__(self) -> str:
         lines = [f"{f.severity}: {f.text}" for f in self.findings] or ["no problems found"]
