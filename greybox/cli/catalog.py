@@ -13,7 +13,8 @@ from types import ModuleType
 from typing import Any
 
 from greybox.compiled.compiled_problem import AnyProblem
-from greybox.formulation.problem import Problem, Sum
+from greybox.formulation.problem import Problem
+from greybox.formulation.sum import Sum
 from greybox.modeling.model import Model
 
 

@@ -12,7 +12,8 @@ from greybox.cli.options import UsageError, assignments
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.data.record import Record
 from greybox.formulation.frequency_criteria import CRITERIA, Criterion
-from greybox.formulation.problem import Problem, Sum
+from greybox.formulation.problem import Problem
+from greybox.formulation.sum import Sum
 from greybox.formulation.time_criteria import TIME_CRITERIA, TimeCriterion
 
 
@@ -108,7 +109,7 @@ def _restated_part(part: Problem, fix: dict[str, float], free: Sequence[str]) ->
     inside = {part.rename.get(name, name): name for name in part.declared if name not in part.tied}
     new = {inside[name]: value for name, value in fix.items() if name in inside}
     freed = [inside[name] for name in free if name in inside]
-    held = {name: value for name, value in part.given.items() if name not in freed}
+    held = {name: value for name, value in part.fixed_values.items() if name not in freed}
     kept = [name for name in part.free if name not in new]
     return replace(part, fixed={**held, **new}, free=tuple(dict.fromkeys([*kept, *freed])))
 
