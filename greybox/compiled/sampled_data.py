@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.record import Record
-from greybox.statistics.noise_ratio import movement
+from greybox.statistics.noise_ratio import noise_ratio
 
 Array = NDArray[np.float64]
 JITTER = 0.25  # of a step: how far samples may lie from uniform ones
@@ -166,7 +166,7 @@ def experiment(
         )
     stretches = gapless(record, inputs, outputs, lead=lead, complete=complete)
     resting = bool(inputs) and all(_is_constant(record[name]) for name in inputs)
-    if resting and not any(movement([s.outputs[k] for s in stretches]).smooth for k in range(len(outputs))):
+    if resting and not any(noise_ratio([s.outputs[k] for s in stretches]).smooth for k in range(len(outputs))):
         raise ValueError(
             f"the inputs of the record never move ({names}): nothing can be estimated from it, since "
             f"{_listed(outputs)} moves no more than noise does."

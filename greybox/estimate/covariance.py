@@ -13,7 +13,8 @@ from greybox.compiled.compiled_problem import Nlp, Scaling
 from greybox.compiled.record_part import RecordPart
 from greybox.estimate.record_information import information
 from greybox.formulation.frequency_criteria import Criterion
-from greybox.formulation.problem import Estimated, Problem
+from greybox.formulation.held_estimate import HeldEstimate
+from greybox.formulation.problem import Problem
 from greybox.solve.gauss_newton.driver import Profile
 
 DEAD = 1e-7  # singular value of the unit-column Jacobian below which a combination is not determined at all
@@ -295,7 +296,7 @@ def _record_jacobians(nlp: Nlp, x: NDArray[np.float64], profile: Profile | None)
     """Return what every record tells of all values; of constants, only of those that an earlier fit gives."""
     if profile is None:
         return []
-    columns = [k for k, name in enumerate(nlp.names) if k < len(nlp.free) or name in nlp.problem.known]
+    columns = [k for k, name in enumerate(nlp.names) if k < len(nlp.free) or name in nlp.problem.held_estimates]
     values, result = nlp.all_values(x), []
     for k, record in enumerate(nlp.records):
         if len(columns) > len(nlp.free):
@@ -387,8 +388,8 @@ def _is_loose(combination: Combination, nlp: Nlp, covariance: NDArray[np.float64
 def _known_covariances(nlp: Nlp) -> list[tuple[NDArray[np.float64], float]]:
     """Return the covariance of the constants that come from each earlier fit, embedded in that of all values."""
     names = nlp.names
-    sources: dict[int, tuple[Estimated, list[str]]] = {}
-    for name, source in nlp.problem.known.items():
+    sources: dict[int, tuple[HeldEstimate, list[str]]] = {}
+    for name, source in nlp.problem.held_estimates.items():
         if name in names:
             sources.setdefault(id(source), (source, []))[1].append(name)
     result = []

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.text_table import counted, number, text_table
+from greybox.data.text_table import counted, number, one_line, text_table
 from greybox.formulation.frequency_criteria import RelativeError, evaluate
 from greybox.regression.poles_and_zeros import Factored, NearPair, factored, near_pairs, root_text, upper_half
 
@@ -97,6 +97,9 @@ class RationalFit:
         return FrequencyResponse(
             omega, values, input=self.data.input, output=self.data.output, name=name, source="model"
         )
+
+    def __repr__(self) -> str:
+        return one_line(self, f"n = {self.n}, m = {self.m}", f"cost {number(self.cost)}")
 
     def __str__(self) -> str:
         how = f"reweighted {counted(self.iterations, 'time')}" if self.iterations else "not reweighted"

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.text_table import number, text_table
+from greybox.data.text_table import counted, number, one_line, text_table
 from greybox.regression.levy import RationalFit, levy
 from greybox.regression.poles_and_zeros import NEAR, NearPair, near_pairs
 
@@ -31,6 +31,9 @@ class OrderPath:
     def orders(self) -> tuple[tuple[int, int], ...]:
         """(n, m) of every step."""
         return tuple((step.n, step.m) for step in self.steps)
+
+    def __repr__(self) -> str:
+        return one_line(self, counted(len(self.steps), "step"), f"ends at (n, m) = {self.orders[-1]}")
 
     def __str__(self) -> str:
         marks = [""] * (len(self.steps) - 1) + [f"<- ends here: {self.reasons[-1]}"]

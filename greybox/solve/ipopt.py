@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
+from greybox.data.text_table import counted, one_line
 
 CONVERGED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 INVALID = "Invalid_Number_Detected"
@@ -52,6 +53,11 @@ class Run:
     iterations: int
     seconds: float
     reason: str = ""
+
+    def __repr__(self) -> str:
+        return one_line(
+            self, f"{self.index}", self.status, f"cost {self.cost:.6g}", counted(self.iterations, "iteration")
+        )
 
 
 @dataclass(frozen=True, eq=False)
