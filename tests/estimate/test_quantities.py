@@ -18,7 +18,7 @@ def fit(problem):
 
 def test_lines_stand_in_the_order_of_free_and_fixed_then_tied_then_derived():
     class Pair(LagLagDelay):
-        derived = {"ratio": lambda p: p.T1 / p.T2}  # noqa: RUF012
+        derived = {"ratio": lambda p: p.T1 / p.T2}
 
     data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.02)
     found = fit(gb.Problem(Pair(), data, fixed={"tau": 0.05}, tied={"T1": lambda p: 3 * p.T2}))
@@ -57,7 +57,7 @@ def test_parts_that_rename_have_derived_quantities_of_their_own():
 def test_what_depends_on_the_undetermined_has_no_error():
     class Product(Lag):
         half = gb.Parameter(1.0, bounds=(0.1, 10))
-        derived = {"gain": lambda p: p.K * p.half, "twice": lambda p: 2 * p.half}  # noqa: RUF012
+        derived = {"gain": lambda p: p.K * p.half, "twice": lambda p: 2 * p.half}
 
         def response(self, s, p):
             return p.half * super().response(s, p)
