@@ -180,10 +180,6 @@ class PredictionError(TimeCriterion):
         return tuple((state, output) for state in self.corrected or model.states for output in outputs)
 
 
-TIME_CRITERIA: tuple[TimeCriterion, ...] = (OutputError(), PredictionError())
-"""What the command line offers for records."""
-
-
 # Measured range of the signal as the unit. The bounds are only to be out of the way; starts near zero, since a sensor
 # that is off by more than this share of what it measures would be found by eye.
 WIDEST_BIAS = 10.0
