@@ -257,16 +257,6 @@ class MaximumLikelihood(Criterion):
         return 2.0, np.full(2 * len(data), 4 * 0.5 * max(ratio, 1.0))
 
 
-CRITERIA: tuple[Criterion, ...] = (
-    RelativeError(),
-    RelativeError(normalized="model"),
-    SquaredRelativeError(),
-    MagnitudePhase(),
-    MaximumLikelihood(),
-)
-"""What a result reports besides the criterion that was minimized."""
-
-
 def evaluate(criterion: Criterion, model: NDArray[np.complex128], data: FrequencyResponse) -> float:
     """Return the cost of a response (n,) in numbers; NaN where the data do not hold what the criterion needs."""
     try:

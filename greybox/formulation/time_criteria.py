@@ -184,10 +184,6 @@ class PredictionError(TimeCriterion):
         return tuple((state, output) for state in self.corrected or model.states for output in outputs)
 
 
-TIME_CRITERIA: tuple[TimeCriterion, ...] = (OutputError(), PredictionError())
-"""What the command line offers for records."""
-
-
 # Measured ranges of the signal: bounds that stay out of the way, and starts near zero, since a larger error of a sensor
 # would be found by eye. A tenth and ten times of either leave 20 of 20 starts at the minimum (the spring of the tests
 # with biases of its position and its force).
