@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.text_table import counted, number, one_line, text_table, with_error
-from greybox.formulation.frequency_criteria import CRITERIA
+from greybox.formulation.included_criteria import CRITERIA
 from greybox.modeling.harmonic_balance import response_of_test
 from greybox.modeling.model import Model
 from greybox.modeling.model_reference import reference, resolve
