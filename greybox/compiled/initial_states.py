@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.sampled_data import Experiment
+from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.vectorized import Columns
 from greybox.modeling.realization import Dynamics
 
@@ -32,7 +32,7 @@ class Shown:
     offset: float
 
 
-class FirstStates:
+class InitialStates:
     """The states of a model at some samples, for the outputs that are compared."""
 
     def __init__(self, system: Dynamics, outputs: tuple[str, ...]) -> None:
@@ -127,12 +127,12 @@ def _shown(y: ca.SX, x: ca.SX, others: ca.SX) -> list[Shown]:
     return list(found.values())
 
 
-def at_samples(experiment: Experiment, every: int) -> tuple[Array, Array]:
-    """Return measured outputs (k, s), gaps interpolated, and inputs (m, s) at every so manieth sample of a stretch."""
+def at_samples(data: SampledData, every: int) -> tuple[Array, Array]:
+    """Return measured outputs (k, s), gaps interpolated, and inputs (m, s) at every n-th sample of a stretch."""
     outputs, inputs = [], []
-    everywhere = [np.concatenate(rows) for rows in zip(*(s.outputs for s in experiment.stretches), strict=True)]
+    everywhere = [np.concatenate(rows) for rows in zip(*(s.outputs for s in data.stretches), strict=True)]
     means = [float(np.nanmean(row)) if np.isfinite(row).any() else 0.0 for row in everywhere]
-    for stretch in experiment.stretches:
+    for stretch in data.stretches:
         at = np.arange(0, len(stretch), every)
         rows = []
         for row, mean in zip(stretch.outputs, means, strict=True):

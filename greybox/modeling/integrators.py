@@ -25,17 +25,25 @@ class Integrator(ABC):
         Largest |pole| · step for which a step is stable.
     wave : float
         Largest |imaginary part of a pole| · step at which an oscillation is followed closely enough to start with.
+    implicit : bool
+        True where a step solves equations by iteration, which CasADi expresses by MX alone.
     """
 
     substeps: int | None = None
     order: ClassVar[int]
     reach: ClassVar[float]
     wave: ClassVar[float] = 0.7
+    implicit: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         """Check the number of substeps."""
         if self.substeps is not None and (not isinstance(self.substeps, int) or self.substeps < 1):
             raise ValueError(f"substeps {self.substeps!r} must be a whole number of at least 1, or None to choose.")
+
+    @property
+    def name(self) -> str:
+        """What users call it."""
+        return type(self).__name__
 
     @abstractmethod
     def advance(self, system: Dynamics, x: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
@@ -48,6 +56,7 @@ class RungeKutta(Integrator):
 
     order: ClassVar[int] = 4
     reach: ClassVar[float] = 2.7
+    name: ClassVar[str] = "RK4"  # type: ignore[misc]
 
     def advance(self, system: Dynamics, x: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
         """Return x one step later."""
@@ -90,8 +99,9 @@ class Rosenbrock(Integrator):
 
 def step_function(system: Dynamics, integrator: Integrator, substeps: int) -> ca.Function:
     """Return (x, mean, change, p, step) -> x one sample later; `change` (m,) is that of the inputs over the step."""
-    x, p, h = ca.SX.sym("x", len(system.states)), ca.SX.sym("p", len(system.parameters)), ca.SX.sym("h")
-    mean, change = ca.SX.sym("mean", len(system.inputs)), ca.SX.sym("change", len(system.inputs))
+    kind: Any = ca.MX if integrator.implicit else ca.SX
+    x, p, h = kind.sym("x", len(system.states)), kind.sym("p", len(system.parameters)), kind.sym("h")
+    mean, change = kind.sym("mean", len(system.inputs)), kind.sym("change", len(system.inputs))
     result: Any = x
     for k in range(substeps if system.states else 0):
         u = mean + change * (k / substeps - 0.5)
