@@ -26,7 +26,7 @@ from scipy.special import stdtrit
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess, degrees, propagate
-from greybox.modeling.functions import Complex
+from greybox.modeling.complex_arithmetic import Complex
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import Tilt
 

@@ -16,9 +16,11 @@ from greybox.data.text_table import number, text_table
 from greybox.logs.prepare import prepare
 from greybox.logs.readers import read
 from greybox.logs.segment_detection import find_segments
-from greybox.spectral.single_sine import METHODS, finite_frequency
+from greybox.spectral.composite_windows import spectral_response
+from greybox.spectral.demodulation import METHODS
+from greybox.spectral.multisine_lines import periodic_response
+from greybox.spectral.single_sine import finite_frequency
 from greybox.spectral.test_quality import Finding, Quality, check, jitter
-from greybox.spectral.welch import periodic_response, spectral_response
 
 INSTRUMENT, SETPOINT = "instrument", "setpoint"
 
@@ -72,9 +74,9 @@ def inspect(options: argparse.Namespace) -> tuple[Answer, Any]:
     }
 
     def draw() -> Any:
-        from greybox.plotting.flight_log import plot_recording  # noqa: PLC0415  (imports matplotlib)
+        from greybox.plotting.flight_log import recording as plot_recording  # noqa: PLC0415  (imports matplotlib)
 
-        return plot_recording(recording, segments)
+        return plot_recording(recording, segments)[0].figure
 
     return (answer, "\n\n".join(text[:3]) + "\n" + "\n".join(text[3:]), USABLE), draw
 
@@ -114,15 +116,15 @@ def response(options: argparse.Namespace) -> tuple[Answer, FrequencyResponse | N
         return (answer, text, FAILED), None, (None, None)
 
     def draw() -> Any:
-        from greybox.plotting.figures import plot_bode  # noqa: PLC0415  (imports matplotlib)
+        from greybox.plotting.bode import bode  # noqa: PLC0415  (imports matplotlib)
 
         assert measured is not None
-        return plot_bode(measured)
+        return bode(measured)[0].figure
 
     def traces() -> Any:
-        from greybox.plotting.flight_log import plot_traces  # noqa: PLC0415  (imports matplotlib)
+        from greybox.plotting.flight_log import traces as plot_traces  # noqa: PLC0415  (imports matplotlib)
 
-        return plot_traces(record, used[0] if used else None)
+        return plot_traces(record, used[0] if used else None)[0].figure
 
     return (answer, text, USABLE), measured, (draw, traces)
 

@@ -8,7 +8,7 @@ import re
 import sys
 import traceback
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NoReturn
@@ -26,6 +26,7 @@ from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit, FittedRecord
 from greybox.formulation.frequency_criteria import CRITERIA, Criterion
 from greybox.formulation.problem import Problem, Sum
+from greybox.formulation.time_criteria import TIME_CRITERIA, TimeCriterion
 
 FIGURES = (".png", ".pdf", ".svg")
 
@@ -211,7 +212,7 @@ def _fit(options: argparse.Namespace) -> Answer:
         notes.append(f"saved {options.out}")
 
     def draw() -> Any:
-        from greybox.plotting.figures import plot  # noqa: PLC0415
+        from greybox.plotting import plot  # noqa: PLC0415
 
         return plot(result)
 
@@ -249,13 +250,7 @@ def _stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, 
     if options.delay is not None:
         problem = problem.with_(delay=options.delay)
     if options.criterion is not None:
-        criterion = _criterion(options.criterion)
-        if any(isinstance(part.data, Record) for part in problem.parts):
-            raise UsageError(
-                f"--criterion {options.criterion} is for frequency responses and {problem.name} has a record: leave it "
-                "out; in a problem file, give a criterion such as OutputError()."
-            )
-        problem = problem.with_(criterion=criterion)
+        problem = _with_criterion(problem, _criterion(options.criterion))
     return _restated(problem, _assignments(options.fix, "--fix"), options.free), settings
 
 
@@ -314,20 +309,34 @@ def _assignments(words: Sequence[str], flag: str) -> dict[str, float]:
     return result
 
 
-def _criteria() -> dict[str, Criterion]:
-    """Return every criterion by its name on the command line."""
-    names = {}
-    for item in CRITERIA:
-        words = re.sub(r"(?<=[a-z])(?=[A-Z])", "-", type(item).__name__).lower()
-        names[f"{words}:{item.variant}" if item.variant else words] = item
-    return names
+def _criteria() -> dict[str, Criterion | TimeCriterion]:
+    """Return the included criteria by name."""
+    return {criterion.name: criterion for criterion in (*CRITERIA, *TIME_CRITERIA)}
 
 
-def _criterion(text: str) -> Criterion:
+def _criterion(text: str) -> Criterion | TimeCriterion:
     known = _criteria()
     if text not in known:
         raise UsageError(f"criterion {text!r} is not known; use {', '.join(known)}.")
     return known[text]
+
+
+def _with_criterion(problem: AnyProblem, criterion: Criterion | TimeCriterion) -> AnyProblem:
+    """Give a criterion to the parts of a problem whose data are of its kind; of records, biases and the like remain."""
+    in_time = isinstance(criterion, TimeCriterion)
+    if not any(isinstance(part.data, Record) == in_time for part in problem.parts):
+        raise UsageError(
+            f"--criterion {criterion.name} is for {'records' if in_time else 'frequency responses'} and {problem.name} "
+            f"has none: use {', '.join(c.name for c in (CRITERIA if in_time else TIME_CRITERIA))}, or leave it out."
+        )
+    parts = []
+    for part in problem.parts:
+        if isinstance(criterion, TimeCriterion) and isinstance(part.criterion, TimeCriterion):
+            shared = {field.name: getattr(part.criterion, field.name) for field in fields(TimeCriterion)}
+            parts.append(part.with_(criterion=replace(criterion, **shared)))
+        else:
+            parts.append(part if isinstance(part.data, Record) or in_time else part.with_(criterion=criterion))
+    return parts[0] if isinstance(problem, Problem) else Sum(tuple(parts), problem.name)
 
 
 def _as_json(result: Fit) -> dict[str, Any]:

@@ -1,8 +1,10 @@
 """What was measured: frozen values in numpy, and the files that hold them.
 
-Begin with `record` (named signals on one time base) and `frequency_response`; `test_segment` marks a test within a
-record. `response_file` and `record_file` write and read both; `safe_files` replaces files atomically and
-`sealed_files` adds a checksum.
+Begin with `record` (named signals on one time base) and `frequency_response` (one input-output pair over frequency);
+`test_segment` is one test within a record, and the table of several.
+
+Files: `record_file` (HDF5) and `response_file` (CSV, HDF5) write and read them; `text_table` is what all tables of
+text share; `safe_files` writes atomically, `sealed_files` adds a checksum.
 """
 
 from greybox.data.frequency_response import FrequencyResponse as FrequencyResponse

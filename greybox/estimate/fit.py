@@ -234,7 +234,7 @@ def _all_costs(nlp: Nlp, responses: Mapping[Problem, NDArray[np.complex128]]) ->
     if nlp.records:
         return {}
     return {
-        criterion.description: sum(
+        criterion.name: sum(
             part.weight * evaluate(criterion, found, part.response) for part, found in responses.items()
         )
         for criterion in CRITERIA

@@ -9,18 +9,28 @@ from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.record_part import Path, Place, RecordPart
 from greybox.data.record import Record
 from greybox.estimate.result import FittedRecord
+from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.problem import Problem
-from greybox.formulation.time_criteria import PredictionError
 from greybox.modeling.model import equation
 from greybox.modeling.model_reference import reference, source_text
 from greybox.solve.gauss_newton.driver import Profile
+
+
+def criterion_values(criterion: AnyCriterion) -> dict[str, Any]:
+    """Return what identifies a criterion in an answer, in plain values."""
+    return {
+        "criterion": criterion.name,
+        "criterion_class": criterion.class_path,
+        "settings": criterion.settings,
+        "is_likelihood": criterion.is_likelihood,
+    }
 
 
 def stated(part: Problem) -> dict[str, Any]:
     """Return what a fitted part says about its problem, whatever the data."""
     return {
         "name": part.name,
-        "criterion": repr(part.criterion),
+        **criterion_values(part.criterion),
         "rule": part.criterion.description,
         "condition": part.criterion.condition,
         "delay": part.delay,
@@ -69,15 +79,9 @@ def fitted_record(nlp: Nlp, part: Problem, profile: Profile | None) -> FittedRec
         method=record.words,
         inputs=record.criterion.inputs,
         biases=tuple(record.criterion.biases),
-        gains=_gains(part, record),
+        gains=record.criterion.gains(part.model, record.outputs),
         nuisances=record.unknown_initial + _noise_unknowns(record),
     )
-
-
-def _gains(part: Problem, record: RecordPart) -> tuple[tuple[str, str], ...]:
-    if not isinstance(part.criterion, PredictionError):
-        return ()
-    return tuple(part.criterion.gains(part.model, record.outputs))
 
 
 def _noise_unknowns(record: RecordPart) -> int:

@@ -12,16 +12,19 @@ from numpy.typing import ArrayLike, NDArray
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.text_table import counted, number, text_table, with_error
+from greybox.formulation.frequency_criteria import CRITERIA
 from greybox.modeling.harmonic_balance import response_of_test
-from greybox.modeling.linearization import delay_order
 from greybox.modeling.model import Model
 from greybox.modeling.model_reference import reference, resolve
+from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import dynamics
 from greybox.modeling.sine import Sine
 from greybox.simulation.model_at_estimate import Inputs, ModelAtEstimate, criterion_of
 from greybox.solve.ipopt import Run
 from greybox.solve.minima import Minimum, Multistart
 from greybox.statistics.metrics import fit_percent
+
+RULES = {criterion.name: criterion.description for criterion in CRITERIA}
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,14 @@ class FittedPart:
 
     Attributes
     ----------
-    name, criterion, rule, delay : str
+    name, delay : str
+    criterion : str
+        The name of the criterion, such as ``relative-error``; `rule` says it in words.
+    criterion_class, settings : str, mapping of name to value
+        Its class, ``module:Class``, and its fields in plain values: what makes two criteria the same.
+    is_likelihood : bool
+        Whether the cost is a negative log-likelihood.
+    rule : str
     condition : str
         What the errors of the data must be like for the standard errors to hold.
     weight : float
@@ -73,6 +83,9 @@ class FittedPart:
 
     name: str
     criterion: str
+    criterion_class: str
+    settings: Mapping[str, Any]
+    is_likelihood: bool
     rule: str
     condition: str
     delay: str
@@ -84,6 +97,10 @@ class FittedPart:
     model: Mapping[str, Any]
     label: str
     equation: str
+
+    def has_criterion_of(self, other: "FittedPart") -> bool:
+        """Tell whether both were fitted by the same criterion: one class with the same settings."""
+        return (self.criterion_class, self.settings) == (other.criterion_class, other.settings)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -186,7 +203,8 @@ class Fit:
     cost : float
         The criterion minimized, without smoothing; NaN when no start converged.
     costs : mapping of str to float
-        The value of every criterion at the estimate; NaN where the data do not hold what it needs.
+        The value of every included criterion at the estimate, by its name (``relative-error``); NaN where the data do
+        not hold what it needs. Empty for fits with records.
     white : (p, p) array or None
         What the covariance of the free parameters would be if the cost were the likelihood of white errors.
     """
@@ -239,7 +257,12 @@ class Fit:
 
     @property
     def criterion(self) -> str:
-        """The rule that was minimized."""
+        """The name of the criterion that was minimized, such as ``relative-error``; of several, joined by "; "."""
+        return "; ".join(dict.fromkeys(part.criterion for part in self.parts))
+
+    @property
+    def rule(self) -> str:
+        """The criterion that was minimized, in words."""
         return "; ".join(dict.fromkeys(part.rule for part in self.parts))
 
     @property
@@ -357,7 +380,7 @@ def _text(fit: Fit) -> str:
     lines += [
         f"  starts     {converged} of {len(fit.runs)} converged; "
         f"{counted(fit.agreeing, 'agrees', 'agree')} on the best of {minima}",
-        f"  cost       {fit.cost:.6g}  ({fit.criterion})",
+        f"  cost       {fit.cost:.6g}  ({fit.rule})",
         f"  data       {_data_text(fit)}, delay {fit.delay}"
         + "".join(_pade_text(p) for p in fit.responses if p.pade_error is not None),
         *(f"  output     {_output_text(part, output)}" for part in fit.records for output in part.outputs),
@@ -373,9 +396,9 @@ def _text(fit: Fit) -> str:
     conditions = "; ".join(dict.fromkeys(part.condition for part in fit.parts))
     dof = "" if math.isinf(fit.dof) else f"; Student's t with {counted(fit.dof, 'degree of', 'degrees of')} freedom"
     lines += ["", f"  ± is the standard error for {conditions}{dof}."]
-    others = [(rule, cost) for rule, cost in fit.costs.items() if not math.isnan(cost) and rule != fit.criterion]
+    others = [(name, cost) for name, cost in fit.costs.items() if not math.isnan(cost) and name != fit.criterion]
     lines += ["", "  other criteria at this estimate:"] if others else []
-    lines += [*(f"    {number(cost):>10}  {rule}" for rule, cost in others), ""]
+    lines += [*(f"    {number(cost):>10}  {RULES.get(name, name)}" for name, cost in others), ""]
     lines += [f"  warning: {text}" for text in fit.warnings]
     return "\n".join([*lines, f"  {fit.seconds:.2f} s; starts: {fit.starts}"])
 

@@ -1,7 +1,7 @@
 """Results in HDF5: one file holds the whole answer, in a layout that any HDF5 reader understands.
 
-Layout, version 2 (1 had no records and no ``white``)
-----------------------------------------------------
+Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``white``)
+-----------------------------------------------------------------------------------------
 ``/``            attributes ``format`` ("greybox fit"), ``layout``, ``name``, ``criterion``, ``delay``, ``status``,
                  ``cost``, ``dof``, ``seed``, ``starts``, ``seconds``, ``checksum`` (SHA-256 of the data, part by part);
                  JSON attributes ``costs`` and ``versions``; dataset ``warnings``.
@@ -11,8 +11,9 @@ Layout, version 2 (1 had no records and no ``white``)
 ``/runs``        one row per start: ``start`` and ``estimate`` (r, p), ``cost, status, reason, converged, iterations,
                  seconds``, ``minimum`` (the row of ``/minima``, -1 for none); attribute ``free`` names the p columns.
 ``/minima``      ``cost`` (m,), ``estimate`` (m, p), ``variants`` (m,), best first.
-``/parts/0 ...`` one group per problem in the sum: attributes ``name, criterion, rule, condition, delay, weight, label,
-                 equation, checksum`` and, as JSON, ``model, rename, tied, constraints``, and group ``data``.
+``/parts/0 ...`` one group per problem in the sum: attributes ``name, criterion, criterion_class, is_likelihood, rule,
+                 condition, delay, weight, label, equation, checksum`` and, as JSON, ``settings`` (of the criterion),
+                 ``model, rename, tied, constraints``, and group ``data``.
                  Of a response: attribute ``pade_error``, as JSON ``at`` and, if any, ``sine``; groups ``data`` and
                  ``curve`` (``omega, alpha, beta`` and, if known, ``coherence, variance, dof``) and the fitted
                  ``response_alpha, response_beta`` at the data's frequencies.
@@ -24,9 +25,11 @@ The file is sealed, see `greybox.data.sealed_files`. NaN means "not known". Noth
 loaded.
 """
 
+import ast
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,14 +39,18 @@ import numpy as np
 from greybox.data.record_file import read_record, write_record
 from greybox.data.response_file import read_group, write_group
 from greybox.data.sealed_files import Node, open_sealed, write_sealed
+from greybox.estimate.fitted_record import criterion_values
 from greybox.estimate.result import Fit, FittedRecord, FittedResponse, Quantity
+from greybox.formulation.frequency_criteria import CRITERIA
+from greybox.formulation.time_criteria import TIME_CRITERIA
 from greybox.modeling.sine import Sine
 from greybox.solve.ipopt import Run
 from greybox.solve.minima import Minimum
 
 KIND = "fit"
-LAYOUT = 2
-_PART_TEXTS = ("name", "criterion", "rule", "condition", "delay", "label", "equation")
+LAYOUT = 3
+_PART_TEXTS = ("name", "rule", "condition", "delay", "label", "equation")
+_CRITERION = ("criterion", "criterion_class", "is_likelihood")
 
 
 def save(fit: Fit, path: str | Path) -> None:
@@ -115,8 +122,9 @@ def _write_runs(file: Node, fit: Fit) -> None:
 
 def _write_part(group: Node, part: FittedResponse | FittedRecord) -> None:
     texts = {name: getattr(part, name) for name in _PART_TEXTS}
-    _attributes(group, checksum=part.data.checksum, weight=part.weight, **texts)
-    for name in ("model", "rename", "tied"):
+    criterion = {name: getattr(part, name) for name in _CRITERION}
+    _attributes(group, checksum=part.data.checksum, weight=part.weight, **criterion, **texts)
+    for name in ("settings", "model", "rename", "tied"):
         _attributes(group, **{name: json.dumps(dict(getattr(part, name)))})
     _attributes(group, constraints=json.dumps(part.constraints))
     if isinstance(part, FittedRecord):
@@ -224,11 +232,34 @@ def _read_part(group: Node) -> FittedResponse | FittedRecord:
     attributes = group.attrs
     stated: dict[str, Any] = {name: str(attributes[name]) for name in _PART_TEXTS}
     stated |= {name: json.loads(attributes[name]) for name in ("model", "rename", "tied")}
-    stated |= {"constraints": tuple(json.loads(attributes["constraints"])), "weight": float(attributes["weight"])}
+    stated["constraints"] = tuple(json.loads(attributes["constraints"]))
+    stated["weight"] = float(attributes["weight"])
+    stated |= _read_criterion(attributes) if "settings" in attributes else _read_criterion_text(attributes)
     part = _read_fitted_record(group, stated) if "simulated" in group else _read_fitted_response(group, stated)
     if part.data.checksum != attributes["checksum"]:
         raise KeyError(f"the data of part {attributes['name']!r} do not match their checksum")
     return part
+
+
+def _read_criterion(attributes: Any) -> dict[str, Any]:
+    return {
+        "criterion": str(attributes["criterion"]),
+        "criterion_class": str(attributes["criterion_class"]),
+        "settings": json.loads(attributes["settings"]),
+        "is_likelihood": bool(attributes["is_likelihood"]),
+    }
+
+
+def _read_criterion_text(attributes: Any) -> dict[str, Any]:
+    """Read the criterion of layouts 1 and 2, the text of its constructor; without settings where it held functions."""
+    text = str(attributes["criterion"])
+    included = {type(criterion).__name__: criterion for criterion in (*CRITERIA, *TIME_CRITERIA)}
+    usual: Any = included[text.partition("(")[0]]
+    try:
+        call: Any = ast.parse(text, mode="eval").body
+        return criterion_values(replace(usual, **{k.arg: ast.literal_eval(k.value) for k in call.keywords}))
+    except (ValueError, SyntaxError):
+        return criterion_values(usual) | {"settings": {"text": text}}
 
 
 def _read_fitted_response(group: Node, stated: dict[str, Any]) -> FittedResponse:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.experiment.excitation import Excitation, Segment, checked_band
+from greybox.experiment.excitation import Excitation, Maneuver, checked_band
 
 Array = NDArray[np.float64]
 PEAK_NORMS = (2, 4, 8, 16, 32)  # half of the exponents of the norms that the phases minimize, one after another
@@ -63,7 +63,7 @@ def multisine(  # noqa: PLR0913 - each is one fact of the test card
     step = 2 * math.pi / period
     settled, end = (period if periods > 1 else 0.0), period * periods
     schedule = tuple(
-        Segment(name, "multisine", 0.0, settled, end, h[0] * step, h[-1] * step, amplitude, 0.0)
+        Maneuver(name, "multisine", 0.0, settled, end, h[0] * step, h[-1] * step, amplitude, 0.0)
         for name, h in zip(signals, dealt, strict=True)
     )
     settings = {"period": period, "harmonics": {n: tuple(map(int, h)) for n, h in zip(signals, dealt, strict=True)}}

@@ -15,11 +15,13 @@ from greybox.experiment.controller import Controller, connected, updated
 from greybox.experiment.excitation import Excitation
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.realization import Dynamics, dynamics
+from greybox.modeling.step_size import relative_change, state_sizes, substep_growth
 
 Array = NDArray[np.float64]
 Signals = dict[str, ca.SX]
 NOTHING: Mapping[str, float] = MappingProxyType({})
 TOLERANCE = 1e-7  # of a state's largest size: what halving the strides may change in a controller period
+ORDER = 4  # of the Runge-Kutta steps
 MOST_STRIDES = 256  # in a controller period
 DIVERGED = 1e9  # no state of a vehicle in SI units is that large
 DOT = "_dot"
@@ -184,7 +186,7 @@ def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], tu
         reached = int(np.argmax(wrong.any(axis=0))) if wrong.any() else time.size
         error = _largest(local[:, :reached], flown[len(names) :, :reached], after[:n, :reached])
         if error > TOLERANCE and strides < MOST_STRIDES:
-            strides = min(MOST_STRIDES, strides * max(2, math.ceil(min((error / TOLERANCE) ** 0.25, 8))))
+            strides = min(MOST_STRIDES, strides * substep_growth(error, TOLERANCE, ORDER))
             continue
         if wrong.any():
             raise ValueError(_divergence(loop, names, flown[:, reached], wrong[:, reached], time[reached]))
@@ -194,10 +196,9 @@ def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], tu
 
 def _largest(local: Array, before: Array, after: Array) -> float:
     """Return the largest error of a period relative to the size of its state, infinite where it is not a number."""
-    size = np.maximum(np.abs(before), np.abs(after)).max(axis=1, initial=0.0)
-    size = np.maximum(size, 1e-9 * size.max(initial=0.0))[:, None]
     with np.errstate(invalid="ignore"):
-        return float(np.nan_to_num(local / np.where(size > 0, size, 1.0), nan=np.inf).max(initial=0.0))
+        error = relative_change(local, state_sizes(before, after))
+    return math.inf if math.isnan(error) else error
 
 
 def _step(loop: _Loop, strides: int) -> tuple[ca.Function, list[str]]:

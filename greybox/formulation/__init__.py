@@ -1,7 +1,10 @@
 """What is estimated from what, by which rule.
 
-Begin with `problem` (model + data + criterion). `frequency_criteria` and `time_criteria` hold the rules, `starts` the
-points from which a search begins, `held_estimate` what an earlier `Fit` gives to a problem that holds its values.
+Begin with `problem`: a model, data and a criterion, with fixed, free, tied and renamed parameters; problems add. What
+all rules share is in `criterion`, the rules themselves in `frequency_criteria` and `time_criteria`. `several` states
+one problem for several records, `sensor_biases` numbers the biases that each record has for itself, `held_estimate` is
+what a problem asks of an earlier `Fit` whose values it holds fixed, and `starts` are the points from which a search
+begins, one rule a class.
 """
 
 from greybox.formulation.frequency_criteria import Criterion as Criterion

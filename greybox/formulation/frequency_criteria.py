@@ -7,7 +7,7 @@ M = Jᵀ diag(meat) J.
 """
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -16,46 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.modeling.functions import Complex, sqrt
+from greybox.formulation.criterion import AnyCriterion
+from greybox.modeling.complex_arithmetic import Complex
+from greybox.modeling.functions import sqrt
 
 _DECIBEL = 20 / math.log(10)  # dB per unit of natural logarithm of a magnitude
 _DEGREE = 180 / math.pi
 
 
-class Criterion(ABC):
-    """The rule that measures the mismatch; its `cost` is what is minimized.
+class Criterion(AnyCriterion):
+    """A rule that measures the mismatch of frequency responses; its `cost` is what is minimized.
 
-    Attributes
-    ----------
-    rule : str
-        The formula, for the reader of a result; `description` completes it with the options.
-    smoothed : bool
-        True when the cost has a kink at a zero residual, so that the solver minimizes it with a small smoothing.
-    condition : str
-        What the errors must be like for the standard errors to hold.
-    known_noise : bool
-        True when the size of the errors is given with the data rather than estimated from the residuals.
+    See `AnyCriterion` for what a subclass states about itself.
     """
 
-    rule: ClassVar[str]
-    smoothed: ClassVar[bool] = False
-    known_noise: ClassVar[bool] = False
     condition: ClassVar[str] = "errors isotropic in the complex plane and of one relative size"
-
-    @property
-    def gain_bias(self) -> float:
-        """The relative error of the gain in units of σ², with relative noise σ in each component."""
-        return 0.0
-
-    @property
-    def variant(self) -> str:
-        """What distinguishes it from the usual form of its rule; empty for the usual form."""
-        return ""
-
-    @property
-    def description(self) -> str:
-        """The rule in words."""
-        return f"{self.rule}, over the {self.variant}'s magnitude" if self.variant else self.rule
 
     def check(self, data: FrequencyResponse) -> None:
         """Raise ValueError when `data` do not hold what the criterion needs."""
@@ -67,8 +42,8 @@ class Criterion(ABC):
             )
 
     @property
-    def first(self) -> "Criterion | None":
-        """The criterion that finds the neighborhood of the minimum where this one alone is prone to local minima."""
+    def locator(self) -> "Criterion | None":
+        """The criterion that is minimized first, where this one alone is prone to local minima."""
         return None
 
     @abstractmethod
@@ -88,7 +63,7 @@ class Criterion(ABC):
         """Return `bread` and `meat` (2n,); `correction` scales the noise size for the parameters estimated."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Relative(Criterion):
     """What the two relative criteria share: errors e = (P - P̂) / |P̂|, or over |P|."""
 
@@ -99,6 +74,11 @@ class _Relative(Criterion):
     def variant(self) -> str:
         """Which magnitude the errors are divided by, where it is not the paper's."""
         return "" if self.normalized == "measured" else self.normalized
+
+    @property
+    def description(self) -> str:
+        """The rule, with the magnitude that the errors are divided by where it is not the paper's."""
+        return f"{self.rule}, over the {self.variant}'s magnitude" if self.variant else self.rule
 
     @property
     def gain_bias(self) -> float:
@@ -125,7 +105,7 @@ class _Relative(Criterion):
         return _stack(sensitivity / self.magnitude(model, data)[:, None])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RelativeError(_Relative):
     """Sum of relative errors, (4.26): Σ |P - P̂| / |P̂|, with P the model and P̂ the measurement.
 
@@ -152,7 +132,7 @@ class RelativeError(_Relative):
         return 0.5 * math.sqrt(math.pi / 2) / s if s > 0 else math.inf, np.full(2 * len(data), 0.5)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SquaredRelativeError(_Relative):
     """Sum of squared relative errors: Σ |P - P̂|² / |P̂|².
 
@@ -175,7 +155,7 @@ class SquaredRelativeError(_Relative):
         return 2.0, np.full(2 * len(data), 4 * s2)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MagnitudePhase(Criterion):
     """Magnitude and phase errors weighted by coherence, the cost of CIFER.
 
@@ -193,7 +173,7 @@ class MagnitudePhase(Criterion):
     phase_weight: ClassVar[float] = 0.01745
 
     @property
-    def first(self) -> Criterion | None:
+    def locator(self) -> Criterion | None:
         """The squared relative error has no phase wrapping."""
         return SquaredRelativeError()
 
@@ -232,7 +212,7 @@ class MagnitudePhase(Criterion):
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MaximumLikelihood(Criterion):
     """Maximum likelihood for circular complex normal errors of given variance: Σ |P - P̂|² / E|P̂ - P|².
 
@@ -245,6 +225,7 @@ class MaximumLikelihood(Criterion):
 
     rule: ClassVar[str] = "maximum likelihood, given variances"
     known_noise: ClassVar[bool] = True
+    is_likelihood: ClassVar[bool] = True
     condition: ClassVar[str] = "circular errors of the given variances, or as much larger as the residuals are"
 
     def check(self, data: FrequencyResponse) -> None:

@@ -16,10 +16,11 @@ from greybox.formulation.held_estimate import Estimated
 from greybox.formulation.sensor_biases import with_own_biases
 from greybox.formulation.time_criteria import OutputError, TimeCriterion
 from greybox.modeling.harmonic_balance import check_sine
-from greybox.modeling.linearization import delay_order, pick_signals
-from greybox.modeling.model import Model, Names, StateSpace, merge, require_known
+from greybox.modeling.model import Model, Names, merge, pick_signals, require_known
+from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.sine import Sine, as_sine
+from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import require_no_nan, traced
 
 LONG = 200  # characters of a list in a sentence

@@ -46,11 +46,10 @@ class _Random(Starts):
 
     def draw(self, parameters: Mapping[str, Parameter]) -> NDArray[np.float64]:
         """Return the starts, (number, p)."""
-        low, high = np.array([_finite_box(name, p) for name, p in parameters.items()]).T
-        log = np.array([p.scale == "log" for p in parameters.values()])
-        first, last = (np.where(log, np.log(np.where(log, end, 1.0)), end) for end in (low, high))
-        points = first + self.unit_points(len(parameters)) * (last - first)
-        return np.clip(np.where(log, np.exp(np.where(log, points, 0.0)), points), low, high)
+        for name, p in parameters.items():
+            _require_finite_box(name, p)
+        shares = self.unit_points(len(parameters))
+        return np.column_stack([p.in_box(shares[:, k]) for k, p in enumerate(parameters.values())])
 
 
 @dataclass(frozen=True)
@@ -170,11 +169,10 @@ def as_starts(starts: "int | Starts | Sequence[Mapping[str, float] | Starts]", s
     )
 
 
-def _finite_box(name: str, parameter: Parameter) -> tuple[float, float]:
+def _require_finite_box(name: str, parameter: Parameter) -> None:
     low, high = parameter.box
     if not (math.isfinite(low) and math.isfinite(high)):
         raise ValueError(
             f"random starts for {name!r} need a finite box and its bounds are ({low:g}, {high:g}): "
             "declare Parameter(..., starts=(low, high)) or give the starts as a list."
         )
-    return low, high

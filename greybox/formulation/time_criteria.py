@@ -1,7 +1,6 @@
 """Rules that measure the mismatch between a model's simulated outputs and measured ones, in time."""
 
 import math
-from abc import ABC
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
@@ -9,12 +8,14 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from greybox.data.record import Record
-from greybox.modeling.model import Model, StateSpace, require_known
+from greybox.formulation.criterion import AnyCriterion
+from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter
+from greybox.modeling.state_space import StateSpace
 
 
 @dataclass(frozen=True, eq=False)
-class TimeCriterion(ABC):
+class TimeCriterion(AnyCriterion):
     """What the criteria in time share: the likelihood of normal errors of the outputs.
 
     Parameters
@@ -38,6 +39,14 @@ class TimeCriterion(ABC):
     the bounds of its parameter allow, are not compared: a lazy upper bound costs data, and a warning says when it costs
     more than 5 % of a record.
 
+    Attributes
+    ----------
+    errors_are_white : bool
+        True when the standard errors take the residuals as white; False when they follow from the autocorrelation of
+        the residuals.
+    corrects_states : bool
+        True when the residuals of a sample correct the states, by the gains of `gains`.
+
     Source: Klein and Morelli, Aircraft System Identification, 2nd ed., chapter 6.
     """
 
@@ -46,11 +55,10 @@ class TimeCriterion(ABC):
     biases: Sequence[str] = ()
     initial: Mapping[str, float | Callable[[Any], Any]] = field(default_factory=dict)
 
-    rule: ClassVar[str]
-    smoothed: ClassVar[bool] = False
-    gain_bias: ClassVar[float] = 0.0
     condition: ClassVar[str] = "stationary output errors with the autocorrelation of the residuals"
-    known_noise: ClassVar[bool] = False
+    is_likelihood: ClassVar[bool] = True
+    errors_are_white: ClassVar[bool] = False
+    corrects_states: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         """Check the options."""
@@ -81,8 +89,6 @@ class TimeCriterion(ABC):
         noise = {"diagonal": "estimated variances", "full": "estimated covariance"}
         return f"{self.rule}, {'given variances' if isinstance(self.noise, Mapping) else noise[self.noise]}"
 
-    first: ClassVar[None] = None
-
     def compared(self, model: Model, record: Record) -> tuple[str, ...]:
         """Return the outputs of the model that the record holds.
 
@@ -91,20 +97,24 @@ class TimeCriterion(ABC):
         ValueError
             If an input is missing, none of the outputs is there, or a named signal does not exist.
         """
-        label, there = model.label, ", ".join(record.signals) or "none"
+        label = model.label
+        signals = ", ".join(record.signals) or "none"
         for name in model.input_names:
             if name not in record.signals:
-                raise ValueError(f"{label} needs the input {name!r}, which the record does not have; it has {there}.")
+                raise ValueError(f"{label} needs the input {name!r}, which the record does not have; it has {signals}.")
+
         outputs = tuple(name for name in model.output_names if name in record.signals)
         if not outputs:
             raise ValueError(
-                f"the record has none of the outputs of {label} ({', '.join(model.output_names)}); it has {there}."
+                f"the record has none of the outputs of {label} ({', '.join(model.output_names)}); it has {signals}."
             )
+
         require_known(self.biases, (*outputs, *model.input_names), "measured output or input", label)
         if isinstance(model, StateSpace):
             require_known(self.initial, model.states, "state", label)
         elif self.initial:
             raise ValueError(f"{label} is a transfer function and has no named states: leave out initial.")
+
         if isinstance(self.noise, Mapping):
             require_known(self.noise, model.output_names, "output", label)
             missing = [name for name in outputs if name not in self.noise]
@@ -115,21 +125,17 @@ class TimeCriterion(ABC):
         return outputs
 
     def parameters(self, model: Model, record: Record) -> dict[str, Parameter]:
-        """Return the unknowns that the criterion adds to those of the model."""
-        result = {}
-        for name in self.biases:
-            values = record[name][np.isfinite(record[name])]
-            if not values.size:
-                raise ValueError(f"biases names {name!r}, of which the record has no measured value: leave it out.")
-            reach = float(np.ptp(values)) or 1.0
-            result[f"{name}_bias"] = Parameter(
-                0.0,
-                bounds=(-10 * reach, 10 * reach),
-                starts=(-0.05 * reach, 0.05 * reach),
-                unit=record.units.get(name, "1"),
-                about=f"constant error of the measured {name}",
+        """Return the unknowns that the criterion adds to those of the model: biases, then gains."""
+        result = {f"{name}_bias": _bias(name, record) for name in self.biases}
+        for state, output in self.gains(model, self.compared(model, record)):
+            result[f"K_{state}_{output}"] = Parameter(
+                0.0, starts=(0.0, 0.0), unit=f"[{state}/{output}]", about=f"correction of {state} by {output}"
             )
         return result
+
+    def gains(self, model: Model, outputs: Sequence[str]) -> tuple[tuple[str, str], ...]:
+        """Return the pairs of state and output that have a gain, the parameter ``K_<state>_<output>``."""
+        return ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,19 +169,38 @@ class PredictionError(TimeCriterion):
     corrected: Sequence[str] = ()
     rule: ClassVar[str] = "prediction error, one sample ahead"
     condition: ClassVar[str] = "white innovations"
+    errors_are_white: ClassVar[bool] = True
+    corrects_states: ClassVar[bool] = True
 
-    def gains(self, model: Model, outputs: Sequence[str]) -> list[tuple[str, str]]:
-        """Return the pairs of state and output that have a gain."""
+    def gains(self, model: Model, outputs: Sequence[str]) -> tuple[tuple[str, str], ...]:
+        """Return every pair of a corrected state and an output."""
         if not isinstance(model, StateSpace):
-            raise TypeError(f"PredictionError needs a StateSpace, whose states it corrects, not {model.label}.")
+            raise TypeError(f"{type(self).__name__} needs a StateSpace, whose states it corrects, not {model.label}.")
         require_known(self.corrected, model.states, "state", model.label)
-        return [(state, output) for state in self.corrected or model.states for output in outputs]
+        return tuple((state, output) for state in self.corrected or model.states for output in outputs)
 
-    def parameters(self, model: Model, record: Record) -> dict[str, Parameter]:
-        """Return the biases and the entries of the gain."""
-        result = super().parameters(model, record)
-        for state, output in self.gains(model, self.compared(model, record)):
-            result[f"K_{state}_{output}"] = Parameter(
-                0.0, starts=(0.0, 0.0), unit=f"[{state}/{output}]", about=f"correction of {state} by {output}"
-            )
-        return result
+
+TIME_CRITERIA: tuple[TimeCriterion, ...] = (OutputError(), PredictionError())
+"""What the command line offers for records."""
+
+
+# Measured range of the signal as the unit. The bounds are only to be out of the way; starts near zero, since a sensor
+# that is off by more than this share of what it measures would be found by eye.
+WIDEST_BIAS = 10.0
+USUAL_BIAS = 0.05
+
+
+def _bias(name: str, record: Record) -> Parameter:
+    """Return the unknown constant error of a signal, in a box around zero."""
+    values = record[name][np.isfinite(record[name])]
+    if not values.size:
+        raise ValueError(f"biases names {name!r}, of which the record has no measured value: leave it out.")
+    # A constant signal tells no scale; in SI units 1 is within a few orders of magnitude of any sensor's error.
+    span = float(np.ptp(values)) or 1.0
+    return Parameter(
+        0.0,
+        bounds=(-WIDEST_BIAS * span, WIDEST_BIAS * span),
+        starts=(-USUAL_BIAS * span, USUAL_BIAS * span),
+        unit=record.units.get(name, "1"),
+        about=f"constant error of the measured {name}",
+    )

@@ -1,22 +1,29 @@
 """Declaring models and reading their formulas.
 
-Begin with `model` (`TransferFunction`, `StateSpace`) and `parameter`. One formula has several readings: `functions`
-serves numbers and CasADi expressions alike, `symbolic_reading` traces it, `linearization` gives the response of a model
-at its operating point (`trim`), where the exact and the Padé delay are made; `realization` turns a model into
-differential equations, `integrators` step them, `harmonic_balance` answers sines of finite amplitude.
+Begin with `transfer_function` and `state_space`, which are the two kinds of `model`, and with `parameter`. Formulas are
+written with `functions`. One formula has several readings:
+
+- `symbolic_reading` traces it with CasADi; `complex_arithmetic` gives real and imaginary part of a function of s, and
+  `rational` numerator, denominator and delay (`function_of_s` is what these two share).
+- `pade_delay` approximates a delay by a rational function or by states.
+- `linear_response` is the frequency response, with `linearization` of an ODE at its operating point (`trim`) and
+  `elimination` of the states; `harmonic_balance` is the response to a `sine` of finite amplitude.
+- `realization` turns a model into differential equations, `integrators` step them.
+
+`model_reference` names a model in a stored result.
 """
 
 from greybox.modeling.harmonic_balance import harmonic_response as harmonic_response
 from greybox.modeling.integrators import Integrator as Integrator
 from greybox.modeling.integrators import Rosenbrock as Rosenbrock
 from greybox.modeling.integrators import RungeKutta as RungeKutta
+from greybox.modeling.linear_response import frequency_response as frequency_response
 from greybox.modeling.linearization import LinearSystem as LinearSystem
-from greybox.modeling.linearization import frequency_response as frequency_response
 from greybox.modeling.linearization import linearize as linearize
-from greybox.modeling.linearization import rational as rational
 from greybox.modeling.model import Model as Model
-from greybox.modeling.model import StateSpace as StateSpace
-from greybox.modeling.model import TransferFunction as TransferFunction
-from greybox.modeling.model import feedback as feedback
 from greybox.modeling.parameter import Parameter as Parameter
+from greybox.modeling.rational import rational as rational
 from greybox.modeling.sine import Sine as Sine
+from greybox.modeling.state_space import StateSpace as StateSpace
+from greybox.modeling.transfer_function import TransferFunction as TransferFunction
+from greybox.modeling.transfer_function import feedback as feedback

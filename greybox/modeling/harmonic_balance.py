@@ -16,10 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.modeling.functions import Complex, exp
-from greybox.modeling.linearization import delay_order, frequency_response, pick_signals
-from greybox.modeling.model import Model, StateSpace
+from greybox.modeling.complex_arithmetic import Complex
+from greybox.modeling.functions import exp
+from greybox.modeling.linear_response import frequency_response
+from greybox.modeling.model import Model, pick_signals
+from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.sine import Sine, as_sine
+from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import traced_derivative, traced_output
 from greybox.modeling.trim import trim_function
 

@@ -1,4 +1,4 @@
-"""Model structures: a transfer function or an ODE, declared once with named parameters."""
+"""What all models share: declared parameters, values by name, names of signals, and parameters that are one unknown."""
 
 import inspect
 import math
@@ -9,6 +9,8 @@ from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
 from greybox.modeling.parameter import Parameter
+
+PACKAGE = __name__.rpartition(".")[0]  # whose classes' attributes no parameter may hide
 
 
 class Names(Mapping[str, Any]):
@@ -39,7 +41,7 @@ class Names(Mapping[str, Any]):
         return f"Names({dict(self)!r})"
 
 
-def _require_usable(names: Iterable[str], owner: str, taken: type = Names) -> None:
+def require_usable(names: Iterable[str], owner: str, taken: type = Names) -> None:
     """Raise ValueError for a name that would hide what the framework calls on `taken`."""
     for name in names:
         if hasattr(taken, name):
@@ -73,8 +75,8 @@ class Model(ABC):
                     f"{cls.__name__}.{hidden[0]} is a number where a Parameter was declared: use Parameter(...)."
                 )
             found |= {name: value for name, value in vars(owner).items() if isinstance(value, Parameter)}
-        for taken in (Names, *(base for base in cls.__mro__[1:] if base.__module__ == __name__)):
-            _require_usable(found, cls.__name__, taken)
+        for taken in (Names, *(base for base in cls.__mro__[1:] if base.__module__.startswith(PACKAGE))):
+            require_usable(found, cls.__name__, taken)
         cls.parameters = MappingProxyType(found)
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
@@ -128,160 +130,32 @@ class Model(ABC):
         return f"{type(self).__name__}({', '.join(words)})"
 
 
-class TransferFunction(Model):
-    """A transfer function in s from one input to one output, e.g. equation (4.25).
-
-    A subclass declares `input` and `output`, its parameters, and `response`. Transfer functions multiply:
-    ``rotor * tilt`` is the series connection in which the signal passes `rotor` first.
-    """
-
-    input: str = "u"
-    output: str = "y"
-
-    @abstractmethod
-    def response(self, s: Any, p: Any) -> Any:
-        """Return the value at `s` for the parameter values `p`.
-
-        `s` is a complex array, a `Complex` or a `Rational`; write the formula with ``+ - * / **`` and functions such as
-        `gb.exp`, and every reading works.
-        """
-
-    @property
-    def input_names(self) -> tuple[str, ...]:
-        """The one input."""
-        return (self.input,)
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """The one output."""
-        return (self.output,)
-
-    def __mul__(self, other: Any) -> "TransferFunction":
-        return Series(self, other) if isinstance(other, TransferFunction) else NotImplemented
-
-
-class Series(TransferFunction):
-    """Series connection: the signal passes `first`, then `second`; parameters of one name are one unknown."""
-
-    def __init__(self, first: TransferFunction, second: TransferFunction) -> None:
-        _require_transfer_functions(first, second)
-        self.first, self.second = first, second
-        self.parameters = merged_parameters((first, second))
-        self.input, self.output = first.input, second.output
-
-    @property
-    def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
-        """Those of both."""
-        return {**self.first.derived, **self.second.derived}
-
-    def response(self, s: Any, p: Any) -> Any:
-        """Product of the two responses."""
-        return self.first.response(s, p) * self.second.response(s, p)
-
-    @property
-    def label(self) -> str:
-        """The names of both."""
-        return f"{self.first.label} * {self.second.label}"
-
-
-class Feedback(TransferFunction):
-    """Closed loop forward / (1 - sign · forward · back); negative feedback with the default sign.
-
-    A loop around a delay has exact readings in numbers and in CasADi; its rational reading needs a Padé approximation.
-    """
-
-    def __init__(self, forward: TransferFunction, back: TransferFunction | None = None, sign: int = -1) -> None:
-        _require_transfer_functions(forward, *(() if back is None else (back,)))
-        if sign not in (-1, 1):
-            raise ValueError(f"sign {sign!r} must be -1 (negative feedback) or 1.")
-        self.forward, self.back, self.sign = forward, back, sign
-        parts = (forward,) if back is None else (forward, back)
-        self.parameters = merged_parameters(parts)
-        self.input, self.output = forward.input, forward.output
-
-    @property
-    def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
-        """Those of all parts."""
-        return {**self.forward.derived, **(self.back.derived if self.back else {})}
-
-    def response(self, s: Any, p: Any) -> Any:
-        """Return forward over one plus the loop."""
-        forward = self.forward.response(s, p)
-        loop = forward if self.back is None else forward * self.back.response(s, p)
-        return forward / (1 - self.sign * loop)
-
-    @property
-    def label(self) -> str:
-        """The names of what is in the loop."""
-        return f"Feedback({self.forward.label}" + (f", {self.back.label})" if self.back else ")")
-
-
-def feedback(forward: TransferFunction, back: TransferFunction | None = None, sign: int = -1) -> TransferFunction:
-    """Close the loop around `forward`, through `back` if given; `sign` is that of the feedback."""
-    return Feedback(forward, back, sign)
-
-
-class StateSpace(Model):
-    """An ODE ``x' = derivative(x, u, p)``, ``y = output(x, u, p)``, e.g. equation (4.23).
-
-    A subclass declares `states`, `inputs` and `outputs`, `delays` (input name to the name of the parameter that delays
-    it), its parameters, `derivative` and `output`. With ``states = ()`` it is a static model and needs no derivative.
-
-    It may declare ``trim(self, at, p)``, which returns the remaining states and inputs at the operating point `at` by
-    name; without it they follow from ``derivative = 0``.
-
-    What a delayed input did before a record is known only if it rests at the beginning: if it moves, a fit leaves out
-    as many seconds there as the upper bound of its delay, so give delays tight upper bounds (see `TimeCriterion`).
-    """
-
-    states: Sequence[str] = ()
-    inputs: Sequence[str] = ("u",)
-    outputs: Sequence[str] = ("y",)
-    delays: Mapping[str, str] = MappingProxyType({})
-
-    trim: Callable[[Any, Any], Mapping[str, Any]] | None = None
-
-    def __init_subclass__(cls, **kwargs: Any) -> None:
-        """Check the signal names of the declaration."""
-        super().__init_subclass__(**kwargs)
-        for attribute in ("states", "inputs", "outputs"):
-            names = getattr(cls, attribute)
-            if isinstance(names, str) or len(set(names)) != len(names):
-                raise ValueError(f"{cls.__name__}.{attribute} = {names!r} must be a tuple of different names.")
-            _require_usable(names, cls.__name__)
-        twice = set(cls.states) & set(cls.inputs)
-        if twice:
-            raise ValueError(f"{cls.__name__} has {twice.pop()!r} both as state and as input: use two names.")
-        require_known(cls.delays, cls.inputs, "input", f"{cls.__name__}.inputs")
-        require_known(cls.delays.values(), cls.parameters, "parameter", cls.__name__)
-        if cls.states and cls.derivative is StateSpace.derivative:
-            raise TypeError(f"{cls.__name__} has states but no derivative(self, x, u, p): declare it.")
-
-    def derivative(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
-        """Return the time derivative of every state, in the order of `states`; a static model has none."""
-        return ()
-
-    @abstractmethod
-    def output(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
-        """Return every output, in the order of `outputs`."""
-
-    @property
-    def input_names(self) -> tuple[str, ...]:
-        """Names of the inputs."""
-        return tuple(self.inputs)
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """Names of the outputs."""
-        return tuple(self.outputs)
-
-
 def require_known(names: Iterable[str], known: Iterable[str], what: str, owner: str) -> None:
     """Raise ValueError, naming the cure, for a name in `names` that is not in `known`."""
     known = list(known)
     for name in names:
         if name not in known:
             raise ValueError(f"{owner} has no {what} {name!r}; it has {', '.join(known) or 'none'}.")
+
+
+def pick_signals(model: Model, input: str = "", output: str = "") -> tuple[str, str]:
+    """Return the input-output pair meant by `input` and `output`; an empty name is the only one that there is."""
+    return (
+        _pick(input, model.input_names, "input", model.label),
+        _pick(output, model.output_names, "output", model.label),
+    )
+
+
+def _pick(name: str, known: Sequence[str], what: str, owner: str) -> str:
+    if name in known:
+        return name
+    if name:
+        raise ValueError(
+            f"{owner} has no {what} {name!r}; it has {', '.join(known)}: name the data's {what} as one of them."
+        )
+    if len(known) > 1:
+        raise ValueError(f"{owner} has several {what}s ({', '.join(known)}): say which one the data are, {what}=...")
+    return known[0]
 
 
 def merge(name: str, a: Parameter, b: Parameter) -> Parameter:
@@ -344,9 +218,3 @@ def _intersect(name: str, what: str, a: tuple[float, float], b: tuple[float, flo
             f"widen them, or give one another name, rename={{{name!r}: ...}}."
         )
     return low, high
-
-
-def _require_transfer_functions(*models: Any) -> None:
-    for model in models:
-        if not isinstance(model, TransferFunction):
-            raise TypeError(f"{model!r} is not a TransferFunction: only transfer functions are connected.")

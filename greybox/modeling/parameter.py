@@ -2,8 +2,13 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+
+# Sizes of the start (at least 1) at which `Parameter.draw` closes an open end of the box: a decade about the start,
+# which is all that is known of such a parameter.
+OPEN_END = 10.0
 
 
 @dataclass(frozen=True)
@@ -75,6 +80,25 @@ class Parameter:
     def box(self) -> tuple[float, float]:
         """The interval in which random starts are drawn; may be infinite when neither bounds nor starts are given."""
         return self.starts if self.starts is not None else self.bounds
+
+    def in_box(self, share: Any) -> Any:
+        """Return the values at shares (0 to 1, any shape) of a finite box, or of its logarithm if that is the scale."""
+        return self._between(*self.box, share)
+
+    def draw(self, random: np.random.Generator) -> float:
+        """Draw a value from the box; an open end is taken to lie ten times the size of the start (at least 1) away."""
+        low, high = self.box
+        reach = OPEN_END * max(abs(self.start), 1.0)
+        low = low if math.isfinite(low) else min(self.start, high) - reach
+        high = high if math.isfinite(high) else max(self.start, low) + reach
+        return float(self._between(low, high, random.random()))
+
+    def _between(self, low: float, high: float, share: Any) -> Any:
+        if self.scale == "log":
+            values = np.exp(np.log(low) + share * (np.log(high) - np.log(low)))
+        else:
+            values = low + share * (high - low)
+        return np.clip(values, low, high)
 
 
 def _pair(value: object, what: str) -> tuple[float, float]:

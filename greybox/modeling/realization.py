@@ -6,9 +6,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.modeling.functions import Rational, pade_coefficients
-from greybox.modeling.model import Model, StateSpace, TransferFunction
+from greybox.modeling.model import Model
+from greybox.modeling.pade_delay import pade_states
+from greybox.modeling.rational import Rational
+from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import parameter_names, require_no_nan, traced, traced_derivative, traced_output
+from greybox.modeling.transfer_function import TransferFunction
 
 SWITCHES = {ca.OP_LT, ca.OP_LE, ca.OP_IF_ELSE_ZERO, ca.OP_FMIN, ca.OP_FMAX}
 
@@ -62,7 +65,7 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
     delays = [p[names.index(model.delays[i])] if i in model.delays else ca.SX(0) for i in model.inputs]
     z = ca.vertcat(x, u)
     f = traced_derivative(model, z, p) if model.states else ca.SX(0, 1)
-    return _approximated(
+    return _with_pade_states(
         Dynamics(
             states=tuple(model.states),
             inputs=tuple(model.inputs),
@@ -132,7 +135,7 @@ def _pace(a: list[Any], p: ca.SX, model: Model) -> float:
     return float(np.exp(np.mean(np.log(poles)))) if poles.size else 1.0
 
 
-def _approximated(exact: Dynamics, pade: int | None) -> Dynamics:
+def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
     """Replace every delay by the states of its Padé approximation, where an order is given."""
     if pade is None or not exact.delayed:
         return exact
@@ -146,7 +149,7 @@ def _approximated(exact: Dynamics, pade: int | None) -> Dynamics:
             late.append(u[k])
             continue
         x = ca.SX.sym(f"delay_{name}", pade)
-        output, derivative = _pade_states(x, u[k], delays[k], pade)
+        output, derivative = pade_states(x, u[k], delays[k], pade)
         own += [(f"{name}_delay_{i}", x[i]) for i in range(pade)]
         rows.append(derivative)
         late.append(output)
@@ -161,18 +164,3 @@ def _approximated(exact: Dynamics, pade: int | None) -> Dynamics:
         output=ca.Function("output", [full, u, p], [exact.output(x, delayed, p)]),
         delay=ca.Function("delay", [p], [ca.SX.zeros(m)]),
     )
-
-
-def _pade_states(x: ca.SX, u: ca.SX, delay: ca.SX, order: int) -> tuple[ca.SX, ca.SX]:
-    """Return the delayed input and the derivative of its states, in observer form with time in units of the delay."""
-    c = pade_coefficients(order)
-    leading = c[order] * (-1) ** order
-    # exp(-z) ≈ Σ c_k (-z)^k / Σ c_k z^k with z = s · delay, divided by c_n; highest power first.
-    a = [c[order - k] / c[order] for k in range(order + 1)]
-    b = [c[order - k] * (-1) ** (order - k) / c[order] for k in range(order + 1)]
-    feedthrough = leading / c[order]
-    rows = [
-        ((x[k + 1] if k + 1 < order else 0) - a[k + 1] * x[0] + (b[k + 1] - feedthrough * a[k + 1]) * u) / delay
-        for k in range(order)
-    ]
-    return x[0] + feedthrough * u, ca.vertcat(*rows)

@@ -8,7 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.modeling.model import Model, Names, StateSpace
+from greybox.modeling.model import Model, Names
+from greybox.modeling.state_space import StateSpace
 
 _CURE = "write it with + - * / **, gb.exp, gb.where, gb.maximum and friends, not with math, numpy, if, max or and."
 

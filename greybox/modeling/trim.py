@@ -7,8 +7,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.modeling.model import Names, StateSpace, require_known
-from greybox.modeling.parameter import Parameter
+from greybox.modeling.model import Names, require_known
+from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import column, derivative_function, parameter_names, traced, traced_derivative
 
 _TOLERANCE = 1e-9  # of the derivative at a trim, relative to the size of its terms
@@ -72,17 +72,11 @@ def _is_always_equilibrium(model: StateSpace, point: Sequence[float]) -> bool:
     derivative = derivative_function(model)
     random = np.random.default_rng(0)
     for _ in range(8):
-        trial = [some_value(p, random) for p in model.parameters.values()]
+        trial = [p.draw(random) for p in model.parameters.values()]
         value = np.asarray(derivative(point, trial))
         if not np.all(np.abs(value) < 1e-12):
             return False
     return True
-
-
-def some_value(parameter: Parameter, random: np.random.Generator) -> float:
-    """Draw a value from a start box, or from what is within 1000 of the start."""
-    low, high = np.clip(parameter.box, parameter.start - 1e3, parameter.start + 1e3)
-    return float(random.uniform(low, high))
 
 
 def _implicit_trim(model: StateSpace, at: Mapping[str, float]) -> ca.Function:

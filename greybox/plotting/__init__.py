@@ -1,12 +1,21 @@
-"""Figures; each function takes axes and returns them.
+"""Figures: frequency responses, time histories, starts, flight logs. Begin with `overview`, which draws a whole fit.
 
-`nyquist` and `figures` draw frequency responses and starts, `time_history` records, `flight_log` logs and their tests.
+A function that draws one panel takes ``ax=None`` and returns the matplotlib Axes. One that draws several takes
+``axes=None``, an array-like of as many Axes as it has panels, and returns them as a numpy array (n,) of Axes. Without
+axes it makes a figure of its own, which is ``ax.figure``; pyplot does not know it: show it as the last line of a
+notebook cell (``gb.plotting.bode(fit)[0].figure``), or save it with ``savefig``. With axes it draws into these alone
+and leaves the rest of their figure as it is: the legend stands inside, and ``legend=False`` leaves it out. `plot`
+composes several diagrams and returns the Figure.
+
+`nyquist`, `bode` and `starts` are one diagram each; `response_series` collects the points and curves of the first two.
+`time_history` draws fitted and predicted records, `flight_log` logs and their tests; `long_lines` draws no more points
+than can be seen. `overview` composes them into one figure, `style` holds colors, legends and the frame of a diagram.
 """
 
-from greybox.plotting.figures import plot as plot
-from greybox.plotting.figures import plot_bode as bode
-from greybox.plotting.figures import plot_nyquist as nyquist
-from greybox.plotting.figures import plot_starts as starts
-from greybox.plotting.flight_log import plot_recording as recording
-from greybox.plotting.flight_log import plot_traces as traces
-from greybox.plotting.time_history import plot_history as time_history
+from greybox.plotting.bode import bode as bode
+from greybox.plotting.flight_log import recording as recording
+from greybox.plotting.flight_log import traces as traces
+from greybox.plotting.nyquist import nyquist as nyquist
+from greybox.plotting.overview import plot as plot
+from greybox.plotting.starts import starts as starts
+from greybox.plotting.time_history import time_history as time_history

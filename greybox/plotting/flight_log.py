@@ -1,74 +1,142 @@
-"""Figures of time histories: a whole log with its tests marked, and one sine test as the paper's Fig. 3.2."""
+"""Signals of a flight log over time: the whole log with its tests marked, and one sine test as the paper's Fig. 3.2."""
 
 import math
 from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment
-from greybox.plotting.style import COLORS, page, plain
+from greybox.plotting.long_lines import drawn_line, pieces
+from greybox.plotting.style import (
+    COLORS,
+    TITLE_SIZE,
+    AxesArray,
+    GivenAxes,
+    finish,
+    given_axes,
+    label_horizontal,
+    new_figure,
+    plain,
+)
 
-PAIRS = (("ATT.DesRoll", "ATT.Roll"), ("ATT.DesPitch", "ATT.Pitch"), ("ATT.DesYaw", "ATT.Yaw"))
-MOST = 4000  # points of a line: more cannot be told apart on paper
-ROWS = 6
+# Setpoint and angle of each axis, as ArduPilot logs them.
+ATTITUDE = (("ATT.DesRoll", "ATT.Roll"), ("ATT.DesPitch", "ATT.Pitch"), ("ATT.DesYaw", "ATT.Yaw"))
+PANELS = 6  # signals of a log without attitudes that are drawn; more would not fit a page
+GAP = 10.0  # median steps: raw logs drop single messages, which would leave dots instead of lines
 
 
-def plot_traces(record: Record, segment: Segment | None = None, periods: float = 4) -> Figure:
-    """Draw every signal of a record over time, one axes for each unit.
+def traces(
+    record: Record,
+    segment: Segment | None = None,
+    periods: float = 4,
+    *,
+    axes: GivenAxes | None = None,
+    legend: bool = True,
+) -> AxesArray:
+    """Draw every signal of a record over time, one panel for each unit.
 
     With a `segment`, only its last `periods` periods are drawn, as in the paper's Fig. 3.2: setpoint and output share
-    an axes, the control has its own.
+    a panel, the control has its own.
+
+    Parameters
+    ----------
+    record : Record
+        Angles are drawn in degrees.
+    segment : Segment, optional
+        The part to draw.
+    periods : float
+        How many periods of the lowest frequency of `segment`.
+    axes : array-like of Axes, optional
+        One for each unit, in the order of the signals. Without it a new figure is made.
+    legend : bool
+        False leaves the legends inside the panels out.
+
+    Returns
+    -------
+    numpy.ndarray of Axes, shape (n,)
+        The last line of a notebook cell is ``gb.plotting.traces(record)[0].figure``.
 
     Raises
     ------
-    ValueError
-        If the record has no sample in the segment.
+    TypeError, ValueError
+        If the record has no sample in the segment, or for a wrong number of axes.
     """
     if segment is not None:
         span = min(segment.duration, periods * 2 * math.pi / segment.band[0])
         record = record.between(segment.end - span, segment.end)
     units = list(dict.fromkeys(record.units.get(name, "") for name in record.signals))
-    figure = page(9.0, 1.2 + 2.0 * len(units))
-    for ax, unit in zip(_rows(figure, len(units)), units, strict=True):
+    drawn = _stacked_axes(axes, [unit or "no unit" for unit in units], "this record", (9.0, 1.2 + 2.0 * len(units)))
+
+    for ax, unit in zip(drawn, units, strict=True):
         names = [name for name in record.signals if record.units.get(name, "") == unit]
         for k, name in enumerate(names):
             _line(ax, record.time, record[name] * (180 / math.pi if unit == "rad" else 1), plain(name), k)
-        _finish(ax, f"{', '.join(names)}, {'°' if unit == 'rad' else unit or '-'}")
-    title = record.name or "record"
+        _finish(ax, f"{', '.join(names)}, {'°' if unit == 'rad' else unit or '-'}", legend)
+
+    text = record.name or "record"
     if segment is not None and segment.kind == "sine":
-        title += f", {segment.omega:.4g} rad/s"
-    figure.axes[0].set_title(plain(title), fontsize=12)
-    figure.axes[-1].set_xlabel("Time, s")
-    return figure
+        text += f", {segment.omega:.4g} rad/s"
+    drawn[0].set_title(plain(text), fontsize=TITLE_SIZE)
+    label_horizontal(drawn, "Time, s")
+    return drawn
 
 
-def plot_recording(recording: Recording, segments: Sequence[Segment] = ()) -> Figure:
-    """Draw setpoints and angles of a log, or what signals it has, with its test segments shaded."""
-    pairs = [[n for n in pair if _there(recording, n)] for pair in PAIRS if _there(recording, pair[1])]
-    if not pairs:
+def recording(
+    recording: Recording,
+    segments: Sequence[Segment] = (),
+    *,
+    axes: GivenAxes | None = None,
+    legend: bool = True,
+) -> AxesArray:
+    """Draw setpoints and angles of a log, or what signals it has, with its test segments shaded.
+
+    Parameters
+    ----------
+    recording : Recording
+        A log, as `read` returns it.
+    segments : sequence of Segment, optional
+        Its tests, as `find_segments` returns them.
+    axes : array-like of Axes, optional
+        One for each angle of the log, or for each of its first six signals. Without it a new figure is made.
+    legend : bool
+        False leaves the legends inside the panels out.
+
+    Returns
+    -------
+    numpy.ndarray of Axes, shape (n,)
+        The last line of a notebook cell is ``gb.plotting.recording(log, tests)[0].figure``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If there is no signal, or for a wrong number of axes.
+    """
+    panels = [[n for n in pair if _holds(recording, n)] for pair in ATTITUDE if _holds(recording, pair[1])]
+    if not panels:
         everything = [f"{key}.{name}" for key, record in recording.items() for name in record.signals]
-        pairs = [[name] for name in everything[:ROWS]]
-    if not pairs:
+        panels = [[name] for name in everything[:PANELS]]
+    if not panels:
         raise ValueError(f"{recording.source or 'the recording'} holds no signal to draw.")
-    figure = page(10.0, 1.2 + 1.8 * len(pairs))
-    for ax, names in zip(_rows(figure, len(pairs)), pairs, strict=True):
+    drawn = _stacked_axes(axes, [names[-1] for names in panels], "this log", (10.0, 1.2 + 1.8 * len(panels)))
+
+    for ax, names in zip(drawn, panels, strict=True):
         for k, signal in enumerate(names):
             record, name = recording.locate(signal)
             values = np.unwrap(record[name], period=360) if record.units.get(name) == "deg" else record[name]
             _line(ax, record.time, values, plain(signal), k)
-        record, name = recording.locate(names[0])
         for segment in segments:
             ax.axvspan(segment.start, segment.end, color="0.5" if segment.usable else "tab:red", alpha=0.15, lw=0)
-        _finish(ax, record.units.get(name, "") or "-")
-    figure.axes[0].set_title(plain(recording.source or "recording"), fontsize=12)
-    figure.axes[-1].set_xlabel("Time, s (shaded: tests; red: not usable)" if segments else "Time, s")
-    return figure
+        record, name = recording.locate(names[0])
+        _finish(ax, record.units.get(name, "") or "-", legend)
+
+    drawn[0].set_title(plain(recording.source or "recording"), fontsize=TITLE_SIZE)
+    label_horizontal(drawn, "Time, s (shaded: tests; red: not usable)" if segments else "Time, s")
+    return drawn
 
 
-def _there(recording: Recording, signal: str) -> bool:
+def _holds(recording: Recording, signal: str) -> bool:
     try:
         recording.locate(signal)
     except KeyError:
@@ -76,29 +144,19 @@ def _there(recording: Recording, signal: str) -> bool:
     return True
 
 
-def _rows(figure: Figure, count: int) -> Sequence[Axes]:
-    return list(np.atleast_1d(figure.subplots(count, 1, sharex=True)))
+def _stacked_axes(axes: GivenAxes | None, names: Sequence[str], drawing: str, size: tuple[float, float]) -> AxesArray:
+    """Return the given axes, or those of a new figure of this size in inches, one below the other."""
+    if axes is not None:
+        return given_axes(axes, names, drawing)
+    return new_figure(*size).subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
 
 
 def _line(ax: Axes, time: np.ndarray, values: np.ndarray, label: str, k: int) -> None:
-    """Draw a line with its gaps open, thinned to the extremes of every stretch that a pixel covers."""
-    size = -(-time.size // (MOST // 2))
-    if size > 2:
-        blocks = np.arange(0, time.size - size + 1, size)
-        rows = blocks[:, None] + np.arange(size)
-        lowest = blocks + np.nan_to_num(values[rows], nan=np.inf).argmin(axis=1)
-        highest = blocks + np.nan_to_num(values[rows], nan=-np.inf).argmax(axis=1)
-        kept = np.unique(np.concatenate([lowest, highest]))
-        time, values = time[kept], values[kept]
-    wide = np.flatnonzero(np.diff(time) > 10 * np.median(np.diff(time))) + 1 if time.size > 2 else []
-    ax.plot(
-        np.insert(time, wide, np.nan), np.insert(values, wide, np.nan), color=COLORS[k % len(COLORS)], linewidth=1.0,
-        label=label,
-    )  # fmt: skip
+    gap = GAP * float(np.median(np.diff(time))) if time.size > 2 else math.inf
+    ax.plot(*drawn_line(time, values, pieces(time, gap)), color=COLORS[k % len(COLORS)], linewidth=1.0, label=label)
 
 
-def _finish(ax: Axes, label: str) -> None:
-    ax.set_ylabel(label)
-    ax.grid(color="0.9")
-    ax.legend(fontsize=8, loc="upper right")
-    ax.spines[["top", "right"]].set_visible(False)
+def _finish(ax: Axes, label: str, legend: bool) -> None:
+    finish(ax, plain(label))
+    if legend:
+        ax.legend(fontsize=8, loc="upper right")

@@ -1,27 +1,36 @@
-"""What stands on a page: points and curves, the frame around them, legends, and names as symbols."""
+"""What all figures share: colors, symbols for signal names, the frame of a diagram, legends, and given axes."""
 
 import io
 import unicodedata
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
 
+import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.legend_handler import HandlerTuple
-from matplotlib.lines import Line2D
+from numpy.typing import NDArray
 
-from greybox.data.frequency_response import FrequencyResponse
-
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito: told apart by all eyes
+# Okabe and Ito's colors, which readers with a color vision deficiency can tell apart; yellow is too pale for lines.
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+DARK = "#222222"
+GRAYS = ("#222222", "#777777", "#AAAAAA")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
-MARKER_SIZE = 5.5  # points
-CROWD = 100  # points of one data set from which on they shrink and lie below the curves
+TITLE_SIZE = 12  # points
+
+AxesArray = NDArray[np.object_]
+"""Matplotlib Axes, in one dimension."""
+
+GivenAxes = Axes | Sequence[Axes] | AxesArray
+"""Axes that a user made: one, or an array-like of them."""
+
+Entries = Mapping[str, tuple[Artist, ...]]
+"""The keys of a legend by label; those of one label stand side by side."""
 
 
 class _Figure(Figure):
-    """A figure that a notebook shows although pyplot, which would teach it to, was never imported."""
+    """A figure that a notebook shows although pyplot, which registers the display of figures, was never imported."""
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()
@@ -29,9 +38,40 @@ class _Figure(Figure):
         return buffer.getvalue()
 
 
-def page(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float) -> Figure:
     """Return an empty figure of this size in inches."""
     return _Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08))
+
+
+def given_axes(axes: GivenAxes, names: Sequence[str], drawing: str) -> AxesArray:
+    """Return the axes that a user gave as an array (n,), one for each of `names`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If one is no matplotlib Axes, or if they are not as many as `names`.
+    """
+    flat = flat_axes(axes)
+    if flat.size != len(names):
+        raise ValueError(
+            f"{drawing} draws {len(names)} panels ({', '.join(names)}), but `axes` has {flat.size}: give one for each."
+        )
+    return flat
+
+
+def flat_axes(axes: GivenAxes) -> AxesArray:
+    """Return the axes that a user gave as an array (n,).
+
+    Raises
+    ------
+    TypeError
+        If one is no matplotlib Axes.
+    """
+    flat = np.array(axes, dtype=object).ravel()
+    wrong = [item for item in flat if not isinstance(item, Axes)]
+    if wrong:
+        raise TypeError(f"cannot draw into {wrong[0]!r:.80}: give matplotlib Axes, e.g. those of plt.subplots().")
+    return flat
 
 
 def plain(text: str) -> str:
@@ -52,76 +92,42 @@ def _greek(name: str) -> str:
         return name.replace("$", r"\$")
 
 
-@dataclass(frozen=True, eq=False)
-class Series:
-    """Measured points (of the style of a marker) or a curve (of the style of a line), and what it belongs to.
-
-    `checksum` is that of the data, `pair` the names of input and output.
-    """
-
-    response: FrequencyResponse
-    label: str
-    color: str
-    style: str
-    checksum: str
-    pair: tuple[str, str]
-
-    @property
-    def measured(self) -> bool:
-        """True for points, False for a curve."""
-        return self.style in MARKERS
-
-    @property
-    def look(self) -> dict[str, Any]:
-        """What matplotlib wants to know."""
-        look = {"color": self.color, "label": self.label}
-        if self.measured:
-            small = min(1.0, (CROWD / len(self.response)) ** 0.5)  # as much ink as a crowd's
-            edge = {"markeredgecolor": "white", "markeredgewidth": 0.5 if small == 1 else 0.0}
-            size = {"markersize": max(2.0, small * MARKER_SIZE), "zorder": 3 if small == 1 else 1.5}
-            return {**look, "linestyle": "none", "marker": self.style, **edge, **size}
-        return {**look, "linestyle": self.style, "marker": "" if len(self.response) > 1 else "+", "linewidth": 1.8}
-
-    @property
-    def key(self) -> Line2D:
-        """The key of a legend."""
-        size = {"markersize": MARKER_SIZE} if self.measured else {}
-        return Line2D([], [], **{**self.look, **size})
+def finish(ax: Axes, ylabel: str) -> None:
+    """Label the vertical axis and give the panel the grid and the spines of every diagram."""
+    ax.set_ylabel(ylabel, fontsize=11)
+    ax.tick_params(labelsize=10)
+    ax.grid(True, color="0.9", linewidth=0.8)
+    ax.set_axisbelow(True)
+    ax.spines[["top", "right"]].set_visible(False)
 
 
-def ratio(series: Sequence[Series]) -> str:
-    """Return output/input in symbols, e.g. θ/u, or P(jω) where they are not the same for all."""
-    inputs, outputs = ({one.pair[k] for one in series} - {""} for k in (0, 1))
-    return f"{symbol(*outputs)}/{symbol(*inputs)}" if len(outputs) == len(inputs) == 1 else "P(jω)"
+def label_horizontal(axes: Iterable[Axes], label: str) -> None:
+    """Label the horizontal axis of the panels that show its numbers; of stacked ones only the lowest does."""
+    for ax in axes:
+        if ax.xaxis.get_tick_params().get("labelbottom", True):
+            ax.set_xlabel(label, fontsize=11)
 
 
-def finish(axes: Axes, xlabel: str, ylabel: str) -> None:
-    """Label the axes and give them the grid and the spines of every diagram."""
-    axes.set_xlabel(xlabel, fontsize=11)
-    axes.set_ylabel(ylabel, fontsize=11)
-    axes.tick_params(labelsize=10)
-    axes.grid(True, color="0.9", linewidth=0.8)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-
-
-def legend(figure: Figure | SubFigure, series: Sequence[Series]) -> None:
-    """Draw a legend of all data, then of the curves, one entry per fit with all its colors."""
-    entries: dict[str, dict[str, Line2D]] = {}
-    for one in sorted(series, key=lambda one: not one.measured):
-        entries.setdefault(one.label, {})[one.color + one.style] = one.key
-    legend_below(figure, {label: tuple(keys.values()) for label, keys in entries.items()})
-
-
-def legend_below(figure: Figure | SubFigure, entries: Mapping[str, tuple[Line2D, ...]]) -> None:
-    """Draw a legend below everything, where it covers no data, with the keys of one label side by side."""
+def legend_below(figure: Figure | SubFigure, entries: Entries) -> None:
+    """Draw a legend below everything, where it covers no data."""
+    width = figure.bbox.width / figure.dpi  # inches; a letter of 10 points takes about 1/11, a key six letters
+    columns = int(11 * width / (max(map(len, entries)) + 6))
     figure.legend(
         handles=[*entries.values()],
         labels=[*entries],
-        handler_map={tuple: HandlerTuple(ndivide=None, pad=0.4)},
-        handlelength=max(2.0, 1.2 * max(map(len, entries.values()))),
         loc="outside lower center",
-        ncols=max(1, min(len(entries), int(figure.bbox.width / figure.dpi * 11 / (max(map(len, entries)) + 6)))),
+        ncols=max(1, min(len(entries), columns)),
         fontsize=10,
         frameon=False,
+        **_keys_side_by_side(entries),
     )
+
+
+def legend_inside(ax: Axes, entries: Entries) -> None:
+    """Draw a legend inside a panel."""
+    ax.legend(handles=[*entries.values()], labels=[*entries], fontsize=9, **_keys_side_by_side(entries))
+
+
+def _keys_side_by_side(entries: Entries) -> dict:
+    most = max(map(len, entries.values()))
+    return {"handler_map": {tuple: HandlerTuple(ndivide=None, pad=0.4)}, "handlelength": max(2.0, 1.2 * most)}

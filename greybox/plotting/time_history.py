@@ -1,9 +1,10 @@
-"""Figures of time histories: measured, fitted or predicted, what is left, and the inputs."""
+"""Time histories: measured, fitted or predicted outputs, their residuals, and the inputs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
@@ -12,15 +13,29 @@ from numpy.typing import NDArray
 
 from greybox.data.record import GAP, Record
 from greybox.estimate.result import Fit, FittedRecord
-from greybox.plotting.style import COLORS, finish, legend_below, page, plain, symbol
+from greybox.plotting.long_lines import Rows, drawn_line, pieces
+from greybox.plotting.style import (
+    COLORS,
+    TITLE_SIZE,
+    AxesArray,
+    GivenAxes,
+    finish,
+    given_axes,
+    label_horizontal,
+    legend_below,
+    legend_inside,
+    new_figure,
+    plain,
+    symbol,
+)
 from greybox.simulation.prediction import Prediction
 from greybox.simulation.windows import seconds
 
 Array = NDArray[np.float64]
-MEASURED, INPUT = "#AAAAAA", "#222222"
-MOST = 4000  # points of a line: more cannot be told apart on paper
-DOTS = 400  # measured samples up to which each is a dot
-STARTS = 60  # windows up to which the beginning of each is marked
+MEASURED = "#AAAAAA"
+INPUT = "#222222"
+DOTS = 400  # measured samples up to which each is a dot: more would touch
+MARKED_WINDOWS = 60  # windows up to which the beginning of each is marked: more would touch
 WIDTH = 9.5  # inches
 
 
@@ -33,13 +48,19 @@ class _History:
     outputs: tuple[str, ...]
     inputs: tuple[str, ...]
     values: dict[str, Array]
-    half: dict[str, Array]
-    pieces: list[NDArray[np.integer]]
-    begins: NDArray[np.integer]
+    half_width: dict[str, Array]
+    pieces: list[Rows]
+    window_starts: Rows
 
 
-def plot_history(*items: Fit | Prediction, record: int = 0, labels: Sequence[str] = ()) -> Figure:
-    """Draw measured and fitted outputs over time, below each what is left, and the inputs at the bottom.
+def time_history(
+    *items: Fit | Prediction,
+    record: int = 0,
+    labels: Sequence[str] = (),
+    axes: GivenAxes | None = None,
+    legend: bool = True,
+) -> AxesArray:
+    """Draw measured and fitted outputs over time, below each its residuals, and the inputs at the bottom.
 
     Parameters
     ----------
@@ -50,48 +71,49 @@ def plot_history(*items: Fit | Prediction, record: int = 0, labels: Sequence[str
         Which record of a fit to several.
     labels : sequence of str, optional
         One for each item.
+    axes : array-like of Axes, optional
+        Two for each output, for its values and its residuals, and one for each input. Without it a new figure is made.
+    legend : bool
+        False leaves the legend out. It stands below a new figure, and in the first panel of given axes.
 
-    The figure is not known to pyplot: show it as the last line of a notebook cell or save it with ``savefig``.
+    Returns
+    -------
+    numpy.ndarray of Axes, shape (2 * outputs + inputs,)
+        The last line of a notebook cell is ``gb.plotting.time_history(fit)[0].figure``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        For what cannot be drawn, a fit without a record, items of different data, or a wrong number of labels or axes.
+    """
+    drawn = histories(items, record, labels)
+    if axes is not None:
+        places = given_axes(axes, _panels(drawn), "this time history")
+    else:
+        figure = new_figure(WIDTH, history_height(drawn))
+        places = history_axes(figure, drawn)
+
+    draw_history(places, drawn)
+    names = dict.fromkeys(history.data.name for history in drawn if history.data.name)
+    places[0].set_title(plain(", ".join(names) or "time history"), fontsize=TITLE_SIZE)
+
+    if axes is None:
+        places[0].figure.align_ylabels(places)
+        if legend:
+            legend_below(places[0].figure, history_legend(drawn))
+    elif legend:
+        legend_inside(places[0], history_legend(drawn))
+    return places
+
+
+def histories(items: Sequence[Fit | Prediction], record: int, labels: Sequence[str] = ()) -> list[_History]:
+    """Return what is drawn of each item.
 
     Raises
     ------
     TypeError, ValueError
         For what cannot be drawn, a fit without a record, or items of different data.
     """
-    histories = _histories(items, record, labels)
-    figure = page(WIDTH, history_height(items, record))
-    draw_history(figure, items, record, labels)
-    names = dict.fromkeys(h.data.name for h in histories if h.data.name)
-    figure.axes[0].set_title(plain(", ".join(names) or "time history"), fontsize=12)
-    return figure
-
-
-def history_height(items: Sequence[Fit | Prediction], record: int = 0) -> float:
-    """Return the height in inches that a figure of these needs."""
-    histories = _histories(items, record, ())
-    return 1.4 + 2.6 * len(_outputs(histories)) + 1.1 * len(_inputs(histories))
-
-
-def draw_history(
-    figure: Figure | SubFigure, items: Sequence[Fit | Prediction], record: int = 0, labels: Sequence[str] = ()
-) -> None:
-    """Draw them into a figure or a part of one."""
-    histories = _histories(items, record, labels)
-    outputs, inputs = _outputs(histories), _inputs(histories)
-    ratios = [*(ratio for _ in outputs for ratio in (1.9, 0.8)), *(0.9 for _ in inputs)]
-    axes = list(np.atleast_1d(figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)))
-    for k, name in enumerate(outputs):
-        _draw_output(axes[2 * k], axes[2 * k + 1], histories, name)
-    for axis, name in zip(axes[2 * len(outputs) :], inputs, strict=True):
-        data = next(h.data for h in histories if name in h.data.signals)
-        axis.plot(*_broken(data.time, data[name] * _scale(data, name), _pieces(data)), color=INPUT, linewidth=1.0)
-        finish(axis, "", _label(data, name))
-    axes[-1].set_xlabel("Time, s", fontsize=11)
-    figure.align_ylabels(axes)
-    legend_below(figure, _keys(histories))
-
-
-def _histories(items: Sequence[Fit | Prediction], record: int, labels: Sequence[str]) -> list[_History]:
     wrong = [item for item in items if not isinstance(item, Fit | Prediction)]
     if wrong:
         raise TypeError(f"cannot draw {wrong[0]!r:.80}: give a Fit or a Prediction.")
@@ -99,17 +121,54 @@ def _histories(items: Sequence[Fit | Prediction], record: int, labels: Sequence[
         raise ValueError("there is nothing to draw: give at least one Fit or Prediction.")
     if labels and len(labels) != len(items):
         raise ValueError(f"there are {len(labels)} labels for {len(items)} items: give one for each.")
-    found = [_of_fit(item, record) if isinstance(item, Fit) else _of_prediction(item) for item in items]
-    for history in found[1:]:
-        if not np.array_equal(history.data.time, found[0].data.time):
+
+    drawn = [_of_fit(item, record) if isinstance(item, Fit) else _of_prediction(item) for item in items]
+    for history in drawn[1:]:
+        if not np.array_equal(history.data.time, drawn[0].data.time):
             raise ValueError(
-                f"{history.label} and {found[0].label} belong to different records "
-                f"({history.data.name or 'one'}, {found[0].data.name or 'the other'}): draw each alone."
+                f"{history.label} and {drawn[0].label} belong to different records "
+                f"({history.data.name or 'one'}, {drawn[0].data.name or 'the other'}): draw each alone."
             )
-    said = list(labels) or [h.label for h in found]
-    if len(set(said)) < len(said):
-        said = [f"{label} {k}" for k, label in enumerate(said, 1)]
-    return [replace(h, label=label) for label, h in zip(said, found, strict=True)]
+
+    names = list(labels) or [history.label for history in drawn]
+    if len(set(names)) < len(names):
+        names = [f"{name} {k}" for k, name in enumerate(names, 1)]
+    return [replace(history, label=name) for name, history in zip(names, drawn, strict=True)]
+
+
+def history_height(drawn: Sequence[_History]) -> float:
+    """Return the height in inches that a figure of these needs."""
+    return 1.4 + 2.6 * len(_outputs(drawn)) + 1.1 * len(_inputs(drawn))
+
+
+def history_axes(figure: Figure | SubFigure, drawn: Sequence[_History]) -> AxesArray:
+    """Make the axes in a figure or a part of one: output and residual for each output, then the inputs."""
+    heights = [*(height for _ in _outputs(drawn) for height in (1.9, 0.8)), *(0.9 for _ in _inputs(drawn))]
+    return figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
+
+
+def draw_history(places: AxesArray, drawn: Sequence[_History]) -> None:
+    """Draw all items into their panels."""
+    outputs = _outputs(drawn)
+    for k, name in enumerate(outputs):
+        _draw_output(places[2 * k], places[2 * k + 1], drawn, name)
+
+    for ax, name in zip(places[2 * len(outputs) :], _inputs(drawn), strict=True):
+        data = next(history.data for history in drawn if name in history.data.signals)
+        ax.plot(*drawn_line(data.time, data[name] * _scale(data, name), _pieces(data)), color=INPUT, linewidth=1.0)
+        finish(ax, _label(data, name))
+
+    label_horizontal(places, "Time, s")
+
+
+def history_legend(drawn: Sequence[_History]) -> dict[str, tuple[Artist, ...]]:
+    """Return the legend: what was measured, every item, and the bands."""
+    keys: dict[str, tuple[Artist, ...]] = {"measured": (Line2D([], [], color=MEASURED, linewidth=2.4),)}
+    for k, history in enumerate(drawn):
+        keys[plain(history.label)] = (Line2D([], [], color=COLORS[k % len(COLORS)], linewidth=1.4),)
+    if any(history.half_width for history in drawn):
+        keys["95 % band without noise"] = (Patch(color="0.6", alpha=0.4, linewidth=0),)
+    return keys
 
 
 def _of_fit(fit: Fit, record: int) -> _History:
@@ -117,93 +176,94 @@ def _of_fit(fit: Fit, record: int) -> _History:
     if not count:
         raise ValueError(f"the fit {fit.name!r} has no record: draw its responses with gb.plot or gb.plotting.bode.")
     if not -count <= record < count:
-        raise ValueError(f"record {record} is not there: the fit has {count}, counted from 0.")
+        raise ValueError(f"there is no record {record}: the fit has {count}, counted from 0.")
     part: FittedRecord = fit.records[record]
-    values = {name: part.simulated[name] for name in part.outputs}
-    pieces, begins = _pieces(part.data), np.zeros(0, dtype=int)
-    inputs = tuple(name for name in part.data.signals if name not in part.outputs)
-    return _History(f"fit of {part.label}", part.data, part.outputs, inputs, values, {}, pieces, begins)
+    return _History(
+        label=f"fit of {part.label}",
+        data=part.data,
+        outputs=part.outputs,
+        inputs=tuple(name for name in part.data.signals if name not in part.outputs),
+        values={name: part.simulated[name] for name in part.outputs},
+        half_width={},
+        pieces=_pieces(part.data),
+        window_starts=np.zeros(0, dtype=int),
+    )
 
 
 def _of_prediction(prediction: Prediction) -> _History:
     from scipy.special import ndtri  # noqa: PLC0415  (takes a tenth of a second to import)
 
-    along = prediction.record
-    values = {name: along[name] for name in prediction.outputs}
-    half = {name: float(ndtri(0.975)) * along[f"{name}_error"] for name in prediction.outputs}
-    label = f"{prediction.label}, {seconds(prediction.horizon)} s ahead"
-    rows, outputs = prediction.rows, prediction.outputs
-    return _History(label, prediction.data, outputs, prediction.inputs, values, half, list(rows), rows[:, 0])
+    predicted = prediction.record
+    return _History(
+        label=f"{prediction.label}, {seconds(prediction.horizon)} s ahead",
+        data=prediction.data,
+        outputs=prediction.outputs,
+        inputs=prediction.inputs,
+        values={name: predicted[name] for name in prediction.outputs},
+        half_width={name: float(ndtri(0.975)) * predicted[f"{name}_error"] for name in prediction.outputs},
+        pieces=list(prediction.rows),
+        window_starts=prediction.rows[:, 0],
+    )
 
 
-def _pieces(data: Record) -> list[NDArray[np.integer]]:
+def _pieces(data: Record) -> list[Rows]:
     """Return the rows between the gaps."""
-    cuts = np.flatnonzero(np.diff(data.time) > GAP * data.step) + 1 if len(data) > 1 else []
-    return list(np.split(np.arange(len(data)), cuts))
+    return pieces(data.time, GAP * data.step)
 
 
-def _outputs(histories: Sequence[_History]) -> list[str]:
-    return list(dict.fromkeys(name for h in histories for name in h.outputs))
+def _outputs(drawn: Sequence[_History]) -> list[str]:
+    return list(dict.fromkeys(name for history in drawn for name in history.outputs))
 
 
-def _inputs(histories: Sequence[_History]) -> list[str]:
+def _inputs(drawn: Sequence[_History]) -> list[str]:
     """Return the inputs of all."""
-    return list(dict.fromkeys(name for h in histories for name in h.inputs))
+    return list(dict.fromkeys(name for history in drawn for name in history.inputs))
 
 
-def _draw_output(axis: Axes, below: Axes, histories: Sequence[_History], name: str) -> None:
-    data = next(h.data for h in histories if name in h.outputs)
-    scale, there = _scale(data, name), np.isfinite(data[name])
-    if there.sum() <= DOTS:
-        axis.plot(data.time[there], scale * data[name][there], ".", color=MEASURED, markersize=4.5, zorder=1.5)
+def _panels(drawn: Sequence[_History]) -> list[str]:
+    """Return the names of the panels, from top to bottom."""
+    outputs = [panel for name in _outputs(drawn) for panel in (name, f"residual of {name}")]
+    return [*outputs, *_inputs(drawn)]
+
+
+def _draw_output(ax: Axes, residual_ax: Axes, drawn: Sequence[_History], name: str) -> None:
+    data = next(history.data for history in drawn if name in history.outputs)
+    scale = _scale(data, name)
+    measured = np.isfinite(data[name])
+
+    if measured.sum() <= DOTS:
+        ax.plot(data.time[measured], scale * data[name][measured], ".", color=MEASURED, markersize=4.5, zorder=1.5)
     else:
-        axis.plot(*_broken(data.time, scale * data[name], _pieces(data)), color=MEASURED, linewidth=2.4, zorder=1.5)
-    for k, history in enumerate(histories):
+        line = drawn_line(data.time, scale * data[name], _pieces(data))
+        ax.plot(*line, color=MEASURED, linewidth=2.4, zorder=1.5)
+
+    for k, history in enumerate(drawn):
         if name in history.outputs:
-            _draw_line(axis, below, history, name, COLORS[k % len(COLORS)], scale)
-    below.axhline(0, color="0.6", linewidth=0.8)
-    finish(axis, "", _label(data, name))
-    finish(below, "", "residual")
+            _draw_item(ax, residual_ax, history, name, COLORS[k % len(COLORS)], scale)
+
+    residual_ax.axhline(0, color="0.6", linewidth=0.8)
+    finish(ax, _label(data, name))
+    finish(residual_ax, "residual")
 
 
-def _draw_line(axis: Axes, below: Axes, history: _History, name: str, color: str, scale: float) -> None:
-    time, values = history.data.time, scale * history.values[name]
-    look = {"color": color, "linewidth": 1.1}
-    axis.plot(*_broken(time, values, history.pieces), zorder=2.5, **look)
-    below.plot(*_broken(time, scale * history.data[name] - values, history.pieces), **{**look, "linewidth": 0.8})
-    if name in history.half:
-        half = scale * history.half[name]
-        t, low = _broken(time, values - half, history.pieces, thin=False)
-        _, high = _broken(time, values + half, history.pieces, thin=False)
-        _, width = _broken(time, half, history.pieces, thin=False)
+def _draw_item(ax: Axes, residual_ax: Axes, history: _History, name: str, color: str, scale: float) -> None:
+    time = history.data.time
+    values = scale * history.values[name]
+    residual = scale * history.data[name] - values
+    ax.plot(*drawn_line(time, values, history.pieces), color=color, linewidth=1.1, zorder=2.5)
+    residual_ax.plot(*drawn_line(time, residual, history.pieces), color=color, linewidth=0.8)
+
+    if name in history.half_width:
+        half = scale * history.half_width[name]
+        t, low = drawn_line(time, values - half, history.pieces, thin=False)
+        _, high = drawn_line(time, values + half, history.pieces, thin=False)
+        _, width = drawn_line(time, half, history.pieces, thin=False)
         look = {"color": color, "alpha": 0.2, "linewidth": 0, "zorder": 2}
-        axis.fill_between(t, low, high, **look)
-        below.fill_between(t, -width, width, **look)
-    if 0 < history.begins.size <= STARTS:
-        axis.plot(time[history.begins], values[history.begins], ".", color=color, markersize=4, zorder=3)
+        ax.fill_between(t, low, high, **look)
+        residual_ax.fill_between(t, -width, width, **look)
 
-
-def _broken(
-    time: Array, values: Array, pieces: Sequence[NDArray[np.integer]], thin: bool = True
-) -> tuple[Array, Array]:
-    """Return the pieces one after the other with a NaN between; of long ones the extremes of what a pixel covers."""
-    times, found = [], []
-    size = -(-sum(map(len, pieces)) // (MOST // 2)) if thin else 1
-    for rows in pieces:
-        kept = _extremes(values[rows], size) if size > 2 else slice(None)
-        times += [time[rows][kept], [np.nan]]
-        found += [values[rows][kept], [np.nan]]
-    return np.concatenate(times), np.concatenate(found)
-
-
-def _extremes(values: Array, size: int) -> NDArray[np.integer]:
-    if values.size < size:
-        return np.arange(values.size)
-    blocks = np.arange(0, values.size - size + 1, size)
-    rows = values[blocks[:, None] + np.arange(size)]
-    lowest = blocks + np.nan_to_num(rows, nan=np.inf).argmin(axis=1)
-    highest = blocks + np.nan_to_num(rows, nan=-np.inf).argmax(axis=1)
-    return np.unique(np.concatenate([lowest, highest, [0, values.size - 1]]))
+    if 0 < history.window_starts.size <= MARKED_WINDOWS:
+        ax.plot(time[history.window_starts], values[history.window_starts], ".", color=color, markersize=4, zorder=3)
 
 
 def _scale(data: Record, name: str) -> float:
@@ -215,13 +275,3 @@ def _label(data: Record, name: str) -> str:
     unit = data.units.get(name, "")
     shown = {"rad": "°", "rad/s": "°/s"}.get(unit, unit)
     return f"{symbol(name)}, {plain(shown)}" if shown else symbol(name)
-
-
-def _keys(histories: Sequence[_History]) -> dict[str, tuple[Line2D, ...]]:
-    """Return the legend: what was measured, every item, and the bands."""
-    keys = {"measured": (Line2D([], [], color=MEASURED, linewidth=2.4),)}
-    for k, history in enumerate(histories):
-        keys[plain(history.label)] = (Line2D([], [], color=COLORS[k % len(COLORS)], linewidth=1.4),)
-    if any(history.half for history in histories):
-        keys["95 % band without noise"] = (Patch(color="0.6", alpha=0.4, linewidth=0),)  # type: ignore[assignment]
-    return keys

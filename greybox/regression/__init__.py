@@ -1,7 +1,9 @@
 """Estimates by linear least squares, which need no start.
 
-`levy` fits the coefficients of a transfer function, (3.17), and chooses its orders; `equation_error` fits differential
-equations to smoothed derivatives.
+Begin with `levy`, which fits the coefficients of a transfer function, (3.17), and chooses its orders, or with
+`equation_error`, which fits differential equations to smoothed derivatives: `linear_in_parameters` splits the equations
+into terms, `smoothing` filters the signals, `regressors` evaluates the terms along the record, `least_squares` solves
+for the parameters that enter linearly and `variable_projection` searches the others.
 """
 
 from greybox.regression.equation_error import EquationError as EquationError

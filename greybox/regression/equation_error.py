@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from greybox.data.record import Record
 from greybox.data.text_table import number, text_table, with_error
-from greybox.modeling.model import Model, TransferFunction, require_known
+from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.realization import Dynamics, dynamics
+from greybox.modeling.transfer_function import TransferFunction
 from greybox.regression.linear_in_parameters import Equations, regressions
 from greybox.regression.regressors import Regressors, memory, regressors
 from greybox.regression.smoothing import regular

@@ -1,7 +1,9 @@
 """Models run at given values.
 
-Begin with `simulate` (`simulate`, `predict`). `windows` cuts a record, `state_estimation` finds the state at the
-beginning of each window, `simulator` runs the model with as many steps as accuracy needs.
+Begin with `simulate` (`simulate`, `predict`). `model_at_estimate` brings model and values together, `simulator` runs
+the model with as many steps as accuracy needs, `windows` cuts a record, `state_estimation` finds the state at the
+beginning of each window from their outputs and sensitivities (`trajectories`), and `prediction` is what
+`predict` returns.
 """
 
 from greybox.simulation.prediction import Prediction as Prediction

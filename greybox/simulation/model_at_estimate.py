@@ -65,10 +65,10 @@ class ModelAtEstimate:
     names, q : tuple of str, (declared,) array
         The model's parameters, then biases of sensors and gains of the innovations, and their values.
     covariance : (declared, declared) array or None
-        Of these values; None where they came as plain numbers. What ended at its bound counts as exact, and what the
-        data do not determine has NaN.
+        Of these values; None where they came as plain numbers. A value at its bound is treated as known (zero), and
+        one that the data do not determine has NaN.
     criterion : TimeCriterion
-        How inputs run, which signals are biased, and whether innovations correct the states.
+        How inputs run between samples, which signals are biased, and whether innovations correct the states.
     part : FittedTo or None
         The record that the values were fitted to.
     """
@@ -93,7 +93,7 @@ class ModelAtEstimate:
 
     @property
     def uncertain(self) -> NDArray[np.integer]:
-        """Which values have an error, or one that is not known."""
+        """Indices of the values that have a standard error, or one that is not known."""
         if self.covariance is None:
             return np.zeros(0, dtype=int)
         variance = np.diag(self.covariance)

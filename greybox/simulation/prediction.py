@@ -13,7 +13,7 @@ from greybox.simulation.windows import seconds
 from greybox.statistics.metrics import fit_percent, rms
 
 Array = NDArray[np.float64]
-AHEAD = (0.1, 0.25, 0.5, 1.0)  # shares of the horizon at which the growth of the error is told
+AHEAD = (0.1, 0.25, 0.5, 1.0)  # shares of the horizon at which the growth of the error is reported
 
 
 def samples_ahead(share: float, samples: int) -> int:
@@ -21,10 +21,10 @@ def samples_ahead(share: float, samples: int) -> int:
     return max(1, math.ceil(share * samples - 1e-9))
 
 
-def told_shares(horizons: Sequence[int]) -> list[float]:
-    """Return the shares at which the error is told of horizons of so many samples, each sample once."""
+def reported_shares(horizons: Sequence[int]) -> list[float]:
+    """Return the shares at which the error over horizons of so many samples is reported, each sample once."""
     places = {share: tuple(samples_ahead(share, h) for h in horizons) for share in AHEAD}
-    return [share for share, at in places.items() if at not in [places[s] for s in AHEAD if s > share]]
+    return [share for share, place in places.items() if place not in [places[s] for s in AHEAD if s > share]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,18 +43,19 @@ class Prediction:
     rows : (w, h) int array
         Indices in `data` of the predicted samples; sample j is j + 1 steps after the last one that informed it.
     predicted, error : (k, w, h) arrays
-        Of the outputs as their sensors show them, and the standard errors: of the parameters (with the states that
-        they imply, first order) and of the state at the beginning. The noise of the outputs comes on top. A parameter
-        at its bound counts as exact; NaN where an output depends on one that the data of the fit do not determine.
+        Of the outputs as their sensors show them, and their standard errors, from those of the parameters (with the
+        states that they imply, to first order) and of the state at the beginning; the noise of the outputs is not
+        included. A parameter at its bound is treated as known; NaN where an output depends on one that the data of the
+        fit do not determine.
     noise : (k, k) array
         Covariance of the outputs' errors, that of the fit or else estimated from the lead-ins.
     trajectory : (n, w, h) array
         The states.
     one_step : (k, w, h) array
-        Errors of predictions one sample ahead, from all that the window had measured before, in units of the standard
-        deviations that they should have: white with unit variance for the right model. NaN where nothing was measured.
+        Errors of predictions one sample ahead, from everything measured before in the window, in units of their
+        theoretical standard deviations: white with unit variance for the right model. NaN where nothing was measured.
     notes : tuple of str
-        What there is to say of it, in sentences: why an error is not known.
+        Why an error is not known, in sentences.
     """
 
     label: str
@@ -103,7 +104,7 @@ class Prediction:
 
     def measured(self, output: str) -> Array:
         """Return what was measured in the windows, (w, h), NaN where nothing was."""
-        self._place(output)
+        self._place(output)  # raises for an output that was not predicted
         return self.data[output][self.rows]
 
     def residual(self, output: str) -> Array:
@@ -113,8 +114,8 @@ class Prediction:
     def band(self, output: str, level: float = 0.95, noise: bool = False) -> tuple[Array, Array]:
         """Return the limits, (w, h) each, within which the output lies at this level; with `noise`, its measurement.
 
-        They take the model's structure as right and all errors as normal. What disturbs the plant besides its inputs
-        (wind) and a correlation of the sensors' errors in time widen the truth beyond them.
+        They assume the right model structure and normal errors. Process noise (wind) and sensor errors that are
+        correlated in time are not included: with these, fewer outputs lie within the limits.
         """
         if not 0 < level < 1:
             raise ValueError(f"level {level} must lie between 0 and 1, e.g. 0.95.")
@@ -135,7 +136,7 @@ class Prediction:
 
     def _place(self, output: str) -> int:
         if output not in self.outputs:
-            raise ValueError(f"{output!r} was not predicted; there is {', '.join(self.outputs)}.")
+            raise ValueError(f"{output!r} was not predicted: give one of {', '.join(self.outputs)}.")
         return self.outputs.index(output)
 
     def _spread(self, values: Array) -> Array:
@@ -146,13 +147,13 @@ class Prediction:
     def __str__(self) -> str:
         head = (
             f"{self.label}: {counted(len(self), 'window')} of {seconds(self.horizon)} s in "
-            f"{self.data.name or 'the record'}, the state of each from {seconds(self.lead)} s before it"
+            f"{self.data.name or 'the record'}, the state of each estimated from the {seconds(self.lead)} s before it"
         )
-        shares = told_shares([self.rows.shape[1]])
+        shares = reported_shares([self.rows.shape[1]])
         ends = [f"after {seconds(self.ahead[samples_ahead(s, self.rows.shape[1]) - 1])} s" for s in shares]
         rows = [self._row(name, shares) for name in self.outputs]
         table = text_table(
-            ["output", "unit", "fit %", "error (rms)", *ends, "noise", "error as told"], rows, left=(0, 1)
+            ["output", "unit", "fit %", "error (rms)", *ends, "noise", "standard error"], rows, left=(0, 1)
         )
         notes = ["", *("  " + note for note in self.notes)] if self.notes else []
         return "\n".join([head, "", *("  " + line for line in table.splitlines()), *notes])
@@ -160,6 +161,12 @@ class Prediction:
     def _row(self, name: str, shares: Sequence[float]) -> Sequence[str]:
         k = self._place(name)
         grown = [number(self.rms(name, share), 3) for share in shares]
-        told = float(np.sqrt(np.mean(self.error[k] ** 2)))
+        standard_error = float(np.sqrt(np.mean(self.error[k] ** 2)))
         values = [number(self.fit_percent(name), 4), number(self.rms(name), 3), *grown]
-        return [name, self.data.units.get(name, ""), *values, number(math.sqrt(self.noise[k, k]), 3), number(told, 3)]
+        return [
+            name,
+            self.data.units.get(name, ""),
+            *values,
+            number(math.sqrt(self.noise[k, k]), 3),
+            number(standard_error, 3),
+        ]

@@ -1,7 +1,6 @@
 """A model run over stretches or windows of a record: outputs and states, accurate in time, and standard errors."""
 
-import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,34 +10,48 @@ from numpy.typing import NDArray
 
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.sampled_data import Experiment, Stretch
-from greybox.formulation.time_criteria import PredictionError, TimeCriterion
+from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator
-from greybox.simulation.flow import Flow
+from greybox.modeling.step_size import (
+    MOST_SUBSTEPS,
+    relative_change,
+    stable_substeps,
+    state_sizes,
+    substep_growth,
+)
 from greybox.simulation.model_at_estimate import ModelAtEstimate
-from greybox.simulation.state_estimation import LeadIn, estimate_states, one_step_errors
+from greybox.simulation.state_estimation import StateEstimates, estimate_states, one_step_errors
+from greybox.simulation.trajectories import Trajectories
 from greybox.simulation.windows import Windows, sample_data
 
 Array = NDArray[np.float64]
-ACCURATE, FIRST = 0.1, 8  # largest |pole| · substep to begin with, and most substeps then
-TOLERANCE = 1e-7  # of a state's size: what half as long substeps may change in one sample
-MOST = 64  # substeps
-CHECKED = 400  # samples at which the substeps are checked
-DIVERGED = 1e9  # no state in SI units is that large
-LARGEST = 1e100  # derivative of an output that still means something
-SINGULAR = 1e-10  # relative singular value from which a free simulation does not show its initial state
-FACTORS = (1.0, 0.1, 10.0, -1.0)  # times the size of the outputs: states where a model may have finite values
-DEPENDS = 1e-9  # of the largest effect on an output: a smaller one is rounding
+
+# Of a state's size: what halving the substeps may change in one sample. A thousand such errors in one direction add up
+# to 1e-4 of the state, below the noise of any sensor.
+TOLERANCE = 1e-7
+# |pole| · substep to begin with: a Runge-Kutta step of z = 0.1 errs by z⁵ / 120 = 8e-8 of the state, just within
+# TOLERANCE.
+FIRST_REACH = 0.1
+# Substeps to begin with, at most: the fastest mode at rest may have decayed where the model is simulated.
+MOST_AT_FIRST = 8
+CHECKED = 400  # samples, spread over all, at which the substeps are checked: each is one more evaluation of the model
+DIVERGED = 1e9  # no state of a vehicle in SI units is that large
+LARGEST = 1e100  # derivative of an output whose products of three stay finite
+SINGULAR = 1e-10  # relative singular value below which a free simulation does not show its initial state
+# Times the size of the outputs: initial states to try where the model is not finite at zero (roots, logarithms).
+SIZES = (1.0, 0.1, 10.0, -1.0)
+ROUNDING = 1e-9  # of the largest effect of a value on an output: a smaller one is rounding
 ERROR = "_error"
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """Of every sample in the windows, lead-ins included: (w, samples, k) or (w, samples, n).
+class WindowSimulations:
+    """Every sample of the windows, lead-ins included: (w, samples, k) or (w, samples, n).
 
-    `unknown` are parameters without an error on which an output depends.
+    `unknown` are parameters without a standard error on which an output depends.
     """
 
-    lead_in: LeadIn
+    initial: StateEstimates
     outputs: Array
     states: Array
     error: Array
@@ -46,121 +59,172 @@ class Found:
     unknown: tuple[str, ...]
 
     @property
-    def lost(self) -> NDArray[np.bool_]:
+    def not_finite(self) -> NDArray[np.bool_]:
         """Windows (w,) in which an output is not finite."""
-        return self.lead_in.lost | ~np.all(np.isfinite(self.outputs), axis=(1, 2))
+        return self.initial.not_finite | ~np.all(np.isfinite(self.outputs), axis=(1, 2))
 
 
-class Runner:
-    """The compiled sample of a case, with as many substeps as it turns out to need."""
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """What one pass with a number of substeps gave: the trajectories and the data that drove them."""
+
+    trajectories: Trajectories
+    initial: Array
+    data: ca.DM
+    states: Array
+    outputs: Array
+    estimates: StateEstimates | None = None
+
+
+class Simulator:
+    """A model at an estimate, run with as many substeps as it turns out to need."""
 
     def __init__(
-        self, at: ModelAtEstimate, criterion: TimeCriterion, outputs: tuple[str, ...], integrator: Integrator
+        self, model: ModelAtEstimate, criterion: TimeCriterion, outputs: tuple[str, ...], integrator: Integrator
     ) -> None:
         if not isinstance(integrator, Integrator):
             raise TypeError(f"integrator is {integrator!r:.60}: give RungeKutta() or Rosenbrock().")
-        self._at, self._criterion, self._outputs, self._integrator = at, criterion, outputs, integrator
+        self._model = model
+        self._criterion = criterion
+        self._outputs = outputs
+        self._integrator = integrator
         self._substeps = integrator.substeps or 0
-        self._samples: dict[int, SampleStep] = {}
+        self._steps: dict[int, SampleStep] = {}
 
-    def free_run(self, stretch: Stretch, start: Array, own: bool) -> tuple[dict[str, Array], tuple[str, ...]]:
-        """Simulate one stretch from the states `start` (n,).
+    def free_run(
+        self, stretch: Stretch, initial: Array, fitted_initial: bool
+    ) -> tuple[dict[str, Array], tuple[str, ...]]:
+        """Simulate one stretch from the states `initial` (n,), which may be those that the fit estimated.
 
         Returns outputs, errors and states by name, and the parameters without an error on which an output depends.
         """
-        at, count = self._at, len(stretch)
-        whole, around = Experiment((stretch,), (), 1).windows(at.delays)
-        nothing = np.zeros((2 * len(self._outputs), count))
-        data = ca.DM(np.vstack([whole, around, nothing, np.full((1, count), stretch.step)]))
+        model = self._model
+        count = len(stretch)
+        whole, around = Experiment((stretch,), (), 1).windows(model.delays)
+        nothing_measured = np.zeros((2 * len(self._outputs), count))
+        data = ca.DM(np.vstack([whole, around, nothing_measured, np.full((1, count), stretch.step)]))
 
-        def run(step: SampleStep) -> tuple[Flow, ca.DM, Array, Array]:
-            flow = Flow(step, 1, count, at.uncertain)
-            return flow, data, *flow.simulate(start[None], at.q, data)
+        def run(step: SampleStep) -> _Run:
+            trajectories = Trajectories(step, 1, count, model.uncertain)
+            return _Run(trajectories, initial[None], data, *trajectories.simulate(initial[None], model.q, data))
 
-        flow, _, states, outputs = self._accurate(stretch.step, run)
-        found = dict(zip(at.system.states, states[0].T, strict=True))
-        found |= dict(zip(self._outputs, outputs[0].T, strict=True))
+        result = self._accurate(stretch.step, run)
+        signals = dict(zip(model.system.states, result.states[0].T, strict=True))
+        signals |= dict(zip(self._outputs, result.outputs[0].T, strict=True))
         unknown: tuple[str, ...] = ()
-        if at.covariance is not None and not has_left(found).any():
-            slopes = flow.slopes(start[None], at.q, data)[0]
-            error, unknown = _errors(*_initial_by_parameters(at, stretch, slopes, self._outputs, own), at)
-            found |= {name + ERROR: row for name, row in zip(self._outputs, error.T, strict=True)}
-        return found, unknown
+        if model.covariance is not None and not diverged(signals).any():
+            slopes = result.trajectories.sensitivities(initial[None], model.q, data)[0]
+            by_value, variance = _free_run_sensitivities(model, stretch, slopes, self._outputs, fitted_initial)
+            error, unknown = _standard_errors(by_value, variance, model)
+            signals |= {name + ERROR: row for name, row in zip(self._outputs, error.T, strict=True)}
+        return signals, unknown
 
-    def windows(self, windows: Windows) -> Found:
-        """Estimate the state of every window and run on from it."""
-        at, (w, length), lead = self._at, windows.rows.shape, windows.lead
-        n = len(at.system.states)
-        data = sample_data(windows, at.system.inputs, self._outputs, at.delays)
+    def windows(self, windows: Windows) -> WindowSimulations:
+        """Estimate the state of every window from its lead-in, and run on from it."""
+        model = self._model
+        w, length = windows.rows.shape
+        lead = windows.lead
+        n = len(model.system.states)
+        data = sample_data(windows, model.system.inputs, self._outputs, model.delays)
         measured = np.moveaxis(data["measured"], 0, -1)
-        there = np.isfinite(data["measured"])
-        known = there & (np.arange(length) < lead)
+        present = np.isfinite(data["measured"])
+        in_lead = present & (np.arange(length) < lead)
         spread = np.array([_spread(windows.record[name]) for name in self._outputs])
+        mask = np.moveaxis(in_lead[:, :, :lead], 0, -1)
+        past = np.where(mask, measured[:, :lead], np.nan)
 
-        def run(step: SampleStep) -> Any:
-            first, before = Flow(step, w, lead, np.zeros(0, dtype=int)), _columns(data, known, lead)
-            masked = np.moveaxis(known[:, :, :lead], 0, -1)
-            past = np.where(masked, measured[:, :lead], np.nan)
-            found = estimate_states(
-                lambda x: first.simulate(x, at.q, before)[1],
-                lambda x: np.where(masked[..., None], first.slopes(x, at.q, before), 0.0),
+        def run(step: SampleStep) -> _Run:
+            lead_in = Trajectories(step, w, lead, np.zeros(0, dtype=int))
+            before = _columns(data, in_lead, lead)
+            estimates = estimate_states(
+                lambda x: lead_in.simulate(x, model.q, before)[1],
+                lambda x: np.where(mask[..., None], lead_in.sensitivities(x, model.q, before), 0.0),
                 past,
-                _first_guesses(at, self._outputs, past),
-                at.noise(self._outputs),
+                _initial_guesses(model, self._outputs, past),
+                model.noise(self._outputs),
                 spread,
             )
-            whole, columns = Flow(step, w, length, at.uncertain), _columns(data, known, length)
-            return (found, whole), columns, *whole.simulate(found.states, at.q, columns)
+            whole = Trajectories(step, w, length, model.uncertain)
+            columns = _columns(data, in_lead, length)
+            simulated = whole.simulate(estimates.states, model.q, columns)
+            return _Run(whole, estimates.states, columns, *simulated, estimates)
 
-        (found, whole), columns, states, outputs = self._accurate(windows.record.step, run)
-        slopes = whole.slopes(found.states, at.q, columns)
-        error, unknown = _window_errors(found, slopes, known, at, n)
-        e, by_state = measured - outputs, slopes[..., :n]
-        if isinstance(self._criterion, PredictionError):  # whose corrections go on where one step ahead is meant
-            columns = _columns(data, there, length)
-            e = measured - whole.simulate(found.states, at.q, columns)[1]
-            by_state = whole.slopes(found.states, at.q, columns)[..., :n]
-        one_step = one_step_errors(e, by_state, found.mean - found.states, found.precision, found.noise)
-        return Found(found, outputs, states, error, one_step, unknown)
+        result = self._accurate(windows.record.step, run)
+        estimates = result.estimates
+        assert estimates is not None
+        slopes = result.trajectories.sensitivities(estimates.states, model.q, result.data)
+        error, unknown = _window_errors(estimates, slopes, in_lead, model, n)
 
-    def _accurate(self, step: float, run: Any) -> Any:
-        """Run with more and more substeps until half as long ones change no sample noticeably."""
-        fixed = self._integrator.substeps is not None
-        self._substeps = self._substeps or _substeps(self._at, step)
+        residuals = measured - result.outputs
+        by_state = slopes[..., :n]
+        if self._criterion.corrects_states:  # one step ahead, the corrections go on after the lead-in
+            columns = _columns(data, present, length)
+            residuals = measured - result.trajectories.simulate(estimates.states, model.q, columns)[1]
+            by_state = result.trajectories.sensitivities(estimates.states, model.q, columns)[..., :n]
+        offset = estimates.mean - estimates.states
+        one_step = one_step_errors(residuals, by_state, offset, estimates.precision, estimates.noise)
+        return WindowSimulations(estimates, result.outputs, result.states, error, one_step, unknown)
+
+    def _accurate(self, step: float, run: Callable[[SampleStep], _Run]) -> _Run:
+        """Run with more and more substeps until halving them changes no sample noticeably."""
+        chosen = self._integrator.substeps is not None
+        self._substeps = self._substeps or _first_substeps(self._model, step)
         while True:
-            found, data, states, outputs = run(self._sample(self._substeps))
-            if fixed or not states.size or self._substeps >= MOST:
-                return found, data, states, outputs
-            error = self._local_error(states, data)
-            if error <= TOLERANCE and np.all(np.isfinite(states)):
-                return found, data, states, outputs
-            # What is not finite may be so for steps that are too long.
-            growth = (error / TOLERANCE) ** (1 / self._integrator.order) if error > TOLERANCE else FIRST
-            self._substeps = min(MOST, self._substeps * int(np.clip(math.ceil(growth), 2, 8)))
+            result = run(self._step(self._substeps))
+            if chosen or not result.states.size or self._substeps >= MOST_SUBSTEPS:
+                return result
+            error = self._local_error(result)
+            if error <= TOLERANCE and np.all(np.isfinite(result.states)):
+                return result
+            # What is not finite may be so because the steps are too long.
+            error = error if error > TOLERANCE else np.inf
+            factor = substep_growth(error, TOLERANCE, self._integrator.order)
+            self._substeps = min(MOST_SUBSTEPS, self._substeps * factor)
 
-    def _local_error(self, states: Array, data: ca.DM) -> float:
-        """Return the largest change of a state in one sample by half as long substeps, relative to its size."""
-        flat = states.reshape(-1, states.shape[2]).T
-        usable = np.flatnonzero(np.all(np.abs(flat) < DIVERGED, axis=0))
-        some = usable[np.unique(np.linspace(0, usable.size - 1, min(usable.size, CHECKED)).astype(int))].tolist()
-        if not some:
+    def _local_error(self, result: _Run) -> float:
+        """Return the largest change of a state in one sample by halved substeps, relative to its size."""
+        states = result.states.reshape(-1, result.states.shape[2]).T
+        usable = np.flatnonzero(np.all(np.abs(states) < DIVERGED, axis=0))
+        spread_out = np.unique(np.linspace(0, usable.size - 1, min(usable.size, CHECKED)).astype(int))
+        checked = usable[spread_out].tolist()
+        if not checked:
             return 0.0
-        x = flat[:, some]
+        x = states[:, checked]
         coarse, fine = (
-            np.asarray(self._sample(k).function(x, self._at.q, data[:, some])[0])
-            for k in (self._substeps, 2 * self._substeps)
+            np.asarray(self._step(count).function(x, self._model.q, result.data[:, checked])[0])
+            for count in (self._substeps, 2 * self._substeps)
         )
-        size = np.abs(x).max(axis=1, initial=0.0)
-        size = np.maximum(size, 1e-6 * size.max(initial=0.0))
-        size = np.where(size > 0, size, 1.0)
-        change = np.abs(fine - coarse) / size[:, None]
-        return float(np.max(change, initial=0.0, where=np.isfinite(change)))
+        change = fine - coarse
+        return relative_change(np.where(np.isfinite(change), change, 0.0), state_sizes(x))
 
-    def _sample(self, substeps: int) -> SampleStep:
-        if substeps not in self._samples:
-            at, scheme = self._at, self._integrator
-            self._samples[substeps] = sample_step(at.system, self._criterion, self._outputs, at.names, scheme, substeps)
-        return self._samples[substeps]
+    def _step(self, substeps: int) -> SampleStep:
+        if substeps not in self._steps:
+            model = self._model
+            self._steps[substeps] = sample_step(
+                model.system, self._criterion, self._outputs, model.names, self._integrator, substeps
+            )
+        return self._steps[substeps]
+
+
+def diverged(signals: Mapping[str, Array]) -> NDArray[np.bool_]:
+    """Return at which samples a signal is not finite or larger than any physical one."""
+    return ~np.all([np.abs(values) < DIVERGED for values in signals.values()], axis=0)
+
+
+def _first_substeps(model: ModelAtEstimate, step: float) -> int:
+    """Return the substeps of a sample that the poles near rest ask for."""
+    n = len(model.system.states)
+    m = len(model.system.inputs)
+    if not n:
+        return 1
+    x = ca.SX.sym("x", n)
+    u = ca.SX.sym("u", m)
+    jacobian = ca.Function("A", [x, u], [ca.densify(ca.jacobian(model.system.derivative(x, u, model.p), x))])
+    # Not at zero itself, where the slope of a kink such as |v| v vanishes and that of a root is infinite.
+    matrix = jacobian(np.full(n, 1e-3), np.zeros(m)).full()
+    if not np.all(np.isfinite(matrix)):
+        return 1
+    return stable_substeps(np.linalg.eigvals(matrix), step, reach=FIRST_REACH, most=MOST_AT_FIRST)
 
 
 def _columns(data: Mapping[str, Array], present: Array, length: int) -> ca.DM:
@@ -169,57 +233,56 @@ def _columns(data: Mapping[str, Array], present: Array, length: int) -> ca.DM:
     return ca.DM(np.concatenate([row[:, :, :length].reshape(len(row), -1) for row in rows]))
 
 
-def has_left(found: Mapping[str, Array]) -> NDArray[np.bool_]:
-    """Return at which samples a signal is not finite or has grown beyond all bounds."""
-    return ~np.all([np.abs(values) < DIVERGED for values in found.values()], axis=0)
-
-
-def _initial_by_parameters(
-    at: ModelAtEstimate, stretch: Stretch, slopes: Array, outputs: tuple[str, ...], own: bool
+def _free_run_sensitivities(
+    model: ModelAtEstimate, stretch: Stretch, slopes: Array, outputs: tuple[str, ...], fitted_initial: bool
 ) -> tuple[Array, Array]:
     """Return the derivatives of the outputs (samples, k, a) by the uncertain values, and (samples, k) of variance.
 
     Initial states that were fitted to the record follow the parameters and have an error of their own.
     """
-    n, part = len(at.system.states), at.part
-    by_state, by_value = slopes[..., :n], slopes[..., n:]
-    still = np.zeros(slopes.shape[:2])
+    n = len(model.system.states)
+    part = model.part
+    by_state = slopes[..., :n]
+    by_value = slopes[..., n:]
+    no_variance = np.zeros(slopes.shape[:2])
     if not np.all(np.abs(slopes) < LARGEST):
-        return np.full_like(by_value, np.nan), still
-    if not own or part is None or not n:
-        return by_value, still
+        return np.full_like(by_value, np.nan), no_variance
+    if not fitted_initial or part is None or not n:
+        return by_value, no_variance
+
     rows = stretch.first + np.arange(len(stretch))
-    there = np.array([np.isfinite(part.residual(name)[rows]) for name in part.outputs]).T
+    compared = np.array([np.isfinite(part.residual(name)[rows]) for name in part.outputs]).T
     places = [outputs.index(name) for name in part.outputs]
     weight = np.linalg.inv(np.linalg.cholesky(part.noise))
-    x = np.einsum("ij,tjn->tin", weight, np.where(there[..., None], by_state[:, places], 0.0)).reshape(-1, n)
-    q = np.einsum("ij,tja->tia", weight, np.where(there[..., None], by_value[:, places], 0.0))
+    x = np.einsum("ij,tjn->tin", weight, np.where(compared[..., None], by_state[:, places], 0.0)).reshape(-1, n)
+    q = np.einsum("ij,tja->tia", weight, np.where(compared[..., None], by_value[:, places], 0.0))
     size = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
-    _, singular, rows = np.linalg.svd(x / size, full_matrices=False)
+    _, singular, directions = np.linalg.svd(x / size, full_matrices=False)
     if len(x) < n or singular[-1] < SINGULAR * singular[0]:
-        return by_value, still * np.nan
-    half = rows.T / singular / size[:, None]
-    inverse = half @ half.T
-    follow = -inverse @ x.T @ q.reshape(len(x), -1)
-    own_error = np.einsum("tkn,nm,tkm->tk", by_state, inverse, by_state)
-    return by_value + by_state @ follow, own_error
+        return by_value, no_variance * np.nan
+
+    root = directions.T / singular / size[:, None]
+    covariance = root @ root.T
+    state_by_value = -covariance @ x.T @ q.reshape(len(x), -1)
+    variance = np.einsum("tkn,nm,tkm->tk", by_state, covariance, by_state)
+    return by_value + by_state @ state_by_value, variance
 
 
-def _errors(by_value: Array, variance: Array, at: ModelAtEstimate) -> tuple[Array, tuple[str, ...]]:
+def _standard_errors(by_value: Array, variance: Array, model: ModelAtEstimate) -> tuple[Array, tuple[str, ...]]:
     """Return the standard errors (..., k) from derivatives (..., k, a) and the variance (..., k) of the states.
 
-    A value without an error takes that of the samples which depend on it; their names are returned too.
+    Samples that depend on a value without an error have none either; the names of such values are returned too.
     """
     unknown: tuple[str, ...] = ()
-    if at.covariance is not None and len(at.uncertain):
-        covariance = at.covariance[np.ix_(at.uncertain, at.uncertain)]
-        blind = np.isnan(np.diag(covariance))
+    if model.covariance is not None and len(model.uncertain):
+        covariance = model.covariance[np.ix_(model.uncertain, model.uncertain)]
+        undetermined = np.isnan(np.diag(covariance))
         variance = variance + np.einsum("...a,ab,...b->...", by_value, np.nan_to_num(covariance), by_value)
-        if blind.any():
-            depends = _depends(by_value, at.q[at.uncertain]) & blind
+        if undetermined.any():
+            depends = _depends(by_value, model.q[model.uncertain]) & undetermined
             variance = np.where(depends.any(axis=-1), np.nan, variance)
-            met = depends.reshape(-1, blind.size).any(axis=0)
-            unknown = tuple(at.names[i] for i in at.uncertain[met])
+            met = depends.reshape(-1, undetermined.size).any(axis=0)
+            unknown = tuple(model.names[i] for i in model.uncertain[met])
     return np.sqrt(np.maximum(variance, 0.0)), unknown
 
 
@@ -227,36 +290,39 @@ def _depends(by_value: Array, q: Array) -> NDArray[np.bool_]:
     """Tell which samples of an output depend on which values (..., k, a), beyond rounding."""
     effect = np.abs(by_value) * np.where(q != 0, np.abs(q), 1.0)
     largest = np.nanmax(effect, axis=(*range(effect.ndim - 2), -1), initial=0.0)  # of every output
-    return ~(effect <= DEPENDS * largest[:, None])
+    return ~(effect <= ROUNDING * largest[:, None])
 
 
 def _window_errors(
-    found: LeadIn, slopes: Array, known: Array, at: ModelAtEstimate, n: int
+    estimates: StateEstimates, slopes: Array, in_lead: Array, model: ModelAtEstimate, n: int
 ) -> tuple[Array, tuple[str, ...]]:
     """Return the standard errors (w, samples, k) of the outputs; the states follow the parameters by the lead-in."""
-    by_state, by_value = slopes[..., :n], slopes[..., n:]
-    weight = np.linalg.inv(np.linalg.cholesky(found.noise))
-    masked = np.where(np.moveaxis(known, 0, -1)[..., None], slopes, 0.0)
-    lead = int(np.flatnonzero(np.logical_or.reduce(known.reshape(-1, known.shape[2]))).max(initial=0)) + 1
+    by_state = slopes[..., :n]
+    by_value = slopes[..., n:]
+    weight = np.linalg.inv(np.linalg.cholesky(estimates.noise))
+    masked = np.where(np.moveaxis(in_lead, 0, -1)[..., None], slopes, 0.0)
+    lead = int(np.flatnonzero(np.logical_or.reduce(in_lead.reshape(-1, in_lead.shape[2]))).max(initial=0)) + 1
     J = np.einsum("ij,wtjv->wtiv", weight, masked[:, :lead])
     mixed = np.einsum("wtin,wtia->wna", J[..., :n], J[..., n:])
-    follow = -np.einsum("wij,wja->wia", found.covariance, mixed)
-    variance = np.einsum("wtkn,wnm,wtkm->wtk", by_state, found.covariance, by_state, optimize=True)
-    return _errors(by_value + np.einsum("wtkn,wna->wtka", by_state, follow), variance, at)
+    state_by_value = -np.einsum("wij,wja->wia", estimates.covariance, mixed)
+    variance = np.einsum("wtkn,wnm,wtkm->wtk", by_state, estimates.covariance, by_state, optimize=True)
+    return _standard_errors(by_value + np.einsum("wtkn,wna->wtka", by_state, state_by_value), variance, model)
 
 
-def _first_guesses(at: ModelAtEstimate, outputs: tuple[str, ...], past: Array) -> list[Array]:
+def _initial_guesses(model: ModelAtEstimate, outputs: tuple[str, ...], past: Array) -> list[Array]:
     """Return states (w, n) to begin with, the next ones for windows in which a model has no finite value there.
 
     States of an output's name are what was first measured; others zero, as the fit found them, or of the outputs' size.
     """
-    initial = {} if at.part is None else at.part.initial
+    n = len(model.system.states)
+    fitted = {} if model.part is None else model.part.initial
     size = float(np.nanmean(np.abs(past))) or 1.0
-    others = [np.zeros(len(at.system.states))]
-    others.append(np.array([float(np.mean(initial.get(name, 0.0))) for name in at.system.states]))
-    others += [np.full(len(at.system.states), factor * size) for factor in FACTORS]
+    others = [np.zeros(n)]
+    others.append(np.array([float(np.mean(fitted.get(name, 0.0))) for name in model.system.states]))
+    others += [np.full(n, factor * size) for factor in SIZES]
+
     guesses = [np.tile(values, (len(past), 1)) for values in others]
-    for i, name in enumerate(at.system.states):
+    for i, name in enumerate(model.system.states):
         if name in outputs:
             values = past[:, :, outputs.index(name)]
             first = np.isfinite(values).argmax(axis=1)
@@ -265,20 +331,6 @@ def _first_guesses(at: ModelAtEstimate, outputs: tuple[str, ...], past: Array) -
     return guesses
 
 
-def _spread(values: Array) -> float:
-    there = values[np.isfinite(values)]
-    return float(there.std()) or 1.0
-
-
-def _substeps(at: ModelAtEstimate, step: float) -> int:
-    """Return the substeps of a sample that the poles at rest ask for."""
-    n, m = len(at.system.states), len(at.system.inputs)
-    if not n:
-        return 1
-    x, u = ca.SX.sym("x", n), ca.SX.sym("u", m)
-    jacobian = ca.Function("A", [x, u], [ca.densify(ca.jacobian(at.system.derivative(x, u, at.p), x))])
-    matrix = jacobian(np.full(n, 1e-3), np.zeros(m)).full()
-    if not np.all(np.isfinite(matrix)):
-        return 1
-    fastest = float(np.abs(np.linalg.eigvals(matrix)).max())
-    return int(np.clip(math.ceil(fastest * step / ACCURATE), 1, FIRST))
+def _spread(values: Any) -> float:
+    present = values[np.isfinite(values)]
+    return float(present.std()) or 1.0

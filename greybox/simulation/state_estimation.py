@@ -16,33 +16,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Simulate = Callable[[Array], Array]  # states (w, n) -> outputs (w, samples, k)
-Slopes = Callable[[Array], Array]  # states (w, n) -> their derivatives by the states (w, samples, k, n)
-ITERATIONS = 30
-SETTLED = 1e-3  # of a state's posterior standard deviation
-ADAPTING = 4  # iterations in which the prior, and a noise that is not known, still follow
-FEW = 10  # windows below which they say nothing of the spread of the states
-FIRST = 0.1  # of an output's spread: noise taken at first where none is known
-FLOOR = 1e-9  # of an output's spread: noise below is rounding
-HALVINGS = 20  # of a step
-WEAKEST = 1e-12  # of the information of the lead-in: precision of a prior
+Outputs = Callable[[Array], Array]  # initial states (w, n) -> outputs (w, samples, k)
+Sensitivities = Callable[[Array], Array]  # initial states (w, n) -> outputs' derivatives by them (w, samples, k, n)
+
+ITERATIONS = 30  # of Gauss-Newton: most settle in 5 or 6, tanks that drain within a lead-in took 23
+SETTLED = 1e-3  # of a state's posterior standard deviation: a step that does not matter
+# Iterations in which the prior, and a noise that is not known, are estimated anew. Then they are held, so that the
+# iterations minimize one function and settle.
+ADAPTING = 4
+PRIOR_STEPS = 50  # of expectation and maximization within an iteration, which costs no simulation
+FEWEST_WINDOWS = 10  # below which their states do not determine a spread
+FIRST_NOISE = 0.1  # of an output's spread: noise taken at first where none is known
+ROUNDING = 1e-9  # of an output's spread: noise below is rounding, and would make the information singular
+HALVINGS = 20  # of a step: to a millionth
+# Of the information of the lead-in: the least precision of a prior, which keeps states that no output shows in place.
+LEAST_PRECISION = 1e-12
+TINY = 1e-300  # instead of a division by zero
+LEAST_FREEDOM = 0.1  # share of the residuals that estimated states leave free, at least
 
 
 @dataclass(frozen=True, eq=False)
-class LeadIn:
-    """States of all windows and what is known of them.
+class StateEstimates:
+    """States of all windows at the first sample of their lead-ins, and what is known of them.
 
     Attributes
     ----------
     states : (w, n) array
-        At the first sample of every lead-in.
     covariance : (w, n, n) array
         Of their errors, given the parameters.
     noise : (k, k) array
         Covariance of the outputs' errors, given or estimated from the lead-ins.
     mean, precision : (n,) arrays
         Of the prior.
-    lost : (w,) bool array
+    not_finite : (w,) bool array
         Windows for which no states with finite outputs were found; their states mean nothing.
     """
 
@@ -51,114 +57,125 @@ class LeadIn:
     noise: Array
     mean: Array
     precision: Array
-    lost: NDArray[np.bool_]
+    not_finite: NDArray[np.bool_]
 
 
 def estimate_states(
-    simulate: Simulate, slopes: Slopes, measured: Array, starts: Sequence[Array], noise: Array | None, spread: Array
-) -> LeadIn:
-    """Estimate the states (w, n) from `measured` (w, samples, k), NaN where missing, beginning at one of `starts`.
+    outputs: Outputs,
+    sensitivities: Sensitivities,
+    measured: Array,
+    guesses: Sequence[Array],
+    noise: Array | None,
+    spread: Array,
+) -> StateEstimates:
+    """Estimate the states (w, n) from `measured` (w, samples, k), NaN where missing, beginning at one of `guesses`.
 
     `noise` (k, k) is None where it is to be estimated; `spread` (k,) is that of the outputs over the record.
     """
-    known, (w, n) = noise is not None, starts[0].shape
-    local = _Local(simulate, slopes, measured)
-    R = noise if noise is not None else np.diag((FIRST * spread) ** 2)
-    R = R + np.diag((FLOOR * spread) ** 2)
-    x, e, S, there = local.begin(starts)
-    if not there.any():
-        nothing = np.full((w, n, n), np.nan)
-        return LeadIn(x, nothing, R, np.full(n, np.nan), np.full(n, np.nan), ~there)
-    mean, precision = x[there].mean(axis=0), np.zeros(n)
+    w, n = guesses[0].shape
+    lead_ins = _LeadIns(outputs, sensitivities, measured)
+    R = noise if noise is not None else np.diag((FIRST_NOISE * spread) ** 2)
+    R = R + np.diag((ROUNDING * spread) ** 2)
+    x, e, S, finite = lead_ins.begin(guesses)
+    if not finite.any():
+        unknown = np.full(n, np.nan)
+        return StateEstimates(x, np.full((w, n, n), np.nan), R, unknown, unknown, ~finite)
+
+    mean = x[finite].mean(axis=0)
+    precision = np.zeros(n)
     posterior = np.zeros((w, n, n))
     for iteration in range(ITERATIONS):
         adapting = iteration < ADAPTING
-        if not known and 0 < iteration < ADAPTING:
+        if noise is None and 0 < iteration < ADAPTING:
             R = _noise_of(e, S, posterior, R, spread)
         H, b = _information(e, S, R)
         if adapting:
-            told = np.einsum("wij,wj->wi", H, x) + b
-            mean, precision = _prior(H[there], told[there], mean, measured[there], R, spread)
+            information = np.einsum("wij,wj->wi", H, x) + b
+            mean, precision = _prior(H[finite], information[finite], mean, measured[finite], R, spread)
+
         posterior = _inverse(H, precision)
         step = np.einsum("wij,wj->wi", posterior, b - precision * (x - mean))
-        odds = _Odds(R, mean, precision)
-        x, e, taken = _searched(local.residual, odds, x, e, step, there)
-        x, e, S, there = local.linear(x, e)
-        size = np.sqrt(np.maximum(np.diagonal(posterior, axis1=1, axis2=2), 1e-300))
-        if not adapting and np.all(np.abs(taken) <= SETTLED * size):
+        x, e, taken = _line_search(lead_ins.residual, _Posterior(R, mean, precision), x, e, step, finite)
+        x, e, S, finite = lead_ins.linear(x, e)
+        deviation = np.sqrt(np.maximum(np.diagonal(posterior, axis1=1, axis2=2), TINY))
+        if not adapting and np.all(np.abs(taken) <= SETTLED * deviation):
             break
+
     H, _ = _information(e, S, R)
-    return LeadIn(x, _inverse(H, precision), R, mean, precision, ~there)
+    return StateEstimates(x, _inverse(H, precision), R, mean, precision, ~finite)
 
 
-def one_step_errors(e: Array, slopes: Array, offset: Array, precision: Array, noise: Array) -> Array:
+def one_step_errors(e: Array, sensitivities: Array, offset: Array, precision: Array, noise: Array) -> Array:
     """Return the errors one sample ahead in units of their standard deviations, (w, samples, k); NaN where missing.
 
     Each output is predicted from all that was measured before it in the window, and the prior: a Kalman filter of the
-    initial state, linear about a trajectory with residuals `e` (w, samples, k) and derivatives `slopes` (w, samples, k,
-    n), from which the prior's mean is `offset` (w, n). For the right model they are white with unit variance.
+    initial state, linear about a trajectory with residuals `e` (w, samples, k) and `sensitivities` (w, samples, k, n),
+    from which the prior's mean is `offset` (w, n). For the right model they are white with unit variance.
     Source: Brown, Durbin and Evans (1975), Techniques for testing the constancy of regression relationships over time,
     Journal of the Royal Statistical Society B 37 (recursive residuals).
     """
     w, samples, k = e.shape
     variance = np.diag(noise)
-    x, P = offset.copy(), np.broadcast_to(np.diag(1 / precision), (w, len(precision), len(precision))).copy()
+    x = offset.copy()
+    P = np.broadcast_to(np.diag(1 / precision), (w, len(precision), len(precision))).copy()
     result = np.full(e.shape, np.nan)
     for t in range(samples):
         for j in range(k):
-            h = slopes[:, t, j]
-            there = np.isfinite(e[:, t, j])
+            h = sensitivities[:, t, j]
+            present = np.isfinite(e[:, t, j])
             s = np.einsum("wij,wj->wi", P, h)
             total = np.einsum("wi,wi->w", s, h) + variance[j]
             error = e[:, t, j] - np.einsum("wi,wi->w", h, x)
             result[:, t, j] = error / np.sqrt(total)
-            gain = np.where(there[:, None], s / total[:, None], 0.0)
-            x = x + gain * np.where(there, error, 0.0)[:, None]
+
+            gain = np.where(present[:, None], s / total[:, None], 0.0)
+            x = x + gain * np.where(present, error, 0.0)[:, None]
             P = P - gain[:, :, None] * s[:, None, :]
     return result
 
 
 @dataclass(frozen=True, eq=False)
-class _Local:
-    """The lead-ins at given states: residuals and slopes, and where both are finite."""
+class _LeadIns:
+    """The lead-ins of all windows as functions of their initial states x (w, n): residuals e, sensitivities S."""
 
-    simulate: Simulate
-    slopes: Slopes
+    outputs: Outputs
+    sensitivities: Sensitivities
     measured: Array
 
     def residual(self, x: Array) -> Array:
-        """Return measured less simulated, zero where nothing was measured and infinite where the model has left."""
-        e = self.measured - self.simulate(x)
+        """Return measured less simulated, zero where nothing was measured, infinite where the model is not finite."""
+        e = self.measured - self.outputs(x)
         return np.where(np.isfinite(self.measured), np.where(np.isfinite(e), e, np.inf), 0.0)
 
-    def begin(self, starts: Sequence[Array]) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """Return states, residuals and slopes of the first of the starts from which a window is finite."""
-        x = starts[0]
-        e, S, there = self._at(x)
-        for start in starts[1:]:
-            if there.all():
+    def begin(self, guesses: Sequence[Array]) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+        """Return x, e, S and which windows are finite, from the first guess that makes each of them so."""
+        x = guesses[0]
+        e, S, finite = self._at(x)
+        for guess in guesses[1:]:
+            if finite.all():
                 break
-            x = np.where(there[:, None], x, start)
-            e, S, there = self._at(x)
-        return self._joined(x, e, S, there)
+            x = np.where(finite[:, None], x, guess)
+            e, S, finite = self._at(x)
+        return self._completed(x, e, S, finite)
 
     def linear(self, x: Array, e: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """Return states, residuals and slopes where the residuals are `e`."""
-        S = self.slopes(x)
-        return self._joined(x, e, S, _finite(e, S))
+        """Return x, e, S and which windows are finite where the residuals are `e`; x is changed where one is not."""
+        S = self.sensitivities(x)
+        return self._completed(x, e, S, _finite(e, S))
 
     def _at(self, x: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        e, S = self.residual(x), self.slopes(x)
+        e = self.residual(x)
+        S = self.sensitivities(x)
         return e, S, _finite(e, S)
 
-    def _joined(
-        self, x: Array, e: Array, S: Array, there: NDArray[np.bool_]
+    def _completed(
+        self, x: Array, e: Array, S: Array, finite: NDArray[np.bool_]
     ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """Put windows that are not finite where the others are on average; where that fails they tell nothing."""
-        if not there.all() and there.any():
-            x = np.where(there[:, None], x, x[there].mean(axis=0))
-            e, S, there = self._at(x)
-        return x, np.where(there[:, None, None], e, 0.0), np.where(there[:, None, None, None], S, 0.0), there
+        """Begin windows that are not finite where the others are on average; where that fails they do not count."""
+        if not finite.all() and finite.any():
+            x = np.where(finite[:, None], x, x[finite].mean(axis=0))
+            e, S, finite = self._at(x)
+        return x, np.where(finite[:, None, None], e, 0.0), np.where(finite[:, None, None, None], S, 0.0), finite
 
 
 def _finite(e: Array, S: Array) -> NDArray[np.bool_]:
@@ -185,18 +202,18 @@ def _prior(H: Array, information: Array, mean: Array, measured: Array, R: Array,
     """
     w = len(H)
     counts = np.isfinite(measured).sum(axis=(0, 1)) / w
-    signal = max(float(counts @ (spread**2 / np.diag(R))), 1e-300)
+    signal = max(float(counts @ (spread**2 / np.diag(R))), TINY)
     seen = np.mean(np.diagonal(H, axis1=1, axis2=2), axis=0)
     weak = np.where(seen > 0, seen / signal, 1.0)
     precision = weak.copy()
-    if w < FEW:
+    if w < FEWEST_WINDOWS:
         return mean, precision
-    for _ in range(50):
+    for _ in range(PRIOR_STEPS):
         covariance = _inverse(H, precision)
         x = np.einsum("wij,wj->wi", covariance, information + precision * mean)
         mean = x.mean(axis=0)
         variance = np.diagonal(covariance, axis1=1, axis2=2).sum(axis=0) + ((x - mean) ** 2).sum(axis=0)
-        precision = np.maximum((w - 1) / variance, WEAKEST * seen + 1e-300)
+        precision = np.maximum((w - 1) / variance, LEAST_PRECISION * seen + TINY)
     return mean, precision
 
 
@@ -207,12 +224,12 @@ def _noise_of(e: Array, S: Array, posterior: Array, R: Array, spread: Array) -> 
     count = np.maximum(present.sum(axis=(0, 1)), 1)
     fitted = float(np.einsum("wij,wji->", H, posterior)) / count.sum()
     squares = np.where(np.isfinite(e), e**2, 0.0).sum(axis=(0, 1))
-    return np.diag(squares / (count * max(1 - fitted, 0.1)) + (FLOOR * spread) ** 2)
+    return np.diag(squares / (count * max(1 - fitted, LEAST_FREEDOM)) + (ROUNDING * spread) ** 2)
 
 
 @dataclass(frozen=True, eq=False)
-class _Odds:
-    """The posterior of given residuals and states."""
+class _Posterior:
+    """The posterior density of the initial states, given the noise and the prior."""
 
     R: Array
     mean: Array
@@ -226,18 +243,19 @@ class _Odds:
         return np.where(np.isfinite(squares), squares, np.inf) + (self.precision * (x - self.mean) ** 2).sum(axis=1)
 
 
-def _searched(
-    residual: Simulate, odds: _Odds, x: Array, e: Array, step: Array, there: NDArray[np.bool_]
+def _line_search(
+    residual: Outputs, posterior: _Posterior, x: Array, e: Array, step: Array, finite: NDArray[np.bool_]
 ) -> tuple[Array, Array, Array]:
-    """Take the step of every window that is `there`, halved until it does not cost more.
+    """Take the step of every window that is finite, halved until it does not cost more.
 
     Returns states, residuals, and what was taken.
     """
-    before, length, worse = odds.cost(e, x), np.where(there, 1.0, 0.0), there
+    before = posterior.cost(e, x)
+    length = np.where(finite, 1.0, 0.0)
     for _ in range(HALVINGS):
         moved = x + length[:, None] * step
         e = residual(moved)
-        worse = there & ~(odds.cost(e, moved) <= before * (1 + 1e-9) + 1e-9)
+        worse = finite & ~(posterior.cost(e, moved) <= before * (1 + 1e-9) + 1e-9)  # by more than rounding
         if not worse.any():
             return moved, e, length[:, None] * step
         length = np.where(worse, length / 2, length)

@@ -12,9 +12,9 @@ from greybox.compiled.sampled_data import Experiment, gapless
 from greybox.data.record import Record
 
 Array = NDArray[np.float64]
-FEWEST = 10  # samples of a default length
-COVERED = 2.0  # times the longest delay that a default lead-in lasts
-WHOLE = 1e-6  # of a sample, by which a length may fall short of it: times are rounded
+FEWEST = 10  # samples of a default length: two or more for each state of the models here, which have 2 to 5
+DELAYS = 2.0  # longest delays that a default lead-in lasts: within the first, outputs answer to inputs before it
+ROUNDING = 1e-6  # of a sample, by which a length may fall short of it: times are rounded
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +47,9 @@ def require_lengths(**lengths: Any) -> None:
 
 
 def default_length(records: Sequence[Record], at_least: float, delay: float = 0.0) -> float:
-    """Return `at_least` s, or more where samples are slow: ten of the slowest record, and twice the longest delay."""
+    """Return `at_least` s, or ten samples of the slowest record, or twice the longest delay, whichever is longest."""
     slowest = max((record.step for record in records if len(record) > 1), default=0.0)
-    return max(at_least, FEWEST * slowest, COVERED * delay)
+    return max(at_least, FEWEST * slowest, DELAYS * delay)
 
 
 def seconds(length: float) -> str:
@@ -69,7 +69,7 @@ def cut(
     """Cut windows with a lead-in and a horizon in s, within stretches in which no input is missing.
 
     Lengths are rounded to whole samples. Windows in whose lead-in or horizon no output was measured are left out. The
-    horizon is what the user knows as `called`.
+    horizon is what the user calls `called`.
 
     Raises
     ------
@@ -80,37 +80,38 @@ def cut(
     _require_signals(record, inputs)
     stretches = gapless(record, tuple(inputs), tuple(outputs))
     for name, length in (("lead", lead), (called, horizon)):
-        if length < (1 - WHOLE) * record.step:
+        if length < (1 - ROUNDING) * record.step:
             raise ValueError(
                 f"{name}={seconds(length)} s is shorter than a sample of {record.name or 'the record'}, "
-                f"{seconds(record.step)} s: give some samples, e.g. {name}={seconds(FEWEST * record.step)}, or leave "
-                "it out."
+                f"{seconds(record.step)} s: give some samples, e.g. {name}={seconds(FEWEST * record.step)}, or omit "
+                "it."
             )
     # Half a sample is rounded down in all records alike, however their times are rounded.
-    first, after = (max(1, math.floor(min(n / record.step, len(record)) + 0.5 - WHOLE)) for n in (lead, horizon))
-    places = []
+    first, after = (max(1, math.floor(min(n / record.step, len(record)) + 0.5 - ROUNDING)) for n in (lead, horizon))
+    parts = [np.zeros((0, first + after), dtype=int)]
     for stretch in stretches:
         starts = np.arange(0, len(stretch) - first - after + 1, after)
         rows = starts[:, None] + np.arange(first + after)
-        there = np.any(np.isfinite(stretch.outputs), axis=0)[rows]
-        usable = there[:, :first].any(axis=1) & there[:, first:].any(axis=1)
-        places.append(stretch.first + rows[usable])
-    found = np.concatenate([np.zeros((0, first + after), dtype=int), *places])
-    if not len(found):
+        measured = np.any(np.isfinite(stretch.outputs), axis=0)[rows]
+        usable = measured[:, :first].any(axis=1) & measured[:, first:].any(axis=1)
+        parts.append(stretch.first + rows[usable])
+
+    rows = np.concatenate(parts)
+    if not len(rows):
         longest = max((len(s) * s.step for s in stretches), default=0.0)
         raise ValueError(
             f"{record.name or 'the record'} has no room for lead={lead:g} and {called}={horizon:g} s with measured "
             f"outputs: its longest stretch without a gap lasts {seconds(longest)} s; give a shorter lead or {called}, "
             "or a longer record."
         )
-    return Windows(record, found, first, after)
+    return Windows(record, rows, first, after)
 
 
 def sample_data(windows: Windows, inputs: tuple[str, ...], outputs: tuple[str, ...], delays: Array) -> dict[str, Array]:
     """Return ``whole, around, measured, step``, each (rows, w, samples), of all samples in the windows.
 
-    Inputs before a window are those of its stretch. What was measured before the delayed input has a past
-    is left out, see `gapless`.
+    Inputs before a window are those of its stretch. Outputs measured before the delayed inputs are known are left out,
+    see `gapless`.
     """
     record = windows.record
     stretches = gapless(record, inputs, outputs, lead=np.maximum(delays, 0.0))
@@ -128,6 +129,6 @@ def _require_signals(record: Record, inputs: Sequence[str]) -> None:
     missing = [name for name in inputs if name not in record.signals]
     if missing:
         raise ValueError(
-            f"the input {missing[0]!r} is needed and the record does not have it; "
-            f"it has {', '.join(record.signals) or 'none'}."
+            f"the record has no signal {missing[0]!r}, an input of the model; it has "
+            f"{', '.join(record.signals) or 'none'}: name it so in gb.prepare(..., signals={{{missing[0]!r}: ...}})."
         )

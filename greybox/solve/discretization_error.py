@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.record_part import Path, Place, RecordPart
 from greybox.modeling.integrators import Integrator, Rosenbrock
+from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
 from greybox.solve.gauss_newton.driver import GaussNewton, Profile
 from greybox.solve.ipopt import SMOOTHING, Outcome, Run
 from greybox.solve.minima import Multistart, find_minima
@@ -23,8 +24,6 @@ from greybox.solve.minima import Multistart, find_minima
 Array = NDArray[np.float64]
 SMALL = 0.1  # of a standard error: a shift that does not matter
 EXACT = 1e-7  # of states and outputs: what finer substeps change is rounding
-MOST = 64  # substeps
-FASTEST = 8  # times as many substeps at once
 RIVAL, RIVALS = 10.0, 3  # minima that may change places with the best: by cost above it, and number
 SAME_END = 0.01  # relative difference of parameters up to which two runs of one minimum have one end
 RANK = 1e-12  # of the largest eigenvalue of the Hessian in units of its diagonal
@@ -54,8 +53,7 @@ class IntegrationError:
     @property
     def growth(self) -> int:
         """How many times as many substeps make the shift small, as far as its order tells; at most eight times."""
-        growth = (self.largest / SMALL) ** (1 / self.order) if math.isfinite(self.largest) else FASTEST
-        return int(np.clip(math.ceil(growth), 2, FASTEST))
+        return substep_growth(self.largest, SMALL, self.order)
 
 
 def integration_error(nlp: Nlp, profile: Profile) -> IntegrationError:
@@ -92,7 +90,7 @@ def well_integrated(nlp: Nlp, search: Multistart) -> tuple[Nlp, Multistart, Inte
     error = None
     while search.minima and nlp.records and all(part.method.integrator.substeps is None for part in nlp.records):
         error = integration_error(nlp, GaussNewton(nlp).profile(search.minima[0].estimate, search.nodes))
-        if error.largest <= SMALL or max(part.substeps for part in nlp.records) >= MOST:
+        if error.largest <= SMALL or max(part.substeps for part in nlp.records) >= MOST_SUBSTEPS:
             break
         finer = replace(nlp, records=tuple(part.refined(error.growth) for part in nlp.records))
         followed = _followed(finer, search)
@@ -166,7 +164,7 @@ def _cure(integrator: Integrator, count: int, growth: int) -> str:
         return (
             f"use method=MultipleShooting(integrator={finer}), or RungeKutta() in its place if the model is not stiff"
         )
-    if count >= MOST:
+    if count >= MOST_SUBSTEPS:
         return (
             "if the model is stiff, with time constants far below a sample, use "
             f"method=MultipleShooting(integrator=Rosenbrock()), otherwise {finer} in its place"

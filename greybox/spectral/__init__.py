@@ -1,13 +1,20 @@
 """From a `Record` to a `FrequencyResponse`.
 
-`single_sine` is the finite-frequency estimate of the paper, (3.15)-(3.16); `welch` estimates responses from sweeps and
-multisines; `test_quality` says before the fit whether a test is worth one.
+Sines, one after another
+    Begin with `single_sine`: the finite-frequency estimate of the paper, (3.15)-(3.16). `demodulation` gives the
+    complex amplitudes it is made of; `frequency_points` holds what each test gave, with warnings and tables.
+Sweeps, noise and multisines
+    Begin with `welch`: the estimate with windows of one length, its variance and coherence. `composite_windows`
+    combines several lengths (sweeps, noise); `multisine_lines` uses whole periods; `uniform_stretches` cuts records at
+    gaps.
+Before the fit
+    `test_quality` tells whether a test is worth one.
 """
 
-from greybox.spectral.single_sine import FiniteFrequency as FiniteFrequency
-from greybox.spectral.single_sine import demodulate as demodulate
+from greybox.spectral.composite_windows import spectral_response as spectral_response
+from greybox.spectral.demodulation import demodulate as demodulate
+from greybox.spectral.frequency_points import FiniteFrequency as FiniteFrequency
+from greybox.spectral.multisine_lines import periodic_response as periodic_response
 from greybox.spectral.single_sine import finite_frequency as finite_frequency
 from greybox.spectral.test_quality import Quality as Quality
 from greybox.spectral.test_quality import check as check
-from greybox.spectral.welch import periodic_response as periodic_response
-from greybox.spectral.welch import spectral_response as spectral_response

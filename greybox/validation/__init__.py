@@ -1,6 +1,8 @@
 """Fits held against each other and against data that they have not seen.
 
-Begin with `compare`; `significance` decides which of two models predicts better.
+Begin with `compare`, which fills a `comparison` (table and sentences that print themselves). `same_data` tells whether
+fits have the same data and comparable costs, `same_windows` predicts the same windows by all of them, and
+`significance` tests which of two models is closer to the data and which terms the data determine.
 """
 
 from greybox.validation.compare import compare as compare

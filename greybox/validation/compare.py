@@ -9,19 +9,19 @@ from numpy.typing import NDArray
 
 from greybox.data.record import Record
 from greybox.estimate.result import Fit
-from greybox.simulation.prediction import Prediction, samples_ahead, told_shares
+from greybox.simulation.prediction import Prediction, reported_shares, samples_ahead
 from greybox.simulation.windows import require_lengths, seconds
 from greybox.statistics.metrics import fit_percent, input_correlation, rms, theil, variance_accounted_for, whiteness
 from greybox.validation.comparison import HELD_OUT, IDENTIFICATION, Comparison, NestedTest, Row
 from greybox.validation.same_data import (
     LIKELIHOOD,
     count_numbers,
+    data_difference,
     described,
-    difference,
     is_likelihood,
     labels_of,
-    not_comparable,
     other_samples,
+    why_not_comparable,
 )
 from greybox.validation.same_windows import Predictions, lengths_of, predicted
 from greybox.validation.significance import verdicts
@@ -74,10 +74,10 @@ def compare(
     require_lengths(**{name: v for name, v in (("window", window), ("lead", lead)) if v is not None})
     names = tuple(labels) or labels_of(fits)
     held_out = _records(records)
-    different = difference(fits, names)
+    different = data_difference(fits, names)
     if different and not held_out:
         raise ValueError(f"{different}: fit them to the same data, or give records=[...] on which to judge them.")
-    apart = different or not_comparable(fits, names)
+    apart = different or why_not_comparable(fits, names)
     rows = _whole(fits, same=not different, comparable=not apart)
     data: dict[str, list[list[Record]]] = {}  # of every fit
     if not different and fits[0].records:
@@ -128,7 +128,7 @@ def nested_test(small: Fit, large: Fit) -> NestedTest:
     """
     _check((small, large), ())
     names = _nested_labels(small, large)
-    different = difference((small, large), names) or other_samples((small, large), names)
+    different = data_difference((small, large), names) or other_samples((small, large), names)
     if different:
         raise ValueError(f"{different}: a nested test needs fits of the same data.")
     extra = tuple(name for name in large.free if name not in small.free)
@@ -248,7 +248,7 @@ def _measured(place: str, predictions: Predictions, fits: Sequence[Fit]) -> list
         for share in ("bias", "variance", "covariance"):
             add(f"  its share of {share}", "", [getattr(t, share) for t in coefficients])
         add("error (rms)", unit, [rms(y - p) for y, p in pairs])
-        for share in told_shares([p.rows.shape[1] for p in of[0]]):
+        for share in reported_shares([p.rows.shape[1] for p in of[0]]):
             add(f"  {_how_far(of[0], share)} s ahead", unit, [_grown(ps, output, share) for ps in of])
         tests = [whiteness(_one_step(ps, output), fitted=_gains(fit, output)) for ps, fit in zip(of, fits, strict=True)]
         add("one step ahead: error over noise", "", [rms(np.concatenate(_one_step(ps, output))) for ps in of])

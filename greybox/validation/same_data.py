@@ -7,7 +7,6 @@ import numpy as np
 from greybox.data.record import Record
 from greybox.data.text_table import number
 from greybox.estimate.result import Fit, FittedRecord, FittedResponse
-from greybox.formulation.frequency_criteria import MaximumLikelihood
 
 LIKELIHOOD = "negative log-likelihood"
 
@@ -21,7 +20,7 @@ def labels_of(fits: Sequence[Fit]) -> tuple[str, ...]:
     return tuple(f"{model} {k}" for k, model in enumerate(models, 1))
 
 
-def difference(fits: Sequence[Fit], names: Sequence[str]) -> str:
+def data_difference(fits: Sequence[Fit], names: Sequence[str]) -> str:
     """Return in words how the data of a fit differ from those of the first, or nothing."""
     first = fits[0]
     for fit, name in zip(fits[1:], names[1:], strict=True):
@@ -67,10 +66,7 @@ def count_numbers(part: FittedResponse | FittedRecord) -> int:
 
 def is_likelihood(fit: Fit) -> bool:
     """Tell whether the cost is the negative logarithm of a likelihood."""
-    return all(
-        part.weight == 1 and (isinstance(part, FittedRecord) or part.rule == MaximumLikelihood().description)
-        for part in fit.parts
-    )
+    return all(part.weight == 1 and part.is_likelihood for part in fit.parts)
 
 
 def other_samples(fits: Sequence[Fit], names: Sequence[str]) -> str:
@@ -87,7 +83,7 @@ def other_samples(fits: Sequence[Fit], names: Sequence[str]) -> str:
     return ""
 
 
-def not_comparable(fits: Sequence[Fit], names: Sequence[str]) -> str:
+def why_not_comparable(fits: Sequence[Fit], names: Sequence[str]) -> str:
     """Return why the costs of fits to the same data cannot be compared, or nothing.
 
     Those in time are negative log-likelihoods whatever the criterion takes the errors for, and so are those of
@@ -95,11 +91,21 @@ def not_comparable(fits: Sequence[Fit], names: Sequence[str]) -> str:
     """
     apart = other_samples(fits, names)
     weights = list(dict.fromkeys(", ".join(number(part.weight, 3) for part in fit.parts) for fit in fits))
-    rules = list(dict.fromkeys(fit.criterion for fit in fits))
     if apart:
         return apart
     if len(weights) > 1:
         return f"their data are weighted differently ({'; '.join(weights)})"
-    if len(rules) > 1 and not all(is_likelihood(fit) for fit in fits):
-        return f"they are of different criteria ({'; '.join(rules)})"
+    first = fits[0]
+    same = all(a.has_criterion_of(b) for fit in fits[1:] for a, b in zip(first.parts, fit.parts, strict=True))
+    if not same and not all(is_likelihood(fit) for fit in fits):
+        return f"they are of different criteria ({'; '.join(dict.fromkeys(map(_stated_criteria, fits)))})"
     return ""
+
+
+def _stated_criteria(fit: Fit) -> str:
+    """Say by which criteria a fit was made, with their settings, such as ``huber (threshold = 2.0)``."""
+    said = []
+    for part in fit.parts:
+        settings = ", ".join(f"{name} = {value!r:.40}" for name, value in part.settings.items())
+        said.append(f"{part.criterion} ({settings})" if settings else part.criterion)
+    return ", ".join(dict.fromkeys(said))

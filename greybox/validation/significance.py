@@ -192,7 +192,7 @@ def _determined(others: Sequence[tuple[str, float]]) -> str:
 
 def _criteria(fits: Sequence[Fit]) -> Iterator[str]:
     """Say which measures do not exist for fits of responses."""
-    rules = {part.rule for fit in fits for part in fit.responses if "likelihood" not in part.rule}
+    rules = {part.rule for fit in fits for part in fit.responses if not part.is_likelihood}
     if rules:
         yield (
             f"AIC and BIC do not exist for {' and '.join(sorted(rules))}, which is no likelihood: compare the costs; "

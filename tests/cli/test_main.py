@@ -5,10 +5,12 @@ import subprocess
 import sys
 from importlib.resources import files
 
+import numpy as np
 import pytest
+from declared_models import Lag, measured
 
 import greybox as gb
-from greybox.cli.main import main
+from greybox.cli.main import _with_criterion, main
 from greybox.models.drag import Drag
 
 QUICK = ["--starts", "8"]
@@ -197,7 +199,8 @@ def test_delay_and_criterion(capsys):
     options = ["--delay", "pade:2", "--criterion", "squared-relative-error", "--json", *QUICK]
     answer = json.loads(run(capsys, "fit", "pitch_hover", *options)[1])
     assert answer["delay"] == "pade:2"
-    assert answer["criterion"] == "sum of squared relative errors"
+    assert answer["criterion"] == "squared-relative-error"
+    assert answer["costs"]["squared-relative-error"] == pytest.approx(answer["cost"])
 
 
 def test_out_and_plot_are_written_and_kept(capsys, tmp_path):
@@ -373,8 +376,31 @@ def test_a_problem_with_a_record(own, capsys):
 
 def test_a_record_that_does_not_fit_the_command(own, capsys):
     path = own(RECORD)
-    assert "give a criterion such as OutputError()" in refused(capsys, "fit", path, "--criterion", "relative-error")
+    message = refused(capsys, "fit", path, "--criterion", "relative-error")
+    assert "--criterion relative-error is for frequency responses and" in message
+    assert "use output-error, prediction-error, or leave it out" in message
+    assert "--criterion output-error is for records" in refused(
+        capsys, "fit", "pitch_hover", "--criterion", "output-error"
+    )
     assert "no parameter 'mass'" in refused(capsys, "fit", path, "--fix", "mass=1")
+
+
+def test_a_criterion_in_time_is_named_like_the_others(own, capsys):
+    path = own(RECORD)
+    for name in ("output-error", "prediction-error"):
+        answer = json.loads(run(capsys, "fit", path, "--criterion", name, "--json", "--starts", "2")[1])
+        assert answer["criterion"] == name
+        assert (answer["status"], answer["costs"]) == ("converged", {})
+
+
+def test_what_else_a_problem_says_of_its_records_stays_with_another_criterion():
+    rule = gb.OutputError(noise="full", inputs="held", biases=("y",))
+    record = gb.Record(np.arange(9.0), {"u": np.arange(9.0), "y": np.arange(9.0)})
+    problem = gb.Problem(Lag(), record, rule) + gb.Problem(Lag(), measured(Lag(), [1.0, 2.0]))
+    found = _with_criterion(problem, gb.OutputError())
+    assert [part.criterion for part in found.parts] == [rule, gb.RelativeError()]
+    found = _with_criterion(problem, gb.MagnitudePhase())
+    assert [part.criterion for part in found.parts] == [rule, gb.MagnitudePhase()]
 
 
 def test_the_shipped_records(capsys):
@@ -445,7 +471,7 @@ def test_words_of_a_response_are_refused_for_a_record(capsys):
             capsys, *DRAG, FLIGHT, *more
         )
     sentence = refused(capsys, "fit", "sitl_drag", "--criterion", "relative-error")
-    assert "--criterion relative-error is for frequency responses and sitl_drag has a record" in sentence
+    assert "--criterion relative-error is for frequency responses and sitl_drag has none" in sentence
 
 
 def test_data_or_a_model_in_the_place_of_a_problem(capsys):

@@ -130,10 +130,10 @@ def test_what_innovations_do_not_drive_need_not_be_forgotten():
     assert abs(found.records[0].initial["w"][0] - 2.0) < 1.0
 
 
-def test_a_fit_of_prediction_errors_takes_about_as_long_as_one_of_output_errors():
+def test_a_fit_of_prediction_errors_takes_as_few_iterations_as_one_of_output_errors():
     data = flight(0, {"v": 0.5, "q": 0.5}, 60)
-    seconds = [
-        min(run.seconds for run in fit(gb.Problem(FullTilt(), data, rule, fixed=ROTOR), starts=3).runs)
+    output, prediction = (
+        sum(run.iterations for run in fit(gb.Problem(FullTilt(), data, rule, fixed=ROTOR), starts=3).runs)
         for rule in (gb.OutputError(inputs="held"), RULE)
-    ]
-    assert seconds[1] < 3.5 * seconds[0]
+    )
+    assert prediction <= 1.5 * output

@@ -17,7 +17,10 @@ def test_it_runs_and_draws(path, tmp_path):
     NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     assert not [o for o in outputs if o.output_type == "stream" and o.name == "stderr"]
-    assert any("image/png" in o.get("data", {}) for o in outputs)
+    drawing = [cell for cell in notebook.cells if cell.cell_type == "code" and "\ngb.plot" in f"\n{cell.source}"]
+    assert drawing
+    for cell in drawing:
+        assert any("image/png" in output.get("data", {}) for output in cell.outputs), cell.source
     nbformat.write(notebook, tmp_path / path.name)
 
 

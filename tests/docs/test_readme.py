@@ -1,9 +1,13 @@
 """What the README shows runs, and its tables are what the code gives."""
 
+import operator
 import re
 
 import pytest
-from readme_blocks import README, written
+from PIL import Image
+from readme_blocks import PICTURE, README, draw_picture, written
+
+import greybox as gb
 
 TEXT = README.read_text(encoding="utf-8")
 NUMBER = re.compile(r"-?\d+\.?\d*(?:e[+-]?\d+)?")
@@ -21,10 +25,26 @@ def test_the_example_runs(tmp_path, monkeypatch, capsys):
 
 def test_the_tables_are_what_the_code_gives():
     new = written(TEXT)
-    assert NUMBER.sub("#", new) == NUMBER.sub("#", TEXT), "run `python tests/readme.py`"
+    assert NUMBER.sub("#", new) == NUMBER.sub("#", TEXT), "run `python tests/support/readme_blocks.py`"
     # The yaw problem's values lie in a flat valley: their last digits depend on the machine.
     shown, found = ([float(n) for n in NUMBER.findall(text)] for text in (TEXT, new))
-    assert found == pytest.approx(shown, rel=5e-3, abs=1e-6), "run `python tests/readme.py`"
+    assert found == pytest.approx(shown, rel=5e-3, abs=1e-6), "run `python tests/support/readme_blocks.py`"
+
+
+def test_the_picture_is_what_the_command_draws(tmp_path):
+    """Its size and the texts of its axes; pixels depend on the machine's fonts."""
+    assert f"]({PICTURE.relative_to(README.parent).as_posix()})" in TEXT
+    assert PICTURE.stat().st_size < 150_000
+    draw_picture(tmp_path / "new.png")
+    with Image.open(PICTURE) as kept, Image.open(tmp_path / "new.png") as new:
+        assert kept.size == new.size
+        assert kept.text["Description"] == new.text["Description"], "run `python tests/support/readme_blocks.py`"
+
+
+@pytest.mark.parametrize("file", ["README.md", "CONTRIBUTING.md"])
+def test_the_names_are_there(file):
+    for name in re.findall(r"`gb\.([a-z_.A-Z]+)", (README.parent / file).read_text(encoding="utf-8")):
+        operator.attrgetter(name.rstrip("."))(gb)
 
 
 def test_the_commands_are_there():

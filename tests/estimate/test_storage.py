@@ -70,7 +70,20 @@ def assert_same(a, b):
         for field, value in vars(mine).items():
             assert_array_equal(value, getattr(other, field))
     for mine, other in zip(a.parts, b.parts, strict=True):
-        for field in ("name", "criterion", "rule", "delay", "weight", "constraints", "pade_error", "label", "equation"):
+        for field in (
+            "name",
+            "criterion",
+            "criterion_class",
+            "settings",
+            "is_likelihood",
+            "rule",
+            "delay",
+            "weight",
+            "constraints",
+            "pade_error",
+            "label",
+            "equation",
+        ):
             assert getattr(mine, field) == getattr(other, field), field
         for field in ("at", "rename", "tied", "model"):
             assert json.loads(json.dumps(dict(getattr(mine, field)))) == dict(getattr(other, field))
@@ -147,14 +160,33 @@ def test_names_of_signals_may_hold_what_hdf5_takes_for_a_path(tmp_path):
     assert (found.units, found.name) == ({"a": "m/s"}, "r")
 
 
-def test_a_file_of_the_first_layout_is_read(tmp_path):
-    def older(file):
-        file.attrs["layout"] = 1
-        del file["covariance/white"]
+def older(layout, criterion):
+    def change(file):
+        file.attrs["layout"] = layout
+        part = file["parts/0"].attrs
+        part["criterion"] = criterion
+        for name in ("criterion_class", "settings", "is_likelihood"):
+            del part[name]
+        if layout == 1:
+            del file["covariance/white"]
 
-    loaded = gb.load(edited(tmp_path, older))
+    return change
+
+
+def test_a_file_of_the_first_layout_is_read(tmp_path):
+    loaded = gb.load(edited(tmp_path, older(1, "RelativeError(normalized='measured')")))
     assert str(loaded) == str(LAG)
     assert loaded.white is None
+    assert loaded.parts[0].has_criterion_of(LAG.parts[0])
+
+
+def test_the_criterion_of_an_older_layout_is_read_from_its_text(tmp_path):
+    path = edited(tmp_path, older(2, "SquaredRelativeError(normalized='model')"))
+    assert gb.load(path).criterion == "squared-relative-error:model"
+    path = edited(tmp_path, older(2, "OutputError(noise='full', initial={'x': <function f at 0x7f>})"))
+    (part,) = gb.load(path).parts
+    assert (part.criterion, part.is_likelihood) == ("output-error", True)
+    assert not part.has_criterion_of(LAG.parts[0])
 
 
 def test_a_failed_fit_comes_back(tmp_path):
@@ -247,7 +279,7 @@ def forget(place):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda file: file.attrs.__setitem__("layout", 99), "has layout 99 and this version reads up to 2: install a"),
+        (lambda file: file.attrs.__setitem__("layout", 99), "has layout 99 and this version reads up to 3: install a"),
         (lambda file: file.attrs.__setitem__("layout", "x"), "damaged"),
         (lambda file: file.attrs.__delitem__("layout"), "damaged"),
         (lambda file: file.attrs.__delitem__("format"), "not a greybox fit or is damaged"),

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.formulation.frequency_criteria import evaluate
-from greybox.modeling.functions import Complex
+from greybox.modeling.complex_arithmetic import Complex
 
 RANDOM = np.random.default_rng(0)
 N = len(TWO_LAGS_OMEGA)

@@ -141,7 +141,7 @@ def test_the_filter_model_is_the_filter():
 def test_the_digital_filter_model_is_the_digital_filter():
     from scipy.signal import butter, freqz
 
-    from greybox.modeling.linearization import response_function
+    from greybox.modeling.linear_response import response_function
     from greybox.models.filters import LowPass
 
     omega = np.array([1.0, 50, 125, 400])

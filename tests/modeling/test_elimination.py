@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 import greybox as gb
 from greybox.modeling.elimination import elimination_order, solve, solve_pencils
-from greybox.modeling.linearization import response_function
+from greybox.modeling.linear_response import response_function
 
 OMEGA = np.array([1.0, 2.0, 4.0, 8.0, 16.0])
 

@@ -7,7 +7,7 @@ from evaluation import numeric_jacobian
 from numpy.testing import assert_allclose
 
 import greybox as gb
-from greybox.modeling.linearization import response_function
+from greybox.modeling.linear_response import response_function
 from greybox.modeling.trim import trim_function
 from greybox.models.mixer import Torques
 from greybox.models.tilt import NonlinearTilt

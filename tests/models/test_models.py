@@ -8,8 +8,8 @@ from evaluation import compiled_response, input_output_pairs, random_values, shi
 from numpy.testing import assert_allclose
 
 import greybox as gb
-from greybox.modeling.linearization import delay_order
 from greybox.modeling.model import equation
+from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.trim import derivative_function
 from greybox.models.coupled import (
     CoupledVelocity,

@@ -1,4 +1,4 @@
-"""Figures of time histories."""
+"""Figures of flight logs: tests, gaps, long lines."""
 
 import matplotlib as mpl
 import numpy as np
@@ -17,8 +17,7 @@ RECORD = Record(
 
 
 def test_one_test_is_drawn_with_setpoint_and_output_together():
-    figure = gb.plotting.traces(RECORD, Segment(10, 60, omega=20.0), periods=4)
-    control, angles = figure.axes
+    control, angles = gb.plotting.traces(RECORD, Segment(10, 60, omega=20.0), periods=4)
     assert [line.get_label() for line in angles.lines] == ["theta", "r"]
     assert "°" in angles.get_ylabel()
     assert np.nanmax(angles.lines[0].get_ydata()) == pytest.approx(np.degrees(0.1), rel=1e-3)
@@ -29,29 +28,26 @@ def test_one_test_is_drawn_with_setpoint_and_output_together():
 
 
 def test_long_lines_are_thinned_without_losing_their_extremes():
-    figure = gb.plotting.traces(RECORD)
-    line = figure.axes[0].lines[0]
+    line = gb.plotting.traces(RECORD)[0].lines[0]
     assert len(line.get_xdata()) < 5000
     assert np.nanmax(line.get_ydata()) == pytest.approx(1, abs=1e-3)
 
 
 def test_gaps_stay_open():
     holed = RECORD.time[(RECORD.time < 1) | (RECORD.time > 2)][:800]
-    figure = gb.plotting.traces(Record(holed, {"x": holed}))
-    assert np.isnan(figure.axes[0].lines[0].get_ydata()).sum() == 1
+    (axes,) = gb.plotting.traces(Record(holed, {"x": holed}))
+    assert np.isnan(axes.lines[0].get_ydata()).sum() == 1
 
 
 def test_a_recording_is_drawn_with_its_tests_shaded():
     degrees = Record(TIME, {"DesPitch": TIME, "Pitch": (10 * TIME) % 360}, {"DesPitch": "deg", "Pitch": "deg"})
     segments = [Segment(10, 20, omega=3.0), Segment(30, 40, omega=2.0, usable=False)]
-    figure = gb.plotting.recording(Recording({"ATT": degrees}, "made.bin"), segments)
-    (axes,) = figure.axes
+    (axes,) = gb.plotting.recording(Recording({"ATT": degrees}, "made.bin"), segments)
     assert len(axes.patches) == 2
     assert np.nanmax(axes.lines[1].get_ydata()) == pytest.approx(1000, rel=1e-2)
 
 
 def test_any_signals_will_do_and_none_is_said():
-    figure = gb.plotting.recording(Recording({"table": RECORD}, "made.csv"))
-    assert len(figure.axes) == 3
+    assert len(gb.plotting.recording(Recording({"table": RECORD}, "made.csv"))) == 3
     with pytest.raises(ValueError, match=r"made\.csv holds no signal"):
         gb.plotting.recording(Recording({}, "made.csv"))

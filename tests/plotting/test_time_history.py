@@ -4,6 +4,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from declared_models import TWO_LAGS_OMEGA, Lag, measured
+from drawn_lines import legend
 from hardening_spring import Spring, driven
 
 import greybox as gb
@@ -29,9 +30,9 @@ def line(axis, color):
 
 
 def test_a_fit_is_drawn_over_what_was_measured_with_what_is_left_and_the_input(fit):
-    figure = gb.plotting.time_history(fit)
-    output, below, force = figure.axes
-    assert [axis.get_ylabel() for axis in figure.axes] == ["position, m", "residual", "force"]
+    axes = gb.plotting.time_history(fit)
+    output, below, force = axes
+    assert [axis.get_ylabel() for axis in axes] == ["position, m", "residual", "force"]
     assert output.get_title() == "spring"
     time, drawn = line(output, "#0072B2")
     there = np.isfinite(drawn)
@@ -43,7 +44,7 @@ def test_a_fit_is_drawn_over_what_was_measured_with_what_is_left_and_the_input(f
 
 
 def test_a_gap_is_left_open(fit):
-    for axis, color in zip(gb.plotting.time_history(fit).axes, ("#0072B2", "#0072B2", "#222222"), strict=True):
+    for axis, color in zip(gb.plotting.time_history(fit), ("#0072B2", "#0072B2", "#222222"), strict=True):
         time, drawn = line(axis, color)
         kept = time[np.isfinite(time) & np.isfinite(drawn)]
         (gap,) = np.flatnonzero(np.diff(kept) > 1)
@@ -52,34 +53,31 @@ def test_a_gap_is_left_open(fit):
 
 
 def test_several_fits_are_laid_over_one_another(fit, stiff):
-    figure = gb.plotting.time_history(fit, stiff, labels=("free", "stiff"))
-    texts = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert texts == ["measured", "free", "stiff"]
-    left = [np.nanstd(line(figure.axes[1], color)[1]) for color in ("#0072B2", "#D55E00")]
+    axes = gb.plotting.time_history(fit, stiff, labels=("free", "stiff"))
+    assert legend(axes[0]) == ["measured", "free", "stiff"]
+    left = [np.nanstd(line(axes[1], color)[1]) for color in ("#0072B2", "#D55E00")]
     assert left[1] > 1.5 * left[0]
-    names = [text.get_text() for text in gb.plotting.time_history(fit, stiff).legends[0].get_texts()]
-    assert names[1:] == ["fit of Spring 1", "fit of Spring 2"]
+    assert legend(gb.plotting.time_history(fit, stiff)[0])[1:] == ["fit of Spring 1", "fit of Spring 2"]
 
 
 def test_predictions_begin_anew_in_every_window_and_have_a_band(fit):
     prediction = gb.predict(fit, record=WHOLE, horizon=2.0)
-    figure = gb.plotting.time_history(prediction)
-    output = figure.axes[0]
+    output = gb.plotting.time_history(prediction)[0]
     _, drawn = line(output, "#0072B2")
-    assert np.isnan(drawn).sum() == len(prediction) == 9
+    assert np.isnan(drawn).sum() == len(prediction) - 1 == 8
     (band,) = output.collections
     assert len(band.get_paths()) == 9
     assert max(path.get_extents().y1 for path in band.get_paths()) > np.nanmax(drawn)
     begins = [k for k in output.lines if k.get_marker() == "." and k.get_color() == "#0072B2"]
     assert begins[0].get_xdata().tolist() == WHOLE.time[prediction.rows[:, 0]].tolist()
-    assert "95 % band without noise" in [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "95 % band without noise" in legend(output)
 
 
 def test_angles_are_drawn_in_degrees():
     record = gb.Record(WHOLE.time, dict(WHOLE.signals), {"position": "rad"})
-    figure = gb.plotting.time_history(gb.predict(Spring(), {}, record, horizon=1.0))
-    assert figure.axes[0].get_ylabel() == "position, °"
-    shown = np.nanmax(line(figure.axes[0], "#0072B2")[1])
+    output = gb.plotting.time_history(gb.predict(Spring(), {}, record, horizon=1.0))[0]
+    assert output.get_ylabel() == "position, °"
+    shown = np.nanmax(line(output, "#0072B2")[1])
     assert shown == pytest.approx(np.degrees(np.nanmax(WHOLE["position"])), rel=0.2)
 
 
@@ -88,7 +86,7 @@ def test_long_records_are_thinned_to_their_extremes():
     force = np.sin(time)
     force[31_234] = 9.0
     record = gb.Record(time, {"force": force, "position": np.zeros(time.size)})
-    axis = gb.plotting.time_history(gb.predict(Spring(), {}, record, horizon=100.0, lead=1.0)).axes[-1]
+    axis = gb.plotting.time_history(gb.predict(Spring(), {}, record, horizon=100.0, lead=1.0))[-1]
     shown = line(axis, "#222222")[1]
     assert shown.size < 6000
     assert np.nanmax(shown) == 9.0
@@ -116,7 +114,7 @@ def test_wrong_use_is_said_in_a_sentence(fit):
         gb.plotting.time_history()
     with pytest.raises(TypeError, match="give a Fit or a Prediction"):
         gb.plotting.time_history(WHOLE)
-    with pytest.raises(ValueError, match="record 1 is not there: the fit has 1"):
+    with pytest.raises(ValueError, match="there is no record 1: the fit has 1"):
         gb.plotting.time_history(fit, record=1)
     with pytest.raises(ValueError, match="belong to different records"):
         gb.plotting.time_history(fit, gb.predict(fit, record=WHOLE))

@@ -31,6 +31,9 @@ RULES = (
     gb.solve.LatinHypercube(20, seed=2),
     gb.solve.Uniform(20, seed=3),
 )
+# Harmonic balance makes this one the slowest by far, and one rule of starts shows the same as four.
+SLOW = "pitch_hover_sines"
+CASES = [(name, rule) for name in MODULES for rule in RULES if name != SLOW or rule == RULES[0]]
 TILTS = {"roll_hover": roll_hover, "pitch_hover": pitch_hover, "pitch_5deg": pitch_5deg}
 
 every = pytest.mark.parametrize("name", MODULES)
@@ -136,8 +139,9 @@ def test_the_sign_of_one_value_explains_most_of_the_rotors_cost():
     assert round(gb.cost(rotors.problem(mended=True), values), 4) == 1.3391
 
 
-@every
-@pytest.mark.parametrize("rule", RULES, ids=lambda rule: f"{type(rule).__name__}-{rule.seed}")
+@pytest.mark.parametrize(
+    ("name", "rule"), CASES, ids=[f"{type(rule).__name__}-{rule.seed}-{name}" for name, rule in CASES]
+)
 def test_few_starts_of_any_rule_reach_the_recorded_minimum(name, rule):
     fit = fitted(name, rule)
     module = MODULES[name]

@@ -8,26 +8,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from sampled_sines import irregular, sine
 from scipy import signal, stats
 
 from greybox.data.record import Record
 from greybox.data.test_segment import Segment
-from greybox.spectral.single_sine import demodulate, finite_frequency
+from greybox.spectral.single_sine import finite_frequency
 
 STEP = 1 / 400  # s
 K, A, TAU = 91.0, -0.68, 0.05  # an unstable plant K / ((TAU s + 1) s (s + A)), one step of delay
 
 uneven = functools.partial(st.floats, allow_nan=False, allow_infinity=False)
-
-
-def sine(t, omega, amplitude):
-    """What `amplitude` = alpha + j beta stands for."""
-    return amplitude.real * np.sin(omega * t) + amplitude.imag * np.cos(omega * t)
-
-
-def irregular(seed, duration, rate=80):
-    rng = np.random.default_rng(seed)
-    return np.cumsum(rng.uniform(0.3, 1.7, int(duration * rate)) / rate)
 
 
 def one_test(u, y, t, omega, **words):
@@ -36,22 +27,6 @@ def one_test(u, y, t, omega, **words):
 
 
 # --- exactness
-
-
-@given(
-    seed=st.integers(0, 10_000),
-    omega=uneven(0.5, 30),
-    alpha=uneven(-3, 3),
-    beta=uneven(-3, 3),
-    offset=uneven(-50, 50),
-    trend=uneven(-5, 5),
-)
-@settings(max_examples=60, deadline=None)
-def test_least_squares_is_exact_on_any_sampling(seed, omega, alpha, beta, offset, trend):
-    t = irregular(seed, max(6.0, 20 / omega))
-    amplitude = complex(alpha, beta)
-    values = sine(t - t[0], omega, amplitude) + offset + trend * t
-    assert abs(demodulate(t, values, omega) - amplitude) < 1e-9
 
 
 @given(
@@ -72,22 +47,6 @@ def test_a_noise_free_periodic_response_is_exact(seed, omega, gain, phase, perio
     assert found.points[0].periods == periods
 
 
-@given(samples=st.integers(8, 300), periods=st.integers(1, 8), alpha=uneven(-3, 3), beta=uneven(-3, 3))
-@settings(max_examples=60, deadline=None)
-def test_quadrature_is_exact_when_a_period_is_a_whole_number_of_samples(samples, periods, alpha, beta):
-    t = np.arange(samples * periods) * STEP
-    omega = 2 * math.pi / (samples * STEP)
-    values = sine(t, omega, complex(alpha, beta)) + 7
-    assert abs(demodulate(t, values, omega, method="quadrature") - complex(alpha, beta)) < 1e-9
-
-
-def test_quadrature_is_not_exact_otherwise_but_near():
-    t = np.arange(4000) * STEP
-    values = np.sin(20.11 * t) + 0.3
-    assert 1e-6 < abs(demodulate(t, values, 20.11, method="quadrature") - 1) < 0.01
-    assert abs(demodulate(t, values, 20.11) - 1) < 1e-12
-
-
 @pytest.mark.parametrize("method", ["least-squares", "quadrature"])
 def test_a_lag_has_a_negative_phase_and_a_delay_too(method):
     t = np.arange(8000) * STEP
@@ -97,35 +56,6 @@ def test_a_lag_has_a_negative_phase_and_a_delay_too(method):
     assert_allclose(found.response.response, truth, rtol=1e-9)
     assert found.response.beta[0] < 0
     assert found.response.omega[0] == omega
-
-
-def test_the_last_whole_periods_after_the_settling_time_are_used():
-    t = np.arange(4000) * STEP
-    omega = 4.0
-    values = np.where(t < 2.0, 100.0, np.sin(omega * t))
-    assert abs(demodulate(t, values, omega, settle=2.0) - 1) < 1e-9
-    assert abs(demodulate(t, values, omega, periods=3) - 1) < 1e-9
-    assert abs(demodulate(t, np.where(np.arange(4000) % 7 == 0, np.nan, values), omega, settle=2.0) - 1) < 1e-9
-    with pytest.raises(ValueError, match=r"10 s do not hold 2 s of settling and 6 x 1.57 s"):
-        demodulate(t, values, omega, settle=2.0, periods=6)
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        ({"omega": 0.1}, "cannot be demodulated at 0.1 rad/s: 10 s do not hold 0 s of settling and 1 x 62.8 s"),
-        ({"omega": -1.0}, "the frequency is -1 rad/s: it must be above 0"),
-        ({"omega": 1000.0}, "has less than four samples"),
-        ({"omega": 5.0, "method": "fft"}, "the method is 'fft': it must be 'least-squares' or 'quadrature'"),
-        ({"omega": 5.0, "periods": 0}, "0 x 1.26 s"),
-        ({"omega": 5.0, "values": np.zeros(3)}, "time has 4000 samples but values has 3"),
-        ({"omega": 5.0, "values": np.full(4000, np.nan)}, "only 0 samples"),
-    ],
-)
-def test_what_demodulate_refuses(words, sentence):
-    t = np.arange(4000) * STEP
-    with pytest.raises(ValueError, match=sentence):
-        demodulate(t, **{"values": np.sin(t), **words})
 
 
 # --- closed loop with noise: an unstable plant, cascaded control of the measured output

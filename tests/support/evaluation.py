@@ -9,7 +9,8 @@ import numpy as np
 
 import greybox as gb
 import greybox.models
-from greybox.modeling.linearization import delay_order, response_function
+from greybox.modeling.linear_response import response_function
+from greybox.modeling.pade_delay import delay_order
 
 
 def shipped_models():

@@ -71,7 +71,7 @@ def test_windows_follow_the_sample_time_and_one_model_is_as_good_as_itself(rooms
         assert f"Room and RoomLog predict {data} alike" in text
     assert "Room and RoomLog describe the data of the fit as well as one another" in text
     single = gb.predict(one, record=record, horizon=3600.0, lead=7200.0)
-    assert "windows of 3600 s in house, the state of each from 7200 s before it" in str(single)
+    assert "windows of 3600 s in house, the state of each estimated from the 7200 s before it" in str(single)
     assert str(single).count("after ") == 1
     assert gb.predict(one, record=record).horizon == 36000.0
     # A small difference in every window is one all the same.

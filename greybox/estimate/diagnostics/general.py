@@ -10,7 +10,8 @@ from greybox.compiled.compiled_problem import Nlp
 from greybox.data.text_table import counted
 from greybox.estimate.covariance import Accuracy
 from greybox.formulation.problem import Problem
-from greybox.modeling.linearization import delay_order, frequency_response
+from greybox.modeling.linear_response import frequency_response
+from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import has_branches
 from greybox.solve.gauss_newton.driver import Profile
 from greybox.solve.minima import Minimum, Multistart

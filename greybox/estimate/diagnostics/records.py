@@ -13,7 +13,6 @@ from greybox.compiled.kalman_gain import predictor
 from greybox.compiled.record_part import RecordPart
 from greybox.data.text_table import counted
 from greybox.estimate.result import FittedRecord
-from greybox.formulation.time_criteria import OutputError
 from greybox.solve.gauss_newton.driver import Profile
 from greybox.statistics.noise_ratio import movement
 
@@ -40,7 +39,7 @@ def record_warnings(nlp: Nlp, records: Sequence[FittedRecord], profile: Profile 
 
 
 def _unexplained(part: RecordPart, fitted: FittedRecord, *, alone: bool) -> Iterator[str]:
-    if not isinstance(part.criterion, OutputError):
+    if part.criterion.corrects_states:
         return
     for k, output in enumerate(fitted.outputs):
         percent = fitted.fit_percent(output)
@@ -66,7 +65,7 @@ def _colored(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
     """Say where residuals are correlated in time more than the criterion bears."""
     measured, predicted = [], []
     for part, fitted in pairs:
-        by_output = isinstance(part.criterion, OutputError)
+        by_output = not part.criterion.errors_are_white
         for output in fitted.outputs:
             value, count = _successive(fitted.residual(output))
             if abs(value) > max(COLORED if by_output else GREY, CERTAIN / math.sqrt(max(count, 1))):

@@ -1,7 +1,19 @@
-"""Readers of flight logs: one format a file, chosen by what the file holds, then by its name.
+"""Readers of flight logs: one format a file, chosen by the contents of the file, then by its suffix.
 
-A reader is a module with ``read(path, messages=None) -> Recording``. It is imported when a file of its kind is read, so
-that `greybox.logs.readers` itself loads neither pymavlink nor h5py nor scipy.
+Begin here, with `FORMATS` and `read`. A reader is a module with ``read(path, messages=None) -> Recording``. It is
+imported when a file of its format is read, so that `greybox.logs.readers` itself loads neither pymavlink nor h5py nor
+scipy.
+
+Formats
+    `dataflash` (ArduPilot, binary), with `dataflash_index` (finds the messages in a file) and `dataflash_units`;
+    `dataflash_text` (ArduPilot, text); `telemetry` (MAVLink), with `telemetry_frames` (finds the packets in a file) and
+    `telemetry_metadata`; `ulog` (PX4); `csv_table`; `hdf5`; `matlab`.
+Shared by several
+    `messages` (messages of one type, and the records made of them), `time_stamps` (clock restarts, impossible and
+    repeated stamps), `table_columns` (units in headings, the time column), `ardupilot_metadata` (vehicle, firmware,
+    parameters, modes, arming).
+Libraries that a damaged file can crash
+    `subprocess_reader` runs them in a subprocess, whose script is `subprocess_main`.
 """
 
 from collections.abc import Callable, Collection

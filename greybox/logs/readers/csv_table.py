@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from greybox.data.record import Recording
 from greybox.data.text_table import is_number
-from greybox.logs.readers.columns import SECONDS, Heading, heading, seconds, table
-from greybox.logs.readers.logged import on_one_clock, records
+from greybox.logs.readers.messages import on_one_clock, records
+from greybox.logs.readers.table_columns import SECONDS, Heading, heading, seconds, table
 
 
 def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.record import Recording
-from greybox.logs.readers import ardupilot
+from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.dataflash_index import Index, Layout, index, text
 from greybox.logs.readers.dataflash_units import Units, UnitTables, with_usual_units
-from greybox.logs.readers.logged import Messages, bare, merged, on_one_clock, records
+from greybox.logs.readers.messages import Messages, bare, merged, on_one_clock, records
 
 ABOUT = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE")  # about the log or the vehicle, no time histories
 ALWAYS = ("PARM", "MSG", "MODE", "VER", "ARM", "EV")  # metadata, whatever is asked for
@@ -67,7 +67,7 @@ def recording(
     groups, restarts = on_one_clock(groups)
     wanted = [g for g in groups if g.name not in ABOUT and (messages is None or g.name in messages)]
     made, problems = records(wanted, path.name, checksum)
-    about = ardupilot.metadata(groups)
+    about = ardupilot_metadata.metadata(groups)
     if not made and not about:
         raise ValueError(f"{path} holds no ArduPilot message that can be read; copy it from the vehicle again.")
     missing = _missing({g.name for g in groups}, messages)
@@ -123,7 +123,7 @@ def _missing(there: set[str], messages: Collection[str] | None) -> tuple[str, ..
     names = ", ".join(sorted(there - {*ABOUT}))
     found = [f"there is no message {name}; the log has {names or 'none'}." for name in absent if name != "RATE"]
     if "RATE" not in there and ("ATT" in there if messages is None else "RATE" in messages):
-        found.append(ardupilot.NO_RATE)
+        found.append(ardupilot_metadata.NO_RATE)
     return tuple(found)
 
 

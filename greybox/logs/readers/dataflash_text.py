@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from pymavlink.DFReader import FORMAT_TO_STRUCT
 
 from greybox.data.record import Recording
-from greybox.logs.readers import ardupilot
+from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.dataflash import CLOCKS, TABLES, clock_column, recording
 from greybox.logs.readers.dataflash_index import Layout
 from greybox.logs.readers.dataflash_units import Units, UnitTables
-from greybox.logs.readers.logged import Messages, bare
+from greybox.logs.readers.messages import Messages, bare
 
 FMT_FIELDS = 5  # type, length, name, format, columns
 
@@ -122,7 +122,7 @@ def _is_number(value: str) -> bool:
 
 def _banner(lines: Lines) -> list[Messages]:
     """Return the line in which an old log names its firmware, as a text message."""
-    said = [line for line in lines.other if line.split(" ")[0] in ardupilot.VEHICLES][:1]
+    said = [line for line in lines.other if line.split(" ")[0] in ardupilot_metadata.VEHICLES][:1]
     if not said or "MSG" in lines.bodies:
         return []
     return [Messages("MSG", np.zeros(1, dtype=np.int64), None, {}, {"Message": said})]

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 from pymavlink.DFReader import MULT_TO_PREFIX
 
-from greybox.logs.readers.ardupilot import unit
+from greybox.logs.readers.ardupilot_metadata import unit
 from greybox.logs.readers.dataflash_index import Layout
-from greybox.logs.readers.logged import Messages
+from greybox.logs.readers.messages import Messages
 
 INSTANCE = "#"  # the letter of a column that counts instances
 INSTANCES = ("I", "C", "Inst", "Instance")  # what such a second column is called in logs without FMTU

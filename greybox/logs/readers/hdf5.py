@@ -7,16 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.record import Recording
-from greybox.logs.readers import apart
+from greybox.logs.readers import subprocess_reader
 
 
 def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
     """Read every group that has a time vector into a record.
 
-    A group holds one record: a dataset ``time`` (or t, timestamp, time_ms ...; see `columns.seconds`), and vectors of
-    the same length; matrices with a sample a row (in MATLAB's files, as MATLAB shows them) give a signal a column.
-    Units are attributes ``unit`` or ``units`` of the datasets. A record is named as its group (``flight/ATT``), one at
-    the root as the file.
+    A group holds one record: a dataset ``time`` (or t, timestamp, time_ms ...; see `table_columns.seconds`), and
+    vectors of the same length. Matrices with one sample per row (as MATLAB shows them, in MATLAB's files) give one
+    signal per column. Units are attributes ``unit`` or ``units`` of the datasets. A record is named after its group
+    (``flight/ATT``), one at the root after the file.
 
     Parameters
     ----------
@@ -38,9 +38,9 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     path = Path(path)
     with open(path, "rb") as file:
         matlab = file.read(6) == b"MATLAB"
-    found = apart.contents("hdf5", path)
+    found = subprocess_reader.contents("hdf5", path)
     rows = [variable._replace(values=_rows(variable.values, matlab)) for variable in found.variables]
-    return apart.recording(path, found._replace(variables=rows), messages)
+    return subprocess_reader.recording(path, found._replace(variables=rows), messages)
 
 
 def _rows(values: NDArray[np.float64], matlab: bool) -> NDArray[np.float64]:

@@ -4,15 +4,16 @@ from collections.abc import Collection
 from pathlib import Path
 
 from greybox.data.record import Recording
-from greybox.logs.readers import apart
+from greybox.logs.readers import subprocess_reader
 
 
 def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
     """Read every struct that has a time vector into a record, and the vectors beside a time vector of the workspace.
 
-    The time is named time, t, tout or timestamp, or has its unit in the name (``time_ms``); see `columns.seconds`.
-    Matrices with a sample a row give a signal a column. A record is named as its struct (``flight/att``), the one of
-    the workspace as the file. Simulink's "structure with time" is read too. Units are not known.
+    The time is named time, t, tout or timestamp, or has its unit in the name (``time_ms``); see
+    `table_columns.seconds`. Matrices with one sample per row give one signal per column. A record is named after its
+    struct (``flight/att``), that of the workspace after the file. Simulink's "structure with time" is read too. Units
+    are not known.
 
     Parameters
     ----------
@@ -32,4 +33,4 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     OSError
         If the file cannot be opened.
     """
-    return apart.recording(Path(path), apart.contents("matlab", Path(path)), messages)
+    return subprocess_reader.recording(Path(path), subprocess_reader.contents("matlab", Path(path)), messages)

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.record import Recording
-from greybox.logs.readers import clock, telemetry_about
-from greybox.logs.readers.ardupilot import unit
+from greybox.logs.readers import telemetry_metadata, time_stamps
+from greybox.logs.readers.ardupilot_metadata import unit
 from greybox.logs.readers.dataflash_index import text
-from greybox.logs.readers.logged import Messages, bare, records
+from greybox.logs.readers.messages import Messages, bare, records
 from greybox.logs.readers.telemetry_frames import KINDS, Frames, payloads, walk
 
 Floats = NDArray[np.float64]
@@ -57,13 +57,13 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     if not frames.kinds.size:
         raise ValueError(f"{path} holds no MAVLink packet that can be read; copy it from the ground station again.")
     own = _own_times(data, frames)
-    time, restarts = _common_clock(frames, own, telemetry_about.vehicle_sender(data, frames))
+    time, restarts = _common_clock(frames, own, telemetry_metadata.vehicle_sender(data, frames))
     names = {kind: KINDS[kind].msgname for kind in np.unique(frames.kinds).tolist()}
     wanted = [k for k, name in names.items() if (name not in ABOUT if messages is None else name in messages)]
     groups = [_messages(data, frames, kind, time) for kind in wanted]
     checksum = hashlib.sha256(data).hexdigest()
     made, problems = records(groups, path.name, checksum)
-    about = telemetry_about.metadata(data, frames, time)
+    about = telemetry_metadata.metadata(data, frames, time)
     findings = (*_damage(frames), *restarts, *_missing(frames, messages), *_received(frames, own, wanted), *problems)
     return Recording(made, path.name, checksum, about, findings)
 
@@ -88,7 +88,7 @@ def _common_clock(frames: Frames, own: Floats, vehicle: int) -> tuple[Floats, tu
     senders = np.unique(frames.senders).tolist()
     for sender in sorted(senders, key=lambda s: s != vehicle):
         rows = np.flatnonzero((frames.senders == sender) & np.isfinite(own))
-        starts = (0, *clock.restarts(own[rows]))
+        starts = (0, *time_stamps.restarts(own[rows]))
         for piece in np.split(rows, starts[1:]) if rows.size else ():
             start = float(np.median(frames.received[piece] - own[piece]))
             zero = start if zero is None else zero

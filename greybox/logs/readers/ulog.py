@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from greybox.data.record import Record, Recording
-from greybox.logs.readers import apart
-from greybox.logs.readers.ardupilot import armed_intervals
-from greybox.logs.readers.logged import bare
+from greybox.logs.readers import subprocess_reader
+from greybox.logs.readers.ardupilot_metadata import armed_intervals
+from greybox.logs.readers.messages import bare
 
 ARMED = 2  # vehicle_status.arming_state
 MODES = {  # vehicle_status.nav_state
@@ -58,8 +58,8 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     path, asked = Path(path), bare(messages)
     if find_spec("pyulog") is None:
         raise ValueError(f"{path} is a PX4 log, which needs pyulog: install it with pip install 'greybox-id[px4]'.")
-    found = apart.contents("ulog", path, *(sorted({STATUS, *asked}) if asked else ()))
-    whole = apart.recording(path, found, None)
+    found = subprocess_reader.contents("ulog", path, *(sorted({STATUS, *asked}) if asked else ()))
+    whole = subprocess_reader.recording(path, found, None)
     topics = {name: name.partition("[")[0] for name in whole}
     about = {**_about(found.about), **(_states(whole[STATUS]) if STATUS in topics.values() else {})}
     kept = {name: record for name, record in whole.items() if asked is None or topics[name] in asked}

@@ -10,7 +10,7 @@ from pymavlink import DFReader
 from synthetic_logs import Log, flight
 
 from greybox.logs.readers import read
-from greybox.logs.readers.ardupilot import unit
+from greybox.logs.readers.ardupilot_metadata import unit
 
 CUT = Path(__file__).parents[2] / "data" / "sitl_sweep_cut.BIN"
 QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.mavutil import interpret_px4_mode
 
-from greybox.logs.readers.ardupilot import VEHICLES, armed_intervals, mode_name
+from greybox.logs.readers.ardupilot_metadata import VEHICLES, armed_intervals, mode_name
 from greybox.logs.readers.dataflash_index import text
 from greybox.logs.readers.telemetry_frames import Frames, payloads
 

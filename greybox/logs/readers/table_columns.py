@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.logs.readers.logged import Messages
+from greybox.logs.readers.messages import Messages
 
 Floats = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pymavlink.mavutil import mode_mapping_bynumber
 
-from greybox.logs.readers.logged import Messages
+from greybox.logs.readers.messages import Messages
 
 VEHICLES = {  # the firmware's name for itself, and its MAV_TYPE of MAVLink, by which pymavlink knows the modes
     "ArduCopter": 2,

@@ -1,8 +1,8 @@
-"""The part of the HDF5, MATLAB and PX4 readers that runs in a process of its own, see `apart`.
+"""The part of the HDF5, MATLAB and PX4 readers that runs in a subprocess; see `subprocess_reader`.
 
-Run as a script: ``child.py hdf5 FILE``, ``child.py matlab FILE`` or ``child.py ulog FILE [TOPIC ...]``. It writes to
-standard output a line of JSON, ``{"items": [{"path", "shape", "unit"}, ...], "findings": [...], "about": {...}}``, and
-then the numbers of all items, 8 bytes each. It imports nothing of greybox.
+Run as a script: ``subprocess_main.py hdf5 FILE``, ``subprocess_main.py matlab FILE`` or ``subprocess_main.py ulog FILE
+[TOPIC ...]``. It writes a line of JSON to standard output, ``{"items": [{"path", "shape", "unit"}, ...], "findings":
+[...], "about": {...}}``, then the numbers of all items, 8 bytes each. It imports nothing of greybox.
 """
 
 import contextlib

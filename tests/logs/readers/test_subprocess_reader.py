@@ -1,4 +1,4 @@
-"""HDF5 and MATLAB files, which are read in a process of their own."""
+"""HDF5 and MATLAB files, which are read in a subprocess."""
 
 import time
 
@@ -8,7 +8,7 @@ import pytest
 from scipy.io import savemat
 from synthetic_logs import hdf5, matlab
 
-from greybox.logs.readers import apart, read
+from greybox.logs.readers import read, subprocess_reader
 
 T = 0.01 * np.arange(200)
 
@@ -115,11 +115,11 @@ def test_an_array_too_large_to_be_true_is_not_read(made, tmp_path):
 
 
 def hang(tmp_path, monkeypatch, code):
-    """Read with a child that does something else."""
-    child = tmp_path / "child.py"
-    child.write_text(code)
-    monkeypatch.setattr(apart, "CHILD", child)
-    monkeypatch.setattr(apart, "PATIENCE", 0.5)
+    """Read with a subprocess that does something else."""
+    script = tmp_path / "script.py"
+    script.write_text(code)
+    monkeypatch.setattr(subprocess_reader, "SCRIPT", script)
+    monkeypatch.setattr(subprocess_reader, "PATIENCE", 0.5)
     path = tmp_path / "bad.h5"
     path.write_bytes(hdf5())
     read(path)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.record import Record
-from greybox.logs.readers import clock
+from greybox.logs.readers import time_stamps
 
 Floats = NDArray[np.float64]
 
@@ -92,7 +92,7 @@ def _joined(lots: Sequence[Messages]) -> Messages:
 
 
 def on_one_clock(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
-    """Put all timed messages on one clock that never restarts; see `clock.one_clock`."""
+    """Put all timed messages on one clock that never restarts; see `time_stamps.one_clock`."""
     groups = list(groups)
     timed = [group for group in groups if group.time is not None and len(group)]
     if not timed:
@@ -100,7 +100,7 @@ def on_one_clock(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str,
     stamps = np.full(1 + max(int(group.order.max()) for group in timed), np.nan)
     for group in timed:
         stamps[group.order] = group.time
-    stamps, findings = clock.one_clock(stamps)
+    stamps, findings = time_stamps.one_clock(stamps)
     return [replace(group, time=stamps[group.order]) if group in timed else group for group in groups], findings
 
 
@@ -139,7 +139,7 @@ def _instances(group: Messages) -> Iterable[tuple[str, Messages]]:
 
 def _record(name: str, part: Messages, source: str, checksum: str) -> Record | None:
     assert part.time is not None
-    rows = clock.increasing(part.time)
+    rows = time_stamps.increasing(part.time)
     if not rows.size:
         return None
     time, columns, findings = part.time, part.columns, ()
@@ -147,7 +147,7 @@ def _record(name: str, part: Messages, source: str, checksum: str) -> Record | N
         findings = (_dropped(name, time.size - rows.size, time),)
         time, columns = time[rows], {column: values[rows] for column, values in columns.items()}
     units = {column: part.units.get(column, "") for column in columns}
-    return Record(time, columns, units, name, source, checksum, findings=findings + clock.gaps(name, time))
+    return Record(time, columns, units, name, source, checksum, findings=findings + time_stamps.gaps(name, time))
 
 
 def _dropped(name: str, dropped: int, time: Floats) -> str:

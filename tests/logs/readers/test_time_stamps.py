@@ -3,42 +3,42 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from greybox.logs.readers import clock
+from greybox.logs.readers import time_stamps
 
 
 def test_a_steady_clock_is_left_alone():
     stamps = np.arange(1000) / 100
-    shifted, findings = clock.one_clock(stamps)
+    shifted, findings = time_stamps.one_clock(stamps)
     np.testing.assert_array_equal(shifted, stamps)
     assert findings == ()
 
 
 def test_three_boots_follow_each_other():
     stamps = np.concatenate([np.arange(100, 200, 0.1), np.arange(5, 60, 0.1), np.arange(2, 30, 0.1)])
-    shifted, findings = clock.one_clock(stamps)
+    shifted, findings = time_stamps.one_clock(stamps)
     assert len(findings) == 2
     assert np.all(np.diff(shifted) > 0)
-    assert np.diff(shifted).max() == pytest.approx(clock.PAUSE)
+    assert np.diff(shifted).max() == pytest.approx(time_stamps.PAUSE)
 
 
 def test_jitter_and_single_outliers_are_no_restart():
     stamps = np.arange(1000) / 10
     stamps[500], stamps[700], stamps[800] = 0.0, 1e12, stamps[800] - 0.9
-    assert clock.restarts(stamps) == ()
-    shifted, _ = clock.one_clock(stamps)
+    assert time_stamps.restarts(stamps) == ()
+    shifted, _ = time_stamps.one_clock(stamps)
     assert np.flatnonzero(np.isnan(shifted)).tolist() == [700]
 
 
 def test_a_slow_log_keeps_its_first_and_last_samples():
     stamps = np.arange(200) * 60.0
-    np.testing.assert_array_equal(clock.one_clock(stamps)[0], stamps)
+    np.testing.assert_array_equal(time_stamps.one_clock(stamps)[0], stamps)
 
 
 @given(st.lists(st.integers(0, 30), min_size=1, max_size=60))
 @settings(max_examples=200, deadline=None)
 def test_as_many_samples_as_possible_are_kept(values):
     time = np.array(values, dtype=float)
-    rows = clock.increasing(time)
+    rows = time_stamps.increasing(time)
     assert np.all(np.diff(rows) > 0)
     assert np.all(np.diff(time[rows]) > 0)
     best = [1] * len(values)
@@ -48,13 +48,13 @@ def test_as_many_samples_as_possible_are_kept(values):
 
 
 def test_times_that_are_not_finite_are_dropped():
-    assert clock.increasing(np.array([np.nan, 1.0, np.inf, 2.0, 2.0])).tolist() == [1, 3]
-    assert clock.increasing(np.array([np.nan])).size == 0
+    assert time_stamps.increasing(np.array([np.nan, 1.0, np.inf, 2.0, 2.0])).tolist() == [1, 3]
+    assert time_stamps.increasing(np.array([np.nan])).size == 0
 
 
 def test_gaps_of_a_regular_message_only():
     time = np.arange(100) * 0.04
     time[50:] += 1.0
-    assert clock.gaps("IMU", time) == ("IMU: a gap 1.04 s at 2.0 s (it usually comes every 0.04 s).",)
-    assert clock.gaps("IMU", np.arange(100) / 23.6) == ()
-    assert clock.gaps("EV", np.cumsum(np.random.default_rng(0).exponential(size=100))) == ()
+    assert time_stamps.gaps("IMU", time) == ("IMU: a gap 1.04 s at 2.0 s (it usually comes every 0.04 s).",)
+    assert time_stamps.gaps("IMU", np.arange(100) / 23.6) == ()
+    assert time_stamps.gaps("EV", np.cumsum(np.random.default_rng(0).exponential(size=100))) == ()

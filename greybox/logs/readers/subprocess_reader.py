@@ -1,8 +1,9 @@
-"""Files of named arrays (HDF5, MATLAB, PX4), read in a process of their own.
+"""Files of named arrays (HDF5, MATLAB, PX4), read in a subprocess.
 
-A damaged file can send the HDF5 library into an endless loop, crash both it and scipy's MATLAB reader, and make all of
-them, and pyulog, fill the memory; little of that can be caught in Python. So `child` reads the file in another process,
-with a time limit and, where the system has one, a memory limit. That costs about 0.1 s a file, 0.25 s for MATLAB.
+A damaged file can send the HDF5 library into an endless loop, crash it or scipy's MATLAB reader, and make all of them,
+and pyulog, exhaust the memory; little of that can be caught in Python. So `subprocess_main` reads the file in another
+process, with a time limit and, where the system has one, a memory limit. That costs about 0.1 s per file, 0.25 s for
+MATLAB.
 """
 
 import hashlib
@@ -18,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.record import Recording
-from greybox.logs.readers.columns import table
-from greybox.logs.readers.logged import on_one_clock, records
+from greybox.logs.readers.messages import on_one_clock, records
+from greybox.logs.readers.table_columns import table
 
-CHILD = Path(__file__).with_name("child.py")
+SCRIPT = Path(__file__).with_name("subprocess_main.py")
 PATIENCE = 10.0  # s, and more for a large file:
 SPEED = 2e6  # bytes per s, far slower than any of the libraries
 
@@ -73,7 +74,7 @@ def contents(kind: str, path: Path, *wanted: str) -> Contents:
 def _run(arguments: list[str], path: Path) -> bytes:
     """Return what the other process writes."""
     limit = PATIENCE + path.stat().st_size / SPEED
-    command = [sys.executable, "-P", "-W", "ignore", str(CHILD), *arguments]
+    command = [sys.executable, "-P", "-W", "ignore", str(SCRIPT), *arguments]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}  # every thread of it reserves memory
     try:
         done = subprocess.run(command, capture_output=True, timeout=limit, check=False, env=environment)

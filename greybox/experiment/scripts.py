@@ -1,0 +1,180 @@
+"""What brings a test signal to a vehicle: a CSV file, a Lua script and a parameter file for ArduPilot."""
+
+import math
+from pathlib import Path
+
+from greybox.data.safe_files import write_text
+from greybox.experiment.excitation import Excitation
+from greybox.experiment.sweep import DWELL
+
+AXES = {"roll": 1, "pitch": 2, "yaw": 3}  # of the SINE message, and the first three of SID_AXIS
+# SID_AXIS, https://ardupilot.org/copter/docs/parameters.html
+SYSTEMID_AXES = (
+    "input roll,input pitch,input yaw,recovery roll,recovery pitch,recovery yaw,"
+    "rate roll,rate pitch,rate yaw,mixer roll,mixer pitch,mixer yaw,mixer thrust"
+).split(",")
+
+
+def write_excitation(excitation: Excitation, path: str | Path) -> None:
+    """Write time in s and the signals to a CSV file, which appears complete or not at all."""
+    header = [
+        "time_s",
+        *(f"{n} [{u}]" if (u := excitation.units[n]) else n for n in excitation.signals),
+    ]
+    rows = zip(excitation.time, *excitation.signals.values(), strict=True)
+    lines = [",".join(header), *(",".join(repr(float(v)) for v in row) for row in rows)]
+    write_text(Path(path), "\n".join(lines) + "\n")
+
+
+def ardupilot_script(excitation: Excitation, axis: str = "pitch", *, period_ms: int = 10, switch: int = 300) -> str:
+    """Return a Lua script that flies a sine schedule as the angle setpoint of a copter in GUIDED mode.
+
+    It starts when the switch of RCx_OPTION `switch` (300 is Scripting1) goes high while the vehicle is armed and in
+    GUIDED, and gives up as soon as one of the three ends. It logs a SINE message: segment, axis, ω in rad/s, amplitude
+    and operating point in degrees, seconds since the segment began, and the sine in degrees. Source of the interface:
+    ArduPilot, libraries/AP_Scripting/docs/docs.lua.
+
+    Parameters
+    ----------
+    excitation : Excitation
+        Of `sine_schedule`, in rad.
+    axis : {"roll", "pitch", "yaw"}
+    period_ms : between two setpoints, ms
+    switch : int
+
+    Raises
+    ------
+    ValueError
+        For an unknown axis, another unit, or anything that is not a sine schedule.
+    """
+    if axis not in AXES:
+        raise ValueError(f"the axis {axis!r} is not known: use one of {', '.join(AXES)}.")
+    if any(segment.kind != "sine" for segment in excitation.schedule):
+        raise ValueError("the script flies sines only: use sine_schedule(...), or systemid_parameters for a sweep.")
+    unit = next(iter(excitation.units.values()))
+    if unit != "rad":
+        raise ValueError(f"the setpoint is an angle in rad, but the signal is in {unit or 'no unit'}: give unit='rad'.")
+    sines = ", ".join(
+        f"{{{s.low:.9g}, {math.degrees(s.amplitude):.9g}, {s.end - s.start:.9g}}}" for s in excitation.schedule
+    )
+    values = {
+        "AXIS": AXES[axis],
+        "OFFSET": f"{math.degrees(excitation.schedule[0].offset):.9g}",
+        "PAUSE": f"{excitation.settings['pause']:.9g}",
+        "PERIOD_MS": int(period_ms),
+        "SWITCH": int(switch),
+        "SINES": f"{{ {sines} }}",
+    }
+    settings = "".join(f"local {name} = {value}\n" for name, value in values.items())
+    return f"-- Sine test on {axis}, made by greybox. {excitation}\n{settings}{_SCRIPT}"
+
+
+def systemid_parameters(excitation: Excitation, axis: str) -> str:
+    """Return a parameter file that makes ArduPilot's SystemID mode fly this sweep.
+
+    `axis` is where it is added, e.g. "mixer pitch" (see `SYSTEMID_AXES`); a signal in rad or rad/s is converted to
+    degrees, as the vehicle wants it for all but the mixer axes. Source: ArduCopter/mode_systemid.cpp.
+
+    Raises
+    ------
+    ValueError
+        For anything else than a logarithmic sweep after two periods of its lowest frequency, or values out of the
+        mode's range.
+    """
+    have = excitation.settings
+    if axis not in SYSTEMID_AXES:
+        raise ValueError(f"the axis {axis!r} is not known: use one of {', '.join(SYSTEMID_AXES)}.")
+    if have.get("kind") != "logarithmic" or have.get("dwell") != DWELL:
+        raise ValueError(
+            f"SystemID mode flies logarithmic sweeps after {DWELL} periods only: use sweep(low, high, ...)."
+        )
+    for name, limit in (("duration", 255), ("fade_in", 20), ("fade_out", 5)):
+        if have[name] > limit:
+            raise ValueError(f"{name} is {have[name]:g} s, but SystemID mode takes at most {limit} s: shorten it.")
+    number = SYSTEMID_AXES.index(axis) + 1
+    angular = next(iter(excitation.units.values())).startswith("rad")
+    if angular == axis.startswith("mixer"):
+        raise ValueError(
+            f"the axis {axis!r} needs {'a plain number' if angular else 'rad or rad/s'}: give sweep(unit=...)."
+        )
+    values = {
+        "AXIS": number,
+        "MAGNITUDE": math.degrees(have["amplitude"]) if angular else have["amplitude"],
+        "F_START_HZ": have["low"] / (2 * math.pi),
+        "F_STOP_HZ": have["high"] / (2 * math.pi),
+        "T_FADE_IN": have["fade_in"],
+        "T_REC": have["duration"],
+        "T_FADE_OUT": have["fade_out"],
+    }
+    return "".join(f"SID_{name},{value:.7g}\n" for name, value in values.items())
+
+
+_SCRIPT = """local GUIDED, HIGH, INFO = 4, 2, 6
+local W, ETA, SECONDS = 1, 2, 3 -- columns of SINES: rad/s, degrees, s
+
+local segment = 0   -- 0 while waiting
+local resting       -- at the operating point, before a sine
+local started       -- of the rest or of the sine
+local heading = 0   -- kept during the test, degrees
+local spent = true  -- the switch has to be low once before a test can start
+
+local function finish(text)
+  gcs:send_text(INFO, 'sine test: ' .. text)
+  segment = 0
+  spent = true
+end
+
+local function yaw()
+  local known, angle = pcall(function() return ahrs:get_yaw_rad() end) -- named get_yaw before 4.7
+  return math.deg(known and angle or ahrs:get_yaw())
+end
+
+local function command(angle)
+  local target = {0, 0, heading}
+  target[AXIS] = target[AXIS] + angle
+  return vehicle:set_target_angle_and_climbrate(target[1], target[2], target[3], 0, false, 0)
+end
+
+local function enter(number)
+  segment, resting, started = number, true, micros()
+end
+
+local function fly()
+  local t = (micros() - started):tofloat() * 1e-6
+  if resting and t >= PAUSE then
+    resting, started, t = false, micros(), 0
+    if segment > #SINES then return finish('done') end
+  end
+  if not resting and t >= SINES[segment][SECONDS] then
+    enter(segment + 1)
+  end
+  local sine = 0
+  if not resting then
+    sine = SINES[segment][ETA] * math.sin(SINES[segment][W] * t)
+    logger:write('SINE', 'Seg,Ax,W,Eta,Th0,T,Ref', 'BBfffff', segment, AXIS, SINES[segment][W], SINES[segment][ETA],
+      OFFSET, t, sine)
+  end
+  if not command(OFFSET + sine) then finish('setpoint refused') end
+end
+
+local function update()
+  local ready = arming:is_armed() and vehicle:get_mode() == GUIDED
+  local high = rc:get_aux_cached(SWITCH) == HIGH
+  if segment > 0 and not (ready and high) then
+    finish('stopped')
+  elseif segment > 0 then
+    fly()
+  elseif not high then
+    spent = false
+  elseif not spent and ready then
+    heading = yaw()
+    gcs:send_text(INFO, 'sine test: ' .. #SINES .. ' frequencies')
+    enter(1)
+  elseif not spent then
+    finish('arm and enter GUIDED, then switch again')
+  end
+  return update, PERIOD_MS
+end
+
+return update, 1000
+"""

@@ -1,0 +1,61 @@
+"""Sine schedules: one sine after another about an operating point, the paper's (3.14)."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from greybox.experiment.excitation import Excitation, Maneuver, checked_band, round_up
+
+
+def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
+    omega: Sequence[float],
+    amplitude: float | Sequence[float],
+    *,
+    offset: float = 0.0,
+    periods: int = 10,
+    least: float = 15.0,
+    lead_in: float = 2.0,
+    pause: float = 2.0,
+    rate: float = 100.0,
+    signal: str = "reference",
+    unit: str = "rad",
+) -> Excitation:
+    """One sine after another about an operating point, (3.14): offset + η_i sin(ω_i (t - t_0)).
+
+    Parameters
+    ----------
+    omega : (n,) sequence, rad/s, in the order in which they are flown
+    amplitude : float or (n,) sequence
+        η_i, in the signal's unit.
+    offset : float, the operating point
+    periods, least : int and s
+        A sine lasts `periods` periods or `least` seconds, whichever is longer, rounded up to whole periods.
+    lead_in, pause : s
+        Of the same sine before that, in whole periods, to settle; and at the operating point before and after each.
+    rate : Hz
+    signal, unit : str
+
+    Raises
+    ------
+    ValueError
+        For frequencies that are not between 0 and a fifth of the sampling rate, or numbers that do not match.
+    """
+    frequencies = checked_band(omega, rate)
+    heights = np.atleast_1d(np.asarray(amplitude, dtype=float))
+    if heights.size not in (1, frequencies.size):
+        raise ValueError(f"there are {frequencies.size} frequencies but {heights.size} amplitudes: give one for each.")
+    heights = np.broadcast_to(heights, frequencies.shape)
+    schedule, clock = [], pause
+    for w, eta in zip(frequencies.tolist(), heights.tolist(), strict=True):
+        period = 2 * math.pi / w
+        lead = round_up(lead_in / period) * period
+        length = max(periods, round_up(least / period)) * period
+        schedule.append(Maneuver(signal, "sine", clock, clock + lead, clock + lead + length, w, w, eta, offset))
+        clock += lead + length + pause
+    time = np.arange(round_up(clock * rate) + 1) / rate
+    values = np.full(time.size, float(offset))
+    for s in schedule:
+        inside = (time >= s.start) & (time < s.end)
+        values[inside] += s.amplitude * np.sin(s.low * (time[inside] - s.start))
+    return Excitation(time, {signal: values}, {signal: unit}, rate, tuple(schedule), {"pause": pause})

@@ -1,0 +1,84 @@
+"""Frequency sweeps, logarithmic or linear."""
+
+import math
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.experiment.excitation import Excitation, Maneuver, checked_band, round_up
+
+Array = NDArray[np.float64]
+DWELL = 2  # periods of the lowest frequency before a sweep: ArduPilot's SystemID mode; Tischler and Remple, section 5.6
+
+
+def sweep(  # noqa: PLR0913 - each is one fact of the test card
+    low: float,
+    high: float,
+    duration: float,
+    rate: float,
+    *,
+    amplitude: float = 1.0,
+    kind: Literal["logarithmic", "linear"] = "logarithmic",
+    fade_in: float = 5.0,
+    fade_out: float = 5.0,
+    dwell: int = DWELL,
+    signal: str = "u",
+    unit: str = "",
+) -> Excitation:
+    """Make a frequency sweep from `low` to `high`, faded in and out with half cosines.
+
+    It begins with `dwell` periods of the lowest frequency, which count to the duration. The logarithmic one is, sample
+    for sample, the signal of ArduPilot's SystemID mode (libraries/AP_Math/chirp.cpp).
+
+    Parameters
+    ----------
+    low, high : rad/s
+    duration, fade_in, fade_out : s
+    rate : Hz
+    amplitude : in the signal's unit
+    kind : {"logarithmic", "linear"}
+        Equal time per octave, or per rad/s.
+    dwell : int
+    signal, unit : str
+
+    Raises
+    ------
+    ValueError
+        For a band that is empty or above a fifth of the sampling rate, or a duration too short for dwell and fades.
+    """
+    checked_band([low, high], rate)
+    if low >= high or kind not in ("logarithmic", "linear"):
+        raise ValueError(
+            f"a {kind!r} sweep from {low:g} to {high:g} rad/s: the frequency must rise, "
+            "and the kind be 'logarithmic' or 'linear'."
+        )
+    hold = dwell * 2 * math.pi / low
+    if min(fade_in, fade_out) < 0 or duration < fade_in + fade_out or duration <= hold:
+        raise ValueError(
+            f"{duration:g} s are too short for {dwell} periods at {low:g} rad/s ({hold:.1f} s) and fades of "
+            f"{fade_in:g} and {fade_out:g} s: raise the duration or the lowest frequency, or give dwell=0."
+        )
+    time = np.arange(round_up(duration * rate) + 1) / rate
+    span = duration - hold
+    late = np.maximum(time - hold, 0)
+    if kind == "logarithmic":
+        rise = math.log(high / low)
+        phase = low * span / rise * np.expm1(rise * late / span)
+    else:
+        phase = low * late + (high - low) * late**2 / (2 * span)
+    values = amplitude * _fades(time, duration, fade_in, fade_out) * np.sin(phase + low * np.minimum(time - hold, 0))
+    settings = {"low": low, "high": high, "duration": duration, "kind": kind, "amplitude": amplitude}
+    settings |= {"fade_in": fade_in, "fade_out": fade_out, "dwell": dwell}
+    part = Maneuver(signal, f"{kind} sweep", 0.0, 0.0, duration, low, high, amplitude, 0.0)
+    return Excitation(time, {signal: values}, {signal: unit}, rate, (part,), settings)
+
+
+def _fades(time: Array, duration: float, fade_in: float, fade_out: float) -> Array:
+    """Half cosines at both ends."""
+    window = np.ones(time.size)
+    if fade_in > 0:
+        window *= 0.5 - 0.5 * np.cos(math.pi * np.minimum(time / fade_in, 1))
+    if fade_out > 0:
+        window *= 0.5 - 0.5 * np.cos(math.pi * np.clip((duration - time) / fade_out, 0, 1))
+    return window

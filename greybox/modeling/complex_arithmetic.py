@@ -1,0 +1,104 @@
+"""Complex numbers of CasADi expressions, which has no complex type: a formula in s = jω as real and imaginary part."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from greybox.modeling.function_of_s import CASADI_TYPES, FunctionOfS, is_whole, whole_power
+from greybox.modeling.functions import arctan2, cos, exp, log, sin, sqrt
+from greybox.modeling.pade_delay import pade_exponential
+
+
+class Complex(FunctionOfS):
+    """A complex number, or a column of them, kept as real and imaginary part.
+
+    The parts are CasADi expressions or numpy arrays. With `pade` set, `exp` is replaced by its Padé approximation of
+    that order: this is how a delay becomes rational without touching the formula.
+    """
+
+    def __init__(self, re: Any, im: Any, pade: int | None = None) -> None:
+        self.re = re
+        self.im = im
+        self.pade = pade
+
+    def _with(self, other: Any, combine: Callable[..., tuple[Any, Any]]) -> "Complex":
+        other = _complex(other)
+        if other is None:
+            return NotImplemented
+        return Complex(*combine(self.re, self.im, other.re, other.im), self.pade or other.pade)
+
+    def __add__(self, other: Any) -> "Complex":
+        return self._with(other, lambda a, b, c, d: (a + c, b + d))
+
+    def __sub__(self, other: Any) -> "Complex":
+        return self._with(other, lambda a, b, c, d: (a - c, b - d))
+
+    def __rsub__(self, other: Any) -> "Complex":
+        return self._with(other, lambda a, b, c, d: (c - a, d - b))
+
+    def __mul__(self, other: Any) -> "Complex":
+        return self._with(other, _product)
+
+    def __truediv__(self, other: Any) -> "Complex":
+        return self._with(other, _quotient)
+
+    def __rtruediv__(self, other: Any) -> "Complex":
+        return self._with(other, lambda a, b, c, d: _quotient(c, d, a, b))
+
+    __radd__ = __add__
+    __rmul__ = __mul__
+
+    def __neg__(self) -> "Complex":
+        return Complex(-self.re, -self.im, self.pade)
+
+    def __pos__(self) -> "Complex":
+        return self
+
+    def __pow__(self, power: Any) -> "Complex":
+        if is_whole(power):
+            return whole_power(self, int(power), Complex(1.0, 0.0, self.pade))
+        return (power * self.log()).exp_exact()
+
+    def __abs__(self) -> Any:
+        return sqrt(self.re**2 + self.im**2)
+
+    def exp(self) -> "Complex":
+        """Exponential, or its Padé approximation where that was asked for."""
+        if self.pade is None:
+            return self.exp_exact()
+        return pade_exponential(self, self.pade)
+
+    def exp_exact(self) -> "Complex":
+        """Exponential."""
+        size = exp(self.re)
+        return Complex(size * cos(self.im), size * sin(self.im), self.pade)
+
+    def log(self) -> "Complex":
+        """Principal logarithm."""
+        return Complex(log(self.re**2 + self.im**2) / 2, arctan2(self.im, self.re), self.pade)
+
+    def sqrt(self) -> "Complex":
+        """Principal square root."""
+        return self**0.5
+
+
+def _product(a: Any, b: Any, c: Any, d: Any) -> tuple[Any, Any]:
+    return a * c - b * d, a * d + b * c
+
+
+def _quotient(a: Any, b: Any, c: Any, d: Any) -> tuple[Any, Any]:
+    size = c * c + d * d
+    return (a * c + b * d) / size, (b * c - a * d) / size
+
+
+def _complex(value: Any) -> Complex | None:
+    if isinstance(value, Complex):
+        return value
+    if isinstance(value, (int, float, np.floating, np.integer, *CASADI_TYPES)):
+        return Complex(value, 0.0)
+    if isinstance(value, (complex, np.complexfloating)) or (
+        isinstance(value, np.ndarray) and value.dtype.kind in "fiuc"
+    ):
+        return Complex(np.real(value), np.imag(value))
+    return None

@@ -1,0 +1,43 @@
+"""What the readings of a formula in s share: the base class of `Complex` and `Rational`, and polynomials by Horner."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+CASADI_TYPES = (ca.SX, ca.MX, ca.DM)
+
+
+class FunctionOfS:
+    """A value that depends on s. The functions of `greybox.modeling.functions` call its method of their own name."""
+
+    __array_ufunc__ = None  # numpy leaves the operators to this class
+
+
+def is_casadi(value: Any) -> bool:
+    """Tell whether `value` is a CasADi expression or matrix."""
+    return isinstance(value, CASADI_TYPES)
+
+
+def is_whole(power: Any) -> bool:
+    """Tell whether a power is a whole number, of whatever type."""
+    return isinstance(power, (int, float, np.integer, np.floating)) and float(power).is_integer()
+
+
+def whole_power(base: Any, power: int, one: Any) -> Any:
+    """Raise `base` to a whole power by repeated squaring; `one` is the unit of its arithmetic."""
+    result = one
+    for bit in bin(abs(power))[2:]:
+        result = result * result
+        if bit == "1":
+            result = result * base
+    return one / result if power < 0 else result
+
+
+def polynomial_value(coefficients: Sequence[Any], s: Any) -> Any:
+    """Evaluate a polynomial, highest power first, by Horner's scheme in the arithmetic of `s`."""
+    result: Any = 0.0
+    for c in coefficients:
+        result = result * s + c
+    return result

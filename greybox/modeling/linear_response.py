@@ -1,0 +1,149 @@
+"""The frequency response of a model, linearized where it is an ODE: in numbers, and compiled for a solver."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.modeling.complex_arithmetic import Complex
+from greybox.modeling.elimination import elimination_order, solve, solve_pencils
+from greybox.modeling.functions import exp
+from greybox.modeling.linearization import LinearSystem, jacobians, linearize
+from greybox.modeling.model import Model, Names, pick_signals
+from greybox.modeling.pade_delay import delay_order
+from greybox.modeling.state_space import StateSpace
+from greybox.modeling.symbolic_reading import parameter_names, require_no_nan, traced
+from greybox.modeling.transfer_function import TransferFunction, require_no_operating_point
+from greybox.modeling.trim import trim_function
+
+
+def frequency_response(
+    model: Model,
+    values: Mapping[str, float] | None,
+    omega: ArrayLike,
+    *,
+    input: str = "",
+    output: str = "",
+    at: Mapping[str, float] | None = None,
+    delay: str = "exact",
+) -> FrequencyResponse:
+    """Evaluate the frequency response of `model` in numbers, at `omega` (n,) in rad/s.
+
+    `values` are parameter values by name; what they leave out, as `{}` does all, is at its declared start. `at` is the
+    operating point of an ODE.
+
+    Raises
+    ------
+    ValueError
+        For a name that is not known, or where the response is not finite, as at a pole on the imaginary axis.
+    """
+    omega = np.atleast_1d(np.asarray(omega, dtype=float))
+    input, output = pick_signals(model, input, output)
+    pade = delay_order(delay)
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        if isinstance(model, TransferFunction):
+            require_no_operating_point(model, at)
+            response = _numbers(model, omega, model.values(values), pade)
+        else:
+            assert isinstance(model, StateSpace)
+            response = _state_space_numbers(linearize(model, values, at), omega, input, output, pade)
+    if not np.all(np.isfinite(response)):
+        worst = omega[np.argmin(np.isfinite(response))]
+        raise ValueError(f"{model.label} has no finite response at omega = {worst:g} rad/s: a pole lies there.")
+    return FrequencyResponse(omega, response, input=input, output=output, name=model.label, source="model")
+
+
+def _numbers(model: TransferFunction, omega: NDArray[np.float64], p: Names, pade: int | None) -> NDArray[np.complex128]:
+    s: Any = 1j * omega if pade is None else Complex(np.zeros_like(omega), omega, pade)
+    result = model.response(s, p)
+    if isinstance(result, Complex):
+        result = result.re + 1j * result.im
+    if not isinstance(result, (int, float, complex, np.number, np.ndarray)):
+        raise ValueError(f"{model.label}.response returns a {type(result).__name__}: return one expression of s and p.")
+    values = np.asarray(result, dtype=complex)
+    if values.shape not in ((), omega.shape):
+        raise ValueError(
+            f"{model.label}.response returns {values.size} values for {omega.size} frequencies: return one for each."
+        )
+    return np.broadcast_to(values, omega.shape)
+
+
+def _state_space_numbers(
+    system: LinearSystem, omega: NDArray[np.float64], input: str, output: str, pade: int | None
+) -> NDArray[np.complex128]:
+    i, k = system.inputs.index(input), system.outputs.index(output)
+    pencil = 1j * omega[:, None, None] * np.eye(len(system.A)) - system.A
+    b = np.broadcast_to(system.B[:, i], (len(omega), len(system.A)))
+    plant = solve_pencils(pencil, b) @ system.C[k] + system.D[k, i]
+    shift = -system.delays[i] * Complex(np.zeros_like(omega), omega, pade)
+    delayed = exp(shift) * plant
+    return delayed.re + 1j * delayed.im
+
+
+def response_function(
+    model: Model,
+    omega: NDArray[np.float64],
+    *,
+    input: str = "",
+    output: str = "",
+    at: Mapping[str, float] | None = None,
+    pade: int | None = None,
+) -> ca.Function:
+    """Compile the frequency response: the CasADi function from the parameter vector to real and imaginary part (n,)."""
+    input, output = pick_signals(model, input, output)
+    p = ca.SX.sym("p", len(model.parameters))
+    s = Complex(ca.SX.zeros(len(omega)), ca.SX(ca.DM(omega)), pade)
+    if isinstance(model, TransferFunction):
+        require_no_operating_point(model, at)
+        result = traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
+        return ca.Function("response", [p], _parts(result, s, model.label))
+    assert isinstance(model, StateSpace)
+    x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", len(model.inputs))
+    i, k = model.input_names.index(input), model.output_names.index(output)
+    matrices, trim = jacobians(model), trim_function(model, at or {})
+    A, B, C, D = matrices(p, x, u)
+    n = A.size1()
+    entries = [[None if A[r, c].is_zero() else A[r, c] for c in range(n)] for r in range(n)]
+    states = solve(entries, [B[r, i] for r in range(n)], s, _order(model, matrices, trim, i, omega))
+    result = sum((state * C[k, r] for r, state in enumerate(states) if not C[k, r].is_zero()), D[k, i])
+    if input in model.delays:
+        result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
+    at_point = ca.Function("response", [p, x, u], _parts(result, s, model.label))
+    q: Any = ca.SX.sym("p", p.numel()) if trim.is_a("SXFunction") else ca.MX.sym("p", p.numel())
+    return ca.Function("response", [q], at_point(q, *trim(q)))
+
+
+def _order(
+    model: StateSpace, matrices: ca.Function, trim: ca.Function, input: int, omega: NDArray[np.float64]
+) -> tuple[int, ...]:
+    """Choose the order of elimination from the matrices at the start values and at some others."""
+    random = np.random.default_rng(0)
+    points = [[q.start for q in model.parameters.values()]]
+    points += [[q.draw(random) for q in model.parameters.values()] for _ in range(3)]
+    blocks = [[np.asarray(ca.DM(block)) for block in matrices(point, *trim(point))[:2]] for point in points]
+    usable = [(A, B[:, input]) for A, B in blocks if np.all(np.isfinite(A)) and np.all(np.isfinite(B))]
+    if not usable:
+        return tuple(range(len(model.states)))
+    zero = np.all([A == 0 for A, _ in usable], axis=0)
+    few = omega if omega.size <= 50 else omega[np.linspace(0, omega.size - 1, 50).astype(int)]
+    return elimination_order(np.array([A for A, _ in usable]), np.array([b for _, b in usable]), zero, few)
+
+
+def _parts(result: Any, s: Complex, owner: str) -> list[ca.SX]:
+    """Return real and imaginary part of a traced response, one entry per frequency."""
+    if not isinstance(result, (Complex, int, float, np.number, np.ndarray, ca.SX, ca.DM)):
+        raise ValueError(f"{owner}.response returns a {type(result).__name__}: return one expression of s and p.")
+    both: Any = (result.re, result.im) if isinstance(result, Complex) else (result, 0.0)
+    parts = [ca.SX(part) for part in both]
+    for k, part in enumerate(parts):
+        if part.is_scalar():
+            parts[k] = part + ca.SX.zeros(s.im.numel())
+        elif part.shape != s.im.shape:
+            raise ValueError(
+                f"{owner}.response returns {part.numel()} values for {s.im.numel()} frequencies: return one for each."
+            )
+    require_no_nan(f"{owner}.response", ca.vertcat(*parts))
+    return parts

@@ -1,0 +1,62 @@
+"""The Padé approximation of a delay: its coefficients, in the frequency domain, and as states in the time domain.
+
+exp(-s T) ≈ Σ c_k (-s T)^k / Σ c_k (s T)^k, k = 0 ... n. A problem asks for it with ``delay="pade:n"``. In a formula,
+`Complex` and `Rational` replace their `exp` by `pade_exponential`; in the time domain, `realization` replaces a delayed
+input by the output of `pade_states`.
+"""
+
+import math
+import re
+from typing import Any
+
+import casadi as ca
+
+from greybox.modeling.function_of_s import polynomial_value
+
+
+def delay_order(delay: str) -> int | None:
+    """Return the Padé order in ``"pade:n"``, or None for ``"exact"``."""
+    if delay == "exact":
+        return None
+    match = re.fullmatch(r"pade:([1-9]\d?)", delay) if isinstance(delay, str) else None
+    if match is None:
+        raise ValueError(f"delay {delay!r} is not known: use 'exact' or 'pade:n' with an order n from 1 to 99.")
+    return int(match[1])
+
+
+def pade_coefficients(order: int) -> list[float]:
+    """Return the coefficients c_0 ... c_n of the diagonal Padé approximation exp(z) ≈ Σ c_k z^k / Σ c_k (-z)^k.
+
+    Source: Golub and Van Loan, Matrix Computations, section 9.3.1.
+    """
+    n = order
+    return [
+        math.factorial(2 * n - k)
+        * math.factorial(n)
+        / (math.factorial(2 * n) * math.factorial(k) * math.factorial(n - k))
+        for k in range(n + 1)
+    ]
+
+
+def pade_exponential(z: Any, order: int) -> Any:
+    """Return the approximation of exp(z) in the arithmetic of `z`; with z = -s T it is the delay by T."""
+    coefficients = pade_coefficients(order)[::-1]
+    return polynomial_value(coefficients, z) / polynomial_value(coefficients, -z)
+
+
+def pade_states(x: ca.SX, u: ca.SX, delay: ca.SX, order: int) -> tuple[ca.SX, ca.SX]:
+    """Return the delayed input and the derivative of its states x (order,), in observer form.
+
+    Time is in units of the delay, so that the states are of the input's size whatever the delay.
+    """
+    c = pade_coefficients(order)
+    leading = c[order] * (-1) ** order
+    # exp(-z) ≈ Σ c_k (-z)^k / Σ c_k z^k with z = s · delay, divided by c_n; highest power first.
+    a = [c[order - k] / c[order] for k in range(order + 1)]
+    b = [c[order - k] * (-1) ** (order - k) / c[order] for k in range(order + 1)]
+    feedthrough = leading / c[order]
+    rows = [
+        ((x[k + 1] if k + 1 < order else 0) - a[k + 1] * x[0] + (b[k + 1] - feedthrough * a[k + 1]) * u) / delay
+        for k in range(order)
+    ]
+    return x[0] + feedthrough * u, ca.vertcat(*rows)

@@ -1,0 +1,229 @@
+"""The rational reading of a model: numerator and denominator in s, and a delay.
+
+`rational` reads a model; `Rational` is the arithmetic in which its formula is evaluated for that.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.modeling.function_of_s import (
+    CASADI_TYPES,
+    FunctionOfS,
+    is_casadi,
+    is_whole,
+    polynomial_value,
+    whole_power,
+)
+from greybox.modeling.functions import exp
+from greybox.modeling.linearization import linearize
+from greybox.modeling.model import Model, pick_signals
+from greybox.modeling.pade_delay import pade_exponential
+from greybox.modeling.state_space import StateSpace
+from greybox.modeling.transfer_function import TransferFunction, require_no_operating_point
+
+
+class Rational(FunctionOfS):
+    """A rational function of s with a delay: numerator(s) / denominator(s) · exp(-s delay).
+
+    The coefficients are numbers or CasADi expressions, highest power of s first.
+    """
+
+    def __init__(
+        self, numerator: Sequence[Any], denominator: Sequence[Any] = (1.0,), delay: Any = 0.0, pade: int | None = None
+    ):
+        self.numerator = _without_leading_zeros(numerator)
+        self.denominator = _without_leading_zeros(denominator)
+        self.delay = delay
+        self.pade = pade
+
+    def _same_delay(self, other: "Rational") -> Any:
+        if _is_zero_polynomial(self.numerator):
+            return other.delay
+        if _is_zero_polynomial(other.numerator) or _equal(self.delay, other.delay):
+            return self.delay
+        raise ValueError(
+            "terms with different delays are added (as in a loop around a delay), which has no rational form: "
+            "use a Padé approximation, pade=3 here or delay='pade:3' in a problem."
+        )
+
+    def __add__(self, other: Any) -> "Rational":
+        other = _rational(other)
+        if other is None:
+            return NotImplemented
+        delay = self._same_delay(other)
+        pade = self.pade or other.pade
+        if _equal_polynomials(self.denominator, other.denominator):
+            return Rational(_sum(self.numerator, other.numerator), self.denominator, delay, pade)
+        numerator = _sum(_convolve(self.numerator, other.denominator), _convolve(other.numerator, self.denominator))
+        return Rational(numerator, _convolve(self.denominator, other.denominator), delay, pade)
+
+    def __mul__(self, other: Any) -> "Rational":
+        other = _rational(other)
+        if other is None:
+            return NotImplemented
+        n1, d2 = _cancel(self.numerator, other.denominator)
+        n2, d1 = _cancel(other.numerator, self.denominator)
+        return Rational(_convolve(n1, n2), _convolve(d1, d2), self.delay + other.delay, self.pade or other.pade)
+
+    def _inverse(self) -> "Rational":
+        return Rational(self.denominator, self.numerator, -self.delay, self.pade)
+
+    def __truediv__(self, other: Any) -> "Rational":
+        other = _rational(other)
+        return NotImplemented if other is None else self * other._inverse()
+
+    def __rtruediv__(self, other: Any) -> "Rational":
+        other = _rational(other)
+        return NotImplemented if other is None else other * self._inverse()
+
+    __radd__ = __add__
+    __rmul__ = __mul__
+
+    def __neg__(self) -> "Rational":
+        return Rational([-c for c in self.numerator], self.denominator, self.delay, self.pade)
+
+    def __pos__(self) -> "Rational":
+        return self
+
+    def __sub__(self, other: Any) -> "Rational":
+        return self + (-other)
+
+    def __rsub__(self, other: Any) -> "Rational":
+        return (-self) + other
+
+    def __pow__(self, power: Any) -> "Rational":
+        if not is_whole(power):
+            raise ValueError(f"the power {power} of s has no rational form: only whole powers have.")
+        return whole_power(self, int(power), Rational([1.0], pade=self.pade))
+
+    def exp(self) -> "Rational":
+        """exp(-s T) as a delay, or as a rational function where a Padé order is set."""
+        if self.pade is not None:
+            return pade_exponential(self, self.pade)
+        constant = len(self.denominator) == 1 and not is_casadi(self.delay) and self.delay == 0
+        if not constant or len(self.numerator) > 2 or (len(self.numerator) and not _is_zero(self.numerator[-1])):
+            raise ValueError("only exp(-s T) with a T that does not depend on s has a rational form with a delay.")
+        return Rational([1.0], delay=-self.numerator[0] / self.denominator[0] if len(self.numerator) == 2 else 0.0)
+
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """Roots of a numeric denominator, rad/s."""
+        return np.roots([float(c) for c in self.denominator]).astype(complex)
+
+    @property
+    def zeros(self) -> NDArray[np.complex128]:
+        """Roots of a numeric numerator, rad/s."""
+        return np.roots([float(c) for c in self.numerator]).astype(complex)
+
+    def __str__(self) -> str:
+        delay = "" if not is_casadi(self.delay) and self.delay == 0 else f" exp(-{self.delay} s)"
+        return f"({_written(self.numerator)}) / ({_written(self.denominator)}){delay}"
+
+    def __call__(self, s: Any) -> Any:
+        """Evaluate at `s`, numbers or `Complex`."""
+        return polynomial_value(self.numerator, s) / polynomial_value(self.denominator, s) * exp(-s * self.delay)
+
+
+def rational(
+    model: Model,
+    values: Mapping[str, float] | None = None,
+    *,
+    input: str = "",
+    output: str = "",
+    at: Mapping[str, float] | None = None,
+    pade: int | None = None,
+) -> Rational:
+    """Read a model as numerator, denominator (coefficients, highest power of s first) and delay in s.
+
+    With `pade`, the delay becomes part of the rational function, approximated to that order.
+
+    Raises
+    ------
+    ValueError
+        If the formula has no rational form, as a loop around an exact delay.
+    """
+    input, output = pick_signals(model, input, output)
+    if isinstance(model, TransferFunction):
+        require_no_operating_point(model, at)
+        result = model.response(Rational([1.0, 0.0], pade=pade), model.values(values))
+        return result if isinstance(result, Rational) else Rational([result])
+    assert isinstance(model, StateSpace)
+    system = linearize(model, values, at)
+    i, k = system.inputs.index(input), system.outputs.index(output)
+    b, c, d = system.B[:, i], system.C[k], system.D[k, i]
+    denominator = np.atleast_1d(np.poly(np.linalg.eigvals(system.A))).real
+    markov = [d, *(c @ np.linalg.matrix_power(system.A, j) @ b for j in range(len(b)))]
+    numerator = np.convolve(denominator, markov)[: len(denominator)]
+    result = Rational(numerator.tolist(), denominator.tolist())
+    return result * exp(Rational([-1.0, 0.0], pade=pade) * system.delays[i])
+
+
+def _rational(value: Any) -> Rational | None:
+    if isinstance(value, Rational):
+        return value
+    if isinstance(value, (int, float, np.floating, np.integer, *CASADI_TYPES)) or np.ndim(value) == 0:
+        return Rational([value])
+    return None
+
+
+def _is_zero(c: Any) -> bool:
+    return c.is_zero() if is_casadi(c) else bool(c == 0)
+
+
+def _equal(a: Any, b: Any) -> bool:
+    if isinstance(a, ca.MX) or isinstance(b, ca.MX):
+        return ca.is_equal(ca.MX(a), ca.MX(b), 8)
+    if is_casadi(a) or is_casadi(b):
+        return ca.is_equal(ca.SX(a), ca.SX(b), 8)
+    return bool(a == b)
+
+
+def _written(polynomial: Sequence[Any]) -> str:
+    """Write a polynomial in s, e.g. ``2 s² + 0.3 s + 1``."""
+    terms = []
+    for power, c in zip(reversed(range(len(polynomial))), polynomial, strict=True):
+        if not _is_zero(c) or len(polynomial) == 1:
+            size = str(c) if is_casadi(c) else f"{c:.6g}"
+            terms.append(size + ("", " s")[power > 0] + "".join("⁰¹²³⁴⁵⁶⁷⁸⁹"[int(d)] for d in str(power) if power > 1))
+    return " + ".join(terms).replace("+ -", "- ")
+
+
+def _without_leading_zeros(polynomial: Sequence[Any]) -> list[Any]:
+    """Drop leading coefficients that are zero."""
+    terms = list(polynomial)
+    while len(terms) > 1 and _is_zero(terms[0]):
+        terms.pop(0)
+    return terms
+
+
+def _is_zero_polynomial(polynomial: list[Any]) -> bool:
+    return all(_is_zero(c) for c in polynomial)
+
+
+def _equal_polynomials(a: list[Any], b: list[Any]) -> bool:
+    return a is b or (len(a) == len(b) and all(_equal(x, y) for x, y in zip(a, b, strict=True)))
+
+
+def _cancel(numerator: list[Any], denominator: list[Any]) -> tuple[list[Any], list[Any]]:
+    """Drop a numerator and a denominator that are the same polynomial."""
+    if len(numerator) > 1 and _equal_polynomials(numerator, denominator):
+        return [1.0], [1.0]
+    return numerator, denominator
+
+
+def _sum(a: list[Any], b: list[Any]) -> list[Any]:
+    size = max(len(a), len(b))
+    a, b = [0.0] * (size - len(a)) + a, [0.0] * (size - len(b)) + b
+    return [x + y for x, y in zip(a, b, strict=True)]
+
+
+def _convolve(a: list[Any], b: list[Any]) -> list[Any]:
+    result: list[Any] = [0.0] * (len(a) + len(b) - 1)
+    for i, x in enumerate(a):
+        for k, y in enumerate(b):
+            result[i + k] = result[i + k] + x * y
+    return result

@@ -1,0 +1,76 @@
+"""How many equal substeps a fixed-step integrator takes: the one rule.
+
+Stability asks for steps within the scheme's region: |λ| h ≤ reach for every pole λ, and |Im λ| h ≤ wave, so that an
+oscillation is followed (`stable_substeps`). Accuracy is judged by repeating the steps with half their length
+(Richardson): for a scheme of order q the error of n substeps falls as n^-q, so the difference between n and 2n of them
+tells the error that n leave, but for a factor 1 - 2^-q, and how many meet a tolerance (`accurate_substeps`). Where the
+model is run again with what this asks for, the growth per run is limited (`substep_growth`).
+
+What error matters, of what, and how many substeps are too many, differs from place to place: these are arguments.
+
+Source: Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, 2nd ed., section II.4: Richardson's error
+estimate (4.4), the step size that meets a tolerance, and limits of its change, (4.12) to (4.13). Stability: volume II,
+section IV.2.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Substeps a sample. An explicit step follows poles up to `reach` per step, RK4 to 64 · 2.7 = 170 per sample; a model
+# with faster ones is stiff, and the implicit `Rosenbrock` takes fewer steps.
+MOST_SUBSTEPS = 64
+# Each repetition compiles the steps anew, which pays from twice as many on.
+LEAST_GROWTH = 2
+# Steps far outside the range in which the error falls with the order exaggerate or hide it: three halvings at once, as
+# the factor facmax of (4.13) limits step sizes. Another repetition is cheaper than steps that are too short ever after.
+MOST_GROWTH = 8
+# A state this much smaller than the largest one may be rounding alone: changes of 1e-16 of the largest state are then
+# 1e-10 of it, far below all tolerances here.
+NEGLIGIBLE = 1e-6
+
+
+def stable_substeps(
+    poles: NDArray[np.complex128], step: float, *, reach: float, wave: float = math.inf, most: int = MOST_SUBSTEPS
+) -> int:
+    """Return the substeps (1 to `most`) of a sample of `step` s that the fastest of the poles (...) in rad/s asks for.
+
+    `reach` is the largest |λ| h, `wave` the largest |Im λ| h, of a substep h; see `Integrator`.
+    """
+    if not poles.size:
+        return 1
+    fastest = np.maximum(np.abs(poles) / reach, np.abs(poles.imag) / wave).max()
+    return _whole(fastest * step, most)
+
+
+def accurate_substeps(count: int, error: float, tolerance: float, order: int, most: int = MOST_SUBSTEPS) -> int:
+    """Return the substeps (`count` to `most`) that bring the `error` of `count` substeps to the tolerance."""
+    return count if error <= tolerance else _whole(count * _factor(error, tolerance, order), most)
+
+
+def substep_growth(error: float, tolerance: float, order: int) -> int:
+    """Return how many times as many substeps to try where the error, which may be infinite, exceeds the tolerance."""
+    factor = _factor(error, tolerance, order) if math.isfinite(error) else MOST_GROWTH
+    return int(np.clip(math.ceil(min(factor, MOST_GROWTH)), LEAST_GROWTH, MOST_GROWTH))
+
+
+def relative_change(change: Array, size: Array) -> float:
+    """Return the largest change (n, samples) of any state in units of its `size` (n,); NaN if one is NaN."""
+    return float((np.abs(change).max(axis=1, initial=0.0) / np.where(size > 0, size, 1.0)).max(initial=0.0))
+
+
+def state_sizes(*states: Array) -> Array:
+    """Return the largest absolute value of every state, (n,), over (n, samples) each; no less than may be rounding."""
+    size = np.max([np.abs(x).max(axis=1, initial=0.0) for x in states], axis=0)
+    return np.maximum(size, NEGLIGIBLE * size.max(initial=0.0))
+
+
+def _factor(error: float, tolerance: float, order: int) -> float:
+    return (error / tolerance) ** (1 / order)
+
+
+def _whole(count: float, most: int) -> int:
+    return int(np.clip(math.ceil(min(count, most)), 1, most))

@@ -1,0 +1,81 @@
+"""One figure of a whole fit, composed of the other diagrams."""
+
+from matplotlib.figure import Figure, SubFigure
+
+from greybox.estimate.result import Fit
+from greybox.plotting.bode import bode_axes, draw_bode
+from greybox.plotting.nyquist import add_title, draw_nyquist, grid, number_points, panel_axes, panels
+from greybox.plotting.response_series import ResponseSeries, legend_entries, response_series, title
+from greybox.plotting.starts import draw_starts
+from greybox.plotting.style import TITLE_SIZE, legend_below, new_figure, plain
+from greybox.plotting.time_history import WIDTH, draw_history, histories, history_axes, history_height, history_legend
+
+BODE_WIDTH = 6.2  # inches
+STARTS_HEIGHT = 3.4  # inches
+
+
+def plot(fit: Fit) -> Figure:
+    """Draw an overview of a fit: of responses the Nyquist diagram, the Bode diagram and the starts.
+
+    Of records their time histories and the starts; where the data are both, the Bode diagram beside them.
+
+    Returns
+    -------
+    Figure
+        Not axes, as from the other functions, since it arranges several diagrams. It is not known to pyplot: show it
+        as the last line of a notebook cell, or save it with ``savefig``.
+    """
+    return _plot_records(fit) if fit.records else _plot_responses(fit)
+
+
+def _plot_records(fit: Fit) -> Figure:
+    """Draw the time history of every record and the starts below one another, and Bode diagrams to their right."""
+    drawn = [histories((fit,), k) for k in range(len(fit.records))]
+    heights = [*map(history_height, drawn), STARTS_HEIGHT]
+    widths = (WIDTH, BODE_WIDTH) if fit.responses else (WIDTH,)
+    figure = new_figure(sum(widths), sum(heights) + 0.4)
+    figure.suptitle(title((fit,)), fontsize=13)
+
+    columns = figure.subfigures(1, len(widths), width_ratios=widths, squeeze=False)[0]
+    rows = columns[0].subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+    for row, part, history in zip(rows, fit.records, drawn, strict=False):
+        axes = history_axes(row, history)
+        draw_history(axes, history)
+        row.align_ylabels(axes)
+        legend_below(row, history_legend(history))
+        axes[0].set_title(plain(part.name) if len(fit.records) > 1 else "", fontsize=TITLE_SIZE)
+    legend_below(rows[-1], draw_starts(rows[-1].subplots(), fit))
+
+    for column in columns[1:]:
+        _add_bode(column, response_series((fit,), ()))
+    return figure
+
+
+def _plot_responses(fit: Fit) -> Figure:
+    series = response_series((fit,), ())
+    groups = panels(series)
+    rows, columns = grid(len(groups))
+    width = 2.8 + 3.4 * columns  # of the Nyquist diagram, inches
+    height = 1.8 + 3.4 * rows
+
+    figure = new_figure(width + BODE_WIDTH, height + STARTS_HEIGHT)
+    figure.suptitle(title((fit,)), fontsize=13)
+    left, right = figure.subfigures(1, 2, wspace=0.03, width_ratios=(width, BODE_WIDTH), squeeze=False)[0]
+    top, bottom = left.subfigures(2, 1, height_ratios=(height, STARTS_HEIGHT), squeeze=False)[:, 0]
+
+    drawn = panel_axes(top, len(groups))
+    draw_nyquist(drawn, groups)
+    add_title(top, drawn, "Nyquist diagram")
+    legend_below(top, legend_entries(series))
+
+    _add_bode(right, series)
+    legend_below(bottom, draw_starts(bottom.subplots(), fit))
+    number_points(drawn, groups)  # last, when all places on the page are known
+    return figure
+
+
+def _add_bode(part: SubFigure, series: list[ResponseSeries]) -> None:
+    axes = bode_axes(part, series)
+    draw_bode(axes, series, "Bode diagram")
+    part.align_ylabels(axes)
+    legend_below(part, legend_entries(series))

@@ -1,0 +1,155 @@
+"""Complex amplitudes of a signal at one frequency, over whole periods: the paper's (3.16)."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.data.record import Record
+from greybox.data.text_table import counted
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+METHODS = ("least-squares", "quadrature")
+
+# Samples of a window, at least: the unknowns of the least squares, a constant, a trend and three harmonics.
+LEAST_SAMPLES = 8
+
+# Share of its samples that every period of a window must have.
+LEAST_FILLED = 0.3
+
+# Of the Nyquist frequency, up to which harmonics are fitted: at it, sine and cosine are no longer independent.
+HIGHEST = 0.8
+
+
+class UnusableSegmentError(ValueError):
+    """A stretch of a signal cannot be demodulated, and why."""
+
+
+def demodulate(
+    time: Array,
+    values: Array,
+    omega: float,
+    settle: float = 0.0,
+    periods: int | None = None,
+    method: str = "least-squares",
+    harmonics: int = 1,
+) -> complex:
+    """Return the complex amplitude alpha + j beta of a signal at `omega`, over whole periods: (3.16) with η = 1.
+
+    The signal is alpha sin ω(t - t0) + beta cos ω(t - t0) with t0 = time[0], so that the ratio of two of them has the
+    sign of a transfer function at +jω: a lag has a negative phase. The last whole periods after `settle` are used.
+
+    Parameters
+    ----------
+    time, values : (n,) arrays, s and any unit
+        Any sampling; samples that are NaN are left out.
+    omega : float, rad/s
+    settle : float, s
+        Left out at the start, at least.
+    periods : int, optional
+        By default as many as there are.
+    method : "least-squares" or "quadrature"
+        Sine, cosine, constant, trend (and harmonics) fitted together, exact on any sampling; or the sums of (3.16),
+        exact where a period is a whole number of equal samples.
+    harmonics : int
+        The highest that the least squares include; more than the first matters only on uneven sampling.
+
+    Raises
+    ------
+    ValueError
+        If there is no whole period, or fewer than four samples in a period, or the method is unknown.
+    """
+    record = Record(time, {"values": values})  # checks both
+    time, values = record.time, record["values"]
+    known = np.isfinite(values)
+    try:
+        rows, _ = whole_periods(time[known], omega, settle, periods)
+    except UnusableSegmentError as reason:
+        raise ValueError(f"the signal cannot be demodulated at {omega:g} rad/s: {reason}.") from None
+
+    t = time[known][rows]
+    x = values[known][rows]
+    origin = float(time[0])
+    if known_method(method) == "quadrature":
+        return complex(quadrature(t, x, omega, origin))
+    return complex(least_squares(t, x[None], omega, origin, harmonics)[0][0, 0])
+
+
+def known_method(method: str) -> str:
+    """Return the name of a method; ValueError for an unknown one."""
+    if method not in METHODS:
+        raise ValueError(f"the method is {method!r}: it must be {' or '.join(map(repr, METHODS))}.")
+    return method
+
+
+def whole_periods(time: Array, omega: float, settle: float, periods: int | None) -> tuple[NDArray[np.bool_], int]:
+    """Return the rows of the last whole periods after `settle`, and how many periods they are.
+
+    Raises
+    ------
+    UnusableSegmentError
+        If there are too few samples or periods.
+    """
+    if not 0 < omega < math.inf:
+        raise UnusableSegmentError(f"the frequency is {omega:g} rad/s: it must be above 0")
+    period = 2 * math.pi / omega
+    if time.size < LEAST_SAMPLES:
+        raise UnusableSegmentError(f"only {counted(time.size, 'sample')}")
+    step = float(np.median(np.diff(time)))
+    if step > period / 4:
+        raise UnusableSegmentError(f"a period of {period:.3g} s has fewer than four samples of {step:.3g} s")
+
+    available = math.floor((time[-1] - time[0] + step - settle) / period + 1e-6)
+    count = max(available, 1) if periods is None else periods
+    if not 1 <= count <= available:
+        raise UnusableSegmentError(
+            f"{time[-1] - time[0]:.3g} s do not hold {settle:g} s of settling and {count} x {period:.3g} s"
+        )
+
+    rows = time > time[-1] + step / 2 - count * period
+    in_each = np.histogram(time[rows], count, (time[-1] - count * period, time[-1]))[0]
+    if in_each.min() < LEAST_FILLED * period / step:
+        raise UnusableSegmentError(f"a whole period is missing after {time[rows][0]:.1f} s")
+    return rows, count
+
+
+def least_squares(t: Array, x: Array, omega: float, origin: float, harmonics: int) -> tuple[Complex, Array, Array]:
+    """Fit constant, trend and harmonics to the rows of `x`.
+
+    Returns
+    -------
+    amplitudes : (rows, h) complex array
+        Of the fundamental and the harmonics, phase relative to sin kω(t - origin).
+    drift : (rows,) array
+        Change of the trend over the window.
+    residual : (rows, n) array
+    """
+    step = float(np.median(np.diff(t)))
+    count = max(1, min(harmonics, int(HIGHEST * math.pi / (omega * step))))
+    trend = (t - t.mean()) / (t[-1] - t[0])
+    waves = [sine_and_cosine(t, k * omega, origin) for k in range(1, count + 1)]
+    columns = np.concatenate([[np.ones_like(t), trend], *waves])
+    c = np.linalg.lstsq(columns @ columns.T, columns @ x.T, rcond=None)[0]  # few columns, well scaled: as good as QR
+    return (c[2::2] + 1j * c[3::2]).T, c[1], x - c.T @ columns
+
+
+def quadrature(t: Array, x: Array, omega: float, origin: float) -> Complex:
+    """Return the sums of (3.16) over all samples, each weighted by half the distance between its neighbors."""
+    step = np.diff(t)
+    weight = np.concatenate([[step[0]], (step[1:] + step[:-1]) / 2, [step[-1]]])
+    sums = 2 / weight.sum() * (x * weight) @ sine_and_cosine(t, omega, origin).T
+    return sums[..., 0] + 1j * sums[..., 1]
+
+
+def spectral_line(t: Array, x: Array, omega: float, origin: float) -> Complex:
+    """Return the complex amplitudes (rows,) at one frequency, fitted with a constant alone."""
+    columns = np.vstack([np.ones_like(t), sine_and_cosine(t, omega, origin)])
+    c = np.linalg.lstsq(columns @ columns.T, columns @ x.T, rcond=None)[0]
+    return c[1] + 1j * c[2]
+
+
+def sine_and_cosine(time: Array, omega: float, origin: float) -> Array:
+    """Return sin ω(t - origin) and cos ω(t - origin), (2, n)."""
+    return np.stack([np.sin(omega * (time - origin)), np.cos(omega * (time - origin))])

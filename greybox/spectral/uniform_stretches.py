@@ -1,0 +1,85 @@
+"""Records cut into stretches of uniform samples without gaps, as transforms of windows need them."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.data.record import Record
+
+Array = NDArray[np.float64]
+
+# Sampling intervals by which a sample may be off a uniform time base. At 0.4 of the sampling rate, where the automatic
+# frequencies end, the phase of such a sample is wrong by 2π · 0.4 · 0.05 = 0.13 rad, which a window averages.
+JITTER = 0.05
+
+# In the unit of the signal: detrending leaves rounding errors of this size of a constant up to some thousands.
+CONSTANT = 1e-12
+
+
+class UniformStretch(NamedTuple):
+    """Uniform samples without gaps, (signals, n); the sampling interval, s; and the file that they come from."""
+
+    values: Array
+    step: float
+    source: str
+
+
+def uniform_stretches(records: Record | Sequence[Record], signals: Sequence[str], detrend: str) -> list[UniformStretch]:
+    """Cut records at gaps and missing samples.
+
+    Parameters
+    ----------
+    records : Record or sequence of Record
+    signals : sequence of str
+        Rows of the values; a sample is used where all are present.
+    detrend : {"linear", "constant", "none"}
+        What is removed from each stretch.
+
+    Raises
+    ------
+    ValueError
+        If a record is not uniformly sampled, a signal is constant in all stretches, or no sample has all signals.
+    KeyError
+        For a signal that a record does not hold.
+    """
+    if detrend not in ("linear", "constant", "none"):
+        raise ValueError(f"detrend {detrend!r} is not known: use 'linear', 'constant' or 'none'.")
+
+    stretches = []
+    for record in [records] if isinstance(records, Record) else records:
+        for piece in record.pieces:
+            values = np.array([piece[name] for name in signals])
+            present = np.flatnonzero(np.all(np.isfinite(values), axis=0))
+            for rows in np.split(present, np.flatnonzero(np.diff(present) > 1) + 1):
+                if rows.size > 1:
+                    _check_uniform(piece.time[rows], record)
+                    stretches.append(UniformStretch(_detrended(values[:, rows], detrend), piece.step, record.source))
+
+    constant = [name for k, name in enumerate(signals) if all(np.ptp(s.values[k]) <= CONSTANT for s in stretches)]
+    if stretches and constant:
+        raise ValueError(f"{constant[0]} does not change in these records: choose a part that is excited.")
+    if not stretches:
+        raise ValueError(f"there are no samples in which {', '.join(dict.fromkeys(signals))} are all present.")
+    return stretches
+
+
+def _check_uniform(time: Array, record: Record) -> None:
+    uniform = np.linspace(time[0], time[-1], time.size)
+    deviation = np.abs(time - uniform)
+    if deviation.max() > JITTER * (uniform[1] - uniform[0]):
+        raise ValueError(
+            f"{record.name or 'the record'} is not uniformly sampled ({1e3 * deviation.max():.2g} ms off at "
+            f"{time[deviation.argmax()]:.2f} s): put it on one time base with gb.prepare(..., rate=...)."
+        )
+
+
+def _detrended(values: Array, detrend: str) -> Array:
+    if detrend == "none":
+        return values
+    centered = values - values.mean(axis=1, keepdims=True)
+    if detrend == "constant":
+        return centered
+    ramp = np.linspace(-1, 1, values.shape[1])
+    return centered - np.outer(centered @ ramp / (ramp @ ramp), ramp)

@@ -1,0 +1,41 @@
+import math
+
+import numpy as np
+import pytest
+
+from greybox.experiment.sines import sine_schedule
+
+
+def test_sine_schedule_repeats_the_simulated_flight():
+    """The flights in the simulator lasted so many periods, lead-in of two seconds included."""
+    omega = [20.11, 16.01, 12.03, 8.0, 5.34, 4.0, 3.5, 3.0, 2.0, 1.0]
+    made = sine_schedule(omega, math.radians(3), offset=math.radians(5))
+    periods = [(s.end - s.start) * s.low / (2 * math.pi) for s in made.schedule]
+    np.testing.assert_allclose(periods, [56, 45, 33, 23, 15, 12, 12, 11, 11, 11], atol=1e-9)
+    assert all(s.settled - s.start >= 2 and s.end - s.settled >= 15 - 1e-9 for s in made.schedule)
+
+
+def test_sine_schedule_is_the_formula():
+    made = sine_schedule([3.0, 1.0], [0.1, 0.2], offset=0.5, rate=200)
+    for s in made.schedule:
+        inside = (made.time >= s.start) & (made.time < s.end)
+        expected = 0.5 + s.amplitude * np.sin(s.low * (made.time[inside] - s.start))
+        np.testing.assert_allclose(made["reference"][inside], expected, atol=1e-12)
+    assert made["reference"][0] == made["reference"][-1] == 0.5
+    assert np.abs(np.diff(made["reference"])).max() < 0.2 * 3.0 / 200  # no jumps
+    assert len(made.record()) == made.time.size
+    assert "sine on reference" in str(made)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: sine_schedule([-1.0], 0.1), "omega is -1 rad/s"),
+        (lambda: sine_schedule([], 0.1), "omega is empty"),
+        (lambda: sine_schedule([300.0], 0.1), "raise the rate"),
+        (lambda: sine_schedule([1.0, 2.0, 3.0], [0.1, 0.2]), "3 frequencies but 2 amplitudes"),
+    ],
+)
+def test_mistakes_are_sentences(make, words):
+    with pytest.raises(ValueError, match=words):
+        make()

@@ -1,0 +1,55 @@
+import math
+
+import numpy as np
+import pytest
+
+from greybox.experiment.sweep import sweep
+
+HZ = 2 * math.pi
+
+
+def chirp_cpp(time, magnitude, record, start_hz, stop_hz, fade_in, fade_out):
+    """ArduPilot's libraries/AP_Math/chirp.cpp, written down again from its formulas."""
+    low, high = HZ * start_hz, HZ * stop_hz
+    constant = 2 / start_hz
+    rise = math.log(high / low)
+    window = np.select(
+        [time <= 0, time <= fade_in, time <= record - fade_out, time <= record],
+        [
+            0,
+            0.5 - 0.5 * np.cos(math.pi * time / fade_in),
+            1,
+            0.5 - 0.5 * np.cos(math.pi * (time - (record - fade_out)) / fade_out + math.pi),
+        ],
+    )
+    late = low * (record - constant) / rise * (np.exp(rise * (time - constant) / (record - constant)) - 1)
+    return window * magnitude * np.sin(np.where(time <= constant, low * time - low * constant, late))
+
+
+def test_logarithmic_sweep_is_the_vehicles():
+    made = sweep(HZ * 0.1, HZ * 6, 60, 400, amplitude=0.06)
+    np.testing.assert_allclose(made["u"], chirp_cpp(made.time, 0.06, 60, 0.1, 6, 5, 5), atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["logarithmic", "linear"])
+def test_sweep_reaches_its_frequencies(kind):
+    made = sweep(1.0, 20.0, 60, 200, kind=kind, dwell=0, fade_in=0, fade_out=0)
+    crossings = made.time[1:][np.diff(np.sign(made["u"])) != 0]
+    frequency = math.pi / np.diff(crossings)
+    assert frequency[0] == pytest.approx(1.0, rel=0.15 if kind == "logarithmic" else 0.6)  # rises within the half wave
+    assert frequency[-1] == pytest.approx(20.0, rel=0.05)
+    middle = np.interp(30, crossings[:-1], frequency)
+    assert middle == pytest.approx(math.sqrt(20) if kind == "logarithmic" else 10.5, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: sweep(10, 1, 60, 100), "must rise"),
+        (lambda: sweep(1, 10, 60, 100, kind="cubic"), "'cubic' sweep"),
+        (lambda: sweep(0.1, 10, 60, 100), "too short for 2 periods"),
+    ],
+)
+def test_mistakes_are_sentences(make, words):
+    with pytest.raises(ValueError, match=words):
+        make()

@@ -1,0 +1,65 @@
+"""The Padé approximation of a delay, held against scipy, in every reading."""
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from evaluation import evaluate
+from numpy.testing import assert_allclose
+from scipy.interpolate import pade
+
+import greybox as gb
+from greybox.modeling.complex_arithmetic import Complex
+from greybox.modeling.pade_delay import delay_order, pade_coefficients
+from greybox.modeling.rational import Rational
+
+
+def number(z):
+    """The value of a `Complex`, of numbers or of CasADi constants."""
+    return evaluate(z.re) + 1j * evaluate(z.im) if isinstance(z.re, ca.SX) else z.re + 1j * z.im
+
+
+def close(actual, expected):
+    assert_allclose(actual, expected, rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 5])
+def test_pade_coefficients_are_those_of_scipy(order):
+    taylor = [1 / math.factorial(k) for k in range(2 * order + 1)]
+    p, q = pade(taylor, order)
+    coefficients = np.array(pade_coefficients(order))
+    assert_allclose(coefficients, p.coeffs[::-1] / p[0], rtol=1e-6)
+    assert_allclose(coefficients * (-1.0) ** np.arange(order + 1), q.coeffs[::-1] / p[0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("order", [1, 3])
+def test_pade_delay_is_the_same_in_numbers_casadi_and_rational_form(order):
+    omega, T = np.array([0.5, 3.0, 20.0]), 0.07
+    c = pade_coefficients(order)[::-1]
+    expected = np.polyval(c, -1j * omega * T) / np.polyval(c, 1j * omega * T)
+    close(number(gb.exp(-Complex(np.zeros(3), omega, order) * T)), expected)
+    close(number(gb.exp(-Complex(ca.SX.zeros(3), ca.SX(omega), order) * T)), expected)
+    form = gb.exp(-Rational([1.0, 0.0], pade=order) * T)
+    assert form.delay == 0
+    assert len(form.numerator) == len(form.denominator) == order + 1
+    close(form(1j * omega), expected)
+
+
+def test_pade_delay_of_a_symbolic_time_has_symbolic_coefficients():
+    T = ca.SX.sym("T")
+    form = gb.exp(-Rational([1.0, 0.0], pade=2) * T)
+    known = gb.exp(-Rational([1.0, 0.0], pade=2) * 0.3)
+    for mine, wanted in ((form.numerator, known.numerator), (form.denominator, known.denominator)):
+        close(evaluate(ca.substitute(ca.vertcat(*mine), T, 0.3)), wanted)
+
+
+def test_pade_makes_a_loop_around_a_delay_rational():
+    s = Rational([1.0, 0.0], pade=3)
+    loop = gb.exp(-s * 0.1) / s
+    close((loop / (1 + loop))(0.5j), 1 / (0.5j * np.exp(0.05j) + 1))
+
+
+@pytest.mark.parametrize(("word", "order"), [("exact", None), ("pade:1", 1), ("pade:12", 12)])
+def test_delay_words(word, order):
+    assert delay_order(word) == order

@@ -1,0 +1,91 @@
+"""The Bode diagram: decibels, unwrapped phases, coherence."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drawn_lines import TRUTH, curves, points
+
+import greybox as gb
+from greybox.models.tilt import Tilt
+
+
+def test_bode_is_in_decibel_and_degrees(pitch):
+    magnitude, phase = gb.plotting.bode(pitch)
+    part = pitch.parts[0]
+    for line, expected in ((curves(magnitude)[0], part.curve), (points(magnitude)[0], part.data)):
+        np.testing.assert_allclose(line.get_xdata(), expected.omega)
+        np.testing.assert_allclose(line.get_ydata(), 20 * np.log10(np.abs(expected.response)))
+    turns = (curves(phase)[0].get_ydata() - np.degrees(np.angle(part.curve.response))) / 360
+    np.testing.assert_allclose(turns, turns.round(), atol=1e-9)
+    assert magnitude.get_xscale() == "log"
+
+
+def test_phase_is_unwrapped_and_points_lie_next_to_their_curve(sweep):
+    curve = gb.frequency_response(Tilt(), TRUTH, np.geomspace(0.5, 200, 200))
+    axes = gb.plotting.bode(curve, sweep)[1]
+    (line,), (data,) = curves(axes), points(axes)
+    degrees = line.get_ydata()
+    assert np.abs(np.diff(degrees)).max() < 60
+    assert np.ptp(degrees) > 360
+    there = np.interp(np.log(data.get_xdata()), np.log(line.get_xdata()), degrees)
+    np.testing.assert_allclose(data.get_ydata(), there, atol=2)
+
+
+def test_phases_of_each_pair_begin_within_half_a_turn(rotors, pitch):
+    joint = replace(rotors, parts=(*pitch.parts, *rotors.parts))
+    axes = gb.plotting.bode(joint)[1]
+    assert [-180 < line.get_ydata()[0] <= 180 for line in curves(axes)] == [True, True]
+    for line in points(axes):
+        low, high = (-180, 0) if line.get_label().startswith("rotor") else (60, 200)
+        assert np.all((low < line.get_ydata()) & (line.get_ydata() < high))
+
+
+def test_whole_curves_are_moved_together_within_their_pair_only():
+    omega = np.geomspace(1, 10, 50)
+    first = gb.FrequencyResponse(omega, np.exp(1j * np.radians(170 - 5 * omega)), "u", "y", source="model", name="a")
+    second = replace(first, response=first.response * np.exp(0.5j), name="b")
+    third = replace(first, response=np.full(50, np.exp(-1j * np.radians(100))), output="z", name="c")
+    one, other, apart = curves(gb.plotting.bode(first, second, third)[1])
+    np.testing.assert_allclose(apart.get_ydata(), -100)
+    np.testing.assert_allclose(one.get_ydata(), 170 - 5 * omega)
+    np.testing.assert_allclose(other.get_ydata() - one.get_ydata(), np.degrees(0.5))
+
+
+def test_phases_that_no_curve_guides_are_unwrapped_by_themselves():
+    omega = np.geomspace(1, 10, 60)
+    data = gb.FrequencyResponse(omega, np.exp(-1j * np.radians(60 + 40 * omega)), "u", "y")
+    off = replace(data, response=np.ones(60), source="model", name="off")
+    (line,) = points(gb.plotting.bode(off, data)[1])
+    np.testing.assert_allclose(np.diff(line.get_ydata()), -40 * np.diff(omega))
+
+
+@pytest.mark.parametrize("omega", [[3.0], [3.0, 4.2], [0.01, 2000.0]])
+def test_every_frequency_axis_has_numbers(omega):
+    axes = gb.plotting.bode(gb.FrequencyResponse(omega, np.ones(len(omega))))
+    (low, high), ticks = axes[-1].get_xlim(), axes[-1].xaxis.get_majorticklocs()
+    assert np.sum((low <= ticks) & (ticks <= high)) >= 2
+
+
+def test_a_wrong_sign_stays_within_half_a_turn_of_the_curve(rotors):
+    axes = gb.plotting.bode(rotors)[1]
+    (line,) = curves(axes)
+    for data in points(axes):
+        there = np.interp(np.log(data.get_xdata()), np.log(line.get_xdata()), line.get_ydata())
+        assert np.abs(data.get_ydata() - there).max() <= 180
+
+
+def test_phases_of_two_data_do_not_drift_apart_by_whole_turns(sweep):
+    turned = replace(sweep, response=sweep.response * np.exp(0.1j), name="turned")
+    first, second = points(gb.plotting.bode(sweep, turned)[1])
+    np.testing.assert_allclose(second.get_ydata() - first.get_ydata(), np.degrees(0.1))
+
+
+def test_coherence_and_variance_are_shown_where_known(sweep, pitch):
+    magnitude, phase, coherence = gb.plotting.bode(sweep)
+    np.testing.assert_array_equal(points(coherence)[0].get_ydata(), sweep.coherence)
+    (bars,) = [c for c in phase.collections if len(c.get_segments()) == len(sweep)]
+    low, high = np.array(bars.get_segments())[:, :, 1].T
+    np.testing.assert_allclose((high - low) / 2, np.degrees(0.1 / np.sqrt(2)))
+    assert magnitude.collections
+    assert not gb.plotting.bode(pitch)[0].collections

@@ -1,0 +1,67 @@
+"""The Nyquist diagram shows the curve and every point."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drawn_lines import TRUTH, curves, numbers, points
+
+import greybox as gb
+from greybox.models.tilt import Tilt
+
+
+def test_nyquist_draws_the_curve_and_every_point(pitch):
+    (axes,) = gb.plotting.nyquist(pitch)
+    (line,), (data,) = curves(axes), points(axes)
+    part = pitch.parts[0]
+    np.testing.assert_array_equal(line.get_xydata(), np.column_stack([part.curve.alpha, part.curve.beta]))
+    np.testing.assert_array_equal(data.get_xydata(), np.column_stack([part.data.alpha, part.data.beta]))
+    assert axes.get_aspect() == 1
+    assert axes.get_xlabel() == "Real part of θ/u"
+
+
+def test_nyquist_numbers_the_points_without_overlap(pitch):
+    (axes,) = gb.plotting.nyquist(pitch)
+    assert sorted(numbers(axes)) == sorted(["1 rad/s", "2", "3", "3.5", "4", "5.34", "8", "12", "16", "20.1"])
+    boxes = [text.get_window_extent() for text in axes.texts]
+    assert not any(a.overlaps(b) for k, a in enumerate(boxes) for b in boxes[:k])
+    spots = axes.transData.transform(points(axes)[0].get_xydata())
+    assert not any(box.contains(*spot) for box in boxes for spot in spots)
+
+
+def test_nyquist_of_many_points_numbers_a_few(sweep):
+    assert 4 <= len(numbers(gb.plotting.nyquist(sweep)[0])) <= 12
+
+
+def test_each_pair_has_a_panel_when_one_would_vanish_beside_another(rotors, pitch):
+    joint = replace(rotors, parts=(*rotors.parts, *pitch.parts))
+    for first, second in (gb.plotting.nyquist(joint), gb.plot(joint).axes[:2]):
+        assert [line.get_label() for line in points(first)] == [f"rotor {k}" for k in (1, 2, 3, 4)]
+        assert [line.get_label() for line in points(second)] == ["pitch"]
+        assert (len(curves(first)), len(curves(second))) == (1, 1)
+        assert (first.get_xlabel(), second.get_xlabel()) == ("Real part of Ω/u", "Real part of θ/u")
+        assert numbers(second)
+    assert len(gb.plotting.bode(joint)) == 2
+
+
+@pytest.mark.parametrize(("factor", "count"), [(4, 1), (1 / 4, 1), (6, 2), (1 / 6, 2), (1e-9, 2)])
+def test_pairs_of_like_size_share_a_panel(factor, count):
+    one = gb.FrequencyResponse([1.0, 2.0], [1, 1j], "u", "theta")
+    other = gb.FrequencyResponse([1.0, 2.0], [factor, 1j * factor], "u", "phi")
+    assert len(gb.plotting.nyquist(one, other)) == count
+    assert len(gb.plotting.nyquist(one, replace(other, output="theta"))) == 1
+
+
+def test_data_without_names_belong_to_the_pair_of_the_only_curve(sweep):
+    data = replace(sweep, response=sweep.response / 100, input="", output="")
+    assert len(gb.plotting.nyquist(gb.frequency_response(Tilt(), TRUTH, sweep.omega), data)) == 1
+
+
+def test_a_curve_far_off_leaves_the_data_visible(pitch):
+    (part,) = pitch.parts
+    off = replace(part, curve=replace(part.curve, response=-1e3 * part.curve.response))
+    (axes,) = gb.plotting.nyquist(replace(pitch, parts=(off,)))
+    assert all(axes.viewLim.contains(*spot) for spot in points(axes)[0].get_xydata())
+    assert np.ptp(axes.get_ylim()) < 5 * np.abs(part.data.response).max()
+    assert "cut off: curves reach a magnitude of" in axes.get_title()
+    assert "cut off" not in gb.plotting.nyquist(pitch)[0].get_title()

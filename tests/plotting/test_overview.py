@@ -1,0 +1,53 @@
+"""Whole figures: what they say, where they are shown and saved."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+from drawn_lines import curves, points
+
+import greybox as gb
+
+
+def test_a_fit_that_did_not_converge_shows_its_data_and_says_so(failed):
+    for draw in (gb.plotting.nyquist, gb.plotting.bode):
+        axes = draw(failed)[0]
+        assert (len(points(axes)), len(curves(axes))) == (1, 0)
+        assert axes.get_title() == "pitch: no start converged"
+    assert gb.plotting.starts(failed).get_title() == "none of 8 starts converged"
+    assert gb.plot(failed).get_suptitle() == "pitch: no start converged"
+
+
+@pytest.mark.parametrize("kind", ["png", "svg", "pdf"])
+def test_every_figure_can_be_saved(kind, tmp_path, pitch, rotors, failed, sweep):
+    axes = [gb.plotting.starts(failed), gb.plotting.nyquist(pitch, rotors)[0]]
+    axes += [gb.plotting.bode(failed)[0], gb.plotting.bode(pitch, rotors, sweep)[0]]
+    for k, figure in enumerate([gb.plot(rotors), *(ax.figure for ax in axes)]):
+        figure.savefig(tmp_path / f"{k}.{kind}")
+        assert (tmp_path / f"{k}.{kind}").stat().st_size > 1000
+
+
+def test_a_loaded_fit_needs_no_model(pitch):
+    assert len(curves(gb.plot(replace(pitch, models=None)).axes[0])) == 1
+
+
+def run(code):
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+
+
+def test_importing_greybox_loads_no_matplotlib_and_plotting_no_pyplot():
+    assert run("import sys, greybox; print('matplotlib' in sys.modules)") == "False"
+    assert run("import sys, greybox.plotting; print('matplotlib.pyplot' in sys.modules)") == "False"
+
+
+def test_a_notebook_shows_the_figure_without_pyplot():
+    pytest.importorskip("IPython")
+    code = (
+        "import sys, greybox as gb\n"
+        "from IPython.core.formatters import DisplayFormatter\n"
+        "ax, = gb.plotting.nyquist(gb.FrequencyResponse([1, 2], [1, 1j]))\n"
+        "shown, _ = DisplayFormatter().format(ax.figure)\n"
+        "print(shown['image/png'][1:4].decode(), 'matplotlib.pyplot' in sys.modules)"
+    )
+    assert run(code) == "PNG False"

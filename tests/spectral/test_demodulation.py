@@ -1,0 +1,88 @@
+"""Complex amplitudes of signals that are known."""
+
+import functools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sampled_sines import irregular, sine
+
+from greybox.spectral.demodulation import demodulate, spectral_line
+
+STEP = 1 / 400  # s
+
+uneven = functools.partial(st.floats, allow_nan=False, allow_infinity=False)
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    omega=uneven(0.5, 30),
+    alpha=uneven(-3, 3),
+    beta=uneven(-3, 3),
+    offset=uneven(-50, 50),
+    trend=uneven(-5, 5),
+)
+@settings(max_examples=60, deadline=None)
+def test_least_squares_is_exact_on_any_sampling(seed, omega, alpha, beta, offset, trend):
+    t = irregular(seed, max(6.0, 20 / omega))
+    amplitude = complex(alpha, beta)
+    values = sine(t - t[0], omega, amplitude) + offset + trend * t
+    assert abs(demodulate(t, values, omega) - amplitude) < 1e-9
+
+
+@given(samples=st.integers(8, 300), periods=st.integers(1, 8), alpha=uneven(-3, 3), beta=uneven(-3, 3))
+@settings(max_examples=60, deadline=None)
+def test_quadrature_is_exact_when_a_period_is_a_whole_number_of_samples(samples, periods, alpha, beta):
+    t = np.arange(samples * periods) * STEP
+    omega = 2 * math.pi / (samples * STEP)
+    values = sine(t, omega, complex(alpha, beta)) + 7
+    assert abs(demodulate(t, values, omega, method="quadrature") - complex(alpha, beta)) < 1e-9
+
+
+def test_quadrature_is_not_exact_otherwise_but_near():
+    t = np.arange(4000) * STEP
+    values = np.sin(20.11 * t) + 0.3
+    assert 1e-6 < abs(demodulate(t, values, 20.11, method="quadrature") - 1) < 0.01
+    assert abs(demodulate(t, values, 20.11) - 1) < 1e-12
+
+
+def test_the_last_whole_periods_after_the_settling_time_are_used():
+    t = np.arange(4000) * STEP
+    omega = 4.0
+    values = np.where(t < 2.0, 100.0, np.sin(omega * t))
+    assert abs(demodulate(t, values, omega, settle=2.0) - 1) < 1e-9
+    assert abs(demodulate(t, values, omega, periods=3) - 1) < 1e-9
+    assert abs(demodulate(t, np.where(np.arange(4000) % 7 == 0, np.nan, values), omega, settle=2.0) - 1) < 1e-9
+    with pytest.raises(ValueError, match=r"10 s do not hold 2 s of settling and 6 x 1.57 s"):
+        demodulate(t, values, omega, settle=2.0, periods=6)
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ({"omega": 0.1}, "cannot be demodulated at 0.1 rad/s: 10 s do not hold 0 s of settling and 1 x 62.8 s"),
+        ({"omega": -1.0}, "the frequency is -1 rad/s: it must be above 0"),
+        ({"omega": 1000.0}, "has fewer than four samples"),
+        ({"omega": 5.0, "method": "fft"}, "the method is 'fft': it must be 'least-squares' or 'quadrature'"),
+        ({"omega": 5.0, "periods": 0}, "0 x 1.26 s"),
+        ({"omega": 5.0, "values": np.zeros(3)}, "time has 4000 samples but values has 3"),
+        ({"omega": 5.0, "values": np.full(4000, np.nan)}, "only 0 samples"),
+    ],
+)
+def test_what_demodulate_refuses(words, sentence):
+    t = np.arange(4000) * STEP
+    with pytest.raises(ValueError, match=sentence):
+        demodulate(t, **{"values": np.sin(t), **words})
+
+
+def test_a_spectral_line_is_that_of_the_discrete_fourier_transform():
+    """Over whole periods sine, cosine and constant are orthogonal: x̂ = 2j/n Σ x exp(-jωt) in sines and cosines."""
+    rng = np.random.default_rng(0)
+    x = rng.standard_normal((2, 500))
+    t = np.arange(500) * STEP
+    for k in (3, 10):
+        expected = 2j / 500 * np.fft.fft(x)[:, k]
+        got = spectral_line(t, x, 2 * math.pi * k / (500 * STEP), 0.0)
+        np.testing.assert_allclose(got, expected.real + 1j * expected.imag, atol=1e-12)
