@@ -19,10 +19,11 @@ from greybox.compiled.transcription.multiple_shooting import MultipleShooting
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.problem import Problem, Sum
-from greybox.modeling.functions import Complex
+from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.harmonic_balance import harmonic_function
-from greybox.modeling.linearization import delay_order, response_function
+from greybox.modeling.linear_response import response_function
 from greybox.modeling.model import Names
+from greybox.modeling.pade_delay import delay_order
 
 AnyProblem = Problem | Sum
 Array = NDArray[np.float64]
@@ -47,7 +48,8 @@ class Nlp:
     parts : tuple of Part
         In the order of the problem's.
     expressions : dict
-        ``x, p, f, g`` as `casadi.nlpsol` takes them, f of the frequency responses alone; p is the smoothing of the cost.
+        ``x, p, f, g`` as `casadi.nlpsol` takes them, f of the frequency responses alone; p is the smoothing of the
+        cost.
     locating : dict or None
         The same with the criteria that locate the minimum, where they differ.
     constraint : casadi.Function
@@ -176,7 +178,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     z, smoothing = kind.sym("z", len(free)), kind.sym("smoothing")
     scaled, scaled_limits = trace([*scaling.expressions(z), *constant_values])
     statement = {"x": z, "p": smoothing, "g": ca.vertcat(kind(0, 1), *scaled_limits.values())}
-    own_cost = _costs(responding, scaled, smoothing, lambda part: _criterion(part))
+    own_cost = _costs(responding, scaled, smoothing, _criterion)
     total = _weighted(responding, own_cost)
     locating = None
     if any(_criterion(part).locator is not None for part in responding):

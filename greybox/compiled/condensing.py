@@ -1,4 +1,4 @@
-"""Condensing: the nodes are eliminated from the Gauss-Newton system of a record, together with the continuity between them.
+"""Condensing: nodes and multipliers of continuity are eliminated from the Gauss-Newton system of a record.
 
 The Karush-Kuhn-Tucker system of a chain of segments is banded: each segment is coupled to the next by its end state
 alone. Solved for several right-hand sides at once (the residuals, and one for each parameter), it gives how nodes and
@@ -19,7 +19,12 @@ Array = NDArray[np.float64]
 
 
 def solve_continuity(
-    hessian: Array, transition: Array, coupled: NDArray[np.bool_], stationarity: Array, continuity: Array, variance: Array
+    hessian: Array,
+    transition: Array,
+    coupled: NDArray[np.bool_],
+    stationarity: Array,
+    continuity: Array,
+    variance: Array,
 ) -> tuple[Array, Array]:
     """Solve the Karush-Kuhn-Tucker system of a chain of s segments with n states for r right-hand sides.
 
@@ -75,7 +80,7 @@ def solve_continuity(
 
 
 def _state_sizes(hessian: Array, transition: Array) -> Array:
-    """Return the size (n,) of each state by which the outputs change by one, directly or a segment later; 1 if never."""
+    """Return the change (n,) of each state that changes the outputs by one, at once or later; 1 if none does."""
     curvature = np.abs(hessian.diagonal(axis1=1, axis2=2)).mean(axis=0)
     passed_on = (transition**2).mean(axis=0).T
     for _ in range(len(curvature)):
@@ -91,7 +96,9 @@ class _Solver:
         """Analyze the pattern of s blocks of n states, for r right-hand sides."""
         local = np.arange(n)
         of_states = np.concatenate([(local - n)[:, None], np.tile(np.arange(2 * n), (n, 1))], axis=1)
-        of_multipliers = np.concatenate([np.tile(local, (n, 1)), (n + local)[:, None], (2 * n + local)[:, None]], axis=1)
+        of_multipliers = np.concatenate(
+            [np.tile(local, (n, 1)), (n + local)[:, None], (2 * n + local)[:, None]], axis=1
+        )
         rows = np.concatenate([of_states.ravel(), of_multipliers.ravel()])
         columns = np.concatenate([np.repeat(local, 2 * n + 1), np.repeat(n + local, n + 2)])
         shift = 2 * n * np.arange(s)[:, None]

@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.sampled_data import SampledData
+from greybox.compiled.strategies import Strategies
 from greybox.compiled.vectorized import Columns
 from greybox.modeling.realization import Dynamics
 
 Array = NDArray[np.float64]
 SIZES = (1.0, 0.1, 10.0, 0.01, 100.0, 1e-3, 1e3, 1e4, 1e5, -1.0, -0.1, -10.0, -100.0)
-AWAY = 0.5  # mean over standard deviation from which a state is not one that swings about its rest at zero
-SWEEPS = 2  # over the states, each of which tries all sizes
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +34,10 @@ class Shown:
 class InitialStates:
     """The states of a model at some samples, for the outputs that are compared."""
 
-    def __init__(self, system: Dynamics, outputs: tuple[str, ...]) -> None:
+    def __init__(self, system: Dynamics, outputs: tuple[str, ...], strategies: Strategies) -> None:
         """Compile what tells whether the model is finite, with its derivatives."""
         self._n = len(system.states)
+        self._strategies = strategies
         x, u, p = (ca.SX.sym("v", len(v)) for v in (system.states, system.inputs, system.parameters))
         y = system.output(x, u, p)[[system.outputs.index(name) for name in outputs]]
         f = system.derivative(x, u, p) if self._n else ca.SX(0, 1)
@@ -56,10 +56,10 @@ class InitialStates:
         hidden[[shown.state for shown in self._shown]] = False
         given = hidden & np.isfinite(known)
         states[given] = seen[given] = known[given, None]
-        away = np.abs(seen.mean(axis=1)) > AWAY * seen.std(axis=1)
+        away = np.abs(seen.mean(axis=1)) > self._strategies.mean_over_deviation * seen.std(axis=1)
         states[away] = seen[away]
         finite, _ = self._judged(states, measured, inputs, p)
-        if finite.all():
+        if finite.all() or not self._strategies.scanned_initial_states:
             return states
         states = self._sized(seen, np.flatnonzero(hidden & ~given), measured, inputs, p)
         return self._mended(states, measured, inputs, p)
@@ -80,7 +80,7 @@ class InitialStates:
         """Return the states with the best sizes of the hidden ones: of all together, then of each."""
         best, least = states, self._score(states, measured, inputs, p)
         groups = [hidden] if hidden.size else []
-        for group in [*groups, *([[k] for k in hidden] * SWEEPS)]:
+        for group in [*groups, *([[k] for k in hidden] * self._strategies.sweeps)]:
             for size in (0.0, *SIZES):
                 trial = best.copy()
                 trial[group] = size

@@ -1,7 +1,7 @@
 """The Kalman gain of a record in innovations form: its stability, and values to begin with.
 
-A predictor x[k+1] = F(x[k] + K e[k], u) whose poles lie within the unit circle forgets its initial state. It can then be
-simulated from the first sample of a stretch to the last: an unstable plant does not diverge, and no nodes in between
+A predictor x[k+1] = F(x[k] + K e[k], u) whose poles lie within the unit circle forgets its initial state. It can then
+be simulated from the first sample of a stretch to the last: an unstable plant does not diverge, and no nodes in between
 have to be found and joined.
 """
 
@@ -75,7 +75,8 @@ class KalmanGain:
 
     def error_transition(self, trajectory: Trajectory, placed: Placed | None = None) -> Array:
         """Return the transition over a sample of the errors of those states that innovations reach."""
-        placed = placed or trajectory.detail.placed
+        placed = trajectory.detail.placed if placed is None else placed
+        assert placed is not None
         A, _ = self.part.segments.mean_transition(trajectory.detail.states, placed.q, placed.data)
         return self._reached(A)
 
@@ -87,9 +88,7 @@ class KalmanGain:
         A = self.error_transition(trajectory)
         steps = difference * np.maximum(np.abs(z), 1.0)
         moved = [self.part.place(z + row) for row in np.diag(steps)]
-        change = [
-            (self.error_transition(trajectory, at) - A) / step for at, step in zip(moved, steps, strict=True)
-        ]
+        change = [(self.error_transition(trajectory, at) - A) / step for at, step in zip(moved, steps, strict=True)]
         poles, right = np.linalg.eig(A)
         left = np.linalg.pinv(right)
         slopes = np.einsum("mi,pij,jm->mp", left, np.array(change), right)

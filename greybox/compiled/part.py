@@ -1,7 +1,7 @@
 """The interface that every part of a compiled problem answers: a frequency response, or a record.
 
-A solver sees the unknowns of all parts as one vector z (p,), scaled. A record has hidden unknowns besides: the states at
-the beginning of its segments, its *nodes*. They belong to the part, which eliminates them from its linearization
+A solver sees the unknowns of all parts as one vector z (p,), scaled. A record has hidden unknowns besides: the states
+at the beginning of its segments, its *nodes*. They belong to the part, which eliminates them from its linearization
 (condensing), so that a solver adds up Hessians and gradients in z whatever the data are. A frequency response has none:
 all its arrays over nodes are empty.
 
@@ -9,13 +9,12 @@ What asks: the Gauss-Newton driver (`initial_trajectory` to `step_nodes`), IPOPT
 (`signature`), the covariance of the estimate (`information`), the diagnostics (the properties at the end).
 """
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -201,6 +200,10 @@ class Part(ABC):
     def signature(self, trajectory: Trajectory) -> Array:
         """Return numbers (m,) by which runs are told apart: simulated outputs in units of the signals' spread."""
 
+    def refined(self, factor: int, *, compiled: bool = True) -> "Part":
+        """Return the part with `factor` times the steps per sample; not `compiled` for a look at it alone."""
+        return self
+
     # --- what the covariance of the estimate asks --------------------------------------------------------------------
 
     @abstractmethod
@@ -238,7 +241,7 @@ class Part(ABC):
         """How many initial states are estimated along."""
         return 0
 
-    @property
+    @cached_property
     def discontinuous_delays(self) -> Mapping[str, tuple[str, str]]:
         """Delays at whose whole samples the cost jumps, with the held input and the output that it reaches directly."""
         return {}

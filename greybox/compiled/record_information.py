@@ -1,8 +1,8 @@
-"""How many independent numbers a record counts for, and the variance of its score, where residuals are correlated in time.
+"""How many independent numbers a record counts for where its residuals are correlated in time.
 
-J is the Jacobian of the weighted residuals by p directions of the parameters, the initial states fitted along; e are the
-residuals. For errors with the autocorrelation of the residuals, Jᵀe has the covariance M (the *meat*); for white ones
-it is JᵀJ.
+J is the Jacobian of the weighted residuals by p directions of the parameters, the initial states fitted along; e are
+the residuals. For errors with the autocorrelation of the residuals, Jᵀe has the covariance M (the *meat*); for white
+ones it is JᵀJ.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""A record with its model, compiled: nodes, trajectories, their linearization, and what it says about the parameters."""
+"""A record with its model, compiled: nodes, trajectories, their linearization, and what they say of the parameters."""
 
 import itertools
 import math
@@ -24,16 +24,16 @@ from greybox.compiled.residual_covariance import (
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.sampled_data import SampledData, sampled_data
 from greybox.compiled.segments import Linearization, Segments
-from greybox.compiled.strategies import Strategies
 from greybox.compiled.step_size import substeps_and_segment
+from greybox.compiled.strategies import Strategies
 from greybox.compiled.transcription.method import Transcribed, Transcription
 from greybox.data.record import Record
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator
-from greybox.modeling.linearization import delay_order
-from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.model import Names
+from greybox.modeling.pade_delay import delay_order
+from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import traced
 from greybox.statistics.residual_autocorrelation import colored_information
 
@@ -142,9 +142,7 @@ class RecordPart(Part):
     def refined(self, factor: int, *, compiled: bool = True) -> "RecordPart":
         """Return the part with `factor` times the substeps; not `compiled` for a look that no compiler is worth."""
         compile_linearization = self.model.method.compile and compiled
-        return RecordPart(
-            self.model, self.data, factor * self.substeps, compile_linearization=compile_linearization
-        )
+        return RecordPart(self.model, self.data, factor * self.substeps, compile_linearization=compile_linearization)
 
     # --- facts --------------------------------------------------------------------------------------------------------
 
@@ -285,9 +283,7 @@ class RecordPart(Part):
 
     # --- linearization ------------------------------------------------------------------------------------------------
 
-    def linearize(
-        self, trajectory: Trajectory, weight: Array, *, covariance_curvature: bool = False
-    ) -> Linearization:
+    def linearize(self, trajectory: Trajectory, weight: Array, *, covariance_curvature: bool = False) -> Linearization:
         """Linearize along a trajectory, known initial states eliminated."""
         moments = covariance_curvature and self.covariance.known is None and len(self.outputs) > 1
         placed = trajectory.detail.placed
@@ -385,11 +381,12 @@ class RecordPart(Part):
         gradient = b.parameter_gradient + change[:, 0]
 
         q = slope.shape[0]
+        least = self.model.strategies.least_curvature
         if len(gradient) > q:  # the variables of the covariance, see `_with_covariance`
             right = np.concatenate([gradient[q:, None], hessian[q:, :q]], axis=1)
-            follows = followed_by_covariance(hessian[q:, q:], right)
+            follows = followed_by_covariance(hessian[q:, q:], right, least)
             gradient = gradient[:q] + hessian[:q, q:] @ follows[:, 0]
-            hessian = reduced_hessian(hessian[:q, :q], -hessian[:q, q:] @ follows[:, 1:])
+            hessian = reduced_hessian(hessian[:q, :q], -hessian[:q, q:] @ follows[:, 1:], least)
             x, multiplier = (v[:, :, : 1 + q] + v[:, :, 1 + q :] @ follows for v in (x, multiplier))
 
         node_step = x[:, :, 0]
@@ -438,7 +435,7 @@ class RecordPart(Part):
         )
         return x * column, multiplier / column
 
-    # --- for IPOPT and for the covariance of the estimate --------------------------------------------------------------
+    # --- for IPOPT and for the covariance of the estimate -------------------------------------------------------------
 
     def transcribe(self, q: Any, data: Any) -> Transcribed:
         """Return the record's unknowns and equations for CasADi expressions of parameters and data."""
@@ -582,7 +579,7 @@ def record_model(problem: Problem, expressions: Mapping[str, Any], z: ca.SX, met
         locate=locate,
         initial=ca.Function("initial", [symbol], [initial, by_active]),
         known_states=np.array([name in known for name in system.states], dtype=bool),
-        initial_states=InitialStates(system, outputs),
+        initial_states=InitialStates(system, outputs, method.strategies),
     )
 
 

@@ -14,13 +14,8 @@ Array = NDArray[np.float64]
 # Of a signal's own spread: residuals below are rounding, and their variance is not taken for smaller.
 ROUNDING = 1e-9
 
-# Share of the curvature that an estimated covariance leaves in every direction, at least: near a minimum it cannot take
-# all, or this were none, and farther off the Hessian must stay positive definite.
-LEAST_CURVATURE = 0.05
-
 # Of the curvature, added in every direction for the factorization where the data do not see one.
 RIDGE = 1e-10
-
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,14 +72,14 @@ class ResidualCovariance:
         return np.concatenate([own, np.swapaxes(both, -1, -2) / np.sqrt(counts.max())], axis=-1)
 
 
-def followed_by_covariance(hessian: Array, right: Array) -> Array:
-    """Return -H⁻¹ right, with no less than a share LEAST_CURVATURE of the stiffness one, at which nothing would be eased."""
+def followed_by_covariance(hessian: Array, right: Array, least: float) -> Array:
+    """Return -H⁻¹ right, with no less than the share `least` of the stiffness one, at which nothing would be eased."""
     values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
-    return -(vectors / np.maximum(values, LEAST_CURVATURE)) @ vectors.T @ right
+    return -(vectors / np.maximum(values, least)) @ vectors.T @ right
 
 
-def reduced_hessian(hessian: Array, by: Array) -> Array:
-    """Return a Hessian (q, q) less another, of which a share LEAST_CURVATURE is left in every direction."""
+def reduced_hessian(hessian: Array, by: Array, least: float) -> Array:
+    """Return a Hessian (q, q) less another, of which the share `least` is left in every direction."""
     size = np.sqrt(np.maximum(np.diag(hessian), 0.0))
     unit = 1 / np.where(size > 0, size, 1.0)
     try:
@@ -94,7 +89,7 @@ def reduced_hessian(hessian: Array, by: Array) -> Array:
     inverse = np.linalg.inv(root)
     values, vectors = np.linalg.eigh(inverse @ ((by + by.T) / 2 * unit * unit[:, None]) @ inverse.T)
     axes = (root @ vectors) / unit[:, None]
-    return hessian - (axes * np.minimum(values, 1 - LEAST_CURVATURE)) @ axes.T
+    return hessian - (axes * np.minimum(values, 1 - least)) @ axes.T
 
 
 def residual_covariance_of(criterion: TimeCriterion, outputs: tuple[str, ...], measured: Array) -> ResidualCovariance:

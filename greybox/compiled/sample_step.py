@@ -52,7 +52,7 @@ class SampleStep:
         return {}
 
     def folded(self, samples: int) -> ca.Function:
-        """Return (x, q, D) -> x after each of so many samples (n, samples), residuals (k, samples); D (width, samples)."""
+        """Return (x, q, D) -> x after each of so many samples (n, samples) and their residuals (k, samples)."""
         if samples not in self._folds:
             one: Any = self.function
             if one.is_a("SXFunction"):  # without the outputs, and what they alone need

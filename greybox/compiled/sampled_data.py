@@ -27,8 +27,8 @@ WHOLE = 1e-3
 # Steps between two samples from which one is missing between them, which ends a stretch; halfway between one and two.
 MISSING = 1.5
 
-# Samples at the beginning of a stretch over which an input must be constant to count as at rest before it: longer than a
-# command at a quarter of the logging rate is held.
+# Samples at the beginning of a stretch over which an input must be constant to count as at rest before it: longer than
+# a command at a quarter of the logging rate is held.
 REST = 5
 
 # An input that returns to where it began after at most so many holds had rested there; and it must hold its first
@@ -101,7 +101,7 @@ class SampledData:
         return np.concatenate([np.arange(count) < count - 1 for count in self.segment_counts])
 
     def excerpts(self, samples: int, pieces: int = 5) -> "SampledData":
-        """Return excerpts of about so many samples in all, evenly over the stretches; all of them where they are few."""
+        """Return excerpts of about so many samples in all, evenly over the stretches; all where they are few."""
         total = sum(len(stretch) for stretch in self.stretches)
         if total <= samples:
             return self
@@ -162,7 +162,13 @@ class SampledData:
 
 
 def sampled_data(
-    record: Record, inputs: tuple[str, ...], outputs: tuple[str, ...], *, lead: ArrayLike, segment_length: int, complete: bool
+    record: Record,
+    inputs: tuple[str, ...],
+    outputs: tuple[str, ...],
+    *,
+    lead: ArrayLike,
+    segment_length: int,
+    complete: bool,
 ) -> SampledData:
     """Cut a record into stretches and these into segments.
 

@@ -44,8 +44,8 @@ from greybox.estimate.result import Fit, FittedRecord, FittedResponse, Quantity
 from greybox.formulation.frequency_criteria import CRITERIA
 from greybox.formulation.time_criteria import TIME_CRITERIA
 from greybox.modeling.sine import Sine
-from greybox.solve.ipopt import Run
 from greybox.solve.minima import Minimum
+from greybox.solve.outcome import Run
 
 KIND = "fit"
 LAYOUT = 3

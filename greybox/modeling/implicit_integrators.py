@@ -20,7 +20,7 @@ SOLVED = 1e-9
 
 @dataclass(frozen=True)
 class ImplicitIntegrator(Integrator):
-    """A scheme given by the equations of its stages, (n, number of stages); a subclass says which, and where it ends."""
+    """A scheme given by the equations of its stages (n, stages); a subclass says which, and where a step ends."""
 
     implicit: ClassVar[bool] = True
     reach: ClassVar[float] = float("inf")

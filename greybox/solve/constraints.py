@@ -40,7 +40,7 @@ class Limits:
         return float(np.where(below > allowed, below, 0.0).sum())
 
     def linearized(self, z: Array, held: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
-        """Return normals (n, p) and limits (n,) of a step dz from z: normals · dz >= limits; variables that are `held` (p,) do not move.
+        """Return normals (n, p) and limits (n,) of a step dz from z: normals · dz >= limits; `held` (p,) do not move.
 
         Constraints are linearized, so that a step leads back to one that is violated.
         """

@@ -1,4 +1,4 @@
-"""What a search on records tries besides its starts: a simulation of the first, and the neighborhood of the best end."""
+"""What a search on records tries besides its starts: a simulation of the first, and the best end's neighborhood."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +10,8 @@ from greybox.solve.outcome import Outcome
 
 Array = NDArray[np.float64]
 
-# How far along a flat direction a run begins, as shares of the change by the neighbor factor: both ends and both halves,
-# since a limit of the model may be reached on the way.
+# How far along a flat direction a run begins, as shares of the change by the neighbor factor: both ends and both
+# halves, since a limit of the model may be reached on the way.
 SHARES = (-1.0, -0.5, 0.5, 1.0)
 
 

@@ -25,8 +25,8 @@ ProgressReport = Callable[[int, int], None]
 
 AnySolver = IpoptSolver | GaussNewton | TranscribedProgram
 
-# Measured numbers up to which IPOPT continues runs that did not converge: 10 000 samples with three outputs, whose program
-# builds in about three seconds (600 000 took 158 s, and the time grows faster than linearly).
+# Measured numbers up to which IPOPT continues runs that did not converge: 10 000 samples with three outputs, whose
+# program builds in about three seconds (600 000 samples took 158 s, and the time grows faster than linearly).
 TRANSCRIBED_SIZE = 30_000
 
 # Shares of the way from a start at which the model is finite to one at which it is not, halved until it is.
@@ -43,14 +43,16 @@ def multistart(
     solver_options: Mapping[str, Any] = MappingProxyType({}),
     progress: ProgressReport | None = None,
     movable: bool = True,
+    gauss_newton: GaussNewton | None = None,
 ) -> Multistart:
     """Run the solver from every row of `starts` (r, p), group the runs into minima, and polish the best.
 
-    Starts that are `movable` go to where a model of records is finite. Every run is kept. A run that fails is a result
+    Starts that are `movable` go to where a model of records is finite; `gauss_newton` is the solver of these, if it was
+    built before. Every run is kept. A run that fails is a result
     with its status; it is never ranked before one that converged.
     """
     began = time.perf_counter()
-    solver = _solver(nlp, solver_options)
+    solver = _solver(nlp, solver_options, gauss_newton)
     settings = nlp.strategies
     if movable and settings.moved_starts and not isinstance(solver, IpoptSolver):
         starts = _moved_to_finite(nlp, solver, starts)
@@ -75,10 +77,10 @@ def multistart(
     return Multistart(runs, minima, time.perf_counter() - began, nodes)
 
 
-def _solver(nlp: Nlp, options: Mapping[str, Any]) -> AnySolver:
+def _solver(nlp: Nlp, options: Mapping[str, Any], gauss_newton: GaussNewton | None) -> AnySolver:
     if not nlp.has_states:
         return IpoptSolver(nlp, options)
-    gauss_newton = GaussNewton(nlp)
+    gauss_newton = gauss_newton or GaussNewton(nlp)
     return TranscribedProgram(nlp, gauss_newton, options) if nlp.by_ipopt else gauss_newton
 
 

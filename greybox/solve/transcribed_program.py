@@ -37,9 +37,7 @@ SAME = 1e-9
 class TranscribedProgram:
     """IPOPT on one compiled problem that has records, built once for all starts."""
 
-    def __init__(
-        self, nlp: Nlp, gauss_newton: GaussNewton, options: Mapping[str, Any] = MappingProxyType({})
-    ) -> None:
+    def __init__(self, nlp: Nlp, gauss_newton: GaussNewton, options: Mapping[str, Any] = MappingProxyType({})) -> None:
         """Transcribe all records as their method says; `gauss_newton` gives states to begin with."""
         self._nlp = nlp
         self._gauss_newton = gauss_newton

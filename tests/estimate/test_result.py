@@ -6,7 +6,7 @@ from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, Parabola, mea
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.solve.ipopt import Run
+from greybox.solve.outcome import Run
 from greybox.solve.minima import Multistart, find_minima
 
 DATA = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=6)

@@ -45,9 +45,9 @@ class Transcribed:
 class Transcription(ABC):
     """A way to treat the states of records while parameters are estimated.
 
-    The same solution must follow from two descriptions: `transcribe` gives the unknowns and equations that a solver sees,
-    `scheme` the step from sample to sample that they amount to. Costs, residuals, standard errors and the check of the
-    discretization come from the second.
+    The same solution must follow from two descriptions: `transcribe` gives the unknowns and equations that a solver
+    sees, `scheme` the step from sample to sample that they amount to. Costs, residuals, standard errors and the check
+    of the discretization come from the second.
 
     Parameters
     ----------
@@ -61,6 +61,8 @@ class Transcription(ABC):
     segment: int | None = None
     hessian: Literal["gauss-newton", "exact"] = "gauss-newton"
     compile: ClassVar[bool] = False
+    strategies: ClassVar[Strategies] = Strategies()
+    """Of the Gauss-Newton solver, which also gives IPOPT its first states."""
     label: ClassVar[str]
 
     def __post_init__(self) -> None:
@@ -74,11 +76,6 @@ class Transcription(ABC):
     def by_ipopt(self) -> bool:
         """True when IPOPT solves the whole problem."""
         return True
-
-    @property
-    def strategies(self) -> Strategies:
-        """The settings of the Gauss-Newton solver, which also gives IPOPT its first states."""
-        return Strategies()
 
     @property
     @abstractmethod

@@ -37,7 +37,7 @@ class MultipleShooting(Transcription):
     integrator: Integrator = field(default_factory=RungeKutta)
     ipopt: bool = False
     compile: bool = False  # type: ignore[misc]
-    strategies: Strategies = field(default_factory=Strategies)  # type: ignore[assignment]
+    strategies: Strategies = field(default_factory=Strategies)  # type: ignore[misc]
     label: ClassVar[str] = "multiple shooting"
 
     def __post_init__(self) -> None:

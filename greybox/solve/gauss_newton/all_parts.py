@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.compiled.kalman_gain import kalman_gain
 from greybox.compiled.part import Part
 from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.strategies import Strategies
@@ -25,13 +26,15 @@ CLOSED = 0.01
 
 
 class AllParts:
-    """The parts of one problem, whose costs add."""
+    """The parts of one problem, whose costs add, with the Kalman gains of those that have one, limits and settings."""
 
     def __init__(self, parts: tuple[Part, ...], limits: Limits, settings: Strategies) -> None:
+        """Look for the gains."""
         self.parts = parts
         self.weights = [part.weight for part in parts]
-        self._limits = limits
-        self._settings = settings
+        self.gains = [kalman_gain(part) for part in parts]
+        self.limits = limits
+        self.settings = settings
 
     # --- iterates -----------------------------------------------------------------------------------------------------
 
@@ -54,14 +57,14 @@ class AllParts:
 
     def stays_near_data(self, iterate: Iterate) -> bool:
         """Tell whether the outputs stay where the data are, which those of an unstable simulation do not."""
-        factor = self._settings.lost_simulation
+        factor = self.settings.lost_simulation
         return iterate.finite and all(
             part.is_near_data(trajectory, factor) for part, trajectory in self._pairs(iterate)
         )
 
     def is_continuous(self, iterate: Iterate) -> bool:
         """Tell whether what gaps are left is rounding."""
-        tolerance = self._settings.gap_rounding
+        tolerance = self.settings.gap_rounding
         return all(
             np.all(np.abs(t.gaps).max(axis=0, initial=0.0) <= tolerance * np.abs(t.nodes).max(axis=0, initial=0.0))
             for t in iterate.trajectories
@@ -80,7 +83,7 @@ class AllParts:
         return float(sum(part.weight * part.cost(t, smoothing) for part, t in self._pairs(iterate)))
 
     def squared_cost(self, iterate: Iterate, residual_weights: Sequence[Array]) -> float:
-        """Return the cost with given residual weights, half the sum of their squares; infinite where anything diverges."""
+        """Return the cost with given residual weights, half the sum of squares; infinite where anything diverges."""
         if not iterate.finite:
             return math.inf
         each = zip(self.parts, iterate.trajectories, residual_weights, strict=True)
@@ -102,7 +105,7 @@ class AllParts:
 
     def initial_weights(self) -> list[Array]:
         """Return the weights that are assumed as long as continuity is a penalty."""
-        return [part.initial_weight(self._settings.assumed_error) for part in self.parts]
+        return [part.initial_weight(self.settings.assumed_error) for part in self.parts]
 
     # --- linearization and steps --------------------------------------------------------------------------------------
 
@@ -113,7 +116,7 @@ class AllParts:
 
     def gap_variances(self, linearizations: Sequence[Any]) -> list[Array]:
         """Return the variances by which states must jump to change the outputs of a segment by their spread."""
-        spread = self._settings.first_gap / self._settings.assumed_error
+        spread = self.settings.first_gap / self.settings.assumed_error
         each = zip(self.parts, linearizations, strict=True)
         return [part.continuity_variance(linearization, spread) for part, linearization in each]
 
@@ -121,16 +124,16 @@ class AllParts:
         """Return the iterate after a step, of which the share `length` is taken."""
         each = zip(step.condensed, iterate.trajectories, strict=True)
         nodes = [condensed.nodes_after(t.nodes, step.dz, length) for condensed, t in each]
-        z = self._limits.clipped(iterate.z + length * step.dz) if step.dz.any() else iterate.z
+        z = self.limits.clipped(iterate.z + length * step.dz) if step.dz.any() else iterate.z
         moved = self.at(z, nodes, iterate)
-        return self._within_domain(iterate, moved) if self._settings.domain_backtracking else moved
+        return self._within_domain(iterate, moved) if self.settings.domain_backtracking else moved
 
     def _within_domain(self, before: Iterate, after: Iterate) -> Iterate:
         """Return the iterate with the nodes pulled back from which a segment leaves the domain of the model.
 
         A root or logarithm of a single node would otherwise cut the steps of all nodes short.
         """
-        settings = self._settings
+        settings = self.settings
         share = KEPT_SHARE
         last = math.inf
         for _ in range(settings.pull_backs):
@@ -158,7 +161,7 @@ class AllParts:
         """
         enough = CLOSED * length * step.decrease
         cost = self.gap_cost(iterate, multipliers)
-        for _ in range(self._settings.gap_closings):
+        for _ in range(self.settings.gap_closings):
             if not iterate.finite or cost <= enough:
                 break
             each = zip(self.parts, step.linearizations, iterate.trajectories, strict=True)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.compiled.kalman_gain import kalman_gain
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.strategies import Strategies
 from greybox.solve.constraints import Limits
@@ -54,9 +53,9 @@ class GaussNewton:
         self._settings: Strategies = nlp.strategies
         self._limits = _limits(nlp)
         self._parts = AllParts(parts or nlp.parts, self._limits, self._settings)
-        self._gains = [kalman_gain(part) for part in self._parts.parts]
-        self._all_predict = all(gain is not None or not p.has_states for gain, p in zip(self._gains, self._parts.parts, strict=True))
-        entries = {name for gain in self._gains if gain is not None for name in gain.names}
+        gains = [gain for gain in self._parts.gains if gain is not None]
+        self._all_predict = len(gains) == sum(part.has_states for part in self._parts.parts)
+        entries = {name for gain in gains for name in gain.names}
         self._is_gain = np.array([name in entries for name in nlp.free])
         jumping = {name for part in self._parts.parts for name in part.discontinuous_delays}
         self._is_discontinuous = np.array([name in jumping for name in nlp.free])
@@ -87,9 +86,7 @@ class GaussNewton:
         return replace(outcome, iterations=before + outcome.iterations, seconds=time.perf_counter() - began)
 
     @DIVERGING
-    def run_simulated(
-        self, start: Array, nodes: Nodes | None = None, iterations: int | None = None
-    ) -> Outcome | None:
+    def run_simulated(self, start: Array, nodes: Nodes | None = None, iterations: int | None = None) -> Outcome | None:
         """Solve from a simulation at the parameters `start` (p,); None where it diverges.
 
         It begins with the first of the `nodes` of every stretch, those that the data show by default. Limits that a
@@ -99,7 +96,7 @@ class GaussNewton:
         z = self._limits.nearest(self._nlp.scaling.to_solver(start))
         first = self._parts.from_data(z) if nodes is None else self._parts.at(z, nodes)
         iterate = self._parts.simulated(first.z, first.nodes) if first.finite else first
-        if not self._parts.stays_near_data(iterate) or not are_stable(self._gains, iterate):
+        if not self._parts.stays_near_data(iterate) or not are_stable(self._parts, iterate):
             return None
         outcome = self._solve(iterate, Progress.exact(self._settings), iterations)
         return replace(outcome, seconds=time.perf_counter() - began)
@@ -116,7 +113,7 @@ class GaussNewton:
         cost = self._parts.cost(iterate, 0.0)
         if status == "converged" and self._limits.violation(iterate.z) > 0:
             status = "constraints violated"
-        if status == "converged" and not are_stable(self._gains, iterate):
+        if status == "converged" and not are_stable(self._parts, iterate):
             status = "unstable predictor"
         converged = status == "converged" and math.isfinite(cost)
         signature, nodes = self._parts.signature(iterate), tuple(iterate.nodes)
@@ -147,7 +144,7 @@ class GaussNewton:
                 )
             except np.linalg.LinAlgError:
                 status = "singular"
-        found = status == "converged" and are_stable(self._gains, iterate)
+        found = status == "converged" and are_stable(self._parts, iterate)
         return Profile(z, iterate.trajectories, self._parts.cost(iterate, 0.0), found)
 
     def signature(self, x: Array) -> Array | None:
@@ -228,12 +225,12 @@ class GaussNewton:
             step = self._step(iterate, linearizations, progress, states_only=alone)
             linearizations = None
 
-            merit = merit_function(parts, self._limits, weights, progress, self._is_admissible)
+            merit = merit_function(parts, weights, progress)
             before = merit(iterate)
             settled = self._is_settled(iterate, step, before, progress)
             if settled and step.distance <= settings.tolerance:
                 return iterate, "converged", iteration
-            trial, length = line_search(parts, settings, iterate, step, merit, before, progress)
+            trial, length = line_search(parts, iterate, step, merit, before, progress)
             if trial is None and settled and step.distance <= ROUNDED * settings.tolerance:
                 return iterate, "converged", iteration
             if trial is None and progress.damping <= settings.largest_damping:
@@ -266,20 +263,7 @@ class GaussNewton:
             held |= self._is_gain
         if progress.delays_held:
             held |= self._is_discontinuous
-        return gauss_newton_step(
-            self._parts,
-            self._limits,
-            self._gains,
-            self._settings,
-            iterate,
-            linearizations,
-            progress,
-            held=held,
-            states_only=states_only,
-        )
-
-    def _is_admissible(self, iterate: Iterate) -> bool:
-        return are_stable(self._gains, iterate, simulated=True)
+        return gauss_newton_step(self._parts, iterate, linearizations, progress, held=held, states_only=states_only)
 
     def _is_settled(self, iterate: Iterate, step: Step, before: float, progress: Progress) -> bool:
         """Tell whether little is left to gain, also by a step that is not damped."""
@@ -333,7 +317,7 @@ class GaussNewton:
         origins = (progress.homotopy_end, progress.start)
         best = min((self._parts.simulated(*origin) for origin in origins), key=self._parts.cost)
         progress.homotopy_end = None
-        if not self._parts.stays_near_data(best) or not are_stable(self._gains, best):
+        if not self._parts.stays_near_data(best) or not are_stable(self._parts, best):
             return None
         progress.damping = 0.0
         progress.last_decrease = math.nan
@@ -341,7 +325,7 @@ class GaussNewton:
         return best
 
     def _simulate_predictors(self, iterate: Iterate) -> Iterate:
-        return simulate_stable(self._gains, iterate) if self._settings.simulated_predictors else iterate
+        return simulate_stable(self._parts, iterate) if self._settings.simulated_predictors else iterate
 
     def _may_hold_delays(self, progress: Progress) -> bool:
         settings = self._settings
@@ -355,11 +339,9 @@ class GaussNewton:
         settings = self._settings
         z = iterate.z
         if settings.riccati_gains:
-            z = best_gains(
-                self._gains, self._parts.parts, iterate, progress.gap_variance, self._limits.clipped, settings
-            )
+            z = best_gains(self._parts, iterate, progress.gap_variance)
         iterate = self._parts.at(z, iterate.nodes)
-        if progress.last_scale == settings.prediction_gap and not are_stable(self._gains, iterate):
+        if progress.last_scale == settings.prediction_gap and not are_stable(self._parts, iterate):
             # As without a predictor: the model alone leads to the neighborhood.
             progress.gap_scale = settings.gap_reduction
             progress.last_scale = settings.last_gap

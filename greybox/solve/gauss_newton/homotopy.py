@@ -136,4 +136,3 @@ class Progress:
             self.gap_scale = scale if scale > self.last_scale else 0.0
         if self.is_exact:
             self.homotopy_end = (iterate.z, iterate.nodes)
-

@@ -1,6 +1,5 @@
 """The line search: a step is shortened until the merit does not grow."""
 
-from greybox.compiled.strategies import Strategies
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.homotopy import Progress
 from greybox.solve.gauss_newton.iterate import Iterate, Step
@@ -9,7 +8,6 @@ from greybox.solve.gauss_newton.merit import Merit
 
 def line_search(
     parts: AllParts,
-    settings: Strategies,
     iterate: Iterate,
     step: Step,
     merit: Merit,
@@ -20,6 +18,7 @@ def line_search(
 
     Where continuity is exact, a trial that fails is tried once more with its gaps closed.
     """
+    settings = parts.settings
     enough = before + settings.cost_rounding * max(1.0, abs(before))
     length = 1.0
     while length > settings.shortest_step:

@@ -10,10 +10,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.solve.constraints import Limits
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.homotopy import Progress
 from greybox.solve.gauss_newton.iterate import Iterate
+from greybox.solve.gauss_newton.stability import are_stable
 
 Array = NDArray[np.float64]
 Merit = Callable[[Iterate], float]
@@ -21,18 +21,17 @@ Merit = Callable[[Iterate], float]
 
 def merit_function(
     parts: AllParts,
-    limits: Limits,
     residual_weights: Sequence[Array],
     progress: Progress,
-    is_admissible: Callable[[Iterate], bool],
 ) -> Merit:
-    """Return the merit of an iterate, infinite where it diverges or is not admissible."""
+    """Return the merit of an iterate, infinite where it diverges or a predictor that is simulated is not stable."""
+    limits = parts.limits
     variances = progress.continuity_variance
     multipliers = progress.multipliers
     penalty = progress.constraint_penalty
 
     def exact(iterate: Iterate) -> float:
-        if not iterate.finite or not is_admissible(iterate):
+        if not iterate.finite or not are_stable(parts, iterate, simulated=True):
             return math.inf
         violation = penalty * limits.violation(iterate.z)
         return parts.cost(iterate) + parts.gap_cost(iterate, multipliers) + violation

@@ -6,12 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.strategies import Strategies
-from greybox.solve.constraints import Limits
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.homotopy import EXACTNESS, Progress
 from greybox.solve.gauss_newton.iterate import Iterate, Step
-from greybox.solve.gauss_newton.stability import Gains, stability_constraints
+from greybox.solve.gauss_newton.stability import stability_constraints
 from greybox.solve.quadratic_program import solve_small_qp
 
 Array = NDArray[np.float64]
@@ -22,9 +20,6 @@ ACTIVE = 1e-9
 
 def gauss_newton_step(
     parts: AllParts,
-    limits: Limits,
-    gains: Gains,
-    settings: Strategies,
     iterate: Iterate,
     linearizations: Sequence[Any],
     progress: Progress,
@@ -36,6 +31,7 @@ def gauss_newton_step(
 
     Levenberg-Marquardt damping scales with the diagonal of the Hessian. Variables that are `held` (p,) do not move.
     """
+    settings = parts.settings
     p = len(iterate.z)
     variances = progress.continuity_variance
     node_damping = progress.damping if settings.damped_states else 0.0
@@ -55,10 +51,10 @@ def gauss_newton_step(
 
     damping = progress.damping * np.diag(np.diag(hessian)) if settings.damped_parameters else 0.0
     damped = hessian + damping + settings.parameter_ridge * np.eye(p)
-    normals, bounds = limits.linearized(iterate.z, held)
+    normals, bounds = parts.limits.linearized(iterate.z, held)
     dz = solve_small_qp(damped, gradient, normals, bounds)
     if settings.stability_constraints:
-        inside, left = stability_constraints(gains, iterate, dz, settings)
+        inside, left = stability_constraints(parts, iterate, dz)
         if len(left):
             normals, bounds = np.vstack([normals, inside]), np.concatenate([bounds, left])
             dz = solve_small_qp(damped, gradient, normals, bounds)
@@ -67,7 +63,7 @@ def gauss_newton_step(
     multiplier = largest_multiplier(force, normals, normals @ dz - bounds)
     progress.constraint_penalty = max(progress.constraint_penalty, EXACTNESS * multiplier)
     distance = 0.5 * float(dz @ hessian @ dz)
-    decrease += progress.constraint_penalty * limits.violation(iterate.z) - float(gradient @ dz) - distance
+    decrease += progress.constraint_penalty * parts.limits.violation(iterate.z) - float(gradient @ dz) - distance
     decrease += sum(w * system.damping_penalty(dz) for w, system in zip(parts.weights, condensed, strict=True))
     return progress.takes(Step(linearizations, condensed, dz, decrease, distance, hessian))
 
