@@ -1,4 +1,4 @@
-"""The cascaded attitude controller that keeps the vehicle in the air while it is identified, in discrete time."""
+"""The cascaded attitude controller in discrete time, which stabilizes the vehicle while it is identified."""
 
 import greybox as gb
 
@@ -17,12 +17,12 @@ class AttitudeController(gb.Controller):
 
     $$u_k = \mathrm{sat}(K_P e_k + i_k + K_D d_k + u^+_k, u_{max})$$
 
-    After a sample at the limit the integral may only shrink: it stays unless $i_{k-1}$ and $e_k$ have opposite signs.
-    The setpoint of (3.14) is $\theta^*$ (`reference`); $q^+$ (`rate`) and $u^+$ (`mixer`) are the other places at which
-    ArduPilot's System Identification mode adds a test signal. The rate setpoint $q^*$ is logged as `q_reference`.
-    The gains are ArduPilot's own defaults: around the tilt dynamics identified in the paper they bear 6 times more or 4
-    times less control effectiveness, or 28 ms more delay. Not here: the vehicle's shaping and feed-forward of the
-    setpoint, its filter of the rate setpoint, and the square root that it takes of large angle errors.
+    Anti-windup: after a saturated sample the integral may only shrink, which it does when $i_{k-1}$ and $e_k$ have
+    opposite signs. The setpoint of (3.14) is $\theta^*$ (`reference`); $q^+$ (`rate`) and $u^+$ (`mixer`) are the other
+    points at which ArduPilot's System Identification mode injects a test signal. The rate setpoint $q^*$ is logged as
+    `q_reference`. The gains are ArduPilot's defaults: with the tilt dynamics identified in the paper the loop tolerates
+    6 times more or 4 times less control effectiveness, or 28 ms more delay. Not modeled: the input shaping and
+    feed-forward of the setpoint, the filter of the rate setpoint, and the square-root control of large angle errors.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 3; ArduPilot Copter,
     libraries/AC_AttitudeControl and AC_PID/AC_PID.cpp (update_all, update_i), parameters ATC_ANG_PIT and ATC_RAT_PIT.
@@ -35,10 +35,10 @@ class AttitudeController(gb.Controller):
     units = {"reference": "rad", "theta": "rad", "q": "rad/s", "rate": "rad/s", "q_reference": "rad/s"}
     K_theta = gb.Parameter(4.5, bounds=(0, 20), unit="1/s", about="rate setpoint per angle error, ATC_ANG_PIT_P")
     K_P = gb.Parameter(0.135, bounds=(0, 5), unit="s", about="control per rate error, ATC_RAT_PIT_P")
-    K_I = gb.Parameter(0.135, bounds=(0, 5), unit="1", about="control per integral of it, ATC_RAT_PIT_I")
-    K_D = gb.Parameter(0.0036, bounds=(0, 1), unit="s²", about="control per derivative of it, ATC_RAT_PIT_D")
+    K_I = gb.Parameter(0.135, bounds=(0, 5), unit="1", about="control per rate error integral, ATC_RAT_PIT_I")
+    K_D = gb.Parameter(0.0036, bounds=(0, 1), unit="s²", about="control per rate error derivative, ATC_RAT_PIT_D")
     I_max = gb.Parameter(0.5, bounds=(0, 1), unit="1", about="limit of the integral, ATC_RAT_PIT_IMAX")
-    omega_D = gb.Parameter(125.7, bounds=(1, 3000), unit="rad/s", about="cutoff of its filter, ATC_RAT_PIT_FLTD 20 Hz")
+    omega_D = gb.Parameter(125.7, bounds=(1, 3000), unit="rad/s", about="derivative filter, ATC_RAT_PIT_FLTD 20 Hz")
     q_max = gb.Parameter(3.5, bounds=(0.1, 20), unit="rad/s", about="limit of the rate setpoint")
     u_max = gb.Parameter(1.0, bounds=(0.01, 1), unit="1", about="limit of the control")
 
@@ -46,10 +46,10 @@ class AttitudeController(gb.Controller):
         h = 1 / self.rate
         q_reference = _limited(p.K_theta * (u.reference - u.theta), p.q_max) + u.rate
         error = q_reference - u.q
-        share = p.omega_D * h / (1 + p.omega_D * h)
-        derivative = x.derivative + share * ((error - x.error) / h - x.derivative)
-        may = gb.maximum(1 - x.limited, x.integral * error < 0)
-        integral = gb.where(may, _limited(x.integral + p.K_I * h * error, p.I_max), x.integral)
-        wanted = p.K_P * error + integral + p.K_D * derivative + u.mixer
-        limited = gb.where(abs(wanted) >= p.u_max, 1, 0)
-        return (error, derivative, integral, limited), (_limited(wanted, p.u_max), q_reference)
+        smoothing = p.omega_D * h / (1 + p.omega_D * h)
+        derivative = x.derivative + smoothing * ((error - x.error) / h - x.derivative)
+        integrates = gb.maximum(1 - x.limited, x.integral * error < 0)
+        integral = gb.where(integrates, _limited(x.integral + p.K_I * h * error, p.I_max), x.integral)
+        demand = p.K_P * error + integral + p.K_D * derivative + u.mixer
+        limited = gb.where(abs(demand) >= p.u_max, 1, 0)
+        return (error, derivative, integral, limited), (_limited(demand, p.u_max), q_reference)

@@ -46,7 +46,7 @@ class CoupledVelocityTransfer(gb.TransferFunction):
 
     input, output = "u", "p"
     K_tilde = gb.Parameter(300.0, bounds=(1, 5000), unit="1/s²", about="angular acceleration per control")
-    b1_tilde = gb.Parameter(0.2, bounds=(-100, 100), unit="1/s", about="zero, with the sign reversed")
+    b1_tilde = gb.Parameter(0.2, bounds=(-100, 100), unit="1/s", about="zero at s = -b̃1")
     a2_tilde = gb.Parameter(0.2, bounds=(-50, 50), unit="1/s", about="coefficient of s²")
     a0_tilde = gb.Parameter(50.0, bounds=(-500, 500), unit="1/s³", about="constant coefficient")
     T_delay = gb.Parameter(0.005, bounds=(0, 0.05), unit="s", about="controller and ESC delay")
@@ -102,7 +102,7 @@ class DampedCoupledVelocityTransfer(gb.TransferFunction):
 
     input, output = "u", "p"
     K_tilde = gb.Parameter(300.0, bounds=(1, 5000), unit="1/s²", about="angular acceleration per control")
-    b1_tilde = gb.Parameter(0.2, bounds=(-50, 50), unit="1/s", about="zero, with the sign reversed")
+    b1_tilde = gb.Parameter(0.2, bounds=(-50, 50), unit="1/s", about="zero at s = -b̃1")
     a2_tilde = gb.Parameter(1.0, bounds=(-100, 100), unit="1/s", about="coefficient of s²")
     a1_tilde = gb.Parameter(1.0, bounds=(-500, 500), unit="1/s²", about="coefficient of s")
     a0_tilde = gb.Parameter(50.0, bounds=(-500, 500), unit="1/s³", about="constant coefficient")

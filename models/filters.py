@@ -1,4 +1,4 @@
-"""Known filters on the way of a signal into the log."""
+"""Known filters between a signal and its log."""
 
 from dataclasses import replace
 from math import pi
@@ -7,26 +7,26 @@ import greybox as gb
 
 
 class LowPass(gb.TransferFunction):
-    r"""Second-order low-pass filter, as flight controllers put on their gyros.
+    r"""Second-order low-pass filter, as flight controllers apply to their gyros.
 
     $$F(s) = \frac{\omega_c^2}{s^2 + 2 \zeta \omega_c s + \omega_c^2}$$
 
-    A model of a signal q that was logged behind the filter is ``plant * LowPass(20.0, signal="q")``; what `prepare`
-    found out about a record, `record.filters["q"]`, gives the cutoff.
+    The model of a signal q that is logged after the filter is ``plant * LowPass(20.0, signal="q")``; if the log tells
+    the cutoff, `prepare` keeps it in ``record.filters["q"]``.
 
     Source: S. Butterworth, On the theory of filter amplifiers, Wireless Engineer 7 (1930) 536-541.
 
     Parameters
     ----------
     cutoff : float, Hz
-        Where the magnitude has fallen to 0.71 with the default damping.
+        Where the magnitude has dropped to 0.71, with the default damping.
     damping : float
-        ζ; by default that of Butterworth.
+        ζ; the default is Butterworth's.
     rate : float, Hz, optional
-        Sampling rate of a digital filter, the bilinear transform of the above with the cutoff kept, as ArduPilot's
-        LowPassFilter2p. Its rational reading needs a Padé approximation.
+        Sampling rate of a digital filter: the bilinear transform of the above, prewarped at the cutoff, as ArduPilot's
+        LowPassFilter2p. Its rational form needs a Padé approximation.
     signal : str, optional
-        Name of the filtered signal, under which the data know it: ``plant * LowPass(20.0, signal="q")``.
+        Name of the filtered signal in the data.
     """
 
     input, output = "raw", "filtered"
@@ -46,8 +46,10 @@ class LowPass(gb.TransferFunction):
         }
 
     def response(self, s, p):
-        omega_c, derivative = p.omega_c, s
+        omega_c = p.omega_c
+        derivative = s
         if self.rate is not None:
-            back = gb.exp(-s / self.rate)  # one sample earlier
-            omega_c, derivative = gb.tan(p.omega_c / (2 * self.rate)), (1 - back) / (1 + back)
+            one_sample = gb.exp(-s / self.rate)
+            omega_c = gb.tan(p.omega_c / (2 * self.rate))
+            derivative = (1 - one_sample) / (1 + one_sample)
         return omega_c**2 / (derivative**2 + 2 * p.zeta * omega_c * derivative + omega_c**2)

@@ -11,7 +11,7 @@ class Mixer(gb.StateSpace):
     u_3 &= u_F + 0.5 u_\phi - 0.5 u_\theta - u_\psi, & u_4 &= u_F - 0.5 u_\phi + 0.5 u_\theta - u_\psi
     \end{aligned}$$
 
-    A static model for the symmetric X frame; the limits of the controls are left out.
+    A static model of the symmetric X frame, without the limits of the controls.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, below (2.3).
     """
@@ -35,7 +35,7 @@ class Torques(gb.StateSpace):
     \tau_\theta &= K_\tau (\Omega_2^2 + \Omega_4^2 - \Omega_1^2 - \Omega_3^2), \\
     \tau_\psi &= K_\psi (\Omega_1^2 + \Omega_2^2 - \Omega_3^2 - \Omega_4^2) \end{aligned}$$
 
-    A static model for the symmetric X frame.
+    A static model of the symmetric X frame.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.3).
     """
@@ -48,7 +48,7 @@ class Torques(gb.StateSpace):
     K_psi = gb.Parameter(2e-7, bounds=(1e-10, 1e-4), unit="N·m·s²", about="yaw torque per squared speed", scale="log")
 
     def output(self, x, u, p):
-        one, two, three, four = u.Omega_1**2, u.Omega_2**2, u.Omega_3**2, u.Omega_4**2
+        one, two, three, four = (speed**2 for speed in (u.Omega_1, u.Omega_2, u.Omega_3, u.Omega_4))
         return (
             p.K_tau * (two + three - one - four),
             p.K_tau * (two + four - one - three),

@@ -10,8 +10,8 @@ class Polynomial(gb.TransferFunction):
 
     $$P(s) = \frac{b_m s^m + \dots + b_0}{s^n + a_{n-1} s^{n-1} + \dots + a_0}, \qquad m < n$$
 
-    With `integrator` the denominator has the factor $s$: $a_0$ is zero and no parameter. The default orders
-    are those of (3.18) and (3.19); (3.20) is ``Polynomial(4, 1, integrator=True)``.
+    With `integrator` the denominator has a factor $s$: $a_0$ is zero and not a parameter. The default orders are
+    those of (3.18) and (3.19); (3.20) is ``Polynomial(4, 1, integrator=True)``.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.13).
 
@@ -20,30 +20,33 @@ class Polynomial(gb.TransferFunction):
     n, m : int
         Orders of the denominator, the integrator included, and of the numerator.
     integrator : bool
-        Whether the denominator has the factor s.
+        Whether the denominator has a factor s.
     radius : float
-        Poles and zeros up to this size, in rad/s, give the bounds of the coefficients.
+        Magnitude of poles and zeros, in rad/s, that sets the bounds of the coefficients.
     starts : float
-        Poles and zeros up to this size give the box in which starts are drawn.
+        Magnitude of poles and zeros, in rad/s, that sets the box in which starts are drawn.
     output : str
-        The name of the output, by which data and model meet.
+        Name of the output in the data.
 
     Raises
     ------
     ValueError
-        For orders that are no whole numbers with 0 <= m < n, or sizes that are not 0 < starts <= radius.
+        Unless the orders are integers with 0 <= m < n, and 0 < starts <= radius.
     """
 
     def __init__(self, n=4, m=1, integrator=False, radius=50.0, starts=20.0, output="y"):
         _require_order("n", n, 1)
         _require_order("m", m, 0)
         if m >= n:
-            raise ValueError(f"m = {m} is not below n = {n}: (2.13) needs m < n, lower m or raise n.")
+            raise ValueError(f"m = {m} is not below n = {n}: (2.13) needs m < n. Lower m or raise n.")
         if not 0 < starts <= radius < math.inf:
             raise ValueError(
                 f"starts = {starts} and radius = {radius} must be finite with 0 < starts <= radius, in rad/s."
             )
-        self.n, self.m, self.integrator, self.output = n, m, bool(integrator), output
+        self.n = n
+        self.m = m
+        self.integrator = bool(integrator)
+        self.output = output
         numerator = {f"b{k}": _coefficient(k, m, n, radius, starts) for k in range(m + 1)}
         denominator = {f"a{k}": _coefficient(k, n, n, radius, starts) for k in range(self.integrator, n)}
         self.parameters = numerator | denominator
@@ -59,12 +62,13 @@ class Polynomial(gb.TransferFunction):
 
 
 def _coefficient(k, order, n, radius, starts):
-    """One coefficient of s^k: at most C(order, k) r^(n-k) in size when no pole and zero is larger than r."""
-    ways, power = math.comb(order, k), n - k
+    """One coefficient of s^k: at most C(order, k) r^(n-k) in size when no pole or zero is larger than r."""
+    combinations = math.comb(order, k)
+    power = n - k
     return gb.Parameter(
-        ways * (starts / 10) ** power,
-        bounds=(-ways * radius**power, ways * radius**power),
-        starts=(-ways * starts**power, ways * starts**power),
+        combinations * (starts / 10) ** power,
+        bounds=(-combinations * radius**power, combinations * radius**power),
+        starts=(-combinations * starts**power, combinations * starts**power),
         unit="1/s" + "".join("⁰¹²³⁴⁵⁶⁷⁸⁹"[int(d)] for d in str(power) if power > 1),
         about=f"coefficient of s^{k} in the {'denominator' if order == n else 'numerator'}",
     )
@@ -80,4 +84,4 @@ def _value(coefficients, s):
 
 def _require_order(name, order, least):
     if isinstance(order, bool) or not isinstance(order, int) or order < least:
-        raise ValueError(f"{name} = {order!r} is no order of a polynomial: give a whole number from {least}.")
+        raise ValueError(f"{name} = {order!r} is not the order of a polynomial: give an integer of at least {least}.")

@@ -1,15 +1,15 @@
-"""Angular velocity of one axis as a transfer function: structures used before, (2.5) to (2.8) and (2.10)."""
+"""Angular rate of one axis as a transfer function: structures from earlier work, (2.5) to (2.8) and (2.10)."""
 
 import greybox as gb
 
 
 class BasicRate(gb.TransferFunction):
-    r"""Roll rate from the roll control by rotor lag and inertia alone, (2.5).
+    r"""Roll rate from the roll control: rotor lag and inertia only, (2.5).
 
     $$P_p(s) = \frac{K_\phi}{s (T_\Omega s + 1)} e^{-s T_{delay}}, \qquad
     K_\phi = \frac{4 K_\tau \Omega_F K_\Omega}{J_x}$$
 
-    The 4 holds from the control $u_\phi$: the torque (2.3) gives $8 K_\tau \Omega_F$ per common speed change
+    The factor 4 refers to the control $u_\phi$: the torque (2.3) gives $8 K_\tau \Omega_F$ per common speed change
     $\Omega_\phi$ of the rotors, and the mixer below (2.3) passes half of $u_\phi$ to each.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.5).
@@ -25,7 +25,7 @@ class BasicRate(gb.TransferFunction):
 
 
 class BasicAngle(BasicRate):
-    r"""Roll angle from the roll control by rotor lag and inertia alone, (2.6).
+    r"""Roll angle from the roll control: rotor lag and inertia only, (2.6).
 
     $$P_\phi(s) = \frac{K_\phi}{s^2 (T_\Omega s + 1)} e^{-s T_{delay}}$$
 
@@ -39,11 +39,11 @@ class BasicAngle(BasicRate):
 
 
 class DampedAngle(gb.TransferFunction):
-    r"""Angle from the control by rotor lag, inertia and damping of the rate, (2.6) with one more term.
+    r"""Angle from the control: rotor lag, inertia and rate damping, (2.6) with one more term.
 
     $$P_\phi(s) = \frac{K_\phi}{s (s + a) (T_\Omega s + 1)} e^{-s T_{delay}}$$
 
-    Air that damps the rotation, but no torque from the translation, as in many simulators.
+    The air damps the rotation, but translation causes no torque, as in many simulators.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.6).
     """
@@ -59,7 +59,7 @@ class DampedAngle(gb.TransferFunction):
 
 
 class DampedRate(gb.TransferFunction):
-    r"""Roll rate from the roll control with one real and two complex poles, (2.7).
+    r"""Roll rate from the roll control: one real pole and a complex pair, (2.7).
 
     $$P_p(s) = \frac{K_1 s}{(T_1 s + 1)(s^2 + 2 \xi \omega_p s + \omega_p^2)} e^{-s T_{delay}}$$
 
@@ -79,7 +79,7 @@ class DampedRate(gb.TransferFunction):
 
 
 class YawRateLag(gb.TransferFunction):
-    r"""Yaw rate from the yaw control as one lag, (2.8).
+    r"""Yaw rate from the yaw control: a first-order lag, (2.8).
 
     $$P_r(s) = \frac{K_2}{T_2 s + 1} e^{-s T_{delay}}$$
 
@@ -96,7 +96,7 @@ class YawRateLag(gb.TransferFunction):
 
 
 class YawRateLead(YawRateLag):
-    r"""Yaw rate from the yaw control with a lead and the rotor lag, (2.10).
+    r"""Yaw rate from the yaw control: a lead and the rotor lag, (2.10).
 
     $$P_r(s) = \frac{K_2 (T_{lead} s + 1)}{(T_2 s + 1)(T_\Omega s + 1)} e^{-s T_{delay}}$$
 

@@ -32,8 +32,8 @@ class RigidBody(gb.StateSpace):
     \frac{J_y - J_z}{J_x} q r \\ \frac{J_z - J_x}{J_y} p r \\ \frac{J_x - J_y}{J_z} p q \end{bmatrix} +
     \begin{bmatrix} \tau_\phi / J_x \\ \tau_\theta / J_y \\ \tau_\psi / J_z \end{bmatrix}$$
 
-    The angles follow (2.1), see `EulerKinematics`. The body is symmetric about its axes. Without
-    measured torques, flight data determine only the ratios of the inertias to the torque gains.
+    The angles follow (2.1), see `EulerKinematics`. The body axes are principal axes. Unless the torques are measured,
+    flight data determine only the ratios of the inertias to the torque gains.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.1) and (2.2).
     """
@@ -59,8 +59,9 @@ class RigidBody(gb.StateSpace):
 
 def euler_rates(angles, rates):
     """Return the derivatives of phi, theta and psi, (2.1)."""
-    sine, cosine = gb.sin(angles.phi), gb.cos(angles.phi)
-    turn = sine * rates.q + cosine * rates.r  # about the axis that cos(theta) divides
+    sine = gb.sin(angles.phi)
+    cosine = gb.cos(angles.phi)
+    turn = sine * rates.q + cosine * rates.r  # rad/s, heading rate times cos(theta)
     return (
         rates.p + turn * gb.tan(angles.theta),
         cosine * rates.q - sine * rates.r,

@@ -1,14 +1,14 @@
-"""Rotor speed: first-order lag with a delay, (2.4) and (4.21)."""
+"""Rotor speed: a first-order lag with a delay, (2.4) and (4.21)."""
 
 import greybox as gb
 
 
 class Rotor(gb.TransferFunction):
-    r"""Rotor speed from the control of one motor, (4.21); without the delay it is (2.4).
+    r"""Rotor speed from the control of one motor, (4.21); without the delay, (2.4).
 
     $$P_\Omega(s) = \frac{K_\Omega}{T_\Omega s + 1} e^{-s T_{delay}}$$
 
-    The delay is that of the controller and of the ESC, which work in discrete steps.
+    The delay is due to the controller and the ESC, which work in discrete time.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (4.21).
     """

@@ -1,10 +1,10 @@
-"""Roll and pitch angle with velocity feedback: (4.25) and the ODEs it comes from, (4.23) and (4.24)."""
+"""Roll and pitch angle with velocity feedback: (4.25) and the ODEs it is derived from, (4.23) and (4.24)."""
 
 import greybox as gb
 
 
 class TiltParameters:
-    """What the three forms of the tilt dynamics share: (4.23) without its drag, and the rotor (4.22)."""
+    """Parameters common to the three forms of the tilt dynamics: (4.23) without its drag, and the rotor (4.22)."""
 
     a1 = gb.Parameter(0.0, bounds=(-100, 100), unit="1/s²", about="stiffness: angular acceleration per angle")
     a2 = gb.Parameter(3.0, bounds=(-50, 50), unit="1/s", about="damping of the angular velocity")
@@ -22,7 +22,7 @@ class Tilt(TiltParameters, gb.TransferFunction):
     {(T_\Omega s + 1)((s + a_5)(s^2 + a_2 s + a_1) + \tilde a_3)} e^{-s T_{delay}},
     \qquad \tilde a_3 = g a_3$$
 
-    The parameter `a4` is $\tilde a_4$, which holds the torque gain.
+    The parameter `a4` is $\tilde a_4$, which includes the torque gain.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (4.25).
     """
@@ -41,7 +41,7 @@ class LinearTilt(TiltParameters, gb.StateSpace):
     $$\dot v = g \theta - a_5 v, \quad \dot q = -a_1 \theta - a_2 q - a_3 v + a_4 \tau_\theta, \quad
     \dot\theta = q, \quad \dot\tau_\theta = (u(t - T_{delay}) - \tau_\theta) / T_\Omega$$
 
-    The rotor state stands for the torque; `a4` holds the torque gain. The transfer function is `Tilt`.
+    The rotor state represents the torque; `a4` includes the torque gain. The transfer function is `Tilt`.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (4.21), (4.23) and (4.24).
     """
@@ -70,8 +70,8 @@ class NonlinearTilt(TiltParameters, gb.StateSpace):
     $$\dot v = g \tan\theta - C_x |v| v, \quad \dot q = -a_1 \theta - a_2 q - a_3 v + a_4 \tau_\theta, \quad
     \dot\theta = q, \quad \dot\tau_\theta = (u(t - T_{delay}) - \tau_\theta) / T_\Omega$$
 
-    The rotor state stands for the torque; `a4` holds the torque gain. In hover the drag has no slope, so the
-    linearization there does not hold `C_x`; records do, and responses at a stated amplitude of the sines.
+    The rotor state represents the torque; `a4` includes the torque gain. In hover the slope of the drag is zero, so
+    `C_x` vanishes from the linearization there. Records identify it, and so do responses with a stated sine amplitude.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (4.21) and (4.23).
     """

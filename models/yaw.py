@@ -1,4 +1,4 @@
-"""Yaw rate and yaw angle with one more state: (4.33), (4.34) and (4.37)."""
+"""Yaw rate and yaw angle with one additional state: (4.33), (4.34) and (4.37)."""
 
 import greybox as gb
 
@@ -46,9 +46,8 @@ class YawStates(gb.StateSpace):
     $$\dot\nu = -a_4 \nu + K_\nu r, \quad \dot r = -a_1 \nu - a_2 r + a_3 \tau_\psi, \quad \dot\psi = r, \quad
     \dot\tau_\psi = (u(t - T_{delay}) - \tau_\psi) / T_\Omega$$
 
-    The rotor state stands for the torque; `a3` holds the torque gain. Only the product $a_1 K_\nu$
-    is determined by the yaw motion, so `K_nu` is fixed: it sets the unit of $\nu$. The transfer functions are
-    `YawRate` and `YawAngle`.
+    The rotor state represents the torque; `a3` includes the torque gain. The yaw motion determines only the product
+    $a_1 K_\nu$, so `K_nu` is fixed; it sets the unit of $\nu$. The transfer functions are `YawRate` and `YawAngle`.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (4.21) and (4.33).
     """
@@ -61,7 +60,8 @@ class YawStates(gb.StateSpace):
     a2 = YawRate.a2
     a3 = gb.Parameter(500.0, bounds=(1, 10000), unit="1/s²", about="yaw acceleration per control, ã3")
     a4 = YawRate.a4
-    T_rotor, T_delay = YawRate.T_rotor, YawRate.T_delay
+    T_rotor = YawRate.T_rotor
+    T_delay = YawRate.T_delay
     K_nu = gb.Parameter(1.0, bounds=(0, 10), unit="1", about="growth of ν per yaw rate", fixed=True)
     derived = {"a1_tilde": lambda p: p.a1 * p.K_nu, "a3_tilde": lambda p: p.a3}
 

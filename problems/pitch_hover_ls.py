@@ -1,10 +1,10 @@
-"""Pitch angle in hover by the coefficients of a transfer function: Table 3.1 and (2.13), estimate (3.19).
+"""Pitch angle in hover as a ratio of polynomials: Table 3.1 and (2.13), estimate (3.19).
 
 Flown: as in `pitch_hover`.
 
 Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 3.
 
-Odd: the published coefficients solve the linear least squares problem (3.17), not (4.26), which is minimized here.
+Note: the published coefficients solve the linear least squares problem (3.17), not (4.26), which is minimized here.
 There is no delay: the coefficients absorb it.
 """
 
@@ -18,7 +18,7 @@ published = {
     "values": coefficients([49.39, -49.39 * 0.156], [0.046, 1], [0.181, 1], [1, -3.79, 12.9]),
     "cost": 0.6771,
 }
-minimum = 0.426659  # about 70 % of 1000 starts; bounds a hundred times wider give no better one
+minimum = 0.426659  # about 70 % of 1000 starts; bounds a hundred times wider give no lower one
 settings = {"starts": 200, "seed": 0}
 
 

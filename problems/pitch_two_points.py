@@ -1,17 +1,17 @@
-"""Pitch angle in hover and around 5° at once, with common damping and gain: Tables 3.1 and 4.3, (4.25).
+"""Pitch angle in hover and about 5°, jointly, with common damping and gain: Tables 3.1 and 4.3, (4.25).
 
 Flown: as in `pitch_hover` and `pitch_5deg`.
 
 Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 4.2. The paper identifies each
-operating point by itself, (4.28) and (4.31), and finds that a1 and a3 change significantly; here only these
-two differ (a1_5deg, a3_5deg), while a2 and a4 are one unknown each.
+operating point separately, (4.28) and (4.31), and finds that a1 and a3 change significantly; here only these two
+differ (a1_5deg, a3_5deg), while a2 and a4 are shared.
 """
 
 import greybox as gb
 from greybox.models.tilt import Tilt
 from greybox.problems import pitch_5deg, pitch_hover
 
-minimum = 1.791177  # 997 of 1000 starts; boxes ten times wider give no better one
+minimum = 1.791177  # 997 of 1000 starts; boxes ten times wider give no lower one
 settings = {"starts": 200, "seed": 0}
 
 

@@ -4,8 +4,8 @@ Flown: setpoint sines of the roll angle of a quadcopter in hover.
 
 Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 4.2.
 
-Rotor and delay are fixed at (4.22), the drag a5 at 0.16 1/s, as in the paper, whose third number is a3 times g.
-The minimum is lower than the published estimate.
+As in the paper, rotor and delay are fixed at (4.22) and the drag a5 at 0.16 1/s. The paper prints a3 times g.
+The cost at the minimum is lower than at the published estimate.
 """
 
 import greybox as gb
@@ -17,7 +17,7 @@ published = {
     "values": {"a1": -1.28, "a2": 1.86, "a3": 73.07 / gb.g, "a4": 286.6},
     "cost": 0.6222,
 }
-minimum = 0.566476  # 976 of 1000 starts; the boxes a hundred times wider give no better one
+minimum = 0.566476  # 976 of 1000 starts; boxes a hundred times wider give no lower one
 settings = {"starts": 200, "seed": 0}
 
 

@@ -1,10 +1,10 @@
-"""Roll angle in hover by the coefficients of a transfer function: Table 3.1 and (2.13), estimate (3.18).
+"""Roll angle in hover as a ratio of polynomials: Table 3.1 and (2.13), estimate (3.18).
 
 Flown: as in `roll_hover`.
 
 Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 3.
 
-Odd: the published coefficients solve the linear least squares problem (3.17), not (4.26), which is minimized here.
+Note: the published coefficients solve the linear least squares problem (3.17), not (4.26), which is minimized here.
 There is no delay: the coefficients absorb it.
 """
 
@@ -18,7 +18,7 @@ published = {
     "values": coefficients([58.65, 58.65 * 0.304], [0.050, 1], [0.193, 1], [1, -3.44, 13.8]),
     "cost": 0.6288,
 }
-minimum = 0.488585  # about 60 % of 1000 starts; bounds a hundred times wider give no better one
+minimum = 0.488585  # about 60 % of 1000 starts; bounds a hundred times wider give no lower one
 settings = {"starts": 200, "seed": 0}
 
 

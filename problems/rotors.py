@@ -1,13 +1,13 @@
-"""Speed of the four rotors from their motor controls, one common model: Table 4.2 and (4.21), estimate (4.22).
+"""Speeds of the four rotors from their motor controls, one common model: Table 4.2 and (4.21), estimate (4.22).
 
 Flown: yaw tests of a quadcopter in hover, with the rotor speeds reported by the speed controllers (BLHeli32). The four
 responses share one model, as in the paper.
 
 Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 4.1.
 
-Odd: the table prints the real part of rotor 3 at 3.00 rad/s as -1002, where every neighbor says +1002. The data are
-kept as printed; ``data(mended=True)`` and ``problem(mended=True)`` turn the sign. That one point is 2.0 of the cost of
-3.3, and the sum of relative errors hardly moves for it. See also `rotors_mended`.
+Note: the table prints the real part of rotor 3 at 3.00 rad/s as -1002, but its neighbors suggest +1002. The data are
+kept as printed; ``data(mended=True)`` and ``problem(mended=True)`` reverse the sign. This one point contributes 2.0 to
+the cost of 3.3, yet the sum of relative errors hardly lets it affect the estimate. See also `rotors_mended`.
 """
 
 from dataclasses import replace
@@ -21,7 +21,7 @@ published = {
     "values": {"K_Omega": 1033.0, "T_rotor": 0.048, "T_delay": 0.0042},
     "cost": 3.3147,
 }
-minimum = 3.299175  # every one of 1000 starts; the boxes ten times wider give no better one
+minimum = 3.299175  # every one of 1000 starts; boxes ten times wider give no lower one
 settings = {"starts": 200, "seed": 0}
 
 

@@ -1,19 +1,19 @@
-"""Rotor speeds and pitch angle in hover at once: Tables 4.2 and 3.1, (4.21) and (4.25) with one rotor.
+"""Rotor speeds and pitch angle in hover, jointly: Tables 4.2 and 3.1, (4.21) and (4.25) with one rotor.
 
 Flown: as in `rotors` and `pitch_hover`.
 
 Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, sections 4.1 and 4.2. The paper identifies
-the rotor first and keeps it while it identifies the pitch dynamics; here T_rotor and T_delay are estimated from both
-experiments together.
+the rotor first and holds it fixed for the pitch dynamics; here T_rotor and T_delay are estimated from both experiments
+together.
 
-Odd: the sign of one value of Table 4.2 is mended, see `rotors`; ``problem(mended=False)`` takes it as printed.
+Note: the sign of one value of Table 4.2 is corrected, see `rotors`; ``problem(mended=False)`` takes it as printed.
 """
 
 import greybox as gb
 from greybox.models.tilt import Tilt
 from greybox.problems import pitch_hover, rotors
 
-minimum = 1.871958  # 986 of 1000 starts; boxes ten times wider give no better one
+minimum = 1.871958  # 986 of 1000 starts; boxes ten times wider give no lower one
 settings = {"starts": 200, "seed": 0}
 
 

@@ -1,11 +1,11 @@
 """Drag of a simulated quadcopter, from tilt angle and velocity in time: linear and quadratic, (4.23) and (4.24).
 
-Flown: as `sitl_pitch`, in hover and around a pitch of 5°, where the vehicle speeds up to 2.5 m/s and stops at the end.
-The tilt angle is measured, the velocity is the forward velocity of the vehicle's own estimator; both at 12.5 Hz.
+Flown: as `sitl_pitch`, in hover and about a pitch of 5°, where the vehicle accelerates to 2.5 m/s and stops at the end.
+The tilt angle is measured; the velocity is the forward velocity of the vehicle's state estimator. Both are at 12.5 Hz.
 
 Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 4.2, which takes a5 from the
-measured velocity. The simulator's linear drag is 4 f / m = 0.26 1/s in hover, and it has a quadratic part; they are not
-an estimate.
+measured velocity. The simulator's linear drag is 4 f / m = 0.26 1/s in hover, and it also has quadratic drag; these are
+settings, not estimates.
 """
 
 from pathlib import Path
@@ -21,15 +21,15 @@ HOVER, MOVING = "sitl_drag_hover", "sitl_drag_5deg"
 
 
 def data():
-    """Return the records in hover and around 5°."""
+    """Return the records in hover and about 5°."""
     return tuple(gb.read(DATA / f"{name}.csv")[name] for name in (HOVER, MOVING))
 
 
 def problem(records=None, **fixed):
     """Return both drags on both flights, or on other records; ``a5=0.0`` or ``C_x=0.0`` leaves one drag out.
 
-    The angle of the thrust differs a little from that of the vehicle, and the air moves: both are a bias of the angle,
-    for each flight its own.
+    The thrust is not exactly aligned with the vehicle, and there is wind: both act as a bias of the angle, one for each
+    flight.
     """
     stated = gb.several(Drag(), records or data(), criterion=gb.OutputError(biases=("theta",)), fixed=fixed)
     return stated.with_(name="drag, simulated flights")

@@ -1,11 +1,11 @@
 """Pitch of a simulated quadcopter, from its flight log to the fit: (3.15)-(3.16), then (2.6) with damping.
 
 Flown: the ArduPilot Copter firmware (4.6-dev) in its own simulator, recorded by its own logger; setpoint sines of 3°
-from 20.11 to 1.00 rad/s around the hover, each announced by a message SINE. The log in `data/` is cut: every seventh
-message of ATT, RATE and SINE, and half of the last test.
+from 20.11 to 1.00 rad/s in hover, each announced by a SINE message. The log in `data/` is reduced to every seventh
+message of ATT, RATE and SINE, and to half of the last test.
 
-Source: the physics of the simulator, which are known: K = 91.0 1/s², a = 0.681 1/s, T_rotor = 0.050 s, T_delay =
-0.0008 s. They are not an estimate; what is printed as published is the truth.
+Source: the simulator's physics, which are known: K = 91.0 1/s², a = 0.681 1/s, T_rotor = 0.050 s, T_delay = 0.0008 s.
+The values shown as published are therefore the truth, not an estimate.
 """
 
 from pathlib import Path
@@ -25,7 +25,7 @@ LOG = Path(__file__).parent / "data" / "sitl_pitch.BIN"
 
 
 def measured():
-    """Return the finite-frequency estimate with all that it says about each test."""
+    """Return the finite-frequency estimate with its findings on each test."""
     log = gb.read(LOG)
     record = gb.prepare(log, {"u": "RATE.POut", "theta": "ATT.Pitch"})
     return gb.spectral.finite_frequency(record, gb.logs.find_segments(log, "SINE"))

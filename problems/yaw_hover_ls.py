@@ -1,13 +1,13 @@
-"""Yaw angle in hover by the coefficients of a transfer function: Table 3.1 and (2.13), estimate (3.20).
+"""Yaw angle in hover as a ratio of polynomials: Table 3.1 and (2.13), estimate (3.20).
 
 Flown: as in `yaw_hover`.
 
 Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 3.
 
-Odd: the published coefficients solve the linear least squares problem (3.17), not (4.26), which is minimized here.
+Note: the published coefficients solve the linear least squares problem (3.17), not (4.26), which is minimized here.
 There is no delay: the coefficients absorb it.
-The minimum has a pole near 240 rad/s, eight times the highest frequency of the data, so that the bounds are wider than
-the model's own (radius 50 rad/s gives 0.79207 with a3 at its bound).
+The minimum has a pole near 240 rad/s, eight times the highest frequency of the data, so the bounds are wider than the
+model's defaults (a radius of 50 rad/s gives 0.79207 with a3 at its bound).
 """
 
 import greybox as gb
@@ -20,7 +20,7 @@ published = {
     "values": coefficients([1294, 1294 * 10.93], [1, 0], [0.834, 1], [1, 28.9, 1036]),
     "cost": 1.9701,
 }
-minimum = 0.789827  # half of 1000 starts; bounds a hundred times wider give no better one
+minimum = 0.789827  # half of 1000 starts; bounds a hundred times wider give no lower one
 settings = {"starts": 200, "seed": 0}
 
 

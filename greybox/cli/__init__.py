@@ -1,6 +1,7 @@
-"""The command line. Begin with `main`: it declares the commands, calls one, and turns errors into sentences.
+"""The command line. Begin with `main`: it declares the commands, runs one, and turns errors into sentences.
 
-`list_command` is `greybox list`, `log_commands` are `greybox inspect` and `greybox response`; `greybox fit` stands in
-`main`. `catalog` finds the models and problems that are included and those in a user's own file, `data_file` reads what
-`--data` names, `command` holds what all commands return.
+Each command is a file: `fit_command`, `list_command`, `inspect_command`, `response_command`. `stated_problem` makes the
+problem that the options of `greybox fit` state, `catalog` finds the included models and problems and those in a user's
+own file, `data_file` reads what `--data` names, and `log_tests` finds the test segments of a log. `options` holds what
+the options of all commands share, `output` what they give: answers, exit statuses, files and figures.
 """

@@ -1,4 +1,4 @@
-"""Finding models and problems: those that are shipped, and those in a user's own file."""
+"""Finding models and problems: those that are included, and those in a user's own file."""
 
 import ast
 import difflib
@@ -13,29 +13,30 @@ from types import ModuleType
 from typing import Any
 
 from greybox.compiled.compiled_problem import AnyProblem
-from greybox.formulation.problem import Problem, Sum
+from greybox.formulation.problem import Problem
+from greybox.formulation.sum import Sum
 from greybox.modeling.model import Model
 
 
 def shipped(kind: str) -> list[str]:
-    """Return the names of the shipped files of a kind, "models" or "problems"."""
+    """Return the names of the included files of a kind, "models" or "problems"."""
     package = importlib.import_module(f"greybox.{kind}")
     return sorted(item.name for item in pkgutil.iter_modules(package.__path__) if not item.name.startswith("_"))
 
 
 def shipped_module(kind: str, name: str) -> ModuleType:
-    """Import a shipped file.
+    """Import an included file.
 
     Raises
     ------
     ValueError
-        If there is none of that name; the sentence proposes the nearest.
+        If there is none of that name; the sentence suggests the nearest.
     """
     known = shipped(kind)
     if name not in known:
         near = difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"the shipped ones are {', '.join(known)}."
-        raise ValueError(f"there is no shipped {kind[:-1]} {name!r}; {hint} A file of your own ends in .py.")
+        hint = f"did you mean {near[0]!r}?" if near else f"the included ones are {', '.join(known)}."
+        raise ValueError(f"there is no included {kind[:-1]} {name!r}; {hint} A file of your own ends in .py.")
     return importlib.import_module(f"greybox.{kind}.{name}")
 
 
@@ -71,27 +72,30 @@ def module_from_file(path: Path) -> ModuleType:
 
 
 def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
-    """Return a problem and its settings from a shipped name, ``my.py`` (its ``problem()``) or ``my.py:name``.
+    """Return a problem and its settings from an included name, ``my.py`` (its ``problem()``) or ``my.py:name``.
 
     Raises
     ------
     ValueError, FileNotFoundError
-        If it is not there or is no problem.
+        If it does not exist or is not a problem.
     """
     module, name = _locate("problems", text)
     place = text.removesuffix(f":{name}")
     wanted = name or "problem"
+
     found = getattr(module, wanted, None)
     if found is None:
         raise ValueError(f"{place} has no {wanted!r}: define {wanted}() that returns a gb.Problem.")
     problem = found() if callable(found) and not isinstance(found, Problem | Sum) else found
     if not isinstance(problem, Problem | Sum):
-        raise ValueError(f"{wanted} in {place} gives {problem!r:.60}: it must give a gb.Problem or a sum.")
+        raise ValueError(
+            f"{wanted} in {place} is {problem!r:.60}: it must be, or return, a gb.Problem or a sum of them."
+        )
     label = Path(place).stem + (f":{name}" if name else "")
     settings = getattr(module, "settings", {})
     unknown = set(settings) - {"starts", "seed"}
     if unknown:
-        raise ValueError(f"settings in {text} has {unknown.pop()!r}: it may hold 'starts' and 'seed'.")
+        raise ValueError(f"settings in {text} has {unknown.pop()!r}: it may contain 'starts' and 'seed'.")
     return problem.with_(name=label), dict(settings)
 
 
@@ -101,7 +105,7 @@ def find_model(text: str) -> Model:
     Raises
     ------
     ValueError, FileNotFoundError
-        If it is not there or is no model.
+        If it does not exist or is not a model.
     """
     match = re.fullmatch(r"(?P<place>[^()]+?)(?P<arguments>\(.*\))?", text)
     if match is None:
@@ -110,7 +114,7 @@ def find_model(text: str) -> Model:
     known = [n for n, c in vars(module).items() if _is_own_model(c, module)]
     if name not in known:
         raise ValueError(
-            f"model {text!r} is not there; {match['place'].split(':')[0]} has {', '.join(known) or 'none'}."
+            f"there is no model {text!r}; {match['place'].split(':')[0]} has {', '.join(known) or 'none'}."
         )
     return getattr(module, name)(*_arguments(match["arguments"] or "()", text))
 

@@ -10,16 +10,16 @@ from greybox.logs.prepare import TO_SI
 from greybox.logs.readers import read
 from greybox.modeling.model import Model
 
-LONG = 200  # characters of a list in a sentence
+LONG = 200  # characters of a list in a sentence: more would hide the cure after it
 
 
 def read_data(path: str | Path, model: Model, input: str = "", output: str = "") -> FrequencyResponse | Record:
-    """Return the data; of a file that is no frequency response the one record that has the signals of the model.
+    """Return a frequency response, or else the one record of the file that has the signals of the model.
 
     Raises
     ------
     ValueError, FileNotFoundError
-        If there is no such file, or it holds neither, or not one such record, or its units are not SI.
+        If there is no such file, or it has neither or several such records, or its units are not SI.
     """
     path = Path(path)
     if not path.is_file():
@@ -60,7 +60,7 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
         factor, unit = TO_SI.get(record.units.get(name, ""), (1.0, ""))
         if factor != 1:
             raise ValueError(
-                f"{path} has {name} in {record.units[name]}, and a fit takes {unit}: "
+                f"{path} has {name} in {record.units[name]}, but a fit needs {unit}: "
                 f"{_preparation(path, (*inputs, *outputs))}."
             )
     return record

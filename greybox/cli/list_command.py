@@ -1,4 +1,4 @@
-"""The command `greybox list`: what is on the shelf."""
+"""The command `greybox list`: the included models and problems."""
 
 import argparse
 import re
@@ -6,13 +6,24 @@ from types import ModuleType
 from typing import Any
 
 from greybox.cli.catalog import find_model, find_problem, models_of, shipped, shipped_module
-from greybox.cli.command import USABLE, Answer
+from greybox.cli.options import add_common_options
+from greybox.cli.output import USABLE, Answer
 from greybox.data.text_table import number, text_table
 from greybox.modeling.model import Model, equation
 
 
-def list_shelf(options: argparse.Namespace) -> Answer:
-    """List the shipped models and problems, or show one whole."""
+def add_command(commands: Any) -> None:
+    """Declare the command and its options."""
+    parser = commands.add_parser("list", help="the included models and problems, with their equations and sources")
+    parser.add_argument(
+        "name", nargs="?", metavar="NAME", help="show the details of one: a problem, or a model such as tilt:Tilt"
+    )
+    add_common_options(parser)
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> Answer:
+    """List the included models and problems, or show the details of one."""
     if options.name is not None:
         return _show(options.name)
     problems = [(name, _doc(shipped_module("problems", name))) for name in shipped("problems")]
@@ -29,7 +40,7 @@ def list_shelf(options: argparse.Namespace) -> Answer:
         re.split(r", (?=[(]|section|below|which)", _source(doc))[0] for _, doc in (*problems, *models) if _source(doc)
     )
     sources = "\n".join(f"Source: {title}" for title in titles)
-    last = "`greybox list NAME` shows one whole, with its equation."
+    last = "`greybox list NAME` shows the details of one, with its equation."
     answer = {
         kind: [{"name": name, "summary": _first(doc), "source": _source(doc), "about": doc} for name, doc in rows]
         for kind, rows in (("problems", problems), ("models", models))

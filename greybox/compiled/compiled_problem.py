@@ -18,14 +18,15 @@ from greybox.compiled.transcription.method import Transcription
 from greybox.compiled.transcription.multiple_shooting import MultipleShooting
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.formulation.frequency_criteria import Criterion
-from greybox.formulation.problem import Problem, Sum
+from greybox.formulation.problem import Problem
+from greybox.formulation.sum import Sum
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.harmonic_balance import harmonic_function
 from greybox.modeling.linear_response import response_function
 from greybox.modeling.model import Names
 from greybox.modeling.pade_delay import delay_order
 
-AnyProblem = Problem | Sum
+AnyProblem = Problem | Sum[Problem]
 Array = NDArray[np.float64]
 
 

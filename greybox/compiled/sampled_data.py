@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.record import Record
-from greybox.statistics.noise_ratio import movement
+from greybox.statistics.noise_ratio import noise_ratio
 
 Array = NDArray[np.float64]
 
@@ -189,7 +189,7 @@ def sampled_data(
         )
     stretches = gapless(record, inputs, outputs, lead=lead, complete=complete)
     constant = bool(inputs) and all(_is_constant(record[name]) for name in inputs)
-    if constant and not any(movement([s.outputs[k] for s in stretches]).smooth for k in range(len(outputs))):
+    if constant and not any(noise_ratio([s.outputs[k] for s in stretches]).smooth for k in range(len(outputs))):
         raise ValueError(
             f"the inputs of the record never change ({names}) and {_listed(outputs)} is indistinguishable from noise: "
             "nothing can be estimated from it."

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from greybox.data.text_table import counted
+from greybox.data.text_table import counted, one_line
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +147,11 @@ class FrequencyResponse:
     def _scaled(self, factor: NDArray[np.complexfloating], output: str) -> "FrequencyResponse":
         variance = None if self.variance is None else self.variance * np.abs(factor) ** 2
         return replace(self, response=self.response * factor, variance=variance, output=output or self.output)
+
+    def __repr__(self) -> str:
+        return one_line(
+            self, repr(self.name), f"{self.input} -> {self.output}", counted(len(self), "frequency", "frequencies")
+        )
 
     def __str__(self) -> str:
         pair = f"{self.input or 'input'} -> {self.output or 'output'}"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from greybox.data.text_table import counted
+from greybox.data.text_table import counted, one_line
 
 GAP = 2.5  # a step longer than this many median steps is a gap, across which nothing is interpolated
 
@@ -127,6 +127,11 @@ class Record:
         signals = {name: values[rows] for name, values in self.signals.items()}
         return replace(self, time=self.time[rows], signals=signals)
 
+    def __repr__(self) -> str:
+        return one_line(
+            self, repr(self.name), counted(len(self), "sample"), f"{self.duration:.4g} s", ", ".join(self.signals)
+        )
+
     def __str__(self) -> str:
         signals = ", ".join(f"{n} ({self.units[n]})" if self.units.get(n) else n for n in self.signals)
         pieces = len(self.pieces)
@@ -195,6 +200,9 @@ class Recording(Mapping[str, Record]):
             there = f"several messages have it: {', '.join(holders)}" if holders else "no message has it"
             raise KeyError(f"the signal {signal!r} is not clear, {there}; write MESSAGE.{signal}.")
         return self.records[holders[0]], signal
+
+    def __repr__(self) -> str:
+        return one_line(self, repr(self.source), counted(len(self), "message"), ", ".join(self.records))
 
 
 def _read_only(values: ArrayLike, name: str) -> NDArray[np.float64]:

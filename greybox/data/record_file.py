@@ -23,7 +23,8 @@ def write_record(group: Node, record: Record) -> None:
 
 def read_record(group: Node) -> Record:
     """Read what `write_record` wrote."""
-    signals, units = {}, {}
+    signals = {}
+    units = {}
     for key, dataset in group["signals"].items():
         name = _plain(key)
         signals[name] = np.asarray(dataset[()], dtype=float)

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from greybox.data.text_table import number, text_table
+from greybox.data.text_table import number, one_line, text_table
 
 
 @dataclass(frozen=True)
@@ -70,6 +70,15 @@ class Segment:
     def refused(self, *findings: str) -> "Segment":
         """Return the segment with more findings, not usable."""
         return replace(self, usable=False, findings=(*self.findings, *findings))
+
+    def __repr__(self) -> str:
+        return one_line(
+            self,
+            self.kind,
+            f"{self.start:.6g} to {self.end:.6g} s",
+            self.axis or "no axis",
+            *([] if self.usable else ["not usable"]),
+        )
 
 
 def segment_table(segments: Sequence[Segment]) -> str:

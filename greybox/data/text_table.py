@@ -50,3 +50,9 @@ def is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def one_line(thing: object, *facts: str) -> str:
+    """Return ``<Class fact, fact>`` for the `repr` of a large value: one line of less than 120 characters."""
+    text = " ".join(f"<{type(thing).__name__} {', '.join(facts)}".split())
+    return f"{text}>" if len(text) < 119 else f"{text[:115]}...>"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Information, Trajectory
-from greybox.formulation.problem import Estimated
+from greybox.formulation.held_estimate import HeldEstimate
 
 Array = NDArray[np.float64]
 
@@ -149,7 +149,9 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
 def informations(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -> list[Information]:
     """Return what every part says about all values at the unknowns `x` (p,), see `Part.information`."""
     values = nlp.all_values(x)
-    uncertain = tuple(k for k, name in enumerate(nlp.names) if k >= len(nlp.free) and name in nlp.problem.known)
+    uncertain = tuple(
+        k for k, name in enumerate(nlp.names) if k >= len(nlp.free) and name in nlp.problem.held_estimates
+    )
     slope = nlp.scaling.slope(x)
     each = zip(nlp.parts, trajectories or [None] * len(nlp.parts), strict=True)
     return [part.information(nlp.names, values, uncertain, trajectory, slope) for part, trajectory in each]
@@ -309,8 +311,8 @@ def _is_loose(combination: Combination, nlp: Nlp, covariance: Array, x: Array) -
 def _known_covariances(nlp: Nlp) -> list[tuple[Array, float]]:
     """Return the covariance of the constants that come from each earlier fit, embedded in that of all values."""
     names = nlp.names
-    sources: dict[int, tuple[Estimated, list[str]]] = {}
-    for name, source in nlp.problem.known.items():
+    sources: dict[int, tuple[HeldEstimate, list[str]]] = {}
+    for name, source in nlp.problem.held_estimates.items():
         if name in names:
             sources.setdefault(id(source), (source, []))[1].append(name)
     result = []

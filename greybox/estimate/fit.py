@@ -30,8 +30,9 @@ from greybox.estimate.fitted_record import fitted_record, stated
 from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit, FittedRecord, FittedResponse
 from greybox.formulation.frequency_criteria import CRITERIA, evaluate
-from greybox.formulation.problem import Problem, Sum
+from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Chained, Listed, Sobol, Starts, as_starts
+from greybox.formulation.sum import Sum
 from greybox.modeling.harmonic_balance import response_of_test
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
 from greybox.solve.gauss_newton.driver import GaussNewton

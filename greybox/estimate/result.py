@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.data.text_table import counted, number, text_table, with_error
+from greybox.data.text_table import counted, number, one_line, text_table, with_error
 from greybox.formulation.frequency_criteria import CRITERIA
 from greybox.modeling.harmonic_balance import response_of_test
 from greybox.modeling.model import Model
@@ -52,6 +52,10 @@ class Quantity:
     bounds: tuple[float, float] = (-math.inf, math.inf)
     at_bound: bool = False
     dof: float = math.inf
+
+    def __repr__(self) -> str:
+        value, error = with_error(self.value, self.standard_error)
+        return one_line(self, f"{self.name} = {value} ± {error} {self.unit}", self.kind)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -98,12 +102,15 @@ class FittedPart:
     label: str
     equation: str
 
+    def __repr__(self) -> str:
+        return one_line(self, repr(self.name), self.label, self.criterion)
+
     def has_criterion_of(self, other: "FittedPart") -> bool:
         """Tell whether both were fitted by the same criterion: one class with the same settings."""
         return (self.criterion_class, self.settings) == (other.criterion_class, other.settings)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class FittedResponse(FittedPart):
     """A frequency response with the fitted one.
 
@@ -128,7 +135,7 @@ class FittedResponse(FittedPart):
     sine: Sine | None = None
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class FittedRecord(FittedPart):
     """A record with the fitted outputs.
 
@@ -365,6 +372,14 @@ class Fit:
         signals: Any = {"input": stated.data.input, "output": stated.data.output}
         signals |= {"at": stated.at, "delay": stated.delay}
         return response_of_test(alive, values, omega, stated.sine, stated.data.omega, **signals)
+
+    def __repr__(self) -> str:
+        return one_line(
+            self,
+            f"{self.name!r}, {self.status}",
+            f"cost {self.cost:.6g} ({self.criterion})",
+            counted(len(self.free), "free parameter"),
+        )
 
     def __str__(self) -> str:
         return _text(self)

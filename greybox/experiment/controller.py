@@ -89,7 +89,8 @@ class Controller(ABC):
         signals: Mapping[str, str] | None = None,
         initial: Mapping[str, float] | None = None,
     ) -> None:
-        label, self.signals = type(self).__name__, MappingProxyType(dict(signals or {}))
+        label = type(self).__name__
+        self.signals = MappingProxyType(dict(signals or {}))
         require_known(values or {}, self.parameters, "parameter", label)
         require_known(self.signals, (*self.inputs, *self.setpoints, *self.outputs), "signal", label)
         require_known(initial or {}, self.states, "state", label)
@@ -177,10 +178,12 @@ def connected(
     for k, c in enumerate(controllers):
         if not isinstance(c, Controller):
             raise TypeError(f"{c!r} is not a Controller: give e.g. AttitudeController().")
-        own, first = type(c).__name__, controllers[0]
+        own = type(c).__name__
+        first = controllers[0]
         if c.rate != first.rate:
             raise ValueError(f"{own} runs at {c.rate:g} Hz, {type(first).__name__} at {first.rate:g} Hz: use one rate.")
-        gives, takes = {*map(c.outside, c.outputs)}, {*map(c.outside, c.setpoints)}
+        gives = {*map(c.outside, c.outputs)}
+        takes = {*map(c.outside, c.setpoints)}
         if not gives & {*inputs, *(other.outside(n) for other in controllers[k + 1 :] for n in other.setpoints)}:
             raise ValueError(
                 f"{own} gives {', '.join(map(c.outside, c.outputs))}, but {plant} takes {', '.join(inputs) or 'none'}: "

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.record import Record
+from greybox.data.text_table import one_line
 
 Array = NDArray[np.float64]
 
@@ -74,6 +75,9 @@ class Excitation:
     def record(self) -> Record:
         """Return the signals as a `Record`, e.g. to simulate what they will do."""
         return Record(self.time, self.signals, self.units, name="excitation", metadata={"schedule": self.schedule})
+
+    def __repr__(self) -> str:
+        return one_line(self, ", ".join(self.signals), f"{self.time.size / self.rate:.4g} s at {self.rate:g} Hz")
 
     def __str__(self) -> str:
         kinds = sorted({maneuver.kind for maneuver in self.schedule})

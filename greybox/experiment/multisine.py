@@ -61,7 +61,8 @@ def multisine(  # noqa: PLR0913 - each is one fact of the test card
     values = [amplitude * v / np.max(np.abs(v)) for v in values]
     time = np.arange(count * periods) / rate
     step = 2 * math.pi / period
-    settled, end = (period if periods > 1 else 0.0), period * periods
+    settled = period if periods > 1 else 0.0
+    end = period * periods
     schedule = tuple(
         Maneuver(name, "multisine", 0.0, settled, end, h[0] * step, h[-1] * step, amplitude, 0.0)
         for name, h in zip(signals, dealt, strict=True)
@@ -99,7 +100,8 @@ def _phases(harmonics: NDArray[np.int64]) -> Array:
     """Return phases (n,) for which the sum of equal sines has a low peak and rises through zero at time zero."""
     from scipy.optimize import minimize  # noqa: PLC0415 - takes longer to import than this whole package
 
-    n, count = harmonics.size, 2 ** math.ceil(math.log2(8 * harmonics[-1]))
+    n = harmonics.size
+    count = 2 ** math.ceil(math.log2(8 * harmonics[-1]))
 
     def norm(phases: Array, p: int) -> tuple[float, Array]:
         values = _sum(harmonics, phases, count)

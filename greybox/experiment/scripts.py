@@ -6,13 +6,10 @@ from pathlib import Path
 from greybox.data.safe_files import write_text
 from greybox.experiment.excitation import Excitation
 from greybox.experiment.sweep import DWELL
+from greybox.logs.ardupilot import SYSTEMID_AXES
 
 AXES = {"roll": 1, "pitch": 2, "yaw": 3}  # of the SINE message, and the first three of SID_AXIS
-# SID_AXIS, https://ardupilot.org/copter/docs/parameters.html
-SYSTEMID_AXES = (
-    "input roll,input pitch,input yaw,recovery roll,recovery pitch,recovery yaw,"
-    "rate roll,rate pitch,rate yaw,mixer roll,mixer pitch,mixer yaw,mixer thrust"
-).split(",")
+FLOWN_AXES = SYSTEMID_AXES[:13]  # those that inject into an attitude loop or the mixer
 
 
 def write_excitation(excitation: Excitation, path: str | Path) -> None:
@@ -72,7 +69,7 @@ def ardupilot_script(excitation: Excitation, axis: str = "pitch", *, period_ms: 
 def systemid_parameters(excitation: Excitation, axis: str) -> str:
     """Return a parameter file that makes ArduPilot's SystemID mode fly this sweep.
 
-    `axis` is where it is added, e.g. "mixer pitch" (see `SYSTEMID_AXES`); a signal in rad or rad/s is converted to
+    `axis` is where it is added, e.g. "mixer pitch" (see `FLOWN_AXES`); a signal in rad or rad/s is converted to
     degrees, as the vehicle wants it for all but the mixer axes. Source: ArduCopter/mode_systemid.cpp.
 
     Raises
@@ -82,8 +79,8 @@ def systemid_parameters(excitation: Excitation, axis: str) -> str:
         mode's range.
     """
     have = excitation.settings
-    if axis not in SYSTEMID_AXES:
-        raise ValueError(f"the axis {axis!r} is not known: use one of {', '.join(SYSTEMID_AXES)}.")
+    if axis not in FLOWN_AXES:
+        raise ValueError(f"the axis {axis!r} is not known: use one of {', '.join(FLOWN_AXES)}.")
     if have.get("kind") != "logarithmic" or have.get("dwell") != DWELL:
         raise ValueError(
             f"SystemID mode flies logarithmic sweeps after {DWELL} periods only: use sweep(low, high, ...)."
@@ -91,7 +88,7 @@ def systemid_parameters(excitation: Excitation, axis: str) -> str:
     for name, limit in (("duration", 255), ("fade_in", 20), ("fade_out", 5)):
         if have[name] > limit:
             raise ValueError(f"{name} is {have[name]:g} s, but SystemID mode takes at most {limit} s: shorten it.")
-    number = SYSTEMID_AXES.index(axis) + 1
+    number = FLOWN_AXES.index(axis) + 1
     angular = next(iter(excitation.units.values())).startswith("rad")
     if angular == axis.startswith("mixer"):
         raise ValueError(

@@ -46,7 +46,8 @@ def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
     if heights.size not in (1, frequencies.size):
         raise ValueError(f"there are {frequencies.size} frequencies but {heights.size} amplitudes: give one for each.")
     heights = np.broadcast_to(heights, frequencies.shape)
-    schedule, clock = [], pause
+    schedule = []
+    clock = pause
     for w, eta in zip(frequencies.tolist(), heights.tolist(), strict=True):
         period = 2 * math.pi / w
         lead = round_up(lead_in / period) * period

@@ -102,7 +102,8 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     """
     if not isinstance(model, Model):
         raise TypeError(f"{model!r} is not a model: give an instance, such as LinearTilt().")
-    system, truth = dynamics(model), model.values(values)
+    system = dynamics(model)
+    truth = model.values(values)
     controllers = connected(controller, system.inputs, {*system.outputs, *system.states}, model.label)
     clock = controllers[0].rate if controllers else _open_loop_rate(excitation, rate)
     thinning = _thinning(clock, rate)
@@ -177,11 +178,13 @@ class _Loop:
 
 def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], tuple[str, ...]]:
     """Return every signal of the log by name, at the controller's rate, and what was found wrong."""
-    n, strides = len(loop.system.states), 1
+    n = len(loop.system.states)
+    strides = 1
     while True:
         step, names = _step(loop, strides)
         after, log = (np.asarray(v) for v in step.mapaccum("flight", time.size)(loop.start(), columns))
-        flown, local = log[: len(names) + n], log[len(names) + n :]
+        flown = log[: len(names) + n]
+        local = log[len(names) + n :]
         wrong = ~(np.abs(flown) < DIVERGED)
         reached = int(np.argmax(wrong.any(axis=0))) if wrong.any() else time.size
         error = _largest(local[:, :reached], flown[len(names) :, :reached], after[:n, :reached])
@@ -206,7 +209,8 @@ def _step(loop: _Loop, strides: int) -> tuple[ca.Function, list[str]]:
 
     Behind what has names come the plant's states and what twice as many strides change in them.
     """
-    system, delays = loop.system, loop.delays
+    system = loop.system
+    delays = loop.delays
     x = ca.SX.sym("x", len(system.states))
     memory = [ca.SX.sym("c", len(c.states)) for c in loop.controllers]
     past = [ca.SX.sym(name, whole + 1) for name, (whole, _) in zip(system.inputs, delays, strict=True)]
@@ -224,19 +228,23 @@ def _step(loop: _Loop, strides: int) -> tuple[ca.Function, list[str]]:
     ]
     y = {n: _sensor(loop, n, x, ca.vertcat(*now)) + errors[k] for k, n in enumerate(loop.measured)}
     remembered = _control(loop, memory, y, signals, excitation)
-    late, parts = _late(past, signals, loop), [part for _, part in delays]
+    late = _late(past, signals, loop)
+    parts = [part for _, part in delays]
     force = ca.SX.zeros(len(system.states))
     for k, n in enumerate(loop.forced):
         force[system.states.index(n)] = forces[k]
     coarse = fine = x
     for begin, end in pairwise(sorted({0.0, *parts, 1.0})):
         u = ca.vertcat(*[b if begin < part else a for a, b, part in zip(late, early, parts, strict=True)])
-        span, count = (end - begin) / loop.clock, math.ceil(strides * (end - begin))
+        span = (end - begin) / loop.clock
+        count = math.ceil(strides * (end - begin))
         coarse, fine = (_runge_kutta(loop, v, u, force, span, k) for v, k in ((coarse, count), (fine, 2 * count)))
     shifted = [ca.vertcat(signals[n], *ca.vertsplit(h)[:-1]) for n, h in zip(system.inputs, past, strict=True)]
     log = {**signals, **y}
-    state, column = ca.vertcat(x, *memory, *past), ca.vertcat(told, errors, forces)
-    following, logged = ca.vertcat(fine, *remembered, *shifted), ca.vertcat(*log.values(), x, ca.fabs(fine - coarse))
+    state = ca.vertcat(x, *memory, *past)
+    column = ca.vertcat(told, errors, forces)
+    following = ca.vertcat(fine, *remembered, *shifted)
+    logged = ca.vertcat(*log.values(), x, ca.fabs(fine - coarse))
     return ca.Function("step", [state, column], [following, logged]), [*log]
 
 
@@ -266,7 +274,8 @@ def _control(loop: _Loop, memory: list[ca.SX], y: Signals, signals: Signals, exc
 def _sensor(loop: _Loop, name: str, x: ca.SX, u: ca.SX) -> ca.SX:
     """Return an output, a state, or the time derivative of either."""
     system = loop.system
-    y, f = system.output(x, u, loop.p), system.derivative(x, u, loop.p)
+    y = system.output(x, u, loop.p)
+    f = system.derivative(x, u, loop.p)
     stem = name.removesuffix(DOT)
     for names, values in ((system.outputs, y), (system.states, x)):
         if name in names:
@@ -379,7 +388,8 @@ def _errors(
     measured: Sequence[str], noise: Mapping[str, float], bias: Mapping[str, float], count: int, seed: int
 ) -> Array:
     """Return what the sensors add, (k, count)."""
-    deviation, constant = _checked("noise", noise, measured, low=0), _checked("bias", bias, measured)
+    deviation = _checked("noise", noise, measured, low=0)
+    constant = _checked("bias", bias, measured)
     drawn = _draws(seed, 0).standard_normal((len(measured), count))
     return np.array([deviation.get(n, 0.0) * d + constant.get(n, 0.0) for n, d in zip(measured, drawn, strict=True)])
 

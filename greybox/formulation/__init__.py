@@ -1,10 +1,10 @@
 """What is estimated from what, by which rule.
 
-Begin with `problem`: a model, data and a criterion, with fixed, free, tied and renamed parameters; problems add. What
-all rules share is in `criterion`, the rules themselves in `frequency_criteria` and `time_criteria`. `several` states
-one problem for several records, `sensor_biases` numbers the biases that each record has for itself, `held_estimate` is
-what a problem asks of an earlier `Fit` whose values it holds fixed, and `starts` are the points from which a search
-begins, one rule a class.
+Begin with `problem`: a model, data and a criterion, with fixed, free, tied and renamed parameters; problems add
+to a `sum`, which asks of each part what stands in `summand`. What all rules share is in `criterion`, the rules
+themselves in `frequency_criteria` and `time_criteria`. `several` states one problem for several records,
+`sensor_biases` numbers the biases that each record has for itself, `held_estimate` is what a problem asks of an earlier
+`Fit` whose values it holds fixed, and `starts` are the points from which a search begins, one rule a class.
 """
 
 from greybox.formulation.frequency_criteria import Criterion as Criterion
@@ -13,9 +13,9 @@ from greybox.formulation.frequency_criteria import MaximumLikelihood as MaximumL
 from greybox.formulation.frequency_criteria import RelativeError as RelativeError
 from greybox.formulation.frequency_criteria import SquaredRelativeError as SquaredRelativeError
 from greybox.formulation.problem import Problem as Problem
-from greybox.formulation.problem import Sum as Sum
 from greybox.formulation.several import several as several
 from greybox.formulation.starts import Starts as Starts
+from greybox.formulation.sum import Sum as Sum
 from greybox.formulation.time_criteria import OutputError as OutputError
 from greybox.formulation.time_criteria import PredictionError as PredictionError
 from greybox.formulation.time_criteria import TimeCriterion as TimeCriterion

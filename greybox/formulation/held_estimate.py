@@ -1,4 +1,4 @@
-"""An earlier answer, as a problem takes it for values that it holds."""
+"""An earlier answer whose values a problem holds fixed; its covariance then widens the standard errors."""
 
 from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable
@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 
 @runtime_checkable
-class Estimated(Protocol):
-    """An earlier answer, as `fixed` takes it: values and their covariance."""
+class HeldEstimate(Protocol):
+    """What a problem asks of an earlier answer given as `fixed`: values and their covariance, as a `Fit` has them."""
 
     @property
     def estimate(self) -> Mapping[str, float]:

@@ -11,19 +11,18 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
+from greybox.data.text_table import one_line
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
-from greybox.formulation.held_estimate import Estimated
-from greybox.formulation.sensor_biases import with_own_biases
+from greybox.formulation.held_estimate import HeldEstimate
+from greybox.formulation.sum import Sum
 from greybox.formulation.time_criteria import OutputError, TimeCriterion
 from greybox.modeling.harmonic_balance import check_sine
-from greybox.modeling.model import Model, Names, merge, pick_signals, require_known
+from greybox.modeling.model import Model, Names, pick_signals, require_known
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.sine import Sine, as_sine
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import require_no_nan, traced
-
-LONG = 200  # characters of a list in a sentence
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +71,7 @@ class Problem:
     model: Model
     data: FrequencyResponse | Record
     criterion: Criterion | TimeCriterion = None  # type: ignore[assignment]
-    fixed: Mapping[str, "float | Estimated"] | Estimated = field(default_factory=dict)
+    fixed: Mapping[str, float | HeldEstimate] | HeldEstimate = field(default_factory=dict)
     free: Sequence[str] = ()
     tied: Mapping[str, Callable[[Any], Any]] = field(default_factory=dict)
     constraints: Sequence[Callable[[Any], Any]] = ()
@@ -86,76 +85,81 @@ class Problem:
     def __post_init__(self) -> None:
         """Fill in the defaults and check that everything fits together."""
         _require(self.model, Model, "model", "an instance such as Tilt(), not the class")
-        require_data(self.data)
-        kind, usual = (TimeCriterion, OutputError()) if isinstance(self.data, Record) else (Criterion, RelativeError())
+        if not isinstance(self.data, FrequencyResponse | Record):
+            raise TypeError(f"data is {_wrong_data(self.data)}.")
+        self._fill_in_defaults()
+
+        in_time = isinstance(self.data, Record)
+        kind = TimeCriterion if in_time else Criterion
+        cure = "OutputError(), for a record" if in_time else "RelativeError(), for a frequency response"
+        _require(self.criterion, kind, "criterion", f"a criterion such as {cure}")
+        if not isinstance(self.weight, (int, float, np.number)) or not (math.isfinite(self.weight) and self.weight > 0):
+            raise ValueError(f"weight {self.weight!r} must be a finite number above 0.")
+        delay_order(self.delay)
+
+        object.__setattr__(self, "_declared", {**self.model.parameters, **self._added_by_criterion()})
+        self._check_names()
+        self._check_rename()
+        self._check_operating_point()
+        self._check_amplitude()
+
+        stated = {name: self._as_stated(name, p) for name, p in self.declared.items() if name not in self.tied}
+        object.__setattr__(self, "_stated_parameters", stated)
+        self._check_functions()
+
+    def _fill_in_defaults(self) -> None:
         if self.criterion is None:
-            object.__setattr__(self, "criterion", usual)
-        what = "record" if isinstance(self.data, Record) else "frequency response"
-        _require(self.criterion, kind, "criterion", f"a criterion such as {type(usual).__name__}(), for a {what}")
+            object.__setattr__(self, "criterion", OutputError() if isinstance(self.data, Record) else RelativeError())
         if isinstance(self.free, str):
             object.__setattr__(self, "free", (self.free,))
         if not self.name:
             object.__setattr__(self, "name", self.data.name or self.model.label)
-        if not isinstance(self.weight, (int, float, np.number)) or not (math.isfinite(self.weight) and self.weight > 0):
-            raise ValueError(f"weight {self.weight!r} must be a finite number above 0.")
-        delay_order(self.delay)
-        self._check_signals()
-        self._check_names()
-        self._check_operating_point()
-        self._check_amplitude()
-        object.__setattr__(self, "_parameters", self._build_parameters())
-        self._check_functions()
 
-    def _check_signals(self) -> None:
-        added: Mapping[str, Parameter] = {}
-        if isinstance(self.data, Record) and isinstance(self.criterion, TimeCriterion):
-            self.criterion.compared(self.model, self.data)
-            added = self.criterion.parameters(self.model, self.data)
-            both = [name for name in added if name in self.model.parameters]
-            if both:
-                raise ValueError(
-                    f"{self.model.label} declares {both[0]!r}, which is also the name of an unknown of the criterion: "
-                    "rename it in the model."
-                )
-        elif isinstance(self.data, FrequencyResponse) and isinstance(self.criterion, Criterion):
+    def _added_by_criterion(self) -> Mapping[str, Parameter]:
+        """Check that model, data and criterion fit together, and return the unknowns that the criterion adds."""
+        if isinstance(self.data, FrequencyResponse) and isinstance(self.criterion, Criterion):
             self.criterion.check(self.data)
             pick_signals(self.model, self.data.input, self.data.output)
-        object.__setattr__(self, "_declared", {**self.model.parameters, **added})
+            return {}
 
-    @property
-    def declared(self) -> Mapping[str, Parameter]:
-        """The parameters of the model, and after them those that the criterion adds."""
-        return self.__dict__["_declared"]
+        assert isinstance(self.data, Record)
+        assert isinstance(self.criterion, TimeCriterion)
+        self.criterion.compared(self.model, self.data)
+        added = self.criterion.parameters(self.model, self.data)
+        for name in added:
+            if name in self.model.parameters:
+                raise ValueError(
+                    f"{self.model.label} declares {name!r}, which is also the name of an unknown of the criterion: "
+                    "rename it in the model."
+                )
+        return added
 
     def _check_names(self) -> None:
-        label, known = self.model.label, self.declared
-        for what, names in (
-            ("fixed", self.given),
-            ("free", self.free),
-            ("tied", self.tied),
-            ("rename", self.rename),
-        ):
+        """Check that fixed, free, tied and rename name parameters, and the first three each a different one."""
+        label = self.model.label
+        known = self.declared
+        stated: dict[str, Iterable[str]] = {"fixed": self.fixed_values, "free": self.free, "tied": self.tied}
+        for what, names in {**stated, "rename": self.rename}.items():
             for name in names:
                 if name not in known:
                     raise ValueError(
                         f"{what} names {name!r}, which {label} does not have; its parameters are {', '.join(known)}."
                     )
-        for a, b, first, second in (
-            (self.given, self.free, "fixed", "free"),
-            (self.given, self.tied, "fixed", "tied"),
-            (self.free, self.tied, "free", "tied"),
-        ):
-            both = [name for name in a if name in b]
-            if both:
-                raise ValueError(f"{both[0]!r} is both {first} and {second}: keep one of them.")
+
+        for first, second in (("fixed", "free"), ("fixed", "tied"), ("free", "tied")):
+            for name in stated[first]:
+                if name in stated[second]:
+                    raise ValueError(f"{name!r} is both {first} and {second}: keep one of them.")
+
+    def _check_rename(self) -> None:
         for old, new in self.rename.items():
             if not isinstance(new, str) or not new:
                 raise TypeError(f"rename gives {old!r} the name {new!r}: give a text.")
-        outside = [self.rename.get(name, name) for name in known]
+        outside = [self.outside(name) for name in self.declared]
         for name in outside:
             if outside.count(name) > 1:
                 raise ValueError(
-                    f"rename gives two parameters of {label} the name {name!r}: use tied to make them equal."
+                    f"rename gives two parameters of {self.model.label} the name {name!r}: use tied to make them equal."
                 )
 
     def _check_operating_point(self) -> None:
@@ -178,44 +182,21 @@ class Problem:
         input, _ = pick_signals(self.model, self.data.input, self.data.output)
         check_sine(self.model, self.amplitude, input, self.data.omega)
 
-    @property
-    def given(self) -> Mapping[str, "float | Estimated"]:
-        """Return `fixed` by name."""
-        if isinstance(self.fixed, Mapping):
-            return self.fixed
-        if not isinstance(self.fixed, Estimated):
-            raise TypeError(f"fixed is {self.fixed!r:.60}: give {{name: value}} or a Fit.")
-        shared = {name: self.fixed for name in self.declared if self.rename.get(name, name) in self.fixed.estimate}
-        if not shared:
-            raise ValueError(
-                f"the Fit given as fixed has {', '.join(self.fixed.estimate)}, of which {self.model.label} has none; "
-                f"its parameters are {', '.join(self.model.parameters)}."
-            )
-        return shared
-
-    def _build_parameters(self) -> dict[str, Parameter]:
-        result = {}
-        for local, parameter in self.declared.items():
-            if local in self.tied:
-                continue
-            result[local] = self._as_stated(local, parameter)
-        return result
-
-    def _as_stated(self, local: str, parameter: Parameter) -> Parameter:
+    def _as_stated(self, name: str, parameter: Parameter) -> Parameter:
         """Apply `fixed` and `free` to one declared parameter."""
-        given = self.given
-        if local not in given:
-            return replace(parameter, fixed=parameter.fixed and local not in self.free)
-        value = given[local]
-        if isinstance(value, Estimated):
-            require_known([self.rename.get(local, local)], value.estimate, "estimate", "the Fit given as fixed")
-            value = value.estimate[self.rename.get(local, local)]
+        if name not in self.fixed_values:
+            return replace(parameter, fixed=parameter.fixed and name not in self.free)
+
+        value = self.fixed_values[name]
+        if isinstance(value, HeldEstimate):
+            require_known([self.outside(name)], value.estimate, "estimate", "the Fit given as fixed")
+            value = value.estimate[self.outside(name)]
         if not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
-            raise ValueError(f"fixed gives {local!r} the value {value!r}: give a finite number or a Fit.")
+            raise ValueError(f"fixed gives {name!r} the value {value!r}: give a finite number or a Fit.")
         low, high = parameter.bounds
         if not low <= value <= high:
             raise ValueError(
-                f"fixed gives {local!r} the value {value:g} outside its bounds ({low:g}, {high:g}): "
+                f"fixed gives {name!r} the value {value:g} outside its bounds ({low:g}, {high:g}): "
                 "change the value or the bounds in the model."
             )
         return replace(parameter, start=float(value), fixed=True)
@@ -224,29 +205,56 @@ class Problem:
         """Try ties, constraints and derived quantities in numbers, so that a mistake shows here, not inside CasADi."""
         if not isinstance(self.constraints, Sequence) or isinstance(self.constraints, str):
             raise TypeError(f"constraints is {self.constraints!r:.60}: give a list of functions.")
-        start = {self.rename.get(n, n): p.start for n, p in self._own.items()}
-        p = self.local_values(start)
+
+        starts = {name: parameter.start for name, parameter in self.parameters.items()}
+        p = self.local_values(starts)
         for name in self.tied:
             _require_number(p[name], f"tied[{name!r}]")
         for k, constraint in enumerate(self.constraints):
             _require_number(_call(constraint, p, f"constraints[{k}]"), f"constraints[{k}]")
         for name, function in self.model.derived.items():
             _require_number(_call(function, p, f"derived[{name!r}] of {self.model.label}"), f"derived[{name!r}]")
-        self._trace_functions(start)
+
+        self._trace_functions(starts)
 
     def _trace_functions(self, names: Iterable[str]) -> None:
         """Try the same with expressions, where `if`, `max` and `math.exp` fail."""
-        symbols = {name: ca.SX.sym(name) for name in names}
-        p = self.local_values(symbols)
-        named = {f"tied[{name!r}]": lambda _, name=name: p[name] for name in self.tied}
-        named |= {f"constraints[{k}]": constraint for k, constraint in enumerate(self.constraints)}
-        named |= {f"derived[{name!r}] of {self.model.label}": f for name, f in self.model.derived.items()}
-        for what, function in named.items():
+        p = self.local_values({name: ca.SX.sym(name) for name in names})
+        functions = {f"tied[{name!r}]": lambda _, name=name: p[name] for name in self.tied}
+        functions |= {f"constraints[{k}]": constraint for k, constraint in enumerate(self.constraints)}
+        functions |= {f"derived[{name!r}] of {self.model.label}": f for name, f in self.model.derived.items()}
+        for what, function in functions.items():
             require_no_nan(what, ca.SX(traced(what, function, p)))
 
     @property
-    def _own(self) -> dict[str, Parameter]:
-        return self.__dict__["_parameters"]
+    def declared(self) -> Mapping[str, Parameter]:
+        """The parameters of the model, and after them those that the criterion adds."""
+        return self.__dict__["_declared"]
+
+    @property
+    def fixed_values(self) -> Mapping[str, float | HeldEstimate]:
+        """What `fixed` gives, by name: numbers and earlier answers."""
+        if isinstance(self.fixed, Mapping):
+            return self.fixed
+        if not isinstance(self.fixed, HeldEstimate):
+            raise TypeError(f"fixed is {self.fixed!r:.60}: give {{name: value}} or a Fit.")
+        shared = {name: self.fixed for name in self.declared if self.outside(name) in self.fixed.estimate}
+        if not shared:
+            raise ValueError(
+                f"the Fit given as fixed has {', '.join(self.fixed.estimate)}, of which {self.model.label} has none; "
+                f"its parameters are {', '.join(self.model.parameters)}."
+            )
+        return shared
+
+    @property
+    def held_estimates(self) -> dict[str, HeldEstimate]:
+        """The earlier answers among the fixed values, by outside name."""
+        return {self.outside(name): v for name, v in self.fixed_values.items() if isinstance(v, HeldEstimate)}
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """Parameters by their outside name, as stated here; tied ones are left out."""
+        return {self.outside(name): parameter for name, parameter in self.__dict__["_stated_parameters"].items()}
 
     @property
     def response(self) -> FrequencyResponse:
@@ -267,119 +275,42 @@ class Problem:
         """The problems in this sum: itself."""
         return (self,)
 
-    @property
-    def parameters(self) -> dict[str, Parameter]:
-        """Parameters by their outside name, as stated here; tied ones are left out."""
-        return {self.rename.get(name, name): parameter for name, parameter in self._own.items()}
-
-    @property
-    def known(self) -> dict[str, Estimated]:
-        """The earlier answers among the fixed values, by outside name."""
-        return {self.rename.get(n, n): v for n, v in self.given.items() if isinstance(v, Estimated)}
+    def outside(self, name: str) -> str:
+        """Return the name by which a parameter is known outside."""
+        return self.rename.get(name, name)
 
     def local_values(self, values: Mapping[str, Any]) -> Names:
         """Name the model's parameters, ties evaluated, given numbers or expressions by outside name."""
-        local = {name: values[self.rename.get(name, name)] for name in self._own}
+        local = {name: values[self.outside(name)] for name in self.__dict__["_stated_parameters"]}
         for name, tie in self.tied.items():
             local[name] = _call(tie, Names(local, f"the problem {self.name!r}, at this tie,"), f"tied[{name!r}]")
         return Names({name: local[name] for name in self.declared}, self.model.label)
 
-    def __add__(self, other: Any) -> "Sum":
-        return _add(self, other)
+    def __add__(self, other: Any) -> "Sum[Problem]":
+        if isinstance(other, Sum):
+            return Sum((self, *other.as_added))
+        return Sum((self, other)) if isinstance(other, Problem) else NotImplemented
 
-    def __radd__(self, other: Any) -> "Problem | Sum":
-        return self if other == 0 else NotImplemented
+    def __radd__(self, other: Any) -> "Problem | Sum[Problem]":
+        if isinstance(other, Sum):
+            return Sum((*other.as_added, self))
+        return self if other == 0 else NotImplemented  # the built-in sum() begins with 0
 
     def with_(self, **changes: Any) -> Self:
         """Return the same problem with some fields changed."""
         return replace(self, **changes)
 
-
-@dataclass(frozen=True, eq=False)
-class Sum:
-    """Several problems solved at once: costs add by their weights, parameters of one name are one unknown.
-
-    The bias of a sensor is each record's own: where several records have it, ``x_bias`` becomes ``x_bias_1``,
-    ``x_bias_2`` ..., numbered as the records are. Parts of the same record share it; so do parts that give it one name,
-    ``rename={"x_bias": "x_bias"}``.
-    """
-
-    parts: tuple[Problem, ...]
-    name: str = ""
-
-    def __post_init__(self) -> None:
-        """Name the biases, merge the parameters and check the labels."""
-        object.__setattr__(self, "_stated", self.parts)
-        object.__setattr__(self, "parts", with_own_biases(self.parts))
-        if not self.name:
-            object.__setattr__(self, "name", " + ".join(dict.fromkeys(part.name for part in self.parts)))
-        merged: dict[str, Parameter] = {}
-        for part in self.parts:
-            for name, parameter in part.parameters.items():
-                merged[name] = merge(name, merged[name], parameter) if name in merged else parameter
-        self._check_ties(merged)
-        object.__setattr__(self, "_parameters", merged)
-
-    def _check_ties(self, merged: Mapping[str, Parameter]) -> None:
-        random = np.random.default_rng(0)
-        low, high = np.clip(np.array([p.bounds for p in merged.values()]).T, -1e3, 1e3)
-        points = [[p.start for p in merged.values()], *random.uniform(low, high, (4, len(merged)))]
-        seen: dict[str, list[float]] = {}
-        for part in self.parts:
-            for name in part.tied:
-                outside = part.rename.get(name, name)
-                values = [part.local_values(dict(zip(merged, point, strict=True)))[name] for point in points]
-                if outside in merged or not np.allclose(seen.setdefault(outside, values), values, equal_nan=True):
-                    raise ValueError(
-                        f"{outside!r} is tied in {part.name!r} and otherwise in another part: tie it alike in both, "
-                        f"or give one another name, rename={{{name!r}: ...}}."
-                    )
-
-    @property
-    def parameters(self) -> dict[str, Parameter]:
-        """The merged parameters by outside name; tied ones are left out."""
-        return dict(self.__dict__["_parameters"])
-
-    @property
-    def known(self) -> dict[str, Estimated]:
-        """The earlier answers among the fixed values."""
-        return {name: value for part in self.parts for name, value in part.known.items()}
-
-    def __add__(self, other: Any) -> "Sum":
-        return _add(self, other)
-
-    def __radd__(self, other: Any) -> "Sum":
-        return self if other == 0 else NotImplemented
-
-    def with_(self, **changes: Any) -> "Sum":
-        """Return the same sum with fields of every part changed (`name` is that of the sum)."""
-        name = changes.pop("name", self.name)
-        return Sum(tuple(replace(part, **changes) for part in _stated(self)), name)
+    def __repr__(self) -> str:
+        return one_line(self, repr(self.name), f"{self.model.label} to {self.data!r:.60}", self.criterion.name)
 
 
-def _add(a: Problem | Sum, b: Any) -> Sum:
-    if not isinstance(b, Problem | Sum):
-        return NotImplemented
-    return Sum((*_stated(a), *_stated(b)))
-
-
-def _stated(problem: Problem | Sum) -> tuple[Problem, ...]:
-    """Return the parts as they were added, before their biases were numbered."""
-    return problem.parts if isinstance(problem, Problem) else problem.__dict__["_stated"]
-
-
-def require_data(given: Any) -> None:
-    """Raise TypeError, saying what to give instead, for what is neither a frequency response nor a record."""
-    if isinstance(given, FrequencyResponse | Record):
-        return
-    raise TypeError(f"data is {_described(given)}.")
-
-
-def _described(given: Any) -> str:
+def _wrong_data(given: Any) -> str:
+    """Say what stands where data should, and what to do about it."""
     if isinstance(given, Recording):
         first = next(iter(given), "MESSAGE")
+        messages = ", ".join(given)
         return (
-            f"a log with the messages {', '.join(given):.{LONG}}: give one of its records, such as log[{first!r}], or "
+            f"a log with the messages {messages:.200}: give one of its records, such as log[{first!r}], or "
             "what gb.prepare(log, {name: 'MESSAGE.Field'}) makes of several"
         )
     if isinstance(given, str | Path):

@@ -1,14 +1,15 @@
-"""Several records of one model: what they share is one unknown, what is each one's own gets its number."""
+"""One model for several records: shared parameters are one unknown, those of a record's own get its number."""
 
 from collections.abc import Sequence
 from typing import Any
 
 from greybox.data.record import Record
-from greybox.formulation.problem import Problem, Sum
+from greybox.formulation.problem import Problem
+from greybox.formulation.sum import Sum
 from greybox.modeling.model import Model, require_known
 
 
-def several(model: Model, records: Sequence[Record], own: Sequence[str] = (), **options: Any) -> Sum:
+def several(model: Model, records: Sequence[Record], own: Sequence[str] = (), **options: Any) -> Sum[Problem]:
     """Return the sum of a problem for every record, parameters shared but for those of its own.
 
     Parameters
@@ -22,10 +23,10 @@ def several(model: Model, records: Sequence[Record], own: Sequence[str] = (), **
     options
         Of every `Problem`: criterion, fixed, tied, constraints ...
 
-    Every record has its own estimated variances, by which it weighs: a record that the model fits badly weighs little.
-    Records of one sensor weigh alike with given standard deviations, ``criterion=OutputError(noise={"y": 0.1})``, of a
-    single output any: the standard errors follow the residuals. One record that holds them all, with gaps in its time
-    between, has one estimated variance.
+    Every record has its own estimated noise variances, which weight it: a record that the model fits badly has little
+    weight. To give records of one sensor equal weight, state its standard deviation,
+    ``criterion=OutputError(noise={"y": 0.1})``; with a single output any value will do, since standard errors use the
+    residual variance. One record that holds all of them, with gaps in its time, has one estimated variance.
 
     Raises
     ------
@@ -35,9 +36,11 @@ def several(model: Model, records: Sequence[Record], own: Sequence[str] = (), **
     if not isinstance(records, Sequence) or len(records) < 2:
         raise ValueError("several() takes a list of at least two records: for one, use Problem(model, record).")
     own = (own,) if isinstance(own, str) else tuple(own)
+
     parts = []
-    for k, record in enumerate(records, start=1):
-        bare = Problem(model, record, **options)
-        require_known(own, bare.declared, "parameter", model.label)
-        parts.append(bare.with_(rename={**bare.rename, **{name: f"{name}_{k}" for name in own}}))
+    for number, record in enumerate(records, start=1):
+        problem = Problem(model, record, **options)
+        require_known(own, problem.declared, "parameter", model.label)
+        numbered = {name: f"{name}_{number}" for name in own}
+        parts.append(problem.with_(rename={**problem.rename, **numbered}))
     return Sum(tuple(parts))

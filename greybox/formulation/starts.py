@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.data.text_table import counted, one_line
 from greybox.modeling.parameter import Parameter
 
 
@@ -99,6 +100,9 @@ class Listed(Starts):
 
     points: Sequence[Mapping[str, float]] = field(default=({},))
 
+    def __repr__(self) -> str:
+        return one_line(self, counted(len(self.points), "point"))
+
     def __str__(self) -> str:
         return f"{len(self.points)} listed"
 
@@ -132,6 +136,9 @@ class Chained(Starts):
     def __post_init__(self) -> None:
         """Take over the seed."""
         object.__setattr__(self, "seed", next((rule.seed for rule in self.rules if rule.seed is not None), None))
+
+    def __repr__(self) -> str:
+        return one_line(self, str(self))
 
     def __str__(self) -> str:
         return " + ".join(map(str, self.rules))

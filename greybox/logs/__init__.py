@@ -1,7 +1,8 @@
 """From a log file to a `Record`.
 
-Begin with `readers` (`read`: one format a file), then `prepare` (signals of several messages on one time base);
-`segment_detection` finds the tests in a log.
+Begin with `readers` (`read`: one format a file), then `prepare` (signals of several messages on one time base).
+`segment_detection` finds the tests in a log, `sine_detection` sines and sweeps in one signal; `ardupilot` holds what
+that flight controller does to signals and tests.
 """
 
 from greybox.logs.prepare import horizontal_velocity as horizontal_velocity

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from greybox.data.record import GAP, Record, Recording
 from greybox.data.text_table import counted
+from greybox.logs.ardupilot import gyro_filter
 
 Array = NDArray[np.float64]
 
@@ -48,18 +49,6 @@ class Derived:
     inputs: tuple[str, ...]
     compute: Callable[..., Array]
     unit: str
-
-
-@dataclass(frozen=True)
-class SecondOrderLowPass:
-    """A second-order low-pass filter that a signal has passed: cutoff in Hz, damping, and its sampling rate if digital.
-
-    `greybox.models.filters` has the model of it.
-    """
-
-    cutoff: float
-    damping: float = math.sqrt(0.5)
-    rate: float | None = None
 
 
 def horizontal_velocity(
@@ -143,7 +132,8 @@ def prepare(
     keep = np.logical_and.reduce([np.isfinite(values) for values in sampled.values()])
     if keep.sum() < 2:
         raise ValueError(f"{', '.join(sources)} are never there together from {grid[0]:.1f} to {grid[-1]:.1f} s.")
-    values, units = {}, {}
+    values = {}
+    units = {}
     for name, item in signals.items():
         columns = [sampled[source][keep] for source in needed[name]]
         values[name] = item.compute(*columns) if isinstance(item, Derived) else columns[0]
@@ -179,7 +169,8 @@ class _Source:
 def _source(recording: Recording, signal: str) -> _Source:
     record, field = recording.locate(signal)
     there = np.isfinite(record[field])
-    time, values = record.time[there], record[field][there]
+    time = record.time[there]
+    values = record[field][there]
     if time.size < 2:
         raise ValueError(f"{signal} has {counted(time.size, 'sample')}: there is nothing to put on a time base.")
     unit = record.units.get(field, "")
@@ -264,21 +255,9 @@ def _detrended(record: Record, how: str) -> Record:
 
 
 def _known_filters(recording: Recording, names: Sequence[str]) -> tuple[Any, ...]:
-    """Return the filters that the record knows of, or the gyro low-pass that ArduPilot applies before it logs rates."""
+    """Return the filters that the record knows of, or else ArduPilot's filter of gyro rates."""
     for name in names:
         record, field = recording.locate(name)
         if field in record.filters:
             return record.filters[field]
-    cutoff = recording.metadata.get("parameters", {}).get("INS_GYRO_FILTER")
-    rates = {
-        "RATE": ("R", "P", "Y"),
-        "IMU": ("GyrX", "GyrY", "GyrZ"),
-        "PIDR": ("Act",),
-        "PIDP": ("Act",),
-        "PIDY": ("Act",),
-    }
-    for name in names:
-        message, _, field = name.rpartition(".")
-        if cutoff and field in rates.get(message.partition("[")[0], ()):
-            return (SecondOrderLowPass(float(cutoff)),)
-    return ()
+    return next(((known,) for name in names if (known := gyro_filter(recording, name))), ())

@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.data.text_table import one_line
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import traced_derivative, traced_output
 from greybox.modeling.trim import trim_function
@@ -37,6 +38,9 @@ class LinearSystem:
     outputs: tuple[str, ...]
     delays: NDArray[np.float64]
     point: Mapping[str, float]
+
+    def __repr__(self) -> str:
+        return one_line(self, *(f"{kind} {', '.join(getattr(self, kind))}" for kind in ("states", "inputs", "outputs")))
 
     def __str__(self) -> str:
         names = ("x' = A x + B u(t - delay)", "y  = C x + D u(t - delay)")

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.data.text_table import counted, one_line
+
 
 @dataclass(frozen=True, eq=False)
 class Sine:
@@ -53,6 +55,11 @@ class Sine:
         whole = isinstance(self.harmonics, (int, np.integer)) and not isinstance(self.harmonics, bool)
         if not whole or not 1 <= self.harmonics <= 50:
             raise ValueError(f"harmonics {self.harmonics!r} must be a whole number from 1 to 50.")
+
+    def __repr__(self) -> str:
+        low, high = np.min(self.amplitude), np.max(self.amplitude)
+        size = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
+        return one_line(self, self.signal, f"amplitude {size}", counted(self.harmonics, "harmonic"))
 
     @property
     def plain(self) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.record import Record
-from greybox.data.text_table import number, text_table, with_error
+from greybox.data.text_table import number, one_line, text_table, with_error
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.realization import Dynamics, dynamics
@@ -99,6 +99,9 @@ class EquationError:
         require_known(names, self.estimate, "estimate", self.name)
         places = [list(self.estimate).index(name) for name in names]
         return self.covariance[np.ix_(places, places)]
+
+    def __repr__(self) -> str:
+        return one_line(self, self.name, f"estimates of {', '.join(self.estimate) or 'nothing'}")
 
     def __str__(self) -> str:
         lines = [f"{self.name}: equation error", ""]

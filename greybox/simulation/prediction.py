@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.record import Record
-from greybox.data.text_table import counted, number, text_table
+from greybox.data.text_table import counted, number, one_line, text_table
 from greybox.simulation.windows import seconds
 from greybox.statistics.metrics import fit_percent, rms
 
@@ -143,6 +143,11 @@ class Prediction:
         result = np.full(len(self.data), np.nan)
         result[self.rows.ravel()] = values.ravel()
         return result
+
+    def __repr__(self) -> str:
+        return one_line(
+            self, self.label, counted(len(self), "window"), f"{seconds(self.horizon)} s ahead", ", ".join(self.outputs)
+        )
 
     def __str__(self) -> str:
         head = (

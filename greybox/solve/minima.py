@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
+from greybox.data.text_table import counted, one_line
 from greybox.solve.outcome import Run
 
 SAME_COST = 1e-4  # relative; the smoothing moves costs by up to 6e-5
@@ -36,6 +37,11 @@ class Minimum:
     runs: tuple[int, ...]
     variants: int
 
+    def __repr__(self) -> str:
+        return one_line(
+            self, f"cost {self.cost:.6g}", counted(len(self.runs), "run"), counted(self.variants, "variant")
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Multistart:
@@ -60,6 +66,13 @@ class Multistart:
         named = (f"{r.status} ({r.reason})" if r.reason else r.status for r in self.runs if not r.converged)
         counts = Counter(named)
         return ", ".join(f"{count} × {status}" for status, count in counts.most_common())
+
+    def __repr__(self) -> str:
+        return one_line(
+            self,
+            f"{self.converged} of {counted(len(self.runs), 'run')} converged",
+            counted(len(self.minima), "minimum", "minima"),
+        )
 
 
 def find_minima(

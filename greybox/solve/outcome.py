@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.data.text_table import counted, one_line
+
 Array = NDArray[np.float64]
 
 
@@ -42,7 +44,9 @@ class Run:
     reason: str = ""
 
     def __repr__(self) -> str:
-        return f"Run(index={self.index}, cost={self.cost:.6g}, status={self.status!r}, iterations={self.iterations})"
+        return one_line(
+            self, f"{self.index}", self.status, f"cost {self.cost:.6g}", counted(self.iterations, "iteration")
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.test_segment import Segment
-from greybox.data.text_table import number, text_table
+from greybox.data.text_table import counted, number, one_line, text_table
 
 # Harmonics over fundamental. Of a cubic nonlinearity, y = x + k x³, harmonics of a share h come with a gain 3h off.
 NONLINEAR = 0.1
@@ -76,6 +76,9 @@ class FiniteFrequency:
         """Warnings on points, and the tests that were left out, in words."""
         found = [f"{p.omega:g} rad/s: {text}" for p in self.points for text in p.findings]
         return (*found, *(f"{s.kind} from {s.start:.1f} s left out: {reason}" for s, reason in self.left_out))
+
+    def __repr__(self) -> str:
+        return one_line(self, counted(len(self.points), "frequency", "frequencies"), f"{len(self.left_out)} left out")
 
     def __str__(self) -> str:
         header = ("rad/s", "periods", "|u|", "|y|", "gain", "phase °", "error %", "harmonics u, y %", "saturated %")

@@ -1,4 +1,4 @@
-"""Is this test worth a fit? What a record and a measured response say about it, in words and as data."""
+"""Whether a test is worth a fit: what a record and a measured response say about it, in words and as data."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -10,9 +10,44 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import GAP, Record
 from greybox.data.test_segment import Segment
-from greybox.data.text_table import number, text_table
+from greybox.data.text_table import counted, number, one_line, text_table
 
 Severity = Literal["note", "warning", "refusal"]
+
+# Limits of a warning and, where there are two, of a refusal.
+
+# Share of the time that is lost in gaps. Nothing is interpolated across them, so that a larger share costs data but
+# no accuracy; the limit is a convention.
+GAPS = 0.01
+
+# Standard deviation of the sampling interval over its median: read by row number, a signal of ten samples per period
+# (`SAMPLES`) then has a phase error of 2π/10 · 0.1 = 0.06 rad.
+JITTER = 0.1
+
+# Share of the time at a limit. A sine that is clipped for 20 % of the time has a third harmonic of 1.2 % and loses as
+# much of its fundamental; at 1 % both are 2e-6. The limits are a convention.
+SATURATED = (0.01, 0.2)
+AT_LIMIT = 1e-3  # of the distance between the limits
+
+# Values that a signal takes. Steps of the resolution have an error of step/√12 rms: 12 % of a sine across eight values,
+# 27 % of one across four.
+LEVELS = (8, 4)
+
+# Periods of the lowest frequency. From two periods the variance has two degrees of freedom and Student's t is 4.3; in
+# less than one, a sine cannot be told from a drift.
+PERIODS = (3, 1)
+
+# Per period of the highest frequency. Linear interpolation between ten samples takes 3 % off the amplitude, and half a
+# sample is 18° of phase; 2.5 are 0.4 of the sampling rate, where the frequencies of `spectral_response` end.
+SAMPLES = (10, 2.5)
+
+# Coherence: 0.6 is Tischler and Remple's limit (section 5.5). At 0.2, eight averages leave a standard deviation of
+# √((1 - 0.2) / (2 · 0.2 · 8)) = 50 % of the magnitude, the second limit of `ERROR`.
+COHERENCE = (0.6, 0.2)
+
+# Standard deviation of one component over the magnitude: at 0.1, an interval of 95 % is ±20 % or 1.7 dB; at 0.5 it
+# reaches zero.
+ERROR = (0.1, 0.5)
 
 
 @dataclass(frozen=True)
@@ -57,10 +92,13 @@ class Quality:
         """The sentences that refuse the test."""
         return tuple(f.text for f in self.findings if f.severity == "refusal")
 
+    def __repr__(self) -> str:
+        return one_line(self, "usable" if self.usable else "not usable", counted(len(self.findings), "finding"))
+
     def __str__(self) -> str:
-        lines = [f"{f.severity}: {f.text}" for f in self.findings] or ["nothing to object to"]
+        lines = [f"{f.severity}: {f.text}" for f in self.findings] or ["no problems found"]
         if self.bands:
-            header = ["band rad/s", "points", "coherence", "error %", "samples a period"]
+            header = ["band rad/s", "points", "coherence", "error %", "samples per period"]
             rows = [
                 [f"{b.low:.3g} to {b.high:.3g}", str(b.points), number(b.coherence, 3), number(100 * b.error, 2),
                  number(b.samples, 3)]
@@ -133,7 +171,7 @@ def _gaps(record: Record) -> Iterator[Finding]:
     wide = steps[steps > GAP * record.step]
     if wide.size:
         share = wide.sum() / record.duration
-        severity: Severity = "warning" if share > 0.01 else "note"
+        severity: Severity = "warning" if share > GAPS else "note"
         text = f"{wide.size} gaps, the longest {wide.max():.2g} s, {100 * share:.2g} % of the time"
         yield Finding("gaps", severity, float(share), f"{text}: nothing is interpolated across them.")
 
@@ -143,8 +181,10 @@ def jitter(record: Record) -> Iterator[Finding]:
     steps = np.diff(record.time)
     steady = steps[steps <= GAP * record.step]
     jitter = float(np.std(steady) / record.step) if steady.size else 0.0
-    if jitter > 0.1:
-        text = f"the sampling interval varies by {100 * jitter:.0f} %: use time stamps, as prepare does, not the rows."
+    if jitter > JITTER:
+        text = (
+            f"the sampling interval varies by {100 * jitter:.0f} %: use time stamps, as prepare does, not row numbers."
+        )
         yield Finding("jitter", "note", jitter, text)
 
 
@@ -160,14 +200,14 @@ def _excited(record: Record, segments: Sequence[Segment]) -> Record:
 def _saturation(record: Record, name: str, limits: tuple[float, float] | None) -> Iterator[Finding]:
     u = record[name][np.isfinite(record[name])]
     low, high = limits or (u.min(), u.max())
-    margin = 1e-3 * (high - low)
+    margin = AT_LIMIT * (high - low)
     at_limit = (u <= low + margin) | (u >= high - margin)
     if limits is None:  # an extreme value is a limit only if the signal stays there
         at_limit &= np.concatenate([[False], np.diff(u) == 0])
     share = float(at_limit.mean()) if np.ptp(u) > 0 else 0.0
-    if share > 0.01:
-        severity: Severity = "refusal" if share > 0.2 else "warning"
-        text = f"the control {name} is at a limit {100 * share:.0f} % of the time: a linear model is wrong there"
+    if share > SATURATED[0]:
+        severity: Severity = "refusal" if share > SATURATED[1] else "warning"
+        text = f"the control {name} is at a limit for {100 * share:.0f} % of the time: a linear model is wrong there"
         yield Finding("saturation", severity, share, f"{text}; use a smaller amplitude.")
 
 
@@ -176,11 +216,12 @@ def _amplitude(record: Record, names: Sequence[str]) -> Iterator[Finding]:
         values = record[name][np.isfinite(record[name])]
         levels = np.unique(values)
         if levels.size == 1:
-            text = f"{name} never moves (it is {levels[0]:g} throughout): nothing can be identified from it."
+            text = f"{name} is constant ({levels[0]:g} throughout): nothing can be identified from it."
             yield Finding("amplitude", "refusal", 0.0, text)
-        elif levels.size < 8:
-            text = f"{name} takes {levels.size} values only: its amplitude is that of its resolution; excite more."
-            yield Finding("amplitude", "refusal" if levels.size < 4 else "warning", float(levels.size), text)
+        elif levels.size < LEVELS[0]:
+            severity: Severity = "refusal" if levels.size < LEVELS[1] else "warning"
+            text = f"{name} takes {levels.size} values only: its amplitude is close to its resolution; excite more."
+            yield Finding("amplitude", severity, float(levels.size), text)
 
 
 def _segments(segments: Sequence[Segment]) -> Iterator[Finding]:
@@ -202,7 +243,7 @@ def _highest_lowest(response: FrequencyResponse | None, segments: Sequence[Segme
 def _spread(response: FrequencyResponse | None, segments: Sequence[Segment]) -> Iterator[Finding]:
     high, low = _highest_lowest(response, segments)
     if math.isnan(high):
-        text = "no test segment and no response was given: whether anything was excited has not been judged."
+        text = "no test segment and no response was given: the excitation has not been judged."
         yield Finding("spread", "note", math.nan, text)
     if response is not None:
         single = len(response) == 1
@@ -210,12 +251,10 @@ def _spread(response: FrequencyResponse | None, segments: Sequence[Segment]) -> 
         usable = [segment for segment in segments if segment.usable]
         single = bool(usable) and all(segment.kind == "sine" for segment in usable) and high == low
     if single:
-        text = f"everything is excited at {high:g} rad/s only: one frequency gives two numbers, enough for no dynamics"
+        text = f"only {high:g} rad/s is excited: one frequency gives two numbers, too few to identify dynamics"
         yield Finding("spread", "refusal", high, f"{text}; add frequencies around the ones of interest.")
     elif high < 2 * low:
-        text = (
-            f"the excitation covers {low:g} to {high:g} rad/s, less than an octave: few parameters can be told apart."
-        )
+        text = f"the excitation covers {low:g} to {high:g} rad/s, less than an octave: few parameters are identifiable."
         yield Finding("spread", "warning", high / low, text)
 
 
@@ -223,15 +262,16 @@ def _length(record: Record, response: FrequencyResponse | None, segments: Sequen
     usable = [s for s in segments if s.usable]
     if usable:
         fewest = min(usable, key=lambda s: s.periods)
-        periods, lowest = fewest.periods, fewest.band[0]
+        periods = fewest.periods
+        lowest = fewest.band[0]
     else:
         _, lowest = _highest_lowest(response, segments)
         longest = max(piece.duration for piece in record.pieces)
         periods = longest * lowest / (2 * math.pi)
-    if periods < 1:
+    if periods < PERIODS[1]:
         text = f"the record holds {periods:.2g} periods of its lowest frequency, {lowest:g} rad/s: fly longer."
         yield Finding("length", "refusal", periods, text)
-    elif periods < 3:
+    elif periods < PERIODS[0]:
         text = (
             f"the record holds {periods:.2g} periods of its lowest frequency, {lowest:g} rad/s: errors there are large."
         )
@@ -241,9 +281,9 @@ def _length(record: Record, response: FrequencyResponse | None, segments: Sequen
 def _rate(record: Record, response: FrequencyResponse | None, segments: Sequence[Segment]) -> Iterator[Finding]:
     highest, _ = _highest_lowest(response, segments)
     samples = 2 * math.pi * record.rate / highest
-    if samples < 10:
-        text = f"there are {samples:.2g} samples in a period of the highest frequency, {highest:g} rad/s"
-        severity: Severity = "refusal" if samples < 2.5 else "warning"
+    if samples < SAMPLES[0]:
+        text = f"there are {samples:.2g} samples per period of the highest frequency, {highest:g} rad/s"
+        severity: Severity = "refusal" if samples < SAMPLES[1] else "warning"
         yield Finding("rate", severity, samples, f"{text}: log faster, or leave the highest frequencies out.")
 
 
@@ -251,22 +291,22 @@ def _precision(response: FrequencyResponse | None) -> Iterator[Finding]:
     if response is None:
         return
     if response.coherence is not None:
-        weak = response.omega[response.coherence < 0.6]
+        weak = response.omega[response.coherence < COHERENCE[0]]
         if 0 < weak.size < len(response):
             places = ", ".join(f"{omega:.3g}" for omega in weak[:5]) + (" ..." if weak.size > 5 else "")
-            text = f"the coherence is below 0.6 at {places} rad/s: leave them out, their errors are understated."
-            yield Finding("coherence", "warning", float(weak.size), text)
+            text = f"the coherence is below {COHERENCE[0]} at {places} rad/s: leave these points out"
+            yield Finding("coherence", "warning", float(weak.size), f"{text}, their errors are understated.")
         coherence = float(np.median(response.coherence))
-        if coherence < 0.6:
-            text = (
-                f"half of the points have a coherence below {coherence:.2f}: the output is mostly not due to this input"
-            )
-            yield Finding("coherence", "refusal" if coherence < 0.2 else "warning", coherence, f"{text}; excite more.")
+        if coherence < COHERENCE[0]:
+            severity: Severity = "refusal" if coherence < COHERENCE[1] else "warning"
+            text = f"half of the points have a coherence below {coherence:.2f}: the output is mostly noise"
+            yield Finding("coherence", severity, coherence, f"{text} or due to other inputs; excite more.")
     if response.variance is not None:
         error = float(np.median(_error(response)))
-        if error > 0.1:
-            text = f"half of the points are known to no better than {100 * error:.0f} %, the size of the noise"
-            yield Finding("noise", "refusal" if error > 0.5 else "warning", error, f"{text}: excite more or longer.")
+        if error > ERROR[0]:
+            severity = "refusal" if error > ERROR[1] else "warning"
+            text = f"half of the points have a standard deviation above {100 * error:.0f} %: excite more or longer."
+            yield Finding("noise", severity, error, text)
 
 
 def _error(response: FrequencyResponse) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Measures of what a model leaves unexplained: how much it is, of what kind, and whether it is more than noise.
+"""Measures of fit and tests of residuals: how large they are, of what kind, and whether they are white.
 
 All take measured and predicted values, or residuals, as arrays with NaN where there is none.
 """
@@ -13,13 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 from greybox.statistics.residual_autocorrelation import autoregression
 
 Array = NDArray[np.float64]
-LAGS = 25
+LAGS = 25  # Ljung (1999), section 16.6, takes 20 to 30
 RANK = 1e-6  # relative eigenvalue of the input's correlations below which a direction holds no information
+NORMAL_99 = 2.576  # standard deviations that 99 % of normal values stay within
 
 
 def rms(error: ArrayLike) -> float:
     """Return the root mean square; NaN without any value."""
-    e = _there(error)
+    e = _finite(error)
     return float(np.sqrt(np.mean(e**2))) if e.size else math.nan
 
 
@@ -31,7 +32,7 @@ def fit_percent(measured: ArrayLike, predicted: ArrayLike) -> float:
 
 
 def variance_accounted_for(measured: ArrayLike, predicted: ArrayLike) -> float:
-    """Return 100 (1 - var(y - ŷ) / var(y)), which does not see a constant error."""
+    """Return 100 (1 - var(y - ŷ) / var(y)), which a constant error does not change."""
     y, p = _pairs(measured, predicted)
     spread = float(np.var(y)) if y.size else 0.0
     return 100 * (1 - float(np.var(y - p)) / spread) if spread > 0 else math.nan
@@ -46,8 +47,8 @@ class Theil:
     coefficient : float
         rms(y - ŷ) / (rms y + rms ŷ): 0 for a perfect prediction, 1 for none; below 0.25 to 0.3 in flight mechanics.
     bias, variance, covariance : float
-        Shares of the mean squared error, of sum 1: of the means, of the standard deviations, and of what is not
-        correlated; only the last is without system.
+        Shares of the mean squared error, of sum 1: due to the means, to the standard deviations, and to the lack of
+        correlation; only the last is not systematic.
 
     Source: Theil (1966), Applied Economic Forecasting, chapter 2; Jategaonkar (2006), Flight Vehicle System
     Identification, chapter 11.
@@ -112,18 +113,19 @@ def whiteness(stretches: Sequence[ArrayLike], lags: int = LAGS, fitted: int = 0)
     sums, pairs = _lagged([s - mean for s in series], [s - mean for s in series], lags)
     if n < 3 or not sums[0] > 0:
         return _unknown(lags)
-    r, pairs = sums[1:] / sums[0], pairs[1:]
+    r = sums[1:] / sums[0]
+    pairs = pairs[1:]
     # Under the hypothesis r has the variance (pairs)/(n (n + 2)), which is (n - k)/(n (n + 2)) without a gap.
     used = pairs > 0
     statistic = float(np.sum(r[used] ** 2 * n * (n + 2) / pairs[used]))
-    return _tested(statistic, max(int(used.sum()) - fitted, 1), r, 2.576 / math.sqrt(n))
+    return _tested(statistic, max(int(used.sum()) - fitted, 1), r, NORMAL_99 / math.sqrt(n))
 
 
 def input_correlation(residuals: Sequence[ArrayLike], inputs: Sequence[ArrayLike], lags: int = LAGS) -> CorrelationTest:
-    """Test whether residuals are correlated with the input 1 to `lags` samples before: what the model has missed.
+    """Test whether residuals are correlated with the input 1 to `lags` samples before: dynamics that the model lacks.
 
-    Not with the input of the same moment or later, which a controller makes of the very errors. The correlations of
-    an input with itself are accounted for, and so is a correlation of the residuals in time, as an autoregression.
+    The input of the same moment or later is not tested, since feedback correlates it with the errors. The
+    autocorrelation of the input is accounted for, and so is that of the residuals, as an autoregression.
     Source: Ljung (1999), System Identification, 2nd ed., section 16.6.
     """
     e, u = ([np.asarray(s, dtype=float) for s in group] for group in (residuals, inputs))
@@ -132,21 +134,23 @@ def input_correlation(residuals: Sequence[ArrayLike], inputs: Sequence[ArrayLike
         return _unknown(lags)
     e, u = ([s - float(np.nanmean(np.concatenate(group))) for s in group] for group in (e, u))
     a = autoregression([np.nan_to_num(s) for s in e])
-    # What whitens the residuals is applied to both, so that one residual says nothing of the next.
+
+    # What whitens the residuals is applied to both, so that successive residuals are independent.
     e, u = ([_filtered(s, a) for s in group] for group in (e, u))
     sums, pairs = _lagged(e, u, lags)
-    own, counts = _lagged(u, u, lags)
+    input_sums, input_pairs = _lagged(u, u, lags)
     errors = np.concatenate(e)
     variance = float(np.nanmean(errors**2)) if np.isfinite(errors).any() else 0.0
-    if not own[0] > 0 or not variance > 0 or not pairs[1:].all():
+    if not input_sums[0] > 0 or not variance > 0 or not pairs[1:].all():
         return _unknown(lags)
-    r_u = own / np.maximum(counts, 1) / (own[0] / counts[0])
-    r = sums[1:] / pairs[1:] / math.sqrt(variance * own[0] / counts[0])
-    places = np.arange(lags)
-    values, vectors = np.linalg.eigh(r_u[np.abs(places[:, None] - places)])
+
+    r_u = input_sums / np.maximum(input_pairs, 1) / (input_sums[0] / input_pairs[0])
+    r = sums[1:] / pairs[1:] / math.sqrt(variance * input_sums[0] / input_pairs[0])
+    lag = np.arange(lags)
+    values, vectors = np.linalg.eigh(r_u[np.abs(lag[:, None] - lag)])  # of their Toeplitz matrix
     kept = values > RANK * values[-1]
     statistic = float(pairs[1] * np.sum((vectors[:, kept].T @ r) ** 2 / values[kept]))
-    return _tested(statistic, int(kept.sum()), r, 2.576 / math.sqrt(pairs[1]))
+    return _tested(statistic, int(kept.sum()), r, NORMAL_99 / math.sqrt(pairs[1]))
 
 
 def mean_test(stretches: Sequence[ArrayLike]) -> tuple[float, float]:
@@ -178,13 +182,14 @@ def _filtered(values: Array, a: Array) -> Array:
 
 def _lagged(e: Sequence[Array], u: Sequence[Array], lags: int) -> tuple[Array, NDArray[np.int64]]:
     """Return Σ e(t) u(t - k) for k = 0 ... lags over all stretches, and how many pairs there were."""
-    sums, pairs = np.zeros(lags + 1), np.zeros(lags + 1, dtype=np.int64)
+    sums = np.zeros(lags + 1)
+    pairs = np.zeros(lags + 1, dtype=np.int64)
     for a, b in zip(e, u, strict=True):
         for k in range(min(lags, a.size - 1) + 1):
             product = a[k:] * b[: b.size - k]
-            there = np.isfinite(product)
-            sums[k] += product[there].sum()
-            pairs[k] += there.sum()
+            known = np.isfinite(product)
+            sums[k] += product[known].sum()
+            pairs[k] += known.sum()
     return sums, pairs
 
 
@@ -198,7 +203,7 @@ def _unknown(lags: int) -> CorrelationTest:
     return CorrelationTest(math.nan, 0, math.nan, np.full(lags, np.nan), math.nan)
 
 
-def _there(values: ArrayLike) -> Array:
+def _finite(values: ArrayLike) -> Array:
     values = np.asarray(values, dtype=float).ravel()
     return values[np.isfinite(values)]
 

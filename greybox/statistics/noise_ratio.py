@@ -1,4 +1,4 @@
-"""Whether a sampled signal moves smoothly or only as noise does, from one sample to the next."""
+"""The ratio of von Neumann: whether a sampled signal varies smoothly or is indistinguishable from white noise."""
 
 import math
 from collections.abc import Sequence
@@ -7,15 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-SMOOTH = 1.0  # ratio below which a signal moves: variance of the movement above that of white noise
-CERTAIN = 3.0  # standard deviations of the ratio of white noise
+# Ratio below which a signal is smooth. For a smooth signal plus white noise it is twice the share of the noise in the
+# variance: at 1, both are equally strong.
+SMOOTH = 1.0
+
+# Standard deviations of the ratio of white noise: one in 740 signals of pure noise lies below (normal distribution).
+CERTAIN = 3.0
 
 
 @dataclass(frozen=True)
-class Movement:
+class NoiseRatio:
     """The von Neumann ratio of a signal: mean squared successive difference over variance.
 
-    It is 2 for white noise, near 0 for a smooth movement, and NaN for a constant or less than four samples.
+    It is 2 for white noise, near 0 for a smooth signal, and NaN for a constant or fewer than four samples.
 
     Source: von Neumann (1941), Distribution of the ratio of the mean square successive difference to the variance,
     Annals of Mathematical Statistics 12.
@@ -32,26 +36,27 @@ class Movement:
 
     @property
     def smooth(self) -> bool:
-        """True where the signal moves by more than white noise on top of it; few samples must do so more clearly."""
+        """True where the smooth part has more variance than the noise; with few samples the limit is lower."""
         return self.ratio < min(SMOOTH, 2 - CERTAIN * self.spread)
 
     @property
     def noisy(self) -> bool:
-        """True where the signal is not told from white noise."""
+        """True where the signal is indistinguishable from white noise."""
         return not self.ratio < 2 - CERTAIN * self.spread
 
     @property
-    def explicable(self) -> float:
-        """The fit of the best model in percent, if what moves from one sample to the next is noise; NaN if unknown."""
+    def attainable_fit_percent(self) -> float:
+        """The fit of the best model in percent, if what is not smooth is noise; NaN if unknown."""
         return 100 * (1 - math.sqrt(min(self.ratio / 2, 1.0)))
 
 
-def movement(stretches: Sequence[ArrayLike]) -> Movement:
-    """Return how stretches of samples (n,) move, each about its own mean; NaN among them are skipped."""
+def noise_ratio(stretches: Sequence[ArrayLike]) -> NoiseRatio:
+    """Return the ratio of stretches of samples (n,), each about its own mean; NaN among them are skipped."""
     series = [s[np.isfinite(s)] for s in (np.asarray(stretch, dtype=float) for stretch in stretches)]
     series = [s for s in series if s.size > 1]
-    samples, free = sum(s.size for s in series), sum(s.size - 1 for s in series)
+    samples = sum(s.size for s in series)
+    differences = sum(s.size - 1 for s in series)
     squares = sum(float(np.sum((s - s.mean()) ** 2)) for s in series)
     if samples < 4 or not squares > 0:
-        return Movement(math.nan, samples)
-    return Movement(sum(float(np.sum(np.diff(s) ** 2)) for s in series) / squares, free + 1)
+        return NoiseRatio(math.nan, samples)
+    return NoiseRatio(sum(float(np.sum(np.diff(s) ** 2)) for s in series) / squares, differences + 1)

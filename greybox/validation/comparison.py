@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from greybox.data.text_table import counted, number, text_table
+from greybox.data.text_table import counted, number, one_line, text_table
 from greybox.simulation.prediction import Prediction
 from greybox.simulation.windows import seconds
 
@@ -88,6 +88,9 @@ class Comparison:
             raise ValueError(f"there is no {measure!r} of {label!r} for {data!r} and output {output!r} in the table.")
         return found[0].values[self.labels.index(label)]
 
+    def __repr__(self) -> str:
+        return one_line(self, f"of {', '.join(self.labels)}", counted(len(self.rows), "row"))
+
     def __str__(self) -> str:
         lines = [f"Comparison of {', '.join(self.labels)}", "", f"  data  {self.data}", ""]
         lines += self._section([r for r in self.rows if r.data == "fit"])
@@ -146,6 +149,9 @@ class NestedTest:
     statistic: float
     dof: tuple[float, float]
     p_value: float
+
+    def __repr__(self) -> str:
+        return one_line(self, f"{self.small} in {self.large}", f"p = {self.p_value:.2g}")
 
     def __str__(self) -> str:
         names = ", ".join(self.terms)

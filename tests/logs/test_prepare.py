@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 import greybox as gb
 from greybox.data.record import Record, Recording
-from greybox.logs.prepare import SecondOrderLowPass, negative
+from greybox.logs.ardupilot import SecondOrderLowPass
+from greybox.logs.prepare import negative
 
 RANDOM = np.random.default_rng(0)
 

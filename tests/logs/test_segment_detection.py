@@ -4,28 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from sine_schedules import schedule
 
 from greybox.data.record import Record, Recording
-from greybox.data.test_segment import Segment, segment_table
-from greybox.logs.segment_detection import find_segments, steady_runs
-
-STEP = 1 / 100  # s
-
-
-def test_a_segment_says_what_it_is():
-    segment = Segment(1.0, 11.0, omega=2 * math.pi, axis="pitch")
-    assert segment.duration == 10
-    assert segment.periods == pytest.approx(10)
-    assert segment.band == (segment.omega, segment.omega)
-    assert segment.refused("a", "b").findings == ("a", "b")
-    assert not segment.refused("a").usable
-    with pytest.raises(ValueError, match=r"the segment ends at 1 s, not after its start at 1 s"):
-        Segment(1.0, 1.0)
-    with pytest.raises(ValueError, match="the kind of a segment is 'step'"):
-        Segment(0.0, 1.0, "step")
-
+from greybox.data.test_segment import segment_table
+from greybox.logs.segment_detection import find_segments
 
 # --- System Identification mode
 
@@ -145,99 +128,6 @@ def test_what_cannot_be_found_is_said():
 # --- the setpoint alone
 
 
-def schedule(plan, pause=2.0, lead=5.0, amplitude=3.0, step=STEP):
-    """Return time and setpoint: one frequency after another, each from rest and back to it."""
-    plan = [(omega, math.ceil(least * omega / (2 * math.pi)) * 2 * math.pi / omega) for omega, least in plan]
-    t, now = np.arange(0, lead + sum(duration + pause for _, duration in plan) + 3, step), lead
-    r, starts = np.zeros(t.size), []
-    for omega, duration in plan:
-        inside = (t >= now) & (t < now + duration)
-        r[inside] = amplitude * np.sin(omega * (t[inside] - now))
-        starts.append((now, now + duration))
-        now += duration + pause
-    return t, r, starts
-
-
-def assert_found(runs, plan, starts, within=1.0):
-    assert [run.kind for run in runs] == ["sine"] * len(plan)
-    for run, (omega, _), (start, end) in zip(runs, plan, starts, strict=True):
-        assert run.omega == pytest.approx(omega, rel=2e-3)
-        assert run.amplitude == pytest.approx(3.0, rel=0.1)
-        assert run.start == pytest.approx(start, abs=within * math.pi / omega)
-        assert run.end == pytest.approx(end, abs=within * math.pi / omega)
-
-
-def staircase(t, r, hold=0.012):
-    return r[np.searchsorted(t, np.floor(t / hold) * hold)]
-
-
-@pytest.mark.parametrize("pause", [0.0, 2.0, 7.0])
-@pytest.mark.parametrize("spoiled", ["clean", "staircase", "offset", "step", "coarse"])
-def test_sines_one_after_another(pause, spoiled):
-    plan = [(20.0, 10.0), (8.0, 10.0), (4.0, 15.0), (3.5, 15.0), (2.0, 20.0), (1.0, 40.0)]
-    t, r, starts = schedule(plan, pause)
-    spoil = {
-        "clean": lambda: r,
-        "staircase": lambda: staircase(t, r),
-        "offset": lambda: r + 5,
-        "step": lambda: r + np.where(t < 3, -20.0, 0.0),
-        "coarse": lambda: np.round(r, 1),
-    }
-    assert_found(steady_runs(t, spoil[spoiled]()), plan, starts)
-
-
-@given(seed=st.integers(0, 10_000), ratio=st.floats(6, 100), omega=st.floats(1, 15))
-@settings(max_examples=25, deadline=None, derandomize=True)
-def test_sines_in_noise(seed, ratio, omega):
-    plan = [(omega, 15.0 + 20 / omega), (1.3 * omega, 15.0 + 20 / omega)]
-    t, r, starts = schedule(plan)
-    noisy = r + 3 / ratio * np.random.default_rng(seed).standard_normal(t.size)
-    runs = [run for run in steady_runs(t, noisy) if run.amplitude > 1]
-    assert_found(runs, plan, starts, within=8.0)
-
-
-@given(
-    low=st.floats(0.3, 3),
-    factor=st.floats(5, 60),
-    duration=st.floats(30, 90),
-    logarithmic=st.booleans(),
-    sign=st.booleans(),
-)
-@settings(max_examples=30, deadline=None, derandomize=True)
-def test_a_sweep_is_not_called_sines(low, factor, duration, logarithmic, sign):
-    t = np.arange(0, duration, STEP)
-    x = t / duration
-    phase = low * duration * ((factor**x - 1) / math.log(factor) if logarithmic else x + (factor - 1) * x**2 / 2)
-    r = np.sin(phase)[:: -1 if sign else 1]
-    runs = steady_runs(t, r)
-    assert not [run for run in runs if run.kind == "sine"]
-
-
-def test_a_sweep_is_called_a_sweep():
-    t = np.arange(0, 60, STEP)
-    phase = 60 * (30 ** (t / 60) - 1) / math.log(30)
-    (run,) = steady_runs(t, 2 * np.sin(phase))
-    assert run.kind == "sweep"
-    assert run.band == pytest.approx((3, 28), rel=0.5)
-    assert run.amplitude == pytest.approx(2, rel=0.1)
-    assert "sweep" in segment_table([run])
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_noise_steps_squares_and_walks_are_no_sines(seed):
-    rng = np.random.default_rng(seed)
-    t = np.arange(0, 60, STEP)
-    for r in (
-        rng.standard_normal(t.size),
-        np.cumsum(rng.standard_normal(t.size)),
-        np.sign(np.sin(2 * t)),
-        np.repeat(rng.standard_normal(60), 100),
-        np.zeros(t.size),
-        t,
-    ):
-        assert not [run for run in steady_runs(t, r) if run.kind == "sine" and run.duration > 3]
-
-
 def test_setpoints_of_a_recording():
     t, r, starts = schedule([(8.0, 10.0), (4.0, 15.0)])
     attitude = Record(t, {"DesRoll": 0 * t, "DesPitch": r}, units={"DesPitch": "deg"})
@@ -250,9 +140,3 @@ def test_setpoints_of_a_recording():
     assert [round(s.omega, 2) for s in find_segments(prepared, setpoint="r")] == [8, 4]
     gap = (t < starts[1][0] + 5) | (t > starts[1][0] + 8)
     assert len(find_segments(Record(t[gap], {"r": r[gap]}))) == 3
-
-
-@given(st.lists(st.floats(-1e6, 1e6, allow_subnormal=False), min_size=1, max_size=60))
-@settings(max_examples=100, deadline=None)
-def test_any_short_signal_is_survived(values):
-    steady_runs(np.arange(len(values)) * 0.3, np.array(values))

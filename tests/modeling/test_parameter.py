@@ -3,7 +3,11 @@
 import dataclasses
 import math
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 import greybox as gb
 
@@ -61,3 +65,34 @@ def test_a_parameter_is_frozen_and_compares_by_value():
 def test_bad_values_are_refused(words, sentence):
     with pytest.raises(ValueError, match=sentence):
         gb.Parameter(**{"start": 2.0, "bounds": (0, 5)} | words)
+
+
+def test_a_share_of_the_box_is_even_on_the_scale():
+    shares = np.array([0.0, 0.5, 1.0])
+    assert_allclose(gb.Parameter(2.0, bounds=(0, 5), starts=(1, 4)).in_box(shares), [1, 2.5, 4])
+    assert_allclose(gb.Parameter(2.0, bounds=(0.01, 100), scale="log").in_box(shares), [0.01, 1, 100])
+
+
+@given(seed=st.integers(0, 100), scale=st.sampled_from(["linear", "log"]))
+def test_draws_are_those_of_numpy_and_lie_in_the_box(seed, scale):
+    drawn = gb.Parameter(2.0, bounds=(0.1, 50), starts=(1, 4), scale=scale).draw(np.random.default_rng(seed))
+    random = np.random.default_rng(seed)
+    wanted = random.uniform(1, 4) if scale == "linear" else math.exp(random.uniform(0, math.log(4)))
+    assert drawn == pytest.approx(wanted, rel=1e-14)
+    assert 1 <= drawn <= 4
+
+
+@pytest.mark.parametrize(
+    ("parameter", "box"),
+    [
+        (gb.Parameter(2.0), (-18, 22)),
+        (gb.Parameter(0.0, bounds=(-math.inf, 1)), (-10, 1)),
+        (gb.Parameter(-300.0, bounds=(-400, math.inf)), (-400, 2700)),
+        (gb.Parameter(0.5, bounds=(0.1, math.inf), scale="log"), (0.1, 10.5)),
+    ],
+)
+def test_an_open_end_is_closed_ten_sizes_of_the_start_away(parameter, box):
+    random = np.random.default_rng(0)
+    drawn = [parameter.draw(random) for _ in range(400)]
+    assert box[0] <= min(drawn) < max(drawn) <= box[1]
+    assert max(drawn) > box[1] - 0.1 * (box[1] - box[0])

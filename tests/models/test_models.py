@@ -380,12 +380,12 @@ def test_polynomial_units_count_the_powers_of_a_second():
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ({"n": 2, "m": 2}, r"m = 2 is not below n = 2: .* lower m or raise n"),
-        ({"n": 0, "m": 0}, r"n = 0 is no order of a polynomial: give a whole number from 1"),
-        ({"n": 2.5, "m": 1}, r"n = 2\.5 is no order"),
-        ({"n": "4", "m": 1}, r"n = '4' is no order"),
-        ({"n": True, "m": 0}, r"n = True is no order"),
-        ({"n": 3, "m": -1}, r"m = -1 is no order of a polynomial: give a whole number from 0"),
+        ({"n": 2, "m": 2}, r"m = 2 is not below n = 2: .* Lower m or raise n"),
+        ({"n": 0, "m": 0}, r"n = 0 is not the order of a polynomial: give an integer of at least 1"),
+        ({"n": 2.5, "m": 1}, r"n = 2\.5 is not the order"),
+        ({"n": "4", "m": 1}, r"n = '4' is not the order"),
+        ({"n": True, "m": 0}, r"n = True is not the order"),
+        ({"n": 3, "m": -1}, r"m = -1 is not the order of a polynomial: give an integer of at least 0"),
         (
             {"radius": 10.0, "starts": 20.0},
             r"starts = 20\.0 and radius = 10\.0 must be finite with 0 < starts",

@@ -33,7 +33,7 @@ def test_a_good_test_passes():
     quality = check(record(), None, GOOD)
     assert quality.usable
     assert found(quality) == {}
-    assert str(quality) == "nothing to object to"
+    assert str(quality) == "no problems found"
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_the_bands_are_octaves_that_hold_every_point():
     assert sum(b.points for b in quality.bands) == 12
     assert quality.bands[0].coherence == pytest.approx(0.9)
     assert quality.bands[0].error == pytest.approx(0.02)
-    assert "samples a period" in str(quality)
+    assert "samples per period" in str(quality)
 
 
 def test_a_signal_that_is_not_there_is_named():

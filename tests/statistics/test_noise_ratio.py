@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from greybox.statistics.noise_ratio import movement
+from greybox.statistics.noise_ratio import noise_ratio
 
 
 @pytest.mark.parametrize("samples", [10, 40, 400])
 def test_white_noise_has_the_ratio_two_and_the_spread_told(samples):
-    found = [movement([np.random.default_rng(k).normal(size=samples)]) for k in range(2000)]
+    found = [noise_ratio([np.random.default_rng(k).normal(size=samples)]) for k in range(2000)]
     ratios = np.array([f.ratio for f in found])
     assert_allclose(ratios.mean(), 2, atol=4 * ratios.std() / np.sqrt(2000))
     assert_allclose(ratios.std(), found[0].spread, rtol=0.08)
@@ -24,25 +24,25 @@ def test_the_fit_that_noise_allows():
         e = sigma * np.random.default_rng(0).normal(size=4000)
         y = np.sin(time) + e
         best = 100 * (1 - np.linalg.norm(e) / np.linalg.norm(y - y.mean()))
-        found = movement([y])
-        assert_allclose(found.explicable, best, atol=1.5)
+        found = noise_ratio([y])
+        assert_allclose(found.attainable_fit_percent, best, atol=1.5)
         assert not found.noisy
         assert found.smooth == (sigma < 0.7)  # where the movement has more variance than the noise
 
 
 def test_a_few_samples_must_move_clearly():
-    assert movement([np.arange(10.0)]).smooth
-    assert not movement([np.arange(3.0)]).smooth
-    assert not movement([np.ones(50)]).smooth
-    assert not movement([]).smooth
+    assert noise_ratio([np.arange(10.0)]).smooth
+    assert not noise_ratio([np.arange(3.0)]).smooth
+    assert not noise_ratio([np.ones(50)]).smooth
+    assert not noise_ratio([]).smooth
 
 
 def test_stretches_and_missing_samples():
     """Each stretch moves about its own mean, and what is missing is skipped."""
     random = np.random.default_rng(1)
     pieces = [random.normal(size=200), 100 + random.normal(size=200)]
-    assert movement(pieces).noisy
-    assert movement([np.concatenate(pieces)]).smooth
+    assert noise_ratio(pieces).noisy
+    assert noise_ratio([np.concatenate(pieces)]).smooth
     slow = np.full(1000, np.nan)
     slow[::10] = np.sin(np.arange(100) / 10)
-    assert_allclose(movement([slow]).ratio, movement([slow[::10]]).ratio)
+    assert_allclose(noise_ratio([slow]).ratio, noise_ratio([slow[::10]]).ratio)

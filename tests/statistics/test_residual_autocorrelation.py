@@ -6,7 +6,12 @@ from numpy.testing import assert_allclose
 from scipy.linalg import expm, solve_discrete_lyapunov, toeplitz
 from scipy.signal import lfilter
 
-from greybox.statistics.residual_autocorrelation import autocovariance, autoregression, color, colored_information
+from greybox.statistics.residual_autocorrelation import (
+    autocovariance,
+    autoregression,
+    colored_information,
+    vector_autoregression,
+)
 
 AR2 = np.array([1.0, -1.5, 0.7])
 
@@ -58,23 +63,23 @@ def test_a_vector_autoregression_is_found():
     e = np.zeros((2, 20000))
     for t in range(1, 20000):
         e[:, t] = F @ e[:, t - 1] + white[:, t]
-    found = color([e[:, :9000], e[:, 9000:]])
+    found = vector_autoregression([e[:, :9000], e[:, 9000:]])
     assert_allclose(found.coefficients, [-F], atol=0.02)
     assert_allclose(found.innovation, white @ white.T / 20000, rtol=0.02)
     response = found.response()
     assert_allclose(response[:4], [np.eye(2), F, F @ F, F @ F @ F], atol=0.05)
-    scaled = color([e * [[1e-6], [1e6]]])
+    scaled = vector_autoregression([e * [[1e-6], [1e6]]])
     assert_allclose(scaled.innovation / np.outer([1e-6, 1e6], [1e-6, 1e6]), found.innovation, rtol=0.02)
 
 
 def test_one_output_has_the_same_autoregression_alone_and_as_a_vector():
     e = colored(AR2, 3000, seed=6)
-    assert_allclose(color([e[None]]).coefficients[:, 0, 0], autoregression([e])[1:], atol=1e-6)
+    assert_allclose(vector_autoregression([e[None]]).coefficients[:, 0, 0], autoregression([e])[1:], atol=1e-6)
 
 
 def test_an_output_without_errors_changes_nothing():
     e = np.vstack([colored(AR2, 3000, seed=6), np.zeros(3000)])
-    assert_allclose(color([e]).coefficients[:2, 0, 0], AR2[1:], atol=0.05)
+    assert_allclose(vector_autoregression([e]).coefficients[:2, 0, 0], AR2[1:], atol=0.05)
     J = np.random.default_rng(0).normal(size=(2, 2, 3000))
     assert_allclose(colored_information([J], [e]), colored_information([J[:1]], [e[:1]]), rtol=0.05)
 

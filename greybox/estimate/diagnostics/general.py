@@ -94,7 +94,8 @@ def _inactive(nlp: Nlp, names: tuple[str, ...]) -> str:
 
 def _unknown_constants(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
     errors = np.diag(accuracy.covariance)[len(nlp.free) :]
-    unknown = tuple(n for n, e in zip(nlp.constants, errors, strict=True) if n in nlp.problem.known and np.isnan(e))
+    held = nlp.problem.held_estimates
+    unknown = tuple(name for name, e in zip(nlp.constants, errors, strict=True) if name in held and np.isnan(e))
     if unknown:
         yield (
             f"the earlier fit gives {_listed(unknown)} no standard error, so none can be given here; "

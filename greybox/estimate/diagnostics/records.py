@@ -14,7 +14,7 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.data.text_table import counted
 from greybox.estimate.result import FittedRecord
-from greybox.statistics.noise_ratio import movement
+from greybox.statistics.noise_ratio import noise_ratio
 
 MASKED = 0.05  # share of the samples of a record from which their loss is told
 LITTLE = 10.0  # fit in percent below which a model explains almost nothing
@@ -48,18 +48,18 @@ def _unexplained(part: RecordPart, fitted: FittedRecord, *, alone: bool) -> Iter
         if not percent < LITTLE:
             continue
         name = output if alone else f"{output} in {fitted.name!r}"
-        found = movement([stretch.outputs[k] for stretch in part.data.stretches])
+        found = noise_ratio([stretch.outputs[k] for stretch in part.data.stretches])
         if found.noisy:
             yield (
                 f"{name} moves no more than noise does from sample to sample, and the model explains almost nothing of "
                 f"it (fit {percent:.1f} %): it tells hardly anything of the parameters; excite it more, or leave it "
                 "out."
             )
-        elif percent < SHARE * found.explicable:
+        elif percent < SHARE * found.attainable_fit_percent:
             yield (
                 f"the model explains almost nothing of {name} (fit {percent:.1f} %), where its noise from sample to "
-                f"sample would allow about {found.explicable:.0f} %: try other starts, narrower boxes for them, or "
-                "another structure."
+                f"sample would allow about {found.attainable_fit_percent:.0f} %: try other starts, narrower boxes for "
+                "them, or another structure."
             )
 
 

@@ -119,7 +119,8 @@ def _modes(mode: Messages | None, vehicle: str) -> tuple[tuple[float, str], ...]
 def _arming(by_name: Mapping[str, Messages]) -> list[tuple[float, bool]]:
     """Return (time, armed) from ARM and from EV; most vehicles log both."""
     changes: list[tuple[float, bool]] = []
-    arm, event = by_name.get("ARM"), by_name.get("EV")
+    arm = by_name.get("ARM")
+    event = by_name.get("EV")
     if arm is not None and arm.time is not None and "ArmState" in arm.columns:
         changes += [(t, bool(s)) for t, s in zip(arm.time.tolist(), arm.columns["ArmState"].tolist(), strict=True)]
     if event is not None and event.time is not None and "Id" in event.columns:

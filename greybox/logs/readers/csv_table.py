@@ -96,7 +96,8 @@ def _columns(
     if clean.shape[1] == len(headings):
         return {h.name: clean[:, i] for i, h in enumerate(headings) if h.name}, [], 0
     cells, odd = _cells(_rows(lines, separator, path), len(headings))
-    columns, words = {}, []
+    columns = {}
+    words = []
     for (name, _), column in zip(headings, cells, strict=True):
         values = _numbers(column, separator)
         if name and values is not None:

@@ -45,7 +45,8 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     OSError
         If the file cannot be opened.
     """
-    path, messages = Path(path), bare(messages)
+    path = Path(path)
+    messages = bare(messages)
     with open(path, "rb") as file:
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     found = index(data)
@@ -91,10 +92,13 @@ def _decode(
     data: mmap.mmap, found: Index, layout: Layout, rows: NDArray[np.intp], units: Units, whole: bool = True
 ) -> Messages:
     """Return the messages of one layout; without `whole` only their times."""
-    timer, offsets = clock_column(layout), found.offsets[rows]
+    timer = clock_column(layout)
+    offsets = found.offsets[rows]
     # A view of a body at every byte of the file; indexing a field of it copies only what is asked for.
     bodies = np.ndarray((len(data) - layout.length + 1,), layout.dtype, data, 3, (1,))
-    time, columns, texts = None, {}, {}
+    time = None
+    columns = {}
+    texts = {}
     for i, name in enumerate(layout.columns):
         if name == timer:
             time = bodies[f"f{i}"][offsets] / CLOCKS.get(name, 1e3)

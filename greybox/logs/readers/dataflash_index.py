@@ -97,7 +97,9 @@ class _Walk:
 
     def run(self) -> Index:
         """Go from message to message: in strides where the next header is where it should be, singly elsewhere."""
-        heads, at, last = _heads(self.raw), 0, len(self.data) - 3
+        heads = _heads(self.raw)
+        at = 0
+        last = len(self.data) - 3
         while at <= last:
             at = self._stride(at, heads)
             if at <= last:
@@ -108,14 +110,16 @@ class _Walk:
 
     def _stride(self, at: int, heads: NDArray[np.int64]) -> int:
         """Take messages that follow each other exactly, up to the next description; return where to go on."""
-        here, size = int(np.searchsorted(heads, at)), STRIDE
+        here = int(np.searchsorted(heads, at))
+        size = STRIDE
         while here + 1 < heads.size and heads[here] == at:
             starts = heads[here : here + size + 1]
             kinds = self.raw[starts[:-1] + 2]
             good = (starts[:-1] + self.lengths[kinds] == starts[1:]) & (kinds != FMT)
             number = good.size if good.all() else int(good.argmin())
             self._take(starts[:number], self.current[kinds[:number]])
-            here, at = here + number, int(starts[number])
+            here = here + number
+            at = int(starts[number])
             if number < good.size:
                 break
             size *= 2
@@ -142,7 +146,8 @@ class _Walk:
 
     def _drop_last(self) -> None:
         """Forget the message taken last."""
-        self.offsets[-1], self.which[-1] = self.offsets[-1][:-1], self.which[-1][:-1]
+        self.offsets[-1] = self.offsets[-1][:-1]
+        self.which[-1] = self.which[-1][:-1]
         if not self.offsets[-1].size:
             self.offsets.pop()
             self.which.pop()
@@ -174,7 +179,8 @@ class _Walk:
 
     def _next_sound(self, start: int, end: int) -> int:
         """Return the first header in start..end of a known type whose message another one, or the end, follows."""
-        data, size = self.data, len(self.data)
+        data = self.data
+        size = len(self.data)
         at = data.find(HEAD, start, min(end + 2, size))
         while at >= 0:
             length = int(self.lengths[data[at + 2]]) if at + 2 < size else 0

@@ -66,7 +66,8 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     OSError
         If the file cannot be opened.
     """
-    path, messages = Path(path), bare(messages)
+    path = Path(path)
+    messages = bare(messages)
     raw = path.read_bytes()
     lines = Lines(raw.decode("utf-8-sig", "replace").replace("\r", "\n"))
     damaged: dict[str, int] = {}
@@ -83,12 +84,16 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
 
 def _messages(lines: Lines, name: str, units: Units, damaged: dict[str, int]) -> Messages:
     """Return the messages of one name; lines with too few fields, or no time, are counted as damaged."""
-    layout, bodies = lines.layouts[name], lines.bodies.get(name, [])
+    layout = lines.layouts[name]
+    bodies = lines.bodies.get(name, [])
     width = len(layout.columns)
     split = [[field.strip() for field in body.split(",", width - 1)] for body in bodies]
     sound = [i for i, fields in enumerate(split) if len(fields) == width]
     fields = dict(zip(layout.columns, zip(*(split[i] for i in sound), strict=True), strict=True)) if sound else {}
-    timer, time, columns, texts = clock_column(layout), None, {}, {}
+    timer = clock_column(layout)
+    time = None
+    columns = {}
+    texts = {}
     bad = len(split) - len(sound)
     for letter, column in zip(layout.format, layout.columns, strict=True):
         values = fields.get(column, ())

@@ -64,7 +64,8 @@ def merged(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str, ...]]
     by_name: dict[str, list[Messages]] = {}
     for group in groups:
         by_name.setdefault(group.name, []).append(group)
-    joined, findings = [], []
+    joined = []
+    findings = []
     for name, lots in by_name.items():
         largest = max(lots, key=len)
         same = [lot for lot in lots if _alike(lot, largest)]
@@ -142,10 +143,13 @@ def _record(name: str, part: Messages, source: str, checksum: str) -> Record | N
     rows = time_stamps.increasing(part.time)
     if not rows.size:
         return None
-    time, columns, findings = part.time, part.columns, ()
+    time = part.time
+    columns = part.columns
+    findings = ()
     if rows.size < time.size:
         findings = (_dropped(name, time.size - rows.size, time),)
-        time, columns = time[rows], {column: values[rows] for column, values in columns.items()}
+        time = time[rows]
+        columns = {column: values[rows] for column, values in columns.items()}
     units = {column: part.units.get(column, "") for column in columns}
     return Record(time, columns, units, name, source, checksum, findings=findings + time_stamps.gaps(name, time))
 

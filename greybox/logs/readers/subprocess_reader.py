@@ -61,7 +61,9 @@ def contents(kind: str, path: Path, *wanted: str) -> Contents:
         If the file cannot be read, or not within the time limit.
     """
     line, _, raw = _run([kind, str(path.absolute()), *wanted], path).partition(b"\n")
-    head, numbers, at = json.loads(line), np.frombuffer(raw, dtype="<f8"), 0
+    head = json.loads(line)
+    numbers = np.frombuffer(raw, dtype="<f8")
+    at = 0
     found = []
     for item in head["items"]:
         size = int(np.prod(item["shape"]))
@@ -98,7 +100,8 @@ def recording(path: Path, found: Contents, messages: Collection[str] | None) -> 
         name = variable.group or path.stem
         columns.setdefault(name, {})[variable.name] = variable.values
         units.setdefault(name, {})[variable.name] = variable.unit
-    made, said = {}, list(found.findings)
+    made = {}
+    said = list(found.findings)
     said += [f"there is no group {name}." for name in messages or () if name not in columns]
     for name, group in columns.items():
         if messages is not None and name not in messages:

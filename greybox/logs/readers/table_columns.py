@@ -48,7 +48,8 @@ def seconds(name: str, unit: str = "") -> float | None:
     That is time, t, timestamp or tout, in any case, with a unit of its own or as in ``time_ms`` (else in seconds), and
     TimeUS and TimeMS as ArduPilot's tools write them.
     """
-    name, unit = name.lower(), unit.lower()
+    name = name.lower()
+    unit = unit.lower()
     if name in ARDUPILOT:
         return ARDUPILOT[name]
     suffix = SUFFIX.match(name)
@@ -80,12 +81,15 @@ def table(
     if not timer or not columns[timer].size:
         return None, (f"{name or 'the file'}: {len(columns)} variables without a time were left out.",)
     time = columns[timer].astype(float) * (seconds(timer, units.get(timer, "")) or 1.0)
-    kept, labels, odd = {}, {}, []
+    kept = {}
+    labels = {}
+    odd = []
     for key, values in columns.items():
         if key == timer:
             continue
         for label, column in _split(key, values, time.size):
-            kept[label], labels[label] = column, units.get(key, "")
+            kept[label] = column
+            labels[label] = units.get(key, "")
         if values.shape[:1] != time.shape:
             odd.append(key)
     findings = (f"{name}: left out, for their length is not that of the time: {_list(odd)}.",) if odd else ()

@@ -50,7 +50,8 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     OSError
         If the file cannot be opened.
     """
-    path, messages = Path(path), bare(messages)
+    path = Path(path)
+    messages = bare(messages)
     with open(path, "rb") as file:
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     frames = walk(data)
@@ -84,7 +85,9 @@ def _common_clock(frames: Frames, own: Floats, vehicle: int) -> tuple[Floats, tu
 
     The median difference between reception and the sender's time is the sender's start; it changes when it restarts.
     """
-    time, findings, zero = frames.received.copy(), [], None
+    time = frames.received.copy()
+    findings = []
+    zero = None
     senders = np.unique(frames.senders).tolist()
     for sender in sorted(senders, key=lambda s: s != vehicle):
         rows = np.flatnonzero((frames.senders == sender) & np.isfinite(own))
@@ -102,9 +105,11 @@ def _common_clock(frames: Frames, own: Floats, vehicle: int) -> tuple[Floats, tu
 
 def _messages(data: mmap.mmap, frames: Frames, kind: int, time: Floats) -> Messages:
     """Return the packets of one kind, in the order of their times: a link may deliver them in another."""
-    known, rows = KINDS[kind], np.flatnonzero(frames.kinds == kind)
+    known = KINDS[kind]
+    rows = np.flatnonzero(frames.kinds == kind)
     sorting = np.argsort(time[rows], kind="stable")
-    rows, packets = rows[sorting], payloads(data, frames, kind)[sorting]
+    rows = rows[sorting]
+    packets = payloads(data, frames, kind)[sorting]
     columns: dict[str, Floats] = {}
     texts: dict[str, Sequence[str]] = {}
     units: dict[str, str] = {}
@@ -115,7 +120,8 @@ def _messages(data: mmap.mmap, frames: Frames, kind: int, time: Floats) -> Messa
             if values.dtype.kind == "S":
                 texts[label] = [text(value) for value in values.tolist()]
             else:
-                columns[label], units[label] = values.astype(float), unit(known.fieldunits_by_name.get(name, ""))
+                columns[label] = values.astype(float)
+                units[label] = unit(known.fieldunits_by_name.get(name, ""))
     labels = _labels(frames.senders[rows], known.instance_field, columns, texts)
     texts = {**texts, SENDER: labels} if labels else texts
     columns.pop(known.instance_field, None)

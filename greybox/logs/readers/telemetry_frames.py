@@ -17,7 +17,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 STAMP = 8  # bytes of time before a packet: µs since 1970, big-endian
 MARK = re.compile(b"[\xfd\xfe]")  # the first byte of a packet of MAVLink 2 or 1
-SIGNED, SIGNATURE = 1, 13  # flag and length of a signed packet
+SIGNED = 1
+SIGNATURE = 13  # flag and length of a signed packet
 TYPES = {
     **{f"{sign}int{bits}_t": f"<{sign or 'i'}{bits // 8}" for sign in ("", "u") for bits in (8, 16, 32, 64)},
     "float": "<f4",
@@ -56,12 +57,18 @@ class Frames:
 def walk(data: mmap.mmap) -> Frames:
     """Find every packet in `data` whose checksum is right."""
     fields = array("q")
-    at, size, skipped, places, unknown = 0, len(data), 0, 0, 0
+    at = 0
+    size = len(data)
+    skipped = 0
+    places = 0
+    unknown = 0
     while at + STAMP < size:
         frame = _frame(data, at + STAMP)
         if frame is None:
             found = _next_sound(data, at + STAMP + 1) - STAMP
-            skipped, places, at = skipped + found - at, places + 1, found
+            skipped = skipped + found - at
+            places = places + 1
+            at = found
             continue
         kind, sender, start, length, end = frame
         if kind in KINDS:
@@ -80,10 +87,15 @@ def _frame(data: mmap.mmap, at: int) -> tuple[int, int, int, int, int] | None:
     if len(head) < 8:
         return None
     if head[0] == 0xFE:
-        kind, sender, start, tail = head[5], head[3] << 8 | head[4], at + 6, 2
+        kind = head[5]
+        sender = head[3] << 8 | head[4]
+        start = at + 6
+        tail = 2
     elif head[0] == 0xFD and len(head) == 10 and head[2] in (0, SIGNED):
         kind = int.from_bytes(head[7:10], "little")
-        sender, start, tail = head[5] << 8 | head[6], at + 10, 2 + SIGNATURE * head[2]
+        sender = head[5] << 8 | head[6]
+        start = at + 10
+        tail = 2 + SIGNATURE * head[2]
     else:
         return None
     stop = start + head[1]
@@ -128,12 +140,14 @@ def layout(kind: int) -> np.dtype:
 def payloads(data: mmap.mmap, frames: Frames, kind: int) -> NDArray[Any]:
     """Return the packets of one kind as a structured array; what a packet leaves out at its end is zero."""
     chosen = frames.kinds == kind
-    starts, lengths = frames.starts[chosen], frames.lengths[chosen]
+    starts = frames.starts[chosen]
+    lengths = frames.lengths[chosen]
     dtype = layout(kind)
     rows = np.zeros((starts.size, dtype.itemsize), dtype=np.uint8)
     raw = np.frombuffer(data, dtype=np.uint8)
     for length in np.unique(lengths):
-        same, width = lengths == length, min(int(length), dtype.itemsize)
+        same = lengths == length
+        width = min(int(length), dtype.itemsize)
         if width:
             rows[same, :width] = np.lib.stride_tricks.sliding_window_view(raw, width)[starts[same]]
     return rows.view(dtype)[:, 0]

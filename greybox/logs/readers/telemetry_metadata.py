@@ -82,7 +82,8 @@ def _texts(data: mmap.mmap, frames: Frames, time: NDArray[np.float64]) -> tuple[
     joined: list[tuple[float, str]] = []
     last = None
     for row, packet in zip(rows, payloads(data, frames, mavlink.MAVLINK_MSG_ID_STATUSTEXT), strict=True):
-        said, source = text(packet["text"]), (int(frames.senders[row]), int(packet["id"]))
+        said = text(packet["text"])
+        source = (int(frames.senders[row]), int(packet["id"]))
         if packet["id"] and packet["chunk_seq"] and source == last:
             joined[-1] = (joined[-1][0], joined[-1][1] + said)
         else:

@@ -38,7 +38,8 @@ def one_clock(stamps: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[s
     """
     finite = np.isfinite(stamps)
     ticks = stamps[finite]
-    findings, end = [], 0.0
+    findings = []
+    end = 0.0
     for i, (start, stop) in enumerate(pairwise([0, *restarts(ticks), ticks.size])):
         piece = _possible(ticks[start:stop])
         shift = end + PAUSE - float(np.nanmin(piece)) if i else 0.0
@@ -93,7 +94,8 @@ def _longest_increase(values: NDArray[np.float64]) -> NDArray[np.intp]:
             tails.append(value)
             last.append(i)
         elif value < tails[at]:
-            tails[at], last[at] = value, i
+            tails[at] = value
+            last[at] = i
     chain = [last[-1]] if last else []
     while chain and link[chain[-1]] >= 0:
         chain.append(int(link[chain[-1]]))

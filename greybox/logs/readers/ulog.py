@@ -55,7 +55,8 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     OSError
         If the file cannot be opened.
     """
-    path, asked = Path(path), bare(messages)
+    path = Path(path)
+    asked = bare(messages)
     if find_spec("pyulog") is None:
         raise ValueError(f"{path} is a PX4 log, which needs pyulog: install it with pip install 'greybox-id[px4]'.")
     found = subprocess_reader.contents("ulog", path, *(sorted({STATUS, *asked}) if asked else ()))

@@ -233,13 +233,9 @@ class GaussNewton:
             trial, length = line_search(parts, iterate, step, merit, before, progress)
             if trial is None and settled and step.distance <= ROUNDED * settings.tolerance:
                 return iterate, "converged", iteration
-            if trial is None and progress.damping <= settings.largest_damping:
-                progress.damping = after_failure(settings, progress.damping)
-                continue
-            if length < settings.short_step and (simulated := self._simulate_instead(progress)) is not None:
-                iterate = simulated
-                continue
-            if self._may_hold_delays(progress) and progress.hold_delays():
+            recovered = self._recover(iterate, trial, length, progress)
+            if recovered is not None:
+                iterate = recovered
                 continue
             if progress.is_exact and (trial is None or progress.damping > settings.largest_damping):
                 return iterate, "stalled", iteration
@@ -255,6 +251,20 @@ class GaussNewton:
             if self._has_converged(iterate, step, progress, length):
                 return iterate, "converged", iteration + 1
         return iterate, "iterations exceeded", iterations
+
+    def _recover(self, iterate: Iterate, trial: Iterate | None, length: float, progress: Progress) -> Iterate | None:
+        """Return where to go on after a line search that made no progress; None where its step stands."""
+        settings = self._settings
+        if trial is None and progress.damping <= settings.largest_damping:
+            progress.damping = after_failure(settings, progress.damping)
+            return iterate
+        if length < settings.short_step:
+            simulated = self._simulate_instead(progress)
+            if simulated is not None:
+                return simulated
+        if self._may_hold_delays(progress) and progress.hold_delays():
+            return iterate
+        return None
 
     def _step(self, iterate: Iterate, linearizations: list, progress: Progress, *, states_only: bool) -> Step:
         """Return the step; gains move where continuity is exact, held delays do not move at all."""

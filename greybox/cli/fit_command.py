@@ -1,0 +1,88 @@
+"""The command `greybox fit`: a problem from many starts."""
+
+import argparse
+import math
+from pathlib import Path
+from typing import Any
+
+from greybox.cli.options import add_common_options, nonnegative, positive
+from greybox.cli.output import FAILED, USABLE, Answer, all_finite, finite, require_figure, require_writable, save_figure
+from greybox.cli.stated_problem import add_problem_options, stated_problem
+from greybox.estimate.fit import fit
+from greybox.estimate.result import Fit, FittedRecord
+
+
+def add_command(commands: Any) -> None:
+    """Declare the command and its options."""
+    parser = commands.add_parser("fit", help="fit a problem from many starts", allow_abbrev=False)
+    add_problem_options(parser)
+    parser.add_argument(
+        "--starts", type=positive, help="number of starts (default: the problem's; else 200, or 20 with records)"
+    )
+    parser.add_argument("--seed", type=nonnegative, help="seed of the starts (default: the problem's, or 0)")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="save the result to this HDF5 file")
+    add_common_options(parser, "responses, time histories and starts")
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> Answer:
+    """Fit the stated problem; save and draw the result where asked to."""
+    require_writable(options.out, options.force)
+    require_figure(options.plot, options.force)
+    problem, settings = stated_problem(options)
+    for name in ("starts", "seed"):
+        if getattr(options, name) is not None:
+            settings[name] = getattr(options, name)
+    result = fit(problem, **settings)
+
+    notes = []
+    if options.out is not None:
+        from greybox.estimate.storage import save  # noqa: PLC0415  (imports h5py)
+
+        save(result, options.out)
+        notes.append(f"saved {options.out}")
+    notes += save_figure(options.plot, lambda: _figure(result))
+
+    answer = _as_json(result)
+    if not result.converged:
+        answer["error"] = ": ".join([result.status, *result.warnings[:1]]).rstrip(".") + "."
+    return answer, "\n".join([str(result), *notes]), USABLE if result.converged else FAILED
+
+
+def _figure(result: Fit) -> Any:
+    from greybox.plotting import plot  # noqa: PLC0415  (imports matplotlib)
+
+    return plot(result)
+
+
+def _as_json(result: Fit) -> dict[str, Any]:
+    return {
+        "problem": result.name,
+        "criterion": result.criterion,
+        "delay": result.delay,
+        "starts": len(result.runs),
+        "seed": result.seed,
+        "converged": sum(run.converged for run in result.runs),
+        "agreeing": result.agreeing,
+        "minima": len(result.minima),
+        "cost": finite(result.cost),
+        "costs": all_finite(result.costs),
+        "status": result.status,
+        "estimate": all_finite(result.estimate),
+        "standard_error": all_finite(result.standard_error),
+        "derived": all_finite(result.derived),
+        "outputs": [_output(part, name) for part in result.records for name in part.outputs],
+        "at_bound": [q.name for q in result.quantities if q.at_bound],
+        "warnings": list(result.warnings),
+        "checksum": result.checksum,
+        "seconds": result.seconds,
+        "versions": dict(result.versions),
+    }
+
+
+def _output(part: FittedRecord, name: str) -> dict[str, Any]:
+    """Return how well an output of a record is fitted."""
+    # The standard deviation of the residuals, given or estimated.
+    noise = float(part.noise[part.outputs.index(name), part.outputs.index(name)])
+    answer = {"part": part.name, "output": name, "unit": part.data.units.get(name, "")}
+    return answer | {"fit_percent": finite(part.fit_percent(name)), "noise": finite(math.sqrt(noise))}

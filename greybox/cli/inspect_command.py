@@ -1,0 +1,90 @@
+"""The command `greybox inspect`: what a log holds, its test segments, its defects."""
+
+import argparse
+from typing import Any
+
+from greybox.cli.log_tests import add_test_options, segment_as_json, segments_of
+from greybox.cli.options import add_common_options
+from greybox.cli.output import USABLE, Answer, finite, require_figure, save_figure
+from greybox.data.record import Record, Recording
+from greybox.data.test_segment import Segment, segment_table
+from greybox.data.text_table import number, text_table
+from greybox.logs.readers import read
+
+
+def add_command(commands: Any) -> None:
+    """Declare the command and its options."""
+    parser = commands.add_parser("inspect", help="what a log holds, its test segments, its defects")
+    parser.add_argument("log", metavar="LOG", help="a flight log, or a table of signals")
+    add_test_options(parser)
+    add_common_options(parser, "setpoints, angles and tests")
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> Answer:
+    """Return what a log holds, and draw it where asked to."""
+    require_figure(options.plot, options.force)
+    recording = read(options.log)
+    segments = segments_of(recording, options)
+
+    found = segment_table(segments) if segments else "no test segments found: give --announced or --setpoint."
+    findings = [f"  {finding}" for finding in recording.findings]
+    notes = save_figure(options.plot, lambda: _figure(recording, segments))
+    text = "\n\n".join([_about(recording), _contents(recording), found]) + "\n" + "\n".join([*findings])
+
+    answer = {
+        "log": recording.source,
+        "checksum": recording.checksum,
+        **{key: recording.metadata.get(key) for key in ("vehicle", "firmware")},
+        "armed": [list(span) for span in recording.metadata.get("armed", ())],
+        "messages": [_message(name, record) for name, record in recording.items()],
+        "segments": [segment_as_json(segment) for segment in segments],
+        "findings": list(recording.findings),
+    }
+    return answer, "\n".join([text, *notes]), USABLE
+
+
+def _figure(recording: Recording, segments: tuple[Segment, ...]) -> Any:
+    from greybox.plotting import recording as draw  # noqa: PLC0415  (imports matplotlib)
+
+    return draw(recording, segments)[0].figure
+
+
+def _about(recording: Recording) -> str:
+    about = recording.metadata
+    words = [recording.source, f"SHA-256 {recording.checksum[:16]}..."]
+    words += [str(about[key]) for key in ("vehicle", "firmware") if about.get(key)]
+    words += [f"armed {start:.1f} to {end:.1f} s" for start, end in about.get("armed", ())]
+    words += [f"{len(about['parameters'])} parameters"] if about.get("parameters") else []
+    return "\n".join(words)
+
+
+def _contents(recording: Recording) -> str:
+    rows = [
+        [
+            name,
+            str(len(record)),
+            number(record.rate, 4),
+            f"{record.time[0]:.1f}",
+            f"{record.time[-1]:.1f}",
+            _fields(record),
+        ]
+        for name, record in recording.items()
+    ]
+    return text_table(["message", "samples", "Hz", "from s", "to s", "signals"], rows, (0, 5))
+
+
+def _fields(record: Record) -> str:
+    named = [f"{n} ({record.units[n]})" if record.units.get(n) else n for n in record.signals]
+    return ", ".join(named[:8]) + (f" and {len(named) - 8} more" if len(named) > 8 else "")
+
+
+def _message(name: str, record: Record) -> dict[str, Any]:
+    return {
+        "name": name,
+        "samples": len(record),
+        "rate": finite(record.rate),
+        "start": float(record.time[0]),
+        "end": float(record.time[-1]),
+        "signals": {signal: record.units.get(signal, "") for signal in record.signals},
+    }

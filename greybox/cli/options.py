@@ -1,0 +1,50 @@
+"""What the options of all commands share: mistakes in them, numbers, assignments, and the common ones."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+
+class UsageError(Exception):
+    """A mistake on the command line, in one sentence."""
+
+
+def add_common_options(parser: argparse.ArgumentParser, figure: str = "") -> None:
+    """Add what every command has, and `--plot` and `--force` where there is a figure to draw."""
+    if figure:
+        parser.add_argument("--plot", type=Path, metavar="FILE", help=f"draw {figure} into this png, pdf or svg file")
+        parser.add_argument("--force", action="store_true", help="overwrite files that exist")
+    parser.add_argument("--json", action="store_true", help="print one JSON object on standard output and nothing else")
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+
+
+def positive(text: str) -> int:
+    """Return an integer of at least 1."""
+    if not text.isascii() or not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not an integer of at least 1")
+    return int(text)
+
+
+def nonnegative(text: str) -> int:
+    """Return an integer of at least 0."""
+    if not text.isascii() or not text.isdigit():
+        raise argparse.ArgumentTypeError(f"{text!r} is not an integer of at least 0")
+    return int(text)
+
+
+def assignments(words: Sequence[str], flag: str) -> dict[str, float]:
+    """Return numbers by name from words such as ``a5=0.16``.
+
+    Raises
+    ------
+    UsageError
+        For a word of another form.
+    """
+    result = {}
+    for word in words:
+        name, _, value = word.partition("=")
+        try:
+            result[name] = float(value)
+        except ValueError:
+            raise UsageError(f"{flag} {word!r} is not understood: write NAME=VALUE, e.g. a5=0.16.") from None
+    return result

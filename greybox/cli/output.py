@@ -1,0 +1,71 @@
+"""What a command gives: the answer as JSON and as text, the exit status, files and figures."""
+
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from greybox.cli.options import UsageError
+from greybox.data.safe_files import replacing
+
+Answer = tuple[dict[str, Any], str, int]
+"""The JSON object, the text for a person, and the exit status."""
+
+USABLE = 0  # a usable answer
+FAILED = 1  # a run that failed
+BAD_INPUT = 2  # bad usage or bad input
+
+FIGURES = (".png", ".pdf", ".svg")
+
+
+def finite(value: float) -> float | None:
+    """Return a number as JSON has it: None for what is not finite."""
+    return float(value) if math.isfinite(value) else None
+
+
+def all_finite(values: Mapping[str, float]) -> dict[str, float | None]:
+    """Return numbers by name as JSON has them."""
+    return {name: finite(value) for name, value in values.items()}
+
+
+def require_writable(path: Path | None, force: bool) -> None:
+    """Refuse a file that exists, without `force`, or that cannot be written. None is no file.
+
+    Raises
+    ------
+    UsageError
+        One sentence with the cure.
+    """
+    if path is None:
+        return
+    if path.is_dir() or not path.name:
+        raise UsageError(f"{path} is a folder: give the name of a file.")
+    if path.exists() and not force:
+        raise UsageError(f"{path} exists: give another name, or --force to overwrite it.")
+    if not path.resolve().parent.is_dir():
+        raise UsageError(f"the folder of {path} does not exist: create it first.")
+
+
+def require_figure(path: Path | None, force: bool) -> None:
+    """Refuse what `require_writable` refuses, and files that are no figures.
+
+    Raises
+    ------
+    UsageError
+        One sentence with the cure.
+    """
+    require_writable(path, force)
+    if path is not None and path.suffix.lower() not in FIGURES:
+        raise UsageError(f"{path} is not a known kind of figure: end it in {', '.join(FIGURES)}.")
+
+
+def save_figure(path: Path | None, draw: Callable[[], Any]) -> list[str]:
+    """Save the figure that `draw` returns, and return a line that says so; without a path, nothing.
+
+    Figures are drawn by a function, since matplotlib takes longer to import than everything else.
+    """
+    if path is None:
+        return []
+    with replacing(path) as temporary:
+        draw().savefig(temporary, format=path.suffix[1:].lower(), dpi=150)
+    return [f"drew {path}"]

@@ -1,0 +1,144 @@
+"""The problem that the options of `greybox fit` state: an included one, one in a file, or a model with data."""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+from greybox.cli.catalog import find_model, find_problem, shipped
+from greybox.cli.data_file import read_data
+from greybox.cli.options import UsageError, assignments
+from greybox.compiled.compiled_problem import AnyProblem
+from greybox.data.record import Record
+from greybox.formulation.frequency_criteria import CRITERIA, Criterion
+from greybox.formulation.problem import Problem
+from greybox.formulation.sum import Sum
+from greybox.formulation.time_criteria import TIME_CRITERIA, TimeCriterion
+
+
+def add_problem_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options that state a problem."""
+    add = parser.add_argument
+    add("problem", nargs="?", metavar="PROBLEM", help="an included problem, or my.py, or my.py:name")
+    add("--model", help="instead of PROBLEM: tilt:Tilt, 'polynomial:Polynomial(4, 1)' or my.py:Class")
+    add(
+        "--data",
+        metavar="FILE",
+        help="with --model: a frequency response (columns omega_rad_s, alpha, beta [, coherence, variance, dof]), or a "
+        "record (columns time and, in SI units, the model's inputs and outputs); for a flight log write a problem file",
+    )
+    add("--input", default="", metavar="NAME", help="input of a frequency response, if the model has several")
+    add("--output", default="", metavar="NAME", help="output of a frequency response, if the model has several")
+    add(
+        "--at",
+        nargs="+",
+        default=[],
+        metavar="NAME=VALUE",
+        help="with --model: operating point at which an ODE is linearized",
+    )
+    add("--fix", nargs="+", default=[], metavar="NAME=VALUE", help="hold parameters at these values")
+    add("--free", nargs="+", default=[], metavar="NAME", help="estimate parameters that the model declares fixed")
+    add("--delay", help="exact or pade:n (default: the problem's)")
+    add("--criterion", help=f"{', '.join(_criteria())} (default: the problem's)")
+
+
+def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, Any]]:
+    """Return the problem that the options state, and its settings: starts and seed, where it has them.
+
+    Raises
+    ------
+    UsageError, ValueError, FileNotFoundError
+        For options that contradict one another, and for what is not there.
+    """
+    if (options.problem is None) == (options.model is None):
+        raise UsageError("give either a PROBLEM or --model with --data; `greybox list` shows the included problems.")
+    settings: dict[str, Any] = {}
+    if options.problem is not None:
+        for name in ("data", "input", "output", "at"):
+            if getattr(options, name):
+                raise UsageError(f"--{name} goes with --model, not with a PROBLEM.")
+        _require_problem(options.problem)
+        problem, settings = find_problem(options.problem)
+    else:
+        problem = _problem_of_model(options)
+
+    if options.delay is not None:
+        problem = problem.with_(delay=options.delay)
+    if options.criterion is not None:
+        problem = _with_criterion(problem, _criterion(options.criterion))
+    return _restated(problem, assignments(options.fix, "--fix"), options.free), settings
+
+
+def _problem_of_model(options: argparse.Namespace) -> Problem:
+    if options.data is None:
+        raise UsageError("--model needs --data FILE, a frequency response or a record.")
+    model = find_model(options.model)
+    data = read_data(options.data, model, options.input, options.output)
+    for name in ("input", "output", "at"):
+        if isinstance(data, Record) and getattr(options, name):
+            raise UsageError(f"--{name} is for a frequency response, and {options.data} is a record: leave it out.")
+    return Problem(model, data, at=assignments(options.at, "--at"))
+
+
+def _require_problem(name: str) -> None:
+    """Explain what to write if the name is that of a data file or of a model."""
+    if not name.endswith(".py") and Path(name).is_file():
+        raise UsageError(
+            f"{name} is a data file, not a problem: give it a model, --model tilt:Tilt --data {name}, or a problem "
+            "file, my.py with a function problem()."
+        )
+    place = name.partition(":")[0]
+    if place in shipped("models") and place not in shipped("problems"):
+        cure = name if ":" in name else f"{name}:CLASS"
+        raise UsageError(f"{name} names a model, not a problem: write --model {cure} --data FILE.")
+
+
+def _restated(problem: AnyProblem, fix: dict[str, float], free: Sequence[str]) -> AnyProblem:
+    """Fix and free parameters by their outside names in every part that has them."""
+    for name in (*fix, *free):
+        if name not in problem.parameters:
+            raise ValueError(f"{problem.name} has no parameter {name!r}; it has {', '.join(problem.parameters)}.")
+    if not fix and not free:
+        return problem
+    parts = [_restated_part(part, fix, free) for part in problem.parts]
+    return parts[0] if isinstance(problem, Problem) else Sum(tuple(parts), problem.name)
+
+
+def _restated_part(part: Problem, fix: dict[str, float], free: Sequence[str]) -> Problem:
+    inside = {part.rename.get(name, name): name for name in part.declared if name not in part.tied}
+    new = {inside[name]: value for name, value in fix.items() if name in inside}
+    freed = [inside[name] for name in free if name in inside]
+    held = {name: value for name, value in part.fixed_values.items() if name not in freed}
+    kept = [name for name in part.free if name not in new]
+    return replace(part, fixed={**held, **new}, free=tuple(dict.fromkeys([*kept, *freed])))
+
+
+def _criteria() -> dict[str, Criterion | TimeCriterion]:
+    """Return the included criteria by name."""
+    return {criterion.name: criterion for criterion in (*CRITERIA, *TIME_CRITERIA)}
+
+
+def _criterion(text: str) -> Criterion | TimeCriterion:
+    known = _criteria()
+    if text not in known:
+        raise UsageError(f"criterion {text!r} is not known; use {', '.join(known)}.")
+    return known[text]
+
+
+def _with_criterion(problem: AnyProblem, criterion: Criterion | TimeCriterion) -> AnyProblem:
+    """Give a criterion to the parts of a problem whose data are of its kind; of records, biases and the like remain."""
+    in_time = isinstance(criterion, TimeCriterion)
+    if not any(isinstance(part.data, Record) == in_time for part in problem.parts):
+        raise UsageError(
+            f"--criterion {criterion.name} is for {'records' if in_time else 'frequency responses'} and {problem.name} "
+            f"has none: use {', '.join(c.name for c in (CRITERIA if in_time else TIME_CRITERIA))}, or leave it out."
+        )
+    parts = []
+    for part in problem.parts:
+        if isinstance(criterion, TimeCriterion) and isinstance(part.criterion, TimeCriterion):
+            shared = {field.name: getattr(part.criterion, field.name) for field in fields(TimeCriterion)}
+            parts.append(part.with_(criterion=replace(criterion, **shared)))
+        else:
+            parts.append(part if isinstance(part.data, Record) or in_time else part.with_(criterion=criterion))
+    return parts[0] if isinstance(problem, Problem) else Sum(tuple(parts), problem.name)

@@ -1,0 +1,100 @@
+"""Problems that are solved at once: costs add, parameters of one name are one unknown."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Generic
+
+import numpy as np
+
+from greybox.data.text_table import counted, one_line
+from greybox.formulation.held_estimate import HeldEstimate
+from greybox.formulation.sensor_biases import with_numbered_biases
+from greybox.formulation.summand import Part
+from greybox.modeling.model import merge
+from greybox.modeling.parameter import Parameter
+
+# Two ties are the same when they agree at the starts and at this many random points. Formulas that differ agree at a
+# random point with probability zero; more than one point serves formulas that are undefined in places.
+TIE_POINTS = 4
+WIDEST_TIE_RANGE = 1e3  # stands for larger and for infinite bounds when those points are drawn
+
+
+@dataclass(frozen=True, eq=False)
+class Sum(Generic[Part]):
+    """Several problems solved at once: costs add by their weights, parameters of one name are one unknown.
+
+    The bias of a sensor is each record's own: where several records have it, ``x_bias`` becomes ``x_bias_1``,
+    ``x_bias_2`` ..., numbered as the records are. Parts of the same record share it; so do parts that give it one name,
+    ``rename={"x_bias": "x_bias"}``.
+
+    Raises
+    ------
+    ValueError
+        If parameters of one name have different units, or are fixed, tied or bounded in ways that contradict.
+    """
+
+    parts: tuple[Part, ...]
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        """Give biases their numbers, merge the parameters and check that ties agree."""
+        object.__setattr__(self, "_as_added", self.parts)
+        object.__setattr__(self, "parts", with_numbered_biases(self.parts))
+        if not self.name:
+            object.__setattr__(self, "name", " + ".join(dict.fromkeys(part.name for part in self.parts)))
+
+        merged: dict[str, Parameter] = {}
+        for part in self.parts:
+            for name, parameter in part.parameters.items():
+                merged[name] = merge(name, merged[name], parameter) if name in merged else parameter
+        self._check_ties(merged)
+        object.__setattr__(self, "_parameters", merged)
+
+    def _check_ties(self, merged: Mapping[str, Parameter]) -> None:
+        """Require that a name tied in one part is tied alike, or absent, in all others."""
+        bounds = np.array([parameter.bounds for parameter in merged.values()])
+        low, high = np.clip(bounds.T, -WIDEST_TIE_RANGE, WIDEST_TIE_RANGE)
+        drawn = np.random.default_rng(0).uniform(low, high, (TIE_POINTS, len(merged)))
+        points = [[parameter.start for parameter in merged.values()], *drawn]
+
+        seen: dict[str, list[float]] = {}
+        for part in self.parts:
+            for name in part.tied:
+                outside = part.outside(name)
+                values = [part.local_values(dict(zip(merged, point, strict=True)))[name] for point in points]
+                alike = np.allclose(seen.setdefault(outside, values), values, equal_nan=True)
+                if outside in merged or not alike:
+                    raise ValueError(
+                        f"{outside!r} is tied in {part.name!r} and otherwise in another part: tie it alike in both, "
+                        f"or give one another name, rename={{{name!r}: ...}}."
+                    )
+
+    @property
+    def as_added(self) -> tuple[Part, ...]:
+        """The parts as they were added, before their biases were numbered."""
+        return self.__dict__["_as_added"]
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """The merged parameters by outside name; tied ones are left out."""
+        return dict(self.__dict__["_parameters"])
+
+    @property
+    def held_estimates(self) -> dict[str, HeldEstimate]:
+        """The earlier answers among the fixed values, by outside name."""
+        return {name: held for part in self.parts for name, held in part.held_estimates.items()}
+
+    def __add__(self, other: Any) -> "Sum[Part]":
+        # A single problem knows how to join a sum (`__radd__`), so that this file need not know its class.
+        return Sum((*self.as_added, *other.as_added)) if isinstance(other, Sum) else NotImplemented
+
+    def __radd__(self, other: Any) -> "Sum[Part]":
+        return self if other == 0 else NotImplemented  # the built-in sum() begins with 0
+
+    def with_(self, **changes: Any) -> "Sum[Part]":
+        """Return the same sum with fields of every part changed (`name` is that of the sum)."""
+        name = changes.pop("name", self.name)
+        return Sum(tuple(part.with_(**changes) for part in self.as_added), name)
+
+    def __repr__(self) -> str:
+        return one_line(self, repr(self.name), counted(len(self.parts), "part"))

@@ -1,0 +1,218 @@
+"""Sines and sweeps in one signal, found from its zero crossings alone."""
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.data.test_segment import Segment
+
+Array = NDArray[np.float64]
+
+# Amplitude of a sine, of the signal's range; a turning point is twice as high. All heights up to half of the range are
+# tried, so that neither noise on a sine nor a large step beside it hides the turning points.
+LEAST_AMPLITUDE = 0.005
+HEIGHTS = np.array([2 * LEAST_AMPLITUDE, 0.03, 0.1, 0.25, 0.5])
+
+CROSSINGS = 5  # of the middle, two periods, at least
+MOST_CROSSINGS = 400  # that a next one is predicted from; more cost time and change nothing
+OFF_LINE = 0.2  # half periods by which a crossing may be off the line through those before
+SWING = (0.6, 1.6)  # of one swing over the median of those before
+TRANSIENT = 0.03  # half periods; crossings at the ends that are farther off the median line are cut
+SAMPLES = 8  # in a sine, and per period of it, at least
+UNEXPLAINED = 0.15  # of the variance, at most, of a sine
+BENT = 0.12  # rad, of the phase at the ends of a piece relative to a straight line: the piece is of a sweep
+BENT_UNEXPLAINED = 0.5  # of the variance, at most, of a piece of a sweep
+FOLLOWS = 0.05  # of the amplitude: where the signal is farther off the fitted sine, it ends
+SHORTEST = 1.0  # s, of a sine
+OVERLAP = 0.1  # of a run, that another may cover
+SWEEP_PIECES = 3
+SWEEP_RATIO = 1.3  # of the frequencies at the ends of a sweep, at least
+
+
+def sines_and_sweeps(time: Array, values: Array) -> list[Segment]:
+    """Return the sines (two periods at least) and sweeps in one signal, (n,) arrays.
+
+    Half periods end where the signal crosses the middle between turning points, of several least heights. Crossings on
+    one line form a piece. A piece whose fitted sine explains 85 % of the variance is a sine, unless its phase bends;
+    three or more bent pieces in a row, with rising or falling frequency, are a sweep.
+    """
+    if time.size < SAMPLES or not 1e-100 < np.ptp(values) < 1e100:  # squares must neither vanish nor overflow
+        return []
+
+    corners = np.arange(time.size)
+    candidates = []
+    for height in np.ptp(values) * HEIGHTS:
+        corners = _turning_points(values, corners, float(height))
+        crossings, swings = _crossings(time, values, corners)
+        pieces = [_fitted(time, values, crossings[a:b]) for a, b in _runs(crossings, swings)]
+        candidates += [s for s in pieces if s is not None and s.kind == "sine"]
+        candidates += _sweeps([s for s in pieces if s is not None and s.kind == "sweep"])
+
+    kept: list[Segment] = []
+    for run in sorted(candidates, key=lambda s: -s.duration):
+        if all(min(run.end, k.end) - max(run.start, k.start) < OVERLAP * run.duration for k in kept):
+            kept.append(run)
+    sweeps = [run for run in kept if run.kind == "sweep"]
+    alone = [run for run in kept if not any(_part_of(run, sweep) for sweep in sweeps)]
+    return sorted(alone, key=lambda s: s.start)
+
+
+def _turning_points(values: Array, corners: NDArray[np.intp], height: float) -> NDArray[np.intp]:
+    """Return those of the indices `corners` where the signal turns by at least `height`, and both ends."""
+    turns = []
+    direction = 0  # not known yet; then 1 on the way up, -1 on the way down
+    extreme = int(corners[0])  # index of the highest (lowest) value on the way, and that value
+    levels = values[corners].tolist()
+    low = high = top = levels[0]
+    for index, level in zip(corners.tolist(), levels, strict=True):
+        if direction == 0:
+            low = min(low, level)
+            high = max(high, level)
+            direction = (level - low >= height) - (high - level >= height)
+            extreme = index
+            top = level
+        elif (level - top) * direction > 0:
+            extreme = index
+            top = level
+        elif (top - level) * direction >= height:
+            turns.append(extreme)
+            direction = -direction
+            extreme = index
+            top = level
+    return np.array([corners[0], *turns, extreme], dtype=np.intp)
+
+
+def _crossings(time: Array, values: Array, corners: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Return when the signal crosses the middle between successive turning points, s, and how far apart these are."""
+    times = []
+    for a, b in pairwise(corners):
+        part = (values[a : b + 1] - (values[a] + values[b]) / 2) * np.sign(values[b] - values[a])
+        last_below = a + np.flatnonzero(part <= 0)[-1:]
+        first_above = a + np.flatnonzero(part >= 0)[:1]
+        known = last_below.size and first_above.size
+        times.append((time[last_below[0]] + time[first_above[0]]) / 2 if known else time[a])
+    return np.array(times), np.abs(np.diff(values[corners]))
+
+
+def _runs(crossings: Array, swings: Array) -> list[tuple[int, int]]:
+    """Return first and one past the last of the crossings that lie on one line and are of one height."""
+    runs = []
+    start = 0
+    end = 3  # as few as a line can be extrapolated from and checked
+    while end <= crossings.size:
+        known = slice(start, end + 1)
+        if end < crossings.size and _continues(crossings[known][-MOST_CROSSINGS:], swings[known][-CROSSINGS:]):
+            end += 1
+            continue
+        if end - start >= CROSSINGS:
+            runs.append((start, end))
+            start = end - 1
+        else:
+            start += 1
+        end = start + 3
+    return runs
+
+
+def _continues(crossings: Array, swings: Array) -> bool:
+    """Tell whether the last crossing lies where the line through the others predicts it, with as high a swing."""
+    n = crossings.size - 1
+    past = crossings[:-1]
+    centered = np.arange(n) - (n - 1) / 2
+    half_period = 12 * float(centered @ past) / (n * (n * n - 1))  # slope of the regression line
+    error = abs(crossings[-1] - past.mean() - half_period * (n + 1) / 2)
+    ratio = swings[-1] / np.median(swings[:-1])
+    return bool(error < OFF_LINE * half_period and SWING[0] < ratio < SWING[1])
+
+
+def _fitted(time: Array, values: Array, crossings: Array) -> Segment | None:
+    """Fit offset, trend, sine and its frequency, then extend the ends as far as the signal follows."""
+    index = np.arange(crossings.size)
+    apart = crossings.size // 2
+    half_period = float(np.median(crossings[apart:] - crossings[:-apart])) / apart
+    error = np.abs(crossings - half_period * index - np.median(crossings - half_period * index))
+    good = crossings[error < max(TRANSIENT * half_period, 5 * float(np.median(error)))]
+    if good.size < CROSSINGS or good[-1] - good[0] < SAMPLES * float(np.median(np.diff(time))):
+        return None
+
+    start = float(good[0])
+    end = float(good[-1])
+    period = 2 * half_period
+    around = slice(*np.searchsorted(time, (start - period, end + period)))
+    time = time[around]
+    values = values[around]
+    rows = (time >= start) & (time <= end)
+    t = time[rows]
+    x = values[rows]
+    if t.size < SAMPLES * (end - start) / period:
+        return None
+
+    middle = (start + end) / 2
+    omega = _refined_frequency(t - middle, x, math.pi / half_period)
+    bend = _phase_bend(t - middle, x, omega, (end - start) / 2)
+    c = np.linalg.lstsq(_waves(t - middle, omega, 4), x, rcond=None)[0]
+    amplitude = math.hypot(c[2], c[3])
+    deviation = np.abs(values - _waves(time - middle, omega, 4) @ c)
+    noise = float(np.sqrt(np.mean(deviation[rows] ** 2)))
+    unexplained = BENT_UNEXPLAINED if bend > BENT else UNEXPLAINED
+    if amplitude < LEAST_AMPLITUDE * float(np.ptp(values)) or noise**2 > unexplained * (amplitude**2 / 2 + noise**2):
+        return None
+    if bend > BENT:
+        return Segment(start, float(crossings[-1]), "sweep", band=(omega, omega), amplitude=amplitude)
+
+    off = time[deviation > max(FOLLOWS * amplitude, 4 * noise)]
+    first = off[off < start].max(initial=time[0])
+    last = off[off > end].min(initial=time[-1])
+    run = Segment(float(first), float(last), omega=omega, amplitude=amplitude, offset=float(c[0]))
+    return run if run.duration >= SHORTEST else None
+
+
+def _refined_frequency(t: Array, x: Array, omega: float) -> float:
+    """Fit the frequency of a sine by Gauss-Newton steps, of a tenth at most."""
+    for _ in range(4):  # a sin + b cos changes with omega by a t cos - b t sin
+        c = np.linalg.lstsq(_waves(t, omega, 6), x, rcond=None)[0]
+        step = (c[2] * c[4] + c[3] * c[5]) / (c[2] ** 2 + c[3] ** 2 + 1e-300)
+        omega += float(np.clip(step, -0.1 * omega, 0.1 * omega))
+    return omega
+
+
+def _phase_bend(t: Array, x: Array, omega: float, half: float) -> float:
+    """Return by how much the phase at the ends, `half` seconds off the middle, is off that of one frequency, rad."""
+    c = np.linalg.lstsq(_waves(t, omega, 8), x, rcond=None)[0]
+    return abs(c[2] * c[7] - c[3] * c[6]) / (c[2] ** 2 + c[3] ** 2 + 1e-300) * (2 * half) ** 2 / 4
+
+
+def _sweeps(pieces: list[Segment]) -> list[Segment]:
+    """Join successive pieces whose frequency moves one way, three at least and by 30 % at least."""
+    chains: list[list[Segment]] = []
+    for piece in pieces:
+        chain = chains[-1] if chains else [piece]
+        rising = {b.band[0] > a.band[0] for a, b in pairwise([*chain, piece])}
+        if chains and len(rising) == 1 and piece.start - chain[-1].end < 2 * math.pi / piece.band[0]:
+            chain.append(piece)
+        else:
+            chains.append([piece])
+
+    sweeps = []
+    for chain in chains:
+        low, high = sorted((chain[0].band[0], chain[-1].band[0]))
+        if len(chain) >= SWEEP_PIECES and high > SWEEP_RATIO * low:
+            sweeps.append(replace(chain[0], end=chain[-1].end, band=(low, high)))
+    return sweeps
+
+
+def _part_of(sine: Segment, sweep: Segment) -> bool:
+    """Tell whether a "sine" is the slow start or the end of a sweep: short, and next to it."""
+    reach = 0.3 * sweep.duration if sine.duration < 0.05 * sweep.duration else 2 * sine.duration
+    near = max(sweep.start - sine.end, sine.start - sweep.end) < reach
+    edge = sweep.band[0] / 1.5 < sine.omega < sweep.band[1] * 1.5 and sine.duration < 0.15 * sweep.duration
+    return sine.kind == "sine" and near and (edge or sine.periods < 4)
+
+
+def _waves(x: Array, omega: float, columns: int) -> Array:
+    """Return the columns 1, x, sin, cos, x cos, -x sin, x² sin, x² cos, as many as asked for."""
+    s = np.sin(omega * x)
+    c = np.cos(omega * x)
+    return np.stack([np.ones_like(x), x, s, c, x * c, -x * s, x * x * s, x * x * c][:columns], axis=-1)

@@ -1,0 +1,118 @@
+"""Poles and zeros of a rational function: the factored form of (3.18), and pairs that nearly cancel."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from greybox.data.text_table import number
+
+# Relative distance below which a pole and a zero count as nearly cancelling. A real pair (s + z) / (s + p) this close
+# changes the response by about this much, 10 %, at most, at any frequency. The paper names no number.
+NEAR = 0.1
+
+
+@dataclass(frozen=True)
+class NearPair:
+    """A zero and a pole (the upper ones of complex pairs), rad/s; `distance` is |zero - pole| / max(|zero|, |pole|)."""
+
+    zero: complex
+    pole: complex
+    distance: float
+
+    @property
+    def stable(self) -> bool:
+        """Whether both lie in the open left half plane; only then may they be cancelled."""
+        return self.zero.real < 0 and self.pole.real < 0
+
+    def __str__(self) -> str:
+        kind = "stable" if self.stable else "unstable"
+        return f"{kind} zero {root_text(self.zero)} and pole {root_text(self.pole)}, {100 * self.distance:.2g} % apart"
+
+
+@dataclass(frozen=True)
+class Factored:
+    """The factored form of (3.18) to (3.20): stable real poles as (T s + 1), all other factors monic.
+
+    `zeros` holds c (rad/s) of every real factor (s + c) of the numerator, `zero_quadratics` (c1, c0) of every
+    s² + c1 s + c0. In the denominator there are `integrators` factors s, `time_constants` T (s), smallest first,
+    `unstable` c < 0 of (s + c), and `quadratics` like those of the numerator.
+    """
+
+    gain: float
+    zeros: tuple[float, ...]
+    zero_quadratics: tuple[tuple[float, float], ...]
+    integrators: int
+    time_constants: tuple[float, ...]
+    unstable: tuple[float, ...]
+    quadratics: tuple[tuple[float, float], ...]
+
+    def __str__(self) -> str:
+        above = [_factor(c) for c in self.zeros] + [_factor(*c) for c in self.zero_quadratics]
+        below = ["s"] * self.integrators + [f"({number(T, 4)} s + 1)" for T in self.time_constants]
+        below += [_factor(c) for c in self.unstable] + [_factor(*c) for c in self.quadratics]
+        return " ".join([number(self.gain, 4), *above]) + (f" / [{' '.join(below)}]" if below else "")
+
+
+def near_pairs(zeros: ArrayLike, poles: ArrayLike, tolerance: float = NEAR) -> tuple[NearPair, ...]:
+    """Match zeros and poles that are closer than `tolerance`, each used once, the closest first.
+
+    Complex ones are matched in the upper half plane, one `NearPair` for a conjugate pair. Since the distance is
+    relative, a zero near the origin does not cancel an integrator unless it is zero itself.
+    """
+    free_zeros = upper_half(zeros)
+    free_poles = upper_half(poles)
+    sizes = [(z, p, max(abs(z), abs(p))) for z in free_zeros for p in free_poles]
+    candidates = [NearPair(z, p, abs(z - p) / size if size else 0.0) for z, p, size in sizes]
+    matched: list[NearPair] = []
+    for pair in sorted(candidates, key=lambda pair: pair.distance):
+        if pair.distance < tolerance and pair.zero in free_zeros and pair.pole in free_poles:
+            matched.append(pair)
+            free_zeros.remove(pair.zero)
+            free_poles.remove(pair.pole)
+    return tuple(matched)
+
+
+def factored(numerator: Sequence[float] | NDArray[Any], denominator: Sequence[float] | NDArray[Any]) -> Factored:
+    """Factor a ratio of real polynomials (highest power of s first) into the form of (3.18)."""
+    above = np.trim_zeros(np.asarray(numerator, float), "f")
+    below = np.asarray(denominator, float)
+    zeros = upper_half(np.roots(above))
+    poles = upper_half(np.roots(below))
+    real_poles = [float(p.real) for p in poles if p.imag == 0]
+    constants = tuple(sorted(-1 / p for p in real_poles if p < 0))
+    return Factored(
+        gain=float(above[0] / below[0]) * math.prod(constants) if above.size else 0.0,
+        zeros=tuple(0.0 - z.real for z in zeros if z.imag == 0),
+        zero_quadratics=_quadratics(zeros),
+        integrators=real_poles.count(0.0),
+        time_constants=constants,
+        unstable=tuple(-p for p in real_poles if p > 0),
+        quadratics=_quadratics(poles),
+    )
+
+
+def _quadratics(roots: list[complex]) -> tuple[tuple[float, float], ...]:
+    """Return (c1, c0) of s² + c1 s + c0 of every complex pair."""
+    return tuple((-2 * r.real, abs(r) ** 2) for r in roots if r.imag > 0)
+
+
+def upper_half(roots: ArrayLike) -> list[complex]:
+    """Return roots without the lower one of each conjugate pair, smallest first."""
+    return sorted((complex(r) for r in np.atleast_1d(np.asarray(roots)) if r.imag >= 0), key=abs)
+
+
+def _factor(*coefficients: float) -> str:
+    """Write s + c, or s² + c1 s + c0, in brackets."""
+    powers = ("",) if len(coefficients) == 1 else (" s", "")
+    terms = [f" {'-' if c < 0 else '+'} {number(abs(c), 4)}{s}" for c, s in zip(coefficients, powers, strict=True) if c]
+    text = ("s", "s²")[len(coefficients) - 1] + "".join(terms)
+    return f"({text})" if terms else text
+
+
+def root_text(root: complex) -> str:
+    """Write a root, for a complex pair as ``-1 ± 2j``."""
+    return number(root.real, 4) + (f" ± {number(root.imag, 4)}j" if root.imag else "")

@@ -1,0 +1,119 @@
+"""`greybox fit`: the answer, its JSON, its files."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from command_line import OWN, QUICK, RECORD, refused, run
+
+import greybox as gb
+
+
+def test_the_main_job(capsys):
+    status, out, _ = run(capsys, "fit", "pitch_hover", "--starts", "20")
+    assert status == 0
+    assert "0.559187" in out
+    assert "angular acceleration per control" in out
+
+
+def test_json_has_the_promised_keys_and_no_nan(capsys):
+    status, out, _ = run(capsys, "fit", "yaw_hover", *QUICK, "--json")
+    answer = json.loads(out, parse_constant=lambda word: pytest.fail(f"{word} in JSON"))
+    promised = (
+        "problem criterion delay starts seed converged agreeing minima cost status estimate standard_error derived"
+    )
+    assert status == 0
+    assert set(promised.split()) | {"warnings", "seconds", "versions"} <= set(answer)
+    assert answer["problem"] == "yaw_hover"
+    assert answer["starts"] == 8
+    assert answer["estimate"]["T_rotor"] == 0.048
+    assert any("a1_tilde" in warning for warning in answer["warnings"])
+
+
+def test_unknown_is_null_in_json(capsys, own):
+    text = OWN.replace("p.K / (p.T", "p.K / (1 + 0 * p.T) / (0.2")
+    status, out, _ = run(capsys, "fit", own(text), "--json")
+    answer = json.loads(out)
+    assert status == 0
+    assert answer["standard_error"]["T"] is None
+    assert any(w.startswith("T is not determined") for w in answer["warnings"])
+
+
+def test_out_and_plot_are_written_and_kept(capsys, tmp_path):
+
+    saved, drawn = tmp_path / "pitch.h5", tmp_path / "pitch.png"
+    command = ["fit", "pitch_hover", *QUICK, "--out", saved, "--plot", drawn]
+    status, out, _ = run(capsys, *command)
+    assert status == 0
+    assert str(saved) in out
+    assert gb.load(saved).cost == pytest.approx(0.559187, rel=1e-5)
+    assert drawn.read_bytes().startswith(b"\x89PNG")
+    before = saved.read_bytes()
+    assert "--force" in refused(capsys, *command)
+    assert saved.read_bytes() == before
+    assert run(capsys, *command, "--force")[0] == 0
+
+
+def test_nothing_is_written_when_the_input_is_bad(capsys, tmp_path):
+    refused(capsys, "fit", "pitch_hover", "--out", tmp_path / "x.h5", "--delay", "pade:0")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_fails_has_status_1_and_its_reason(capsys, own):
+    text = OWN.replace("p.K / (p.T * s + 1)", "p.K / (p.T * s + 1) / gb.sqrt(-1 - p.T)")
+    status, out, err = run(capsys, "fit", own(text), "--json")
+    answer = json.loads(out)
+    assert status == 1
+    assert "Invalid_Number_Detected" in answer["error"]
+    assert "Invalid_Number_Detected" in err
+    assert answer["cost"] is None
+    assert answer["estimate"] == {"K": None, "T": None}
+
+
+def test_a_stored_result_of_a_users_model_loads_without_it(capsys, own, tmp_path):
+    name = own()
+    assert run(capsys, "fit", name, "--out", tmp_path / "own.h5")[0] == 0
+    code = (
+        "import greybox as gb, os, sys\n"
+        "fit = gb.load('own.h5')\n"
+        "print(fit)\n"
+        "gb.plot(fit)\n"
+        "try:\n    print(fit.response([1.0]))\n"
+        "except LookupError as error:\n    print('MISSING', error)\n"
+    )
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "own.h5").write_bytes((tmp_path / "own.h5").read_bytes())
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=tmp_path / "elsewhere", capture_output=True, text=True, check=True)
+    assert "time constant" in done.stdout
+    assert "MISSING the model Lag of the module" in done.stdout
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert "MISSING" not in done.stdout
+
+
+def test_a_problem_with_a_record(own, capsys):
+    path = own(RECORD)
+    status, out, err = run(capsys, "fit", path, "--json", "--out", "fit.h5")
+    answer = json.loads(out)
+    assert (status, err) == (0, "")
+    assert abs(answer["estimate"]["T"] - 0.3) < 4 * answer["standard_error"]["T"]
+    (output,) = answer["outputs"]
+    assert (output["output"], output["unit"]) == ("y", "m")
+    assert output["fit_percent"] > 95
+    assert 0.017 < output["noise"] < 0.023
+    status, out, _ = run(capsys, "fit", path, "--fix", "T=0.3")
+    assert status == 0
+    assert "200 samples in 1 record" in out
+    assert "time constant" in out
+
+
+def test_the_shipped_records(capsys):
+    command = ["fit", "sitl_drag", "--starts", "2"]
+    status, out, _ = run(capsys, *command)
+    assert status == 0
+    assert "7518 samples in 2 records" in out
+    assert "v (sitl_drag_5deg): residual" in out
+    answer = json.loads(run(capsys, *command, "--json")[1])
+    assert answer["cost"] == pytest.approx(-14516.2355, abs=0.01)
+    assert [output["part"] for output in answer["outputs"]] == ["sitl_drag_hover", "sitl_drag_5deg"]

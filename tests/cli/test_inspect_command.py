@@ -1,0 +1,32 @@
+"""`greybox inspect` says what a log holds."""
+
+import json
+from importlib.resources import files
+
+import pytest
+from command_line import run
+
+LOG = str(files("greybox.problems") / "data" / "sitl_pitch.BIN")
+PITCH = ["--announced", "SINE", "--input", "u=RATE.POut", "--output", "theta=ATT.Pitch"]
+
+
+def test_inspect_says_what_a_log_holds(capsys, tmp_path):
+    status, out, _ = run(capsys, "inspect", LOG, "--announced", "SINE", "--plot", tmp_path / "log.png")
+    assert status == 0
+    for words in ("ArduCopter", "ATT", "RATE", "20.11", "sitl_pitch.BIN"):
+        assert words in out
+    assert (tmp_path / "log.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_inspect_as_json(capsys):
+    status, out, _ = run(capsys, "inspect", LOG, "--announced", "SINE", "--json")
+    answer = json.loads(out)
+    assert status == 0
+    assert [round(s["omega"], 2) for s in answer["segments"]][:3] == [20.11, 16.01, 12.03]
+    assert "Pitch" in next(m for m in answer["messages"] if m["name"] == "ATT")["signals"]
+
+
+def test_without_an_announcement_the_tests_are_found_in_the_setpoint(capsys):
+    answer = json.loads(run(capsys, "inspect", LOG, "--setpoint", "ATT.DesPitch", "--json")[1])
+    found = [s["omega"] for s in answer["segments"] if s["usable"]]
+    assert found == pytest.approx([20.11, 16.01, 12.03, 8, 5.34, 4, 3.5, 3, 2, 1], rel=0.01)

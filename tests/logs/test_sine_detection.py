@@ -1,0 +1,98 @@
+"""Sines and sweeps in one signal: what is there is found, and nothing else."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sine_schedules import STEP, schedule
+
+from greybox.data.test_segment import segment_table
+from greybox.logs.sine_detection import sines_and_sweeps
+
+
+def assert_found(runs, plan, starts, within=1.0):
+    assert [run.kind for run in runs] == ["sine"] * len(plan)
+    for run, (omega, _), (start, end) in zip(runs, plan, starts, strict=True):
+        assert run.omega == pytest.approx(omega, rel=2e-3)
+        assert run.amplitude == pytest.approx(3.0, rel=0.1)
+        assert run.start == pytest.approx(start, abs=within * math.pi / omega)
+        assert run.end == pytest.approx(end, abs=within * math.pi / omega)
+
+
+def staircase(t, r, hold=0.012):
+    return r[np.searchsorted(t, np.floor(t / hold) * hold)]
+
+
+@pytest.mark.parametrize("pause", [0.0, 2.0, 7.0])
+@pytest.mark.parametrize("spoiled", ["clean", "staircase", "offset", "step", "coarse"])
+def test_sines_one_after_another(pause, spoiled):
+    plan = [(20.0, 10.0), (8.0, 10.0), (4.0, 15.0), (3.5, 15.0), (2.0, 20.0), (1.0, 40.0)]
+    t, r, starts = schedule(plan, pause)
+    spoil = {
+        "clean": lambda: r,
+        "staircase": lambda: staircase(t, r),
+        "offset": lambda: r + 5,
+        "step": lambda: r + np.where(t < 3, -20.0, 0.0),
+        "coarse": lambda: np.round(r, 1),
+    }
+    assert_found(sines_and_sweeps(t, spoil[spoiled]()), plan, starts)
+
+
+@given(seed=st.integers(0, 10_000), ratio=st.floats(6, 100), omega=st.floats(1, 15))
+@settings(max_examples=25, deadline=None, derandomize=True)
+def test_sines_in_noise(seed, ratio, omega):
+    plan = [(omega, 15.0 + 20 / omega), (1.3 * omega, 15.0 + 20 / omega)]
+    t, r, starts = schedule(plan)
+    noisy = r + 3 / ratio * np.random.default_rng(seed).standard_normal(t.size)
+    runs = [run for run in sines_and_sweeps(t, noisy) if run.amplitude > 1]
+    assert_found(runs, plan, starts, within=8.0)
+
+
+@given(
+    low=st.floats(0.3, 3),
+    factor=st.floats(5, 60),
+    duration=st.floats(30, 90),
+    logarithmic=st.booleans(),
+    sign=st.booleans(),
+)
+@settings(max_examples=30, deadline=None, derandomize=True)
+def test_a_sweep_is_not_called_sines(low, factor, duration, logarithmic, sign):
+    t = np.arange(0, duration, STEP)
+    x = t / duration
+    phase = low * duration * ((factor**x - 1) / math.log(factor) if logarithmic else x + (factor - 1) * x**2 / 2)
+    r = np.sin(phase)[:: -1 if sign else 1]
+    runs = sines_and_sweeps(t, r)
+    assert not [run for run in runs if run.kind == "sine"]
+
+
+def test_a_sweep_is_called_a_sweep():
+    t = np.arange(0, 60, STEP)
+    phase = 60 * (30 ** (t / 60) - 1) / math.log(30)
+    (run,) = sines_and_sweeps(t, 2 * np.sin(phase))
+    assert run.kind == "sweep"
+    assert run.band == pytest.approx((3, 28), rel=0.5)
+    assert run.amplitude == pytest.approx(2, rel=0.1)
+    assert "sweep" in segment_table([run])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_steps_squares_and_walks_are_no_sines(seed):
+    rng = np.random.default_rng(seed)
+    t = np.arange(0, 60, STEP)
+    for r in (
+        rng.standard_normal(t.size),
+        np.cumsum(rng.standard_normal(t.size)),
+        np.sign(np.sin(2 * t)),
+        np.repeat(rng.standard_normal(60), 100),
+        np.zeros(t.size),
+        t,
+    ):
+        assert not [run for run in sines_and_sweeps(t, r) if run.kind == "sine" and run.duration > 3]
+
+
+@given(st.lists(st.floats(-1e6, 1e6, allow_subnormal=False), min_size=1, max_size=60))
+@settings(max_examples=100, deadline=None)
+def test_any_short_signal_is_survived(values):
+    sines_and_sweeps(np.arange(len(values)) * 0.3, np.array(values))

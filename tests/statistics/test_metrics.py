@@ -1,0 +1,107 @@
+"""Measures of fit against their formulas, tests of residuals against the distribution that they promise."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.signal import lfilter
+from scipy.stats import kstest
+
+from greybox.statistics import metrics
+
+Y = np.array([1.0, 2.0, np.nan, 4.0, 7.0])
+P = np.array([1.5, 1.0, 3.0, np.nan, 6.0])
+KNOWN = [0, 1, 4]
+
+
+def test_measures_of_fit_are_their_formulas_on_what_both_have():
+    y = Y[KNOWN]
+    p = P[KNOWN]
+    assert metrics.rms(Y - P) == pytest.approx(np.sqrt(np.mean((y - p) ** 2)))
+    fit = 100 * (1 - np.linalg.norm(y - p) / np.linalg.norm(y - y.mean()))
+    assert metrics.fit_percent(Y, P) == pytest.approx(fit)
+    assert metrics.variance_accounted_for(Y, P) == pytest.approx(100 * (1 - np.var(y - p) / np.var(y)))
+    assert metrics.variance_accounted_for(Y, P + 5) == pytest.approx(metrics.variance_accounted_for(Y, P))
+
+
+def test_measures_of_nothing_are_not_known():
+    nothing = np.full(3, np.nan)
+    for measure in (metrics.fit_percent, metrics.variance_accounted_for):
+        assert math.isnan(measure(nothing, nothing))
+        assert math.isnan(measure(np.ones(3), np.zeros(3)))  # a constant has no variation to explain
+    assert math.isnan(metrics.rms(nothing))
+    assert math.isnan(metrics.theil(nothing, nothing).coefficient)
+    with pytest.raises(ValueError, match="3 measured and 2 predicted values"):
+        metrics.fit_percent(np.ones(3), np.ones(2))
+
+
+def test_theils_shares_are_one_where_only_that_error_is_made():
+    y = np.sin(np.arange(100.0))
+    assert metrics.theil(y, y).coefficient == 0
+    assert metrics.theil(y, y + 1).bias == pytest.approx(1)
+    centered = y - y.mean()
+    assert metrics.theil(centered, 2 * centered).variance == pytest.approx(1)
+    shuffled = np.random.default_rng(0).permutation(y)
+    assert metrics.theil(y, shuffled).covariance == pytest.approx(1)
+    assert metrics.theil(y, -y).coefficient == pytest.approx(1)
+
+
+def test_whiteness_of_white_noise_is_rejected_as_often_as_said():
+    """p values of white residuals are uniform; those of colored ones are not."""
+    p_values = []
+    for seed in range(300):
+        e = np.random.default_rng(seed).standard_normal(400)
+        e[::7] = np.nan
+        p_values.append(metrics.whiteness([e[:150], e[150:]], lags=10).p_value)
+    assert kstest(p_values, "uniform").pvalue > 0.01
+    colored = lfilter([1], [1, -0.5], np.random.default_rng(0).standard_normal(400))
+    tested = metrics.whiteness([colored])
+    assert tested.p_value < 1e-6
+    assert tested.correlations[0] == pytest.approx(0.5, abs=0.1)
+    assert tested.outside >= 1
+
+
+def test_the_statistic_is_that_of_ljung_and_box():
+    e = np.random.default_rng(1).standard_normal(300)
+    tested = metrics.whiteness([e], lags=5)
+    centered = e - e.mean()
+    r = np.array([centered[k:] @ centered[: e.size - k] for k in range(1, 6)]) / (centered @ centered)
+    assert_allclose(tested.correlations, r)
+    assert tested.statistic == pytest.approx(300 * 302 * np.sum(r**2 / (300 - np.arange(1, 6))))
+    assert tested.dof == 5
+
+
+def test_input_correlation_is_rejected_as_often_as_said_for_colored_inputs_and_residuals():
+    p_values = []
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        u = lfilter([1], [1, -0.9], rng.standard_normal(600))
+        e = lfilter([1], [1, -0.6], rng.standard_normal(600))
+        p_values.append(metrics.input_correlation([e], [u], lags=8).p_value)
+    assert np.mean(np.array(p_values) < 0.05) < 0.1
+    u = np.random.default_rng(0).standard_normal(600)
+    e = np.random.default_rng(1).standard_normal(600) + 0.3 * np.roll(u, 2)
+    tested = metrics.input_correlation([e], [u], lags=8)
+    assert tested.p_value < 1e-6
+    assert np.abs(tested.correlations).argmax() == 1
+
+
+def test_a_mean_of_correlated_values_has_the_error_of_their_spectrum_at_zero():
+    """An autoregression of 0.8 multiplies the variance of the mean by (1 + 0.8) / (1 - 0.8) = 9."""
+    means = []
+    errors = []
+    for seed in range(200):
+        e = lfilter([1], [1, -0.8], np.random.default_rng(seed).standard_normal(1100))[100:]
+        mean, error = metrics.mean_test([e[:500], e[500:]])
+        means.append(mean)
+        errors.append(error)
+    assert np.mean(errors) == pytest.approx(np.std(means), rel=0.15)
+    assert np.mean(errors) == pytest.approx(3 * math.sqrt(1 / 0.36 / 1000), rel=0.1)
+
+
+@pytest.mark.parametrize("values", [[], [1.0], [1.0, 2.0]])
+def test_too_few_values_are_not_tested(values):
+    assert math.isnan(metrics.whiteness([np.array(values)]).p_value)
+    assert math.isnan(metrics.input_correlation([np.array(values)], [np.array(values)]).p_value)
+    assert math.isnan(metrics.mean_test([np.array(values)])[1])

@@ -1,0 +1,61 @@
+"""`repr` of what can be large is one line, so that a bare name at a prompt does not flood the screen."""
+
+import numpy as np
+import pytest
+from declared_models import TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
+from drag_flights import QUADRATIC, Drag, LinearDrag, fitted, flight
+
+import greybox as gb
+from greybox.regression.order_selection import OrderPath
+from greybox.solve.minima import Multistart
+from greybox.spectral.frequency_points import FiniteFrequency
+
+RECORD = flight(QUADRATIC, 1, duration=10.0)
+RESPONSE = measured(LagLagDelay(), TWO_LAGS_OMEGA, noise=0.02, name="a name of a test that is long " * 10)
+PROBLEM = gb.Problem(Lag(), RESPONSE)
+FIT = gb.fit(PROBLEM, starts=3)
+SMALL, LARGE = fitted(LinearDrag(), RECORD), fitted(Drag(), RECORD)
+SCHEDULE = gb.experiment.multisine(0.5, 5.0, 20.0, 50.0)
+VALUES = {
+    "Comparison": gb.compare(SMALL, LARGE),
+    "EquationError": gb.regression.equation_error(Drag(), RECORD),
+    "Excitation": SCHEDULE,
+    "FiniteFrequency": FiniteFrequency(RESPONSE, ()),
+    "Fit": FIT,
+    "FittedRecord": SMALL.parts[0],
+    "FittedResponse": FIT.parts[0],
+    "FrequencyResponse": RESPONSE,
+    "LinearSystem": gb.modeling.linearize(Drag(), {"a5": 0.2, "C_x": 0.1}, {"v": 1.0}),
+    "Listed": gb.solve.Listed([{"K": 1.0, "T": 2.0}] * 20),
+    "Minimum": FIT.minima[0],
+    "Multistart": Multistart(FIT.runs, FIT.minima, 1.0),
+    "NestedTest": gb.validation.nested_test(SMALL, LARGE),
+    "OrderPath": OrderPath((gb.regression.levy(RESPONSE, 2, 0),), ("made",)),
+    "Prediction": gb.predict(SMALL),
+    "Problem": PROBLEM,
+    "Quality": gb.spectral.check(RECORD, input="theta", output="v"),
+    "Quantity": FIT.quantities[0],
+    "RationalFit": gb.regression.levy(RESPONSE, 2, 0),
+    "Record": RECORD,
+    "Recording": gb.data.Recording({f"M{k}": RECORD for k in range(40)}, source="flight.BIN"),
+    "Run": FIT.runs[0],
+    "Segment": gb.data.Segment(1.0, 2.0, "sweep", "pitch", band=(1.0, 10.0)),
+    "Sine": gb.modeling.Sine("u", np.linspace(0.1, 0.2, 40)),
+    "Sum": gb.several(Drag(), [RECORD, flight(QUADRATIC, 2, duration=5.0)]),
+}
+
+
+@pytest.mark.parametrize("kind", VALUES)
+def test_the_repr_is_one_short_line(kind):
+    value = VALUES[kind]
+    assert type(value).__name__ == kind
+    text = repr(value)
+    assert len(text) < 120
+    assert "\n" not in text
+    assert text.startswith((f"<{kind}", f"{kind}("))
+
+
+def test_the_repr_says_what_it_is():
+    assert repr(RECORD) == "<Record 'flight 1', 200 samples, 9.95 s, theta, v>"
+    assert repr(SMALL).startswith("<Fit 'flight 1', converged, cost ")
+    assert repr(FIT.minima[0]).endswith(", 3 runs, 1 variant>")
