@@ -19,7 +19,7 @@ def record(n=60, outputs=("y",), step=STEP, start=3.0, **signals):
 
 
 def cut(data, *, inputs=("u",), outputs=("y",), lead=0.0, segment_length=7, complete=False):
-    return sampled_data(data, inputs, outputs, lead=lead, segment_length=segment, complete=complete)
+    return sampled_data(data, inputs, outputs, lead=lead, segment_length=segment_length, complete=complete)
 
 
 def measured_input(u, held):

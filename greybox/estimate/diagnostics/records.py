@@ -121,8 +121,8 @@ def _masked(nlp: Nlp, part: RecordPart) -> Iterator[str]:
     bounds = [f"{name} (up to {known[name].bounds[1]:g} {known[name].unit})" for name in names if name in known]
     yield (
         f"{lost} of {counted(there, 'sample')} of {data.name or part.problem.name!r} were not compared: the inputs "
-        "move at the beginning, and what they did before, for the largest delay the bounds allow, is not known; lower the "
-        f"upper bound of {' and '.join(bounds) or ' and '.join(names)}, or begin the record where the inputs rest."
+        "move at the beginning, and what they did before, for the largest delay the bounds allow, is not known; lower "
+        f"the upper bound of {' and '.join(bounds) or ' and '.join(names)}, or begin the record where the inputs rest."
     )
 
 
