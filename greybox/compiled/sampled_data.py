@@ -191,7 +191,8 @@ def sampled_data(
     constant = bool(inputs) and all(_is_constant(record[name]) for name in inputs)
     if constant and not any(noise_ratio([s.outputs[k] for s in stretches]).smooth for k in range(len(outputs))):
         raise ValueError(
-            f"the inputs of the record never change ({names}) and {_listed(outputs)} is indistinguishable from noise: "
+            f"the inputs of the record never change ({names}) and {_listed(outputs)} "
+            f"{'is' if len(outputs) == 1 else 'are'} indistinguishable from noise: "
             "nothing can be estimated from it."
         )
     usable = tuple(s for s in stretches if np.isfinite(s.outputs).any() and len(s) > 2)
@@ -241,7 +242,7 @@ def gapless(
 
 
 def _listed(names: tuple[str, ...]) -> str:
-    return names[0] if len(names) == 1 else f"none of {', '.join(names)}"
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _called(record: Record) -> str:

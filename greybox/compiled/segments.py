@@ -316,4 +316,4 @@ def _measured_rows(data: SampledData) -> Array:
 def _by_sample(values: Array, data: SampledData) -> Array:
     """Return (r, samples) as columns."""
     ordered = values.reshape(len(values), data.segments, data.segment_length).transpose(0, 2, 1)
-    return np.ascontiguousarray(ordered).reshape(len(values), -1)
+    return np.ascontiguousarray(ordered).reshape(len(values), data.samples)

@@ -84,7 +84,7 @@ def test_the_steps_of_the_whole_record_come_back():
     assert_allclose(made.measured[0, :60], data["y"])
     assert np.isnan(made.measured[0, 60:]).all()
     assert_allclose(made.steps, STEP)
-    assert made.first.tolist() == [True] + 8 * [False]
+    assert made.begins_stretch.tolist() == [True] + 8 * [False]
     assert made.coupled.tolist() == 8 * [True] + [False]
     (back,) = made.unpadded(made.measured)
     assert_allclose(back[0], data["y"])
@@ -100,7 +100,7 @@ def test_gaps_and_missing_inputs_end_a_stretch():
     made = cut(data, segment_length=10)
     assert [s.first for s in made.stretches] == [0, 21, 45]
     assert [len(s) for s in made.stretches] == [20, 24, 15]
-    assert made.first.tolist() == [True, False, True, False, False, True, False]
+    assert made.begins_stretch.tolist() == [True, False, True, False, False, True, False]
     assert made.coupled.tolist() == [True, False, True, True, False, True, False]
     for stretch in made.stretches:
         assert_allclose(stretch.outputs[0], data["y"][stretch.first :][: len(stretch)])
@@ -225,7 +225,7 @@ def test_small_jitter_counts_as_uniform_and_large_does_not():
 
 
 def test_bad_records():
-    with pytest.raises(ValueError, match=r"never move \(u\): nothing can be estimated"):
+    with pytest.raises(ValueError, match=r"never change \(u\) and y is indistinguishable from noise: nothing can"):
         cut(record(u=np.ones(60), y=RANDOM.normal(size=60)))
     assert cut(record(u=np.ones(60))).constant_inputs
     assert not cut(record()).constant_inputs
