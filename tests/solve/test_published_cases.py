@@ -90,7 +90,7 @@ def test_too_few_substeps_are_told_from_their_shift(slow_pendulum):
     profile = solver.profile(search.minima[0].estimate, search.nodes)
     assert discretization_error(nlp, profile.trajectories).largest > 1
     (sentence,) = discretization_warnings(nlp, profile.trajectories)
-    assert "with 4 steps per sample instead of 2 steps" in sentence
+    assert "twice the steps per sample (4 instead of 2)" in sentence
     assert refine_discretization(nlp, search, solver) == (nlp, search, solver, None)  # what the method fixes stays
 
 

@@ -1,7 +1,7 @@
 """How the states of a record become unknowns of an optimization: one method a file, interchangeable on one problem.
 
-`method` says what a transcription is; `multiple_shooting` is the default, `single_shooting` and `collocation` are solved
-by IPOPT.
+`method` says what a transcription is; `multiple_shooting` is the default, `single_shooting` and `collocation` are
+solved by IPOPT.
 """
 
 from greybox.compiled.transcription.collocation import Collocation as Collocation

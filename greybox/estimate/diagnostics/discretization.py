@@ -23,13 +23,12 @@ def discretization_warnings(
         return
     name = nlp.free[int(np.argmax(np.abs(error.shift)))]
     count = max(part.substeps for part in nlp.record_parts)
-    by = "until the model diverges"
+    by = "beyond all bounds, since the model diverges"
     if math.isfinite(error.largest):
         by = f"by {error.largest:.2g} standard errors"
-    steps = "step" if count == 1 else "steps"
     yield (
-        f"the integration is too coarse: with {2 * count} steps per sample instead of {count} {steps}, {name} or its "
-        f"standard error would change {by}; {_cure(nlp.method, count, error.growth)}."
+        f"the integration is too coarse: twice the steps per sample ({2 * count} instead of {count}) would change {name} "
+        f"or its standard error {by}; {_cure(nlp.method, count, error.growth)}."
     )
 
 
