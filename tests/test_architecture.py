@@ -1,6 +1,7 @@
 """The house: which folder may import which, and what is forbidden everywhere."""
 
 import ast
+import re
 import subprocess
 import sys
 from graphlib import CycleError, TopologicalSorter
@@ -42,6 +43,11 @@ def not_above(folder, names):
     allowed = FOLDERS[: FOLDERS.index(folder) + 1]
     parts = [name.split(".") for name in names]
     return [".".join(p) for p in parts if p[0] == "greybox" and (len(p) < 2 or p[1] not in allowed)]
+
+
+def test_contributing_has_the_same_folders_in_the_same_order():
+    table = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").split("<!-- folders -->")[1].split("<!-- end -->")[0]
+    assert re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE) == FOLDERS
 
 
 def test_every_file_is_in_a_folder_of_the_list():

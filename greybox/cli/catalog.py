@@ -93,9 +93,9 @@ def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
         )
     label = Path(place).stem + (f":{name}" if name else "")
     settings = getattr(module, "settings", {})
-    unknown = set(settings) - {"starts", "seed"}
+    unknown = set(settings) - {"starts", "seed", "method"}
     if unknown:
-        raise ValueError(f"settings in {text} has {unknown.pop()!r}: it may contain 'starts' and 'seed'.")
+        raise ValueError(f"settings in {text} has {unknown.pop()!r}: it may contain 'starts', 'seed' and 'method'.")
     return problem.with_(name=label), dict(settings)
 
 

@@ -11,10 +11,11 @@ from greybox.cli.data_file import read_data
 from greybox.cli.options import UsageError, assignments
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.data.record import Record
-from greybox.formulation.frequency_criteria import CRITERIA, Criterion
+from greybox.formulation.frequency_criteria import Criterion
+from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
-from greybox.formulation.time_criteria import TIME_CRITERIA, TimeCriterion
+from greybox.formulation.time_criteria import TimeCriterion
 
 
 def add_problem_options(parser: argparse.ArgumentParser) -> None:

@@ -29,7 +29,8 @@ from greybox.estimate.diagnostics.records import record_warnings
 from greybox.estimate.fitted_record import fitted_record, stated
 from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit, FittedRecord, FittedResponse
-from greybox.formulation.frequency_criteria import CRITERIA, evaluate
+from greybox.formulation.frequency_criteria import evaluate
+from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Chained, Listed, Sobol, Starts, as_starts
 from greybox.formulation.sum import Sum

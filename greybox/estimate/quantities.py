@@ -16,13 +16,13 @@ from greybox.formulation.problem import Problem
 
 
 class Formula(NamedTuple):
-    """A quantity that follows from the parameters: `of` takes their values by outside name."""
+    """A quantity that follows from the parameters; `evaluate` takes their values by outside name."""
 
     name: str
     kind: Literal["tied", "derived"]
     unit: str
     about: str
-    of: Callable[[Mapping[str, Any]], Any]
+    evaluate: Callable[[Mapping[str, Any]], Any]
 
 
 def quantities(
@@ -35,33 +35,53 @@ def quantities(
     """
     formulas = _tied(nlp.problem) + _derived(nlp.problem)
     values, gradients = _evaluated(nlp, formulas, estimate)
-    rows = np.vstack([np.eye(len(nlp.names)), gradients])
-    errors = propagate(accuracy, rows)
-    bare = [_parameter(nlp, accuracy, name, estimate[name]) for name in nlp.names]
-    bare += [_line(formula, float(value), accuracy) for formula, value in zip(formulas, values, strict=True)]
+    lines = [_parameter(nlp, accuracy, name, estimate[name]) for name in nlp.names]
+    lines += [_formula(formula, float(value), accuracy) for formula, value in zip(formulas, values, strict=True)]
+
+    # Every line by its derivatives with respect to all values.
+    slopes = np.vstack([np.eye(len(nlp.names)), gradients])
+    errors = propagate(accuracy, slopes)
     lines = [
         replace(line, standard_error=float(error), dof=float(dof))
-        for line, error, dof in zip(bare, errors, degrees(accuracy, rows), strict=True)
+        for line, error, dof in zip(lines, errors, degrees(accuracy, slopes), strict=True)
     ]
-    named = [line for line in lines if line.kind != "derived"]
-    rows, known = rows[: len(named)], errors[: len(named)] + errors[: len(named), None]
-    return tuple(lines), tuple(line.name for line in named), np.where(np.isnan(known), np.nan, _product(rows, accuracy))
 
-
-def _product(rows: NDArray[np.float64], accuracy: Accuracy) -> NDArray[np.float64]:
-    return rows @ accuracy.covariance @ rows.T
-
-
-def _line(formula: Formula, value: float, accuracy: Accuracy) -> Quantity:
-    hit = formula.kind == "tied" and any(text.endswith(f"of the tied {formula.name}") for text in accuracy.active)
-    return Quantity(formula.name, value, math.nan, formula.kind, formula.unit, formula.about, at_bound=hit)
+    parameters = [line.name for line in lines if line.kind != "derived"]
+    count = len(parameters)
+    covariance = slopes[:count] @ accuracy.covariance @ slopes[:count].T
+    unknown = np.isnan(errors[:count])
+    covariance[unknown] = np.nan
+    covariance[:, unknown] = np.nan
+    return tuple(lines), tuple(parameters), covariance
 
 
 def _parameter(nlp: Nlp, accuracy: Accuracy, name: str, value: float) -> Quantity:
+    """Return the line of a free or fixed parameter, its error still unknown."""
     declared = nlp.problem.parameters[name]
-    kind = "fixed" if declared.fixed else "free"
-    hit = name in accuracy.at_bound
-    return Quantity(name, value, math.nan, kind, declared.unit, declared.about, declared.bounds, hit)
+    return Quantity(
+        name,
+        value,
+        standard_error=math.nan,
+        kind="fixed" if declared.fixed else "free",
+        unit=declared.unit,
+        about=declared.about,
+        bounds=declared.bounds,
+        at_bound=name in accuracy.at_bound,
+    )
+
+
+def _formula(formula: Formula, value: float, accuracy: Accuracy) -> Quantity:
+    """Return the line of a tied or derived quantity, its error still unknown."""
+    bounded = [limit for limit in accuracy.active if limit.endswith(f"of the tied {formula.name}")]
+    return Quantity(
+        formula.name,
+        value,
+        standard_error=math.nan,
+        kind=formula.kind,
+        unit=formula.unit,
+        about=formula.about,
+        at_bound=formula.kind == "tied" and bool(bounded),
+    )
 
 
 def _evaluated(
@@ -70,7 +90,7 @@ def _evaluated(
     """Return the values (f,) and gradients (f, k) with respect to all values."""
     symbols = ca.SX.sym("x", len(nlp.names))
     named = dict(zip(nlp.names, ca.vertsplit(symbols), strict=True))
-    stacked = ca.vertcat(ca.SX(0, 1), *[ca.SX(formula.of(named)) for formula in formulas])
+    stacked = ca.vertcat(ca.SX(0, 1), *[ca.SX(formula.evaluate(named)) for formula in formulas])
     both = ca.Function("quantities", [symbols], [stacked, ca.jacobian(stacked, symbols)])
     value, gradient = both([estimate[name] for name in nlp.names])
     return np.asarray(value).ravel(), np.asarray(ca.DM(gradient)).reshape(len(formulas), len(nlp.names))
@@ -80,7 +100,8 @@ def _tied(problem: AnyProblem) -> list[Formula]:
     found: dict[str, Formula] = {}
     for part in problem.parts:
         for name in part.tied:
-            outside, declared = part.rename.get(name, name), part.model.parameters[name]
+            outside = part.outside(name)
+            declared = part.model.parameters[name]
             found.setdefault(outside, Formula(outside, "tied", declared.unit, declared.about, _tie(part, name)))
     return list(found.values())
 
@@ -90,10 +111,11 @@ def _derived(problem: AnyProblem) -> list[Formula]:
     taken = {*problem.parameters, *(formula.name for formula in _tied(problem))}
     found: dict[str, Formula] = {}
     for position, part in enumerate(problem.parts):
+        differs = bool(part.rename or part.tied) and len(problem.parts) > 1
         for name, function in part.model.derived.items():
-            own = bool(part.rename or part.tied) and len(problem.parts) > 1
-            label = f"{name} ({part.name})" if own or name in taken else name
-            label = f"{name} (part {position})" if own and label in found else label
+            label = f"{name} ({part.name})" if differs or name in taken else name
+            if differs and label in found:  # two parts of one name
+                label = f"{name} (part {position})"
             found.setdefault(label, Formula(label, "derived", "", "", _derivation(part, function)))
     return list(found.values())
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.text_table import counted, number, one_line, text_table, with_error
-from greybox.formulation.frequency_criteria import CRITERIA
+from greybox.formulation.included_criteria import CRITERIA
 from greybox.modeling.harmonic_balance import response_of_test
 from greybox.modeling.model import Model
 from greybox.modeling.model_reference import reference, resolve
@@ -22,8 +22,9 @@ from greybox.modeling.sine import Sine
 from greybox.simulation.model_at_estimate import Inputs, ModelAtEstimate, criterion_of
 from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.outcome import Run
-from greybox.statistics.metrics import fit_percent
+from greybox.statistics.metrics import fit_percent, rms
 
+# The included criteria in words, by name: `Fit.costs` has names alone.
 RULES = {criterion.name: criterion.description for criterion in CRITERIA}
 
 
@@ -204,9 +205,10 @@ class Fit:
     names, covariance : tuple of str, (k, k) array
         Of free, fixed and tied parameters.
     dof : float
-        Numbers in the data less the directions that they choose. A record counts as many as independent ones would
-        tell as much, less its unknown initial states, with its noise given or not, since the errors follow its
-        residuals. Infinite where all data are frequency responses with given variances (`MaximumLikelihood`).
+        Numbers in the data less the directions of parameter space that they determine. A record counts as its
+        equivalent number of independent residuals, less its unknown initial states, whether its noise is given or not,
+        since standard errors use the residual variance. Infinite where all data are frequency responses with given
+        variances (`MaximumLikelihood`).
     cost : float
         The criterion minimized, without smoothing; NaN when no start converged.
     costs : mapping of str to float
@@ -303,14 +305,15 @@ class Fit:
             raise ValueError(f"level {level} must lie between 0 and 1, e.g. 0.95.")
         from scipy.special import stdtrit  # noqa: PLC0415  (takes a tenth of a second to import)
 
-        def half(q: Quantity) -> float:
-            return float(stdtrit(min(q.dof, 1e9), 0.5 + level / 2)) * q.standard_error if q.dof > 0 else math.nan
-
-        return {
-            q.name: (q.value - half(q), q.value + half(q))
-            for q in self.quantities
-            if q.kind != "fixed" or q.standard_error > 0
-        }
+        intervals = {}
+        for q in self.quantities:
+            if q.kind == "fixed" and not q.standard_error > 0:
+                continue
+            # At 1e9 degrees of freedom Student's t is the normal distribution to all digits; it takes no infinity.
+            quantile = float(stdtrit(min(q.dof, 1e9), 0.5 + level / 2)) if q.dof > 0 else math.nan
+            half = quantile * q.standard_error
+            intervals[q.name] = (q.value - half, q.value + half)
+        return intervals
 
     def covariance_of(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return the covariance matrix of the named parameters."""
@@ -319,8 +322,8 @@ class Fit:
                 raise ValueError(
                     f"the fit has no parameter {name!r} with a covariance; it has {', '.join(self.names)}."
                 )
-        places = [self.names.index(name) for name in names]
-        return self.covariance[np.ix_(places, places)]
+        rows = [self.names.index(name) for name in names]
+        return self.covariance[np.ix_(rows, rows)]
 
     def at_estimate(
         self, model: Model | None = None, *, inputs: Inputs | None = None, part: int | None = None
@@ -345,11 +348,10 @@ class Fit:
         """
         if not self.converged:
             raise ValueError(f"the fit {self.name!r} has no estimate: {self.status}.")
-        place = _place(self, model, part)
-        stated = self.parts[place]
+        k = _part_index(self, model, part)
         if model is None:
-            model = self.models[place] if self.models else resolve(dict(stated.model))
-        return _at_estimate(self, model, stated, inputs)
+            model = self.models[k] if self.models else resolve(dict(self.parts[k].model))
+        return _at_estimate(self, model, self.parts[k], inputs)
 
     def response(self, omega: ArrayLike, part: int = 0, model: Model | None = None) -> FrequencyResponse:
         """Evaluate the fitted model of a part at `omega` (n,) rad/s.
@@ -367,11 +369,20 @@ class Fit:
                 f"part {part} of the fit is a record: use gb.frequency_response(model, fit.estimate, omega), or "
                 "gb.simulate for time histories."
             )
-        alive = model or (self.models[part] if self.models else resolve(dict(stated.model)))
-        values = {name: self.estimate[stated.rename.get(name, name)] for name in alive.parameters}
-        signals: Any = {"input": stated.data.input, "output": stated.data.output}
-        signals |= {"at": stated.at, "delay": stated.delay}
-        return response_of_test(alive, values, omega, stated.sine, stated.data.omega, **signals)
+        if model is None:
+            model = self.models[part] if self.models else resolve(dict(stated.model))
+        values = {name: self.estimate[stated.rename.get(name, name)] for name in model.parameters}
+        return response_of_test(
+            model,
+            values,
+            omega,
+            stated.sine,
+            stated.data.omega,
+            input=stated.data.input,
+            output=stated.data.output,
+            at=stated.at,
+            delay=stated.delay,
+        )
 
     def __repr__(self) -> str:
         return one_line(
@@ -387,91 +398,124 @@ class Fit:
 
 def _text(fit: Fit) -> str:
     """Answer in order: converged, starts that agree, cost, values and their errors, what to beware of."""
-    lines = [f"{fit.name}: {', '.join(dict.fromkeys(part.label for part in fit.parts))}", ""]
-    converged = sum(run.converged for run in fit.runs)
+    title = f"{fit.name}: {', '.join(dict.fromkeys(part.label for part in fit.parts))}"
+    warnings = [f"  warning: {text}" for text in fit.warnings]
     if not fit.converged:
-        return "\n".join([*lines, f"  FAILED: {fit.status}.", *(f"  warning: {text}" for text in fit.warnings)])
+        return "\n".join([title, "", f"  FAILED: {fit.status}.", *warnings])
+
+    sections = (
+        [title],
+        _overview(fit),
+        [*_table(fit), "", f"  ± is the standard error for {_error_condition(fit)}."],
+        _other_criteria(fit),
+        [*warnings, f"  {fit.seconds:.2f} s; starts: {fit.starts}"],
+    )
+    return "\n\n".join("\n".join(lines) for lines in sections if lines)
+
+
+def _overview(fit: Fit) -> list[str]:
+    """Return what was searched, found and fitted, a line for each."""
+    converged = sum(run.converged for run in fit.runs)
+    agreeing = counted(fit.agreeing, "agrees", "agree")
     minima = counted(len(fit.minima), "distinct minimum", "distinct minima")
-    lines += [
-        f"  starts     {converged} of {len(fit.runs)} converged; "
-        f"{counted(fit.agreeing, 'agrees', 'agree')} on the best of {minima}",
-        f"  cost       {fit.cost:.6g}  ({fit.rule})",
-        f"  data       {_data_text(fit)}, delay {fit.delay}"
-        + "".join(_pade_text(p) for p in fit.responses if p.pade_error is not None),
-        *(f"  output     {_output_text(part, output)}" for part in fit.records for output in part.outputs),
-        "",
+    pade = [
+        f"; Padé phase error up to {part.pade_error:.2g}° ({part.name})"
+        for part in fit.responses
+        if part.pade_error is not None
     ]
-    rows = []
-    for q in fit.quantities:
-        value, error = with_error(q.value, q.standard_error)
-        note = {"fixed": "fixed", "tied": "tied", "derived": "derived"}.get(q.kind, "AT BOUND" if q.at_bound else "")
-        rows.append([q.name, value, error, q.unit, _interval(q.bounds) if q.kind == "free" else "", note, q.about])
-    table = text_table(["parameter", "estimate", "± error", "unit", "bounds", "", "meaning"], rows, left=(0, 3, 5, 6))
-    lines += ["  " + line for line in table.splitlines()]
-    conditions = "; ".join(dict.fromkeys(part.condition for part in fit.parts))
-    dof = "" if math.isinf(fit.dof) else f"; Student's t with {counted(fit.dof, 'degree of', 'degrees of')} freedom"
-    lines += ["", f"  ± is the standard error for {conditions}{dof}."]
-    others = [(name, cost) for name, cost in fit.costs.items() if not math.isnan(cost) and name != fit.criterion]
-    lines += ["", "  other criteria at this estimate:"] if others else []
-    lines += [*(f"    {number(cost):>10}  {RULES.get(name, name)}" for name, cost in others), ""]
-    lines += [f"  warning: {text}" for text in fit.warnings]
-    return "\n".join([*lines, f"  {fit.seconds:.2f} s; starts: {fit.starts}"])
+    return [
+        f"  starts     {converged} of {len(fit.runs)} converged; {agreeing} on the best of {minima}",
+        f"  cost       {fit.cost:.6g}  ({fit.rule})",
+        f"  data       {_data_text(fit)}, delay {fit.delay}{''.join(pade)}",
+        *(f"  output     {_output_text(part, output)}" for part in fit.records for output in part.outputs),
+    ]
 
 
 def _data_text(fit: Fit) -> str:
+    """Say how many points and samples there are, and how many samples were compared where these are fewer."""
     texts = []
     if fit.responses:
-        points = counted(sum(len(p.data) for p in fit.responses), "point")
-        texts.append(f"{points} in {counted(len(fit.responses), 'response')}")
+        points = sum(len(part.data) for part in fit.responses)
+        texts.append(f"{counted(points, 'point')} in {counted(len(fit.responses), 'response')}")
     if fit.records:
-        samples, used = (sum(v) for v in zip(*((len(p.data), p.compared) for p in fit.records), strict=True))
-        some = "" if used == samples else f"{used} of "
-        texts.append(f"{some}{counted(samples, 'sample')} in {counted(len(fit.records), 'record')}")
+        samples = sum(len(part.data) for part in fit.records)
+        compared = sum(part.compared for part in fit.records)
+        share = "" if compared == samples else f"{compared} of "
+        texts.append(f"{share}{counted(samples, 'sample')} in {counted(len(fit.records), 'record')}")
     return " and ".join(texts)
 
 
 def _output_text(part: FittedRecord, output: str) -> str:
-    error = part.residual(output)
-    size = float(np.sqrt(np.nanmean(error**2))) if np.isfinite(error).any() else math.nan
-    unit = part.data.units.get(output, "")
     where = f" ({part.name})" if part.name else ""
-    return f"{output}{where}: residual {number(size)} {unit}".rstrip() + f", fit {part.fit_percent(output):.1f} %"
+    residual = f"{number(rms(part.residual(output)))} {part.data.units.get(output, '')}".rstrip()
+    return f"{output}{where}: residual {residual} rms, fit {part.fit_percent(output):.1f} %"
 
 
-def _pade_text(part: FittedResponse) -> str:
-    return f"; Padé phase error up to {part.pade_error:.2g}° ({part.name})"
+def _table(fit: Fit) -> list[str]:
+    header = ["parameter", "estimate", "± error", "unit", "bounds", "", "meaning"]
+    rows = []
+    for quantity in fit.quantities:
+        value, error = with_error(quantity.value, quantity.standard_error)
+        bounds = note = ""
+        if quantity.kind == "free":
+            low, high = quantity.bounds
+            bounds = f"[{low:g}, {high:g}]"
+            note = "AT BOUND" if quantity.at_bound else ""
+        else:
+            note = quantity.kind
+        rows.append([quantity.name, value, error, quantity.unit, bounds, note, quantity.about])
+    return ["  " + line for line in text_table(header, rows, left=(0, 3, 5, 6)).splitlines()]
 
 
-def _interval(bounds: tuple[float, float]) -> str:
-    return f"[{bounds[0]:g}, {bounds[1]:g}]"
+def _error_condition(fit: Fit) -> str:
+    """Say for what errors of the data the standard errors hold, and of which distribution they are the scale."""
+    conditions = "; ".join(dict.fromkeys(part.condition for part in fit.parts))
+    if math.isinf(fit.dof):
+        return conditions
+    return f"{conditions}; Student's t with {counted(fit.dof, 'degree of', 'degrees of')} freedom"
+
+
+def _other_criteria(fit: Fit) -> list[str]:
+    """Return the values of the other criteria that the data allow, a line for each."""
+    others = {name: cost for name, cost in fit.costs.items() if not math.isnan(cost) and name != fit.criterion}
+    if not others:
+        return []
+    lines = [f"    {number(cost):>10}  {RULES.get(name, name)}" for name, cost in others.items()]
+    return ["  other criteria at this estimate:", *lines]
 
 
 def _at_estimate(fit: Fit, model: Model, part: FittedResponse | FittedRecord, inputs: Inputs | None) -> ModelAtEstimate:
+    """Return a model at the values, covariance and assumptions that a fit has for a part."""
     record = part if isinstance(part, FittedRecord) else None
-    biases, gains = (record.biases, record.gains) if record else ((), ())
+    biases = record.biases if record else ()
+    gains = record.gains if record else ()
+    if inputs is None:
+        inputs = record.inputs if record else "linear"
+
     names = [*model.parameters, *(f"{b}_bias" for b in biases), *(f"K_{s}_{o}" for s, o in gains)]
     outside = [part.rename.get(name, name) for name in names]
-    missing = [name for name in outside if name not in fit.estimate]
-    if missing:
-        raise ValueError(
-            f"the fit has no {missing[0]!r}, which {model.label} needs; it has {', '.join(fit.estimate)}: "
-            "give the model that was fitted, or the values as {name: value}."
-        )
+    for name in outside:
+        if name not in fit.estimate:
+            raise ValueError(
+                f"the fit has no {name!r}, which {model.label} needs; it has {', '.join(fit.estimate)}: "
+                "give the model that was fitted, or the values as {name: value}."
+            )
+
     # Standard errors treat what ended at its bound as known, and so does everything that follows from them.
     at_bound = {q.name for q in fit.quantities if q.at_bound and q.kind == "free"}
-    exact = np.array([name in at_bound for name in outside], dtype=bool)
+    known = np.array([name in at_bound for name in outside], dtype=bool)
     return ModelAtEstimate(
         label=model.label,
         system=dynamics(model, delay_order(part.delay)),
         names=tuple(names),
         q=np.array([fit.estimate[name] for name in outside]),
-        covariance=np.where(exact | exact[:, None], 0.0, fit.covariance_of(outside)),
-        criterion=criterion_of(inputs or (record.inputs if record else "linear"), biases, gains),
+        covariance=np.where(known | known[:, None], 0.0, fit.covariance_of(outside)),
+        criterion=criterion_of(inputs, biases, gains),
         part=record,
     )
 
 
-def _place(fit: Fit, model: Model | None, part: int | None) -> int:
+def _part_index(fit: Fit, model: Model | None, part: int | None) -> int:
     """Return the part of a fit that is meant: the one asked for, else the first record, of this model if it has one."""
     count = len(fit.parts)
     if part is not None:
@@ -479,11 +523,16 @@ def _place(fit: Fit, model: Model | None, part: int | None) -> int:
         if not whole or not -count <= part < count:
             raise ValueError(f"part is {part!r}: the fit has {counted(count, 'part')}, counted from 0.")
         return part % count
-    order = sorted(range(count), key=lambda k: not isinstance(fit.parts[k], FittedRecord))
-    own = [k for k in order if model is not None and _class(fit.parts[k].model) == _class(reference(model))]
-    return (own or order)[0]
+
+    records_first = sorted(range(count), key=lambda k: not isinstance(fit.parts[k], FittedRecord))
+    if model is not None:
+        wanted = _class_name(reference(model))
+        for k in records_first:
+            if _class_name(fit.parts[k].model) == wanted:
+                return k
+    return records_first[0]
 
 
-def _class(stated: Mapping[str, object]) -> str:
+def _class_name(stated: Mapping[str, object]) -> str:
     """Return a model's class without its module, which is another one where the file was run as a script."""
     return re.sub(r"^.*:", "", str(stated["class"]))

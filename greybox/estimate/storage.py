@@ -41,8 +41,7 @@ from greybox.data.response_file import read_group, write_group
 from greybox.data.sealed_files import Node, open_sealed, write_sealed
 from greybox.estimate.fitted_record import criterion_values
 from greybox.estimate.result import Fit, FittedRecord, FittedResponse, Quantity
-from greybox.formulation.frequency_criteria import CRITERIA
-from greybox.formulation.time_criteria import TIME_CRITERIA
+from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
 from greybox.modeling.sine import Sine
 from greybox.solve.minima import Minimum
 from greybox.solve.outcome import Run

@@ -1,4 +1,4 @@
-"""Sampled controllers, declared with the same means as every model: named signals, parameters with units, equations."""
+"""Sampled controllers, declared like every model: named signals, parameters with units, equations."""
 
 import math
 from abc import ABC, abstractmethod
@@ -14,7 +14,7 @@ from greybox.modeling.symbolic_reading import column, traced
 
 
 class Controller(ABC):
-    r"""A controller in discrete time, $x_{k+1}, y_k = update(x_k, u_k, p)$, that runs `rate` times a second.
+    r"""A controller in discrete time, $x_{k+1}, y_k = update(x_k, u_k, p)$, that runs `rate` times per second.
 
     A subclass declares its signals, its parameters and `update`, e.g. proportional control of a rate::
 
@@ -28,13 +28,13 @@ class Controller(ABC):
     Attributes
     ----------
     states : sequence of str
-        What it remembers from one sample to the next.
+        What it carries from one sample to the next.
     inputs : sequence of str
         What it measures.
     setpoints : sequence of str
-        What it is told; each is zero unless an excitation or a controller before it says otherwise.
+        Commands; each is zero unless an excitation or a controller before it provides it.
     outputs : sequence of str
-        Controls, and whatever else is worth a place in the log.
+        Controls, and whatever else is to be logged.
     units : mapping of signal name to str
     rate : float, Hz
     parameters : mapping of name to `Parameter`
@@ -46,9 +46,10 @@ class Controller(ABC):
         Gains other than the declared starts.
     rate : float, Hz, optional
     signals : mapping of str to str, optional
-        Own name to the name outside, where they differ: ``{"theta": "phi", "q": "p"}`` makes pitch control roll.
+        Own name to the name outside, where they differ: ``{"theta": "phi", "q": "p"}`` makes a pitch controller control
+        roll.
     initial : mapping of state name to float, optional
-        What it remembers at the first sample, where that is not zero.
+        States at the first sample, where they are not zero.
 
     Raises
     ------
@@ -96,11 +97,11 @@ class Controller(ABC):
         require_known(initial or {}, self.states, "state", label)
         for name, value in {**(values or {}), **(initial or {}), "rate": self.rate if rate is None else rate}.items():
             if not isinstance(value, (int, float)) or not math.isfinite(value):
-                raise ValueError(f"{name} = {value!r} is no finite number: give a value for {label}.")
+                raise ValueError(f"{name} = {value!r} is not a finite number: give a value for {label}.")
         if rate is not None:
             self.rate = float(rate)
         if not self.rate > 0:
-            raise ValueError(f"{label} cannot run {self.rate:g} times a second: give a rate above 0, in Hz.")
+            raise ValueError(f"{label} cannot run {self.rate:g} times per second: give a rate above 0, in Hz.")
         self.values = Names({n: float({**(values or {})}.get(n, p.start)) for n, p in self.parameters.items()}, label)
         self.initial = tuple(float((initial or {}).get(name, 0.0)) for name in self.states)
 
@@ -118,7 +119,7 @@ class Controller(ABC):
 
     @property
     def truth(self) -> dict[str, Any]:
-        """Everything that a flight with it depends on, for the record of one."""
+        """Everything that a flight with it depends on, for the metadata of its record."""
         return {
             "controller": type(self).__name__,
             "rate": self.rate,
@@ -128,11 +129,11 @@ class Controller(ABC):
         }
 
     def __repr__(self) -> str:
-        given = {n: v for n, v in self.values.items() if v != self.parameters[n].start}
-        words = [f"{given}"] if given else []
-        words += [f"rate={self.rate:g}"] if self.rate != type(self).rate else []
-        words += [f"signals={dict(self.signals)}"] if self.signals else []
-        return f"{type(self).__name__}({', '.join(words)})"
+        values = {n: v for n, v in self.values.items() if v != self.parameters[n].start}
+        arguments = [f"{values}"] if values else []
+        arguments += [f"rate={self.rate:g}"] if self.rate != type(self).rate else []
+        arguments += [f"signals={dict(self.signals)}"] if self.signals else []
+        return f"{type(self).__name__}({', '.join(arguments)})"
 
 
 def updated(controller: Controller, x: ca.SX, u: Mapping[str, Any]) -> tuple[ca.SX, ca.SX]:
@@ -146,9 +147,9 @@ def updated(controller: Controller, x: ca.SX, u: Mapping[str, Any]) -> tuple[ca.
         With the cure, if the formula cannot be compiled or returns another number of values.
     """
     label = type(controller).__name__
-    own = Names({name: x[k] for k, name in enumerate(controller.states)}, f"{label}.states")
-    told = Names(u, f"{label}.inputs and setpoints")
-    returned = traced(f"{label}.update", controller.update, own, told, controller.values)
+    states = Names({name: x[k] for k, name in enumerate(controller.states)}, f"{label}.states")
+    signals = Names(u, f"{label}.inputs and setpoints")
+    returned = traced(f"{label}.update", controller.update, states, signals, controller.values)
     pair = returned if isinstance(returned, tuple) and len(returned) == 2 else ((), ())
     following, outputs = (v if isinstance(v, Sequence) else () for v in pair)
     if (len(following), len(outputs)) != (len(controller.states), len(controller.outputs)):
@@ -170,7 +171,7 @@ def connected(
         For controllers that drive nothing, give one signal twice (or a `taken` one), come in the wrong order, or run
         at different rates.
     TypeError
-        For what is no controller.
+        For anything that is not a controller.
     """
     several = given if isinstance(given, Sequence) else () if given is None else (given,)
     controllers: tuple[Controller, ...] = tuple(several)
@@ -178,24 +179,32 @@ def connected(
     for k, c in enumerate(controllers):
         if not isinstance(c, Controller):
             raise TypeError(f"{c!r} is not a Controller: give e.g. AttitudeController().")
-        own = type(c).__name__
+        label = type(c).__name__
         first = controllers[0]
         if c.rate != first.rate:
-            raise ValueError(f"{own} runs at {c.rate:g} Hz, {type(first).__name__} at {first.rate:g} Hz: use one rate.")
-        gives = {*map(c.outside, c.outputs)}
-        takes = {*map(c.outside, c.setpoints)}
-        if not gives & {*inputs, *(other.outside(n) for other in controllers[k + 1 :] for n in other.setpoints)}:
             raise ValueError(
-                f"{own} gives {', '.join(map(c.outside, c.outputs))}, but {plant} takes {', '.join(inputs) or 'none'}: "
-                f"connect them, signals={{{c.outputs[0]!r}: {(*inputs, 'u')[0]!r}}}."
+                f"{label} runs at {c.rate:g} Hz, {type(first).__name__} at {first.rate:g} Hz: use one rate."
             )
-        if twice := gives & before | (gives | takes) & {*taken}:
+
+        provides = {*map(c.outside, c.outputs)}
+        commanded = {*map(c.outside, c.setpoints)}
+        setpoints_behind = (other.outside(n) for other in controllers[k + 1 :] for n in other.setpoints)
+        if not provides & {*inputs, *setpoints_behind}:
             raise ValueError(
-                f"two signals are called {min(twice)!r}: rename that of {own}, signals={{'own': 'other'}}."
+                f"{label} gives {', '.join(map(c.outside, c.outputs))}, but {plant} takes "
+                f"{', '.join(inputs) or 'none'}: connect them, signals={{{c.outputs[0]!r}: {(*inputs, 'u')[0]!r}}}."
             )
-        if late := takes & {other.outside(n) for other in controllers[k:] for n in other.outputs}:
-            raise ValueError(f"{own} takes {min(late)!r} from itself or a controller behind it: list that one first.")
-        before |= gives
+
+        twice = provides & before | (provides | commanded) & {*taken}
+        if twice:
+            raise ValueError(
+                f"two signals are called {min(twice)!r}: rename that of {label}, signals={{'own': 'other'}}."
+            )
+
+        late = commanded & {other.outside(n) for other in controllers[k:] for n in other.outputs}
+        if late:
+            raise ValueError(f"{label} takes {min(late)!r} from itself or a controller behind it: list that one first.")
+        before |= provides
     return controllers
 
 

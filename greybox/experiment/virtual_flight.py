@@ -1,4 +1,4 @@
-"""A flight that never took place: a plant, a sampled controller and a test signal, logged as a real vehicle would."""
+"""Flights in simulation: a plant, a sampled controller and a test signal, logged as a real vehicle logs them."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -20,12 +20,16 @@ from greybox.modeling.step_size import relative_change, state_sizes, substep_gro
 Array = NDArray[np.float64]
 Signals = dict[str, ca.SX]
 NOTHING: Mapping[str, float] = MappingProxyType({})
-TOLERANCE = 1e-7  # of a state's largest size: what halving the strides may change in a controller period
+
+# Of a state's largest value: what halving the substeps may change in a controller period. A fifteenth of it remains: in
+# a loop of 400 Hz, 3e-6 per second if all errors add up.
+TOLERANCE = 1e-7
 ORDER = 4  # of the Runge-Kutta steps
-MOST_STRIDES = 256  # in a controller period
+MOST_SUBSTEPS = 256  # in a controller period; a compiled step grows with them
 DIVERGED = 1e9  # no state of a vehicle in SI units is that large
-DOT = "_dot"
-ADDED = "_excitation"
+
+DOT = "_dot"  # suffix of a time derivative
+ADDED = "_excitation"  # suffix of what was added to a signal
 
 
 def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experiment
@@ -43,74 +47,77 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     seed: int = 0,
     name: str = "",
 ) -> Record:
-    """Fly an experiment in simulation: the closed loop of (3.14), or a plant alone, with a known truth.
+    """Fly an experiment in simulation: the closed loop of (3.14), or the plant alone, with known true values.
 
     At every sample the controller reads the sensors and sets the control, which is held until the next sample and
     reaches the plant after its delay, exact to any fraction of a sample. What the controller reads is also what is
     logged, together with the control commanded at that moment. Because the control is held, a response measured from
     such a log, or from a flown one, shows half a controller period more delay than the plant has.
 
-    In between, the plant is integrated by Runge-Kutta steps of the fourth order, so short that in no period the last
-    halving changed a state by more than 1e-7 of its largest size; what remains is a fifteenth of that.
+    Between samples the plant is integrated by classical Runge-Kutta steps (RK4), which are halved until this changes no
+    state by more than 1e-7 of its largest value in any period; the remaining error is a fifteenth of that.
 
     Parameters
     ----------
     model : Model
         With exact delays; a transfer function is flown by its outputs only.
     values : mapping of parameter name to float, optional
-        The truth; by default the declared starts.
+        The true values; by default the declared starts.
     excitation : Excitation, Record or mapping of name to (n,) array
         Each signal is added where its name says: a setpoint of the controller (``"reference"``, ``"mixer"``), or an
-        input of the plant (``"u"``), there behind the controller and its limits. The arrays of a mapping have a sample
-        for each of the controller's. Of a record the other signals are left out.
+        input of the plant (``"u"``), downstream of the controller and its limits. The arrays of a mapping have one
+        sample per sample of the controller. Other signals of a record are ignored.
     controller : Controller or several, optional
-        What it measures are outputs or states of the plant; ``"theta_dot"`` is the time derivative of ``"theta"``. The
-        outputs of one may be the setpoints of the next. None flies the plant in open loop, at the rate of the
+        It measures outputs or states of the plant; ``"theta_dot"`` is the time derivative of ``"theta"``. The outputs
+        of one may be the setpoints of the next. Without one the plant flies in open loop, at the rate of the
         excitation.
     noise, bias : mapping of name to float
         Standard deviation of the white noise, and constant error, of a sensor. A state or a derivative that is named
-        here is measured and logged beside the outputs; ``{"q": 0.0}`` without error.
+        here is measured and logged in addition to the outputs, with ``{"q": 0.0}`` without error.
     process_noise : mapping of state name to float
-        White force on the derivative of a state, in units of the state per √s: alone it makes the state wander by that
-        times √t. It is held over a controller period.
+        White noise on the derivative of a state, in units of the state per √s: alone it makes the state a random walk
+        with a standard deviation of that times √t. It is held over a controller period.
     initial : mapping of name to float
-        States at the beginning, and inputs: before the first command, and throughout where nothing commands them; by
-        default zero. ``gb.modeling.linearize(model, values, at).point`` begins at an operating point.
+        Initial states, and inputs before the first command (throughout where nothing commands them); by default zero.
+        ``gb.modeling.linearize(model, values, at).point`` begins at an operating point.
     rate : float, Hz, optional
-        Of the log: the controller's, which is the default, divided by a whole number. The plant's inputs are logged as
-        their mean until the next logged sample (what drives the plant; with noise in the loop a single control says
-        little of the next ones), everything else as sampled.
+        Of the log: that of the controller, which is the default, divided by a whole number. The plant's inputs are
+        logged as their mean until the next logged sample (that mean drives the plant; with noise in the loop a single
+        sample represents the following ones poorly), everything else as sampled.
     hold : bool
-        Hold each sample of an excitation that is slower than the controller, instead of interpolating. A controller's
-        derivative makes spikes of the stairs, and a log at their rate sees nothing but the spikes: a response measured
-        from it can be wrong by a third. Interpolated it may be wrong by 1 %, at the controller's rate by nothing.
+        Hold each sample of an excitation that is slower than the controller, instead of interpolating. The derivative
+        term of a controller turns the steps into spikes, and a log at their rate samples only the spikes: a response
+        measured from it can be wrong by a third. With interpolation it may be wrong by 1 %; an excitation at the
+        controller's rate has no such error.
     seed : int
-        Of the noise; sensors and process noise do not disturb each other's draws.
+        Of the noise; sensors and process noise have random streams of their own.
     name : str
 
     Returns
     -------
     Record
         The control of every input before its delay (excitation included), the excitation, the measured signals, and
-        other outputs of the controllers. `metadata` has the truth: ``plant, values, controllers, noise, bias,
-        process_noise, initial, seed, schedule``; `findings` says so if the integration did not reach its accuracy.
+        other outputs of the controllers. `metadata` has the true values: ``plant, values, controllers, noise, bias,
+        process_noise, initial, seed, schedule``; `findings` say so if the integration did not reach its accuracy.
 
     Raises
     ------
     ValueError
-        For names that do not meet, rates that do not divide, and a flight that diverges; the sentence says when.
+        For names that do not match, rates that do not divide, and a flight that diverges; the sentence says when.
     """
     if not isinstance(model, Model):
         raise TypeError(f"{model!r} is not a model: give an instance, such as LinearTilt().")
+
     system = dynamics(model)
     truth = model.values(values)
     controllers = connected(controller, system.inputs, {*system.outputs, *system.states}, model.label)
     clock = controllers[0].rate if controllers else _open_loop_rate(excitation, rate)
     thinning = _thinning(clock, rate)
     places = (*(c.outside(n) for c in controllers for n in c.setpoints), *system.inputs)
-    if isinstance(excitation, Record):  # whose controls were given by a controller of its own
+    if isinstance(excitation, Record):  # its controls are those of the controller of that flight
         places = tuple(n for n in places if n not in _given(controllers))
     time, commands, units = _commands(excitation, clock, tuple(dict.fromkeys(places)), model.label, hold)
+
     wanted = (n for c in controllers for n in map(c.outside, c.inputs))
     loop = _Loop(
         model.label,
@@ -126,23 +133,32 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     errors = _errors(loop.measured, noise, bias, time.size, seed)
     forces = _forces(loop, process_noise, time.size, seed)
     log, findings = _fly(loop, np.vstack([*commands.values(), errors, forces]), time)
-    told = {"plant": repr(model), "values": dict(truth), "controllers": tuple(c.truth for c in controllers)}
-    told |= {"noise": dict(noise), "bias": dict(bias), "process_noise": dict(process_noise)}
-    told |= {"initial": dict(loop.initial), "seed": seed, "schedule": getattr(excitation, "schedule", ())}
-    known = {c.outside(n): unit for c in controllers for n, unit in c.units.items()} | units
+
+    metadata = {
+        "plant": repr(model),
+        "values": dict(truth),
+        "controllers": tuple(c.truth for c in controllers),
+        "noise": dict(noise),
+        "bias": dict(bias),
+        "process_noise": dict(process_noise),
+        "initial": dict(loop.initial),
+        "seed": seed,
+        "schedule": getattr(excitation, "schedule", ()),
+    }
+    known_units = {c.outside(n): unit for c in controllers for n, unit in c.units.items()} | units
     return Record(
         time[::thinning],
         {n: _averaged(v, thinning) if n in system.inputs else v[::thinning] for n, v in log.items()},
-        {n: known.get(n.removesuffix(ADDED), "") for n in log},
+        {n: known_units.get(n.removesuffix(ADDED), "") for n in log},
         name=name or f"virtual flight of {model.label}",
-        metadata=told,
+        metadata=metadata,
         findings=findings,
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _Loop:
-    """The truth, and what is connected to what."""
+    """The plant with its true values, and what is connected to what."""
 
     label: str
     system: Dynamics
@@ -156,7 +172,7 @@ class _Loop:
 
     @property
     def delays(self) -> list[tuple[int, float]]:
-        """Of every input, in whole controller periods and what is left, as a share of one."""
+        """Of every input, in whole controller periods and the remaining fraction of one."""
         result = []
         for name, delay in zip(self.system.inputs, np.asarray(self.system.delay(self.p)).ravel(), strict=True):
             if not 0 <= delay < math.inf:
@@ -168,32 +184,32 @@ class _Loop:
 
     def start(self) -> Array:
         """Return what the first step begins with: plant, controllers, past controls."""
-        own = [self.initial.get(n, 0.0) for n in self.system.states]
+        plant = [self.initial.get(n, 0.0) for n in self.system.states]
         past = [
             [self.initial.get(n, 0.0)] * (whole + 1)
             for n, (whole, _) in zip(self.system.inputs, self.delays, strict=True)
         ]
-        return np.array([*own, *(v for c in self.controllers for v in c.initial), *(v for vs in past for v in vs)])
+        return np.array([*plant, *(v for c in self.controllers for v in c.initial), *(v for vs in past for v in vs)])
 
 
 def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], tuple[str, ...]]:
-    """Return every signal of the log by name, at the controller's rate, and what was found wrong."""
+    """Return every signal of the log by name, at the controller's rate, and findings."""
     n = len(loop.system.states)
-    strides = 1
+    substeps = 1
     while True:
-        step, names = _step(loop, strides)
+        step, names = _step(loop, substeps)
         after, log = (np.asarray(v) for v in step.mapaccum("flight", time.size)(loop.start(), columns))
         flown = log[: len(names) + n]
         local = log[len(names) + n :]
         wrong = ~(np.abs(flown) < DIVERGED)
         reached = int(np.argmax(wrong.any(axis=0))) if wrong.any() else time.size
         error = _largest(local[:, :reached], flown[len(names) :, :reached], after[:n, :reached])
-        if error > TOLERANCE and strides < MOST_STRIDES:
-            strides = min(MOST_STRIDES, strides * substep_growth(error, TOLERANCE, ORDER))
+        if error > TOLERANCE and substeps < MOST_SUBSTEPS:
+            substeps = min(MOST_SUBSTEPS, substeps * substep_growth(error, TOLERANCE, ORDER))
             continue
         if wrong.any():
             raise ValueError(_divergence(loop, names, flown[:, reached], wrong[:, reached], time[reached]))
-        rough = f"the integration errs by {error:.1g} of a state's size in a period: the plant is stiff or not smooth"
+        rough = f"the integration error is {error:.1g} of a state's size in a period: the plant is stiff or not smooth"
         return dict(zip(names, flown, strict=False)), (rough,) if error > TOLERANCE else ()
 
 
@@ -204,22 +220,23 @@ def _largest(local: Array, before: Array, after: Array) -> float:
     return math.inf if math.isnan(error) else error
 
 
-def _step(loop: _Loop, strides: int) -> tuple[ca.Function, list[str]]:
+def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
     """Compile one controller period: (all states, a column) -> (all states, log), and the names in the log.
 
-    Behind what has names come the plant's states and what twice as many strides change in them.
+    The named signals are followed by the plant's states and by what twice as many substeps change in them.
     """
     system = loop.system
     delays = loop.delays
     x = ca.SX.sym("x", len(system.states))
     memory = [ca.SX.sym("c", len(c.states)) for c in loop.controllers]
     past = [ca.SX.sym(name, whole + 1) for name, (whole, _) in zip(system.inputs, delays, strict=True)]
-    told, errors, forces = (ca.SX.sym("e", len(names)) for names in (loop.excited, loop.measured, loop.forced))
-    excitation = {name: told[k] for k, name in enumerate(loop.excited)}
+    added, errors, forces = (ca.SX.sym("e", len(names)) for names in (loop.excited, loop.measured, loop.forced))
+    excitation = {name: added[k] for k, name in enumerate(loop.excited)}
     signals: Signals = {n: excitation.get(n, ca.SX(loop.initial.get(n, 0.0))) for n in system.inputs}
     signals |= excitation
     early = [h[whole] for h, (whole, _) in zip(past, delays, strict=True)]
-    # A control that is computed from this very sample comes after it.
+
+    # A control that is computed from this sample reaches the plant after it.
     now = [
         late if not part and (whole or name not in _given(loop.controllers)) else before
         for name, late, before, (whole, part) in zip(
@@ -233,16 +250,19 @@ def _step(loop: _Loop, strides: int) -> tuple[ca.Function, list[str]]:
     force = ca.SX.zeros(len(system.states))
     for k, n in enumerate(loop.forced):
         force[system.states.index(n)] = forces[k]
+
+    # Between samples the input changes once, where the fraction of its delay has passed.
     coarse = fine = x
     for begin, end in pairwise(sorted({0.0, *parts, 1.0})):
         u = ca.vertcat(*[b if begin < part else a for a, b, part in zip(late, early, parts, strict=True)])
         span = (end - begin) / loop.clock
-        count = math.ceil(strides * (end - begin))
+        count = math.ceil(substeps * (end - begin))
         coarse, fine = (_runge_kutta(loop, v, u, force, span, k) for v, k in ((coarse, count), (fine, 2 * count)))
+
     shifted = [ca.vertcat(signals[n], *ca.vertsplit(h)[:-1]) for n, h in zip(system.inputs, past, strict=True)]
     log = {**signals, **y}
     state = ca.vertcat(x, *memory, *past)
-    column = ca.vertcat(told, errors, forces)
+    column = ca.vertcat(added, errors, forces)
     following = ca.vertcat(fine, *remembered, *shifted)
     logged = ca.vertcat(*log.values(), x, ca.fabs(fine - coarse))
     return ca.Function("step", [state, column], [following, logged]), [*log]

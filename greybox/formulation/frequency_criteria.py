@@ -20,8 +20,8 @@ from greybox.formulation.criterion import AnyCriterion
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.functions import sqrt
 
-_DECIBEL = 20 / math.log(10)  # dB per unit of natural logarithm of a magnitude
-_DEGREE = 180 / math.pi
+_DB_PER_NEPER = 20 / math.log(10)  # dB per unit of natural logarithm of a magnitude
+_DEGREES_PER_RADIAN = 180 / math.pi
 
 
 class Criterion(AnyCriterion):
@@ -65,7 +65,10 @@ class Criterion(AnyCriterion):
 
 @dataclass(frozen=True, eq=False)
 class _Relative(Criterion):
-    """What the two relative criteria share: errors e = (P - P̂) / |P̂|, or over |P|."""
+    """What the two relative criteria share: errors e = (P - P̂) / |P̂|, or over |P|.
+
+    `measured_bias` is the `gain_bias` over the measured magnitude.
+    """
 
     normalized: Literal["measured", "model"] = "measured"
     measured_bias: ClassVar[float]
@@ -111,8 +114,8 @@ class RelativeError(_Relative):
 
     `normalized` by the "measured" magnitude as in the paper, or by the "model"'s. With relative noise σ in each
     component the first biases the gain by -σ², the second by 2 σ². The standard errors hold for errors that are
-    isotropic in the complex plane and of one relative
-    size: Cov = (4/π) s² (JᵀJ)⁻¹, with s the standard deviation of one component.
+    isotropic in the complex plane and of one relative size: Cov = (4/π) s² (JᵀJ)⁻¹, with s the standard deviation of
+    one component.
     """
 
     rule: ClassVar[str] = "sum of relative errors, (4.26)"
@@ -207,8 +210,8 @@ class MagnitudePhase(Criterion):
         coherence = np.ones(len(data)) if data.coherence is None else data.coherence
         common = math.sqrt(20 / len(data)) * 1.58 * (1 - np.exp(-coherence))
         return (
-            common * math.sqrt(self.magnitude_weight) * _DECIBEL,
-            common * math.sqrt(self.phase_weight) * _DEGREE,
+            common * math.sqrt(self.magnitude_weight) * _DB_PER_NEPER,
+            common * math.sqrt(self.phase_weight) * _DEGREES_PER_RADIAN,
         )
 
 
@@ -252,16 +255,6 @@ class MaximumLikelihood(Criterion):
         """Each component holds half of the variance, or what the residuals say where that is more."""
         ratio = float(np.mean(np.abs(model - data.response) ** 2 / _variance(data))) * correction**2
         return 2.0, np.full(2 * len(data), 4 * 0.5 * max(ratio, 1.0))
-
-
-CRITERIA: tuple[Criterion, ...] = (
-    RelativeError(),
-    RelativeError(normalized="model"),
-    SquaredRelativeError(),
-    MagnitudePhase(),
-    MaximumLikelihood(),
-)
-"""What a result reports besides the criterion that was minimized."""
 
 
 def evaluate(criterion: Criterion, model: NDArray[np.complex128], data: FrequencyResponse) -> float:

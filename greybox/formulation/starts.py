@@ -25,11 +25,21 @@ class Starts(ABC):
     def __str__(self) -> str: ...
 
 
-class _Random(Starts):
-    """Points in the unit cube, stretched to the start boxes; evenly in the logarithm where a parameter asks for it."""
+@dataclass(frozen=True)
+class RandomStarts(Starts):
+    """Points drawn in the unit cube, then spread over the boxes of the parameters (`Parameter.in_box`).
+
+    A rule of one's own states `unit_points`.
+
+    Parameters
+    ----------
+    number : int
+        How many starts.
+    seed : int
+    """
 
     number: int
-    seed: int  # type: ignore[assignment]
+    seed: int = 0  # type: ignore[assignment]
 
     @abstractmethod
     def unit_points(self, size: int) -> NDArray[np.float64]:
@@ -47,18 +57,15 @@ class _Random(Starts):
 
     def draw(self, parameters: Mapping[str, Parameter]) -> NDArray[np.float64]:
         """Return the starts, (number, p)."""
-        for name, p in parameters.items():
-            _require_finite_box(name, p)
+        for name, parameter in parameters.items():
+            _require_finite_box(name, parameter)
         shares = self.unit_points(len(parameters))
         return np.column_stack([p.in_box(shares[:, k]) for k, p in enumerate(parameters.values())])
 
 
 @dataclass(frozen=True)
-class Sobol(_Random):
+class Sobol(RandomStarts):
     """Scrambled Sobol points; more of them with the same seed begin with the same points."""
-
-    number: int
-    seed: int = 0
 
     def unit_points(self, size: int) -> NDArray[np.float64]:
         """Return the first `number` points of the sequence."""
@@ -69,11 +76,8 @@ class Sobol(_Random):
 
 
 @dataclass(frozen=True)
-class LatinHypercube(_Random):
+class LatinHypercube(RandomStarts):
     """Latin hypercube: every parameter's interval is divided into `number` layers, one point in each."""
-
-    number: int
-    seed: int = 0
 
     def unit_points(self, size: int) -> NDArray[np.float64]:
         """Return one random hypercube."""
@@ -83,11 +87,8 @@ class LatinHypercube(_Random):
 
 
 @dataclass(frozen=True)
-class Uniform(_Random):
+class Uniform(RandomStarts):
     """Independent uniform draws."""
-
-    number: int
-    seed: int = 0
 
     def unit_points(self, size: int) -> NDArray[np.float64]:
         """Return uniform draws."""
@@ -96,7 +97,7 @@ class Uniform(_Random):
 
 @dataclass(frozen=True)
 class Listed(Starts):
-    """Starts of one's own, each a mapping of name to value; what is not named begins at its declared start."""
+    """Starts given one by one, each a mapping of name to value; parameters not named begin at their declared start."""
 
     points: Sequence[Mapping[str, float]] = field(default=({},))
 
@@ -112,18 +113,7 @@ class Listed(Starts):
             raise ValueError("the list of starts is empty: give at least one, Listed([{}]) for the declared one.")
         for point in self.points:
             for name, value in point.items():
-                if not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
-                    raise ValueError(f"a listed start gives {name!r} the value {value!r}: give a finite number.")
-                if name not in parameters:
-                    raise ValueError(
-                        f"a listed start names {name!r}, which is not free; free are {', '.join(parameters)}."
-                    )
-                low, high = parameters[name].bounds
-                if not low <= value <= high:
-                    raise ValueError(
-                        f"a listed start gives {name!r} the value {value:g}, outside its bounds ({low:g}, {high:g}): "
-                        "move the start or widen the bounds."
-                    )
+                _check_listed(name, value, parameters)
         return np.array([[point.get(name, p.start) for name, p in parameters.items()] for point in self.points], float)
 
 
@@ -182,4 +172,17 @@ def _require_finite_box(name: str, parameter: Parameter) -> None:
         raise ValueError(
             f"random starts for {name!r} need a finite box and its bounds are ({low:g}, {high:g}): "
             "declare Parameter(..., starts=(low, high)) or give the starts as a list."
+        )
+
+
+def _check_listed(name: str, value: float, parameters: Mapping[str, Parameter]) -> None:
+    if not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
+        raise ValueError(f"a listed start gives {name!r} the value {value!r}: give a finite number.")
+    if name not in parameters:
+        raise ValueError(f"a listed start names {name!r}, which is not free; free are {', '.join(parameters)}.")
+    low, high = parameters[name].bounds
+    if not low <= value <= high:
+        raise ValueError(
+            f"a listed start gives {name!r} the value {value:g}, outside its bounds ({low:g}, {high:g}): "
+            "move the start or widen the bounds."
         )

@@ -21,23 +21,23 @@ class TimeCriterion(AnyCriterion):
     Parameters
     ----------
     noise : "diagonal", "full", or mapping of output to standard deviation
-        Variances that are estimated with the parameters (maximum likelihood: the cost is the logarithm of the
-        determinant of the residual covariance, reached by relaxation: weights from the last residuals), a full
-        covariance estimated so, or known standard deviations in the units of the outputs.
+        Variances estimated with the parameters (maximum likelihood: the cost is the logarithm of the determinant of
+        the residual covariance, minimized by relaxation, with weights from the last residuals), a full covariance
+        estimated in the same way, or known standard deviations in the units of the outputs.
     inputs : "linear" or "held"
-        How inputs run between their samples. Where a held input reaches an output directly, the cost jumps with its
-        delay at every whole sample: give several starts.
+        How inputs run between their samples. Where a held input reaches an output directly, the cost is discontinuous
+        at integer-sample delays: give several starts.
     biases : sequence of str
         Outputs and inputs whose measurement has an unknown constant error; each becomes a parameter ``<name>_bias``,
-        what is measured less what is true. In a sum of problems it is each record's own, see `Sum`.
+        the measured less the true value. In a sum of problems it is each record's own, see `Sum`.
     initial : mapping of state to value or function of the parameters
-        Known states at the first sample of the record; all others, and those after a gap, are unknown.
+        Known states at the first sample of the record; all others, and those after a gap, are estimated.
 
-    What a delayed input did before the record, or during a gap, is not known. If the input rests at the beginning of a
-    stretch without a gap, exactly constant over the first 5 samples and clearly longer than it holds its values later,
-    it is taken to have rested before. If it moves, the outputs of the first seconds, as many as the longest delay that
-    the bounds of its parameter allow, are not compared: a lazy upper bound costs data, and a warning says when it costs
-    more than 5 % of a record.
+    What a delayed input did before the record, or during a gap, is not known. If the input is at rest at the beginning
+    of a gapless stretch (exactly constant over the first 5 samples and clearly longer than it holds its values later),
+    it is assumed to have been at rest before. If it moves, outputs are not compared for the largest delay that the
+    bounds of its parameter allow: a generous upper bound costs data, and a warning says when it costs more than 5 % of
+    a record.
 
     Attributes
     ----------
@@ -62,16 +62,21 @@ class TimeCriterion(AnyCriterion):
 
     def __post_init__(self) -> None:
         """Check the options."""
-        if not isinstance(self.noise, Mapping) and self.noise not in ("diagonal", "full"):
-            raise ValueError(
-                f"noise {self.noise!r} is not known: use 'diagonal', 'full' or {{output: standard deviation}}."
-            )
         if isinstance(self.noise, Mapping):
             for name, sigma in self.noise.items():
                 if not isinstance(sigma, (int, float, np.number)) or not (math.isfinite(sigma) and sigma > 0):
                     raise ValueError(f"noise gives {name!r} the value {sigma!r}: give a standard deviation above 0.")
+        elif self.noise not in ("diagonal", "full"):
+            raise ValueError(
+                f"noise {self.noise!r} is not known: use 'diagonal', 'full' or {{output: standard deviation}}."
+            )
         if self.inputs not in ("linear", "held"):
             raise ValueError(f"inputs {self.inputs!r} is not known: use 'linear' or 'held'.")
+        if isinstance(self.biases, str):
+            object.__setattr__(self, "biases", (self.biases,))
+        self._check_initial()
+
+    def _check_initial(self) -> None:
         if not isinstance(self.initial, Mapping):
             raise TypeError(f"initial is {self.initial!r:.60}: give {{state: value or function of the parameters}}.")
         for name, value in self.initial.items():
@@ -80,14 +85,13 @@ class TimeCriterion(AnyCriterion):
                 raise ValueError(
                     f"initial gives {name!r} the value {value!r}: give a finite number or a function of the parameters."
                 )
-        if isinstance(self.biases, str):
-            object.__setattr__(self, "biases", (self.biases,))
 
     @property
     def description(self) -> str:
         """The rule in words."""
-        noise = {"diagonal": "estimated variances", "full": "estimated covariance"}
-        return f"{self.rule}, {'given variances' if isinstance(self.noise, Mapping) else noise[self.noise]}"
+        if isinstance(self.noise, Mapping):
+            return f"{self.rule}, given variances"
+        return f"{self.rule}, {'estimated variances' if self.noise == 'diagonal' else 'estimated covariance'}"
 
     def compared(self, model: Model, record: Record) -> tuple[str, ...]:
         """Return the outputs of the model that the record holds.
@@ -142,8 +146,8 @@ class TimeCriterion(AnyCriterion):
 class OutputError(TimeCriterion):
     """Maximum likelihood with all errors in the measured outputs: the model is simulated from its initial state.
 
-    Outputs at the beginning of a record are left out where a delayed input reaches them from before it, unless that
-    input rests there, see `TimeCriterion`.
+    Outputs at the beginning of a record that depend on a delayed input from before it are left out, unless that input
+    is at rest there, see `TimeCriterion`.
     """
 
     rule: ClassVar[str] = "output error"
@@ -155,8 +159,8 @@ class PredictionError(TimeCriterion):
 
     Innovations form: x[k+1] = F(x[k] + K e[k], u), with e the difference of measured and predicted outputs and a
     constant gain K that is estimated with the parameters; its entries are named ``K_<state>_<output>``.
-    Outputs at the beginning of a record are left out where a delayed input reaches them from before it, unless that
-    input rests there, see `TimeCriterion`.
+    Outputs at the beginning of a record that depend on a delayed input from before it are left out, unless that input
+    is at rest there, see `TimeCriterion`.
 
     Source: Ljung, System Identification, 2nd ed., section 4.3; Klein and Morelli, chapter 6.
 
@@ -180,12 +184,9 @@ class PredictionError(TimeCriterion):
         return tuple((state, output) for state in self.corrected or model.states for output in outputs)
 
 
-TIME_CRITERIA: tuple[TimeCriterion, ...] = (OutputError(), PredictionError())
-"""What the command line offers for records."""
-
-
-# Measured range of the signal as the unit. The bounds are only to be out of the way; starts near zero, since a sensor
-# that is off by more than this share of what it measures would be found by eye.
+# Measured ranges of the signal: bounds that stay out of the way, and starts near zero, since a larger error of a sensor
+# would be found by eye. A tenth and ten times of either leave 20 of 20 starts at the minimum (the spring of the tests
+# with biases of its position and its force).
 WIDEST_BIAS = 10.0
 USUAL_BIAS = 0.05
 
@@ -195,8 +196,7 @@ def _bias(name: str, record: Record) -> Parameter:
     values = record[name][np.isfinite(record[name])]
     if not values.size:
         raise ValueError(f"biases names {name!r}, of which the record has no measured value: leave it out.")
-    # A constant signal tells no scale; in SI units 1 is within a few orders of magnitude of any sensor's error.
-    span = float(np.ptp(values)) or 1.0
+    span = float(np.ptp(values)) or 1.0  # a constant signal has no range
     return Parameter(
         0.0,
         bounds=(-WIDEST_BIAS * span, WIDEST_BIAS * span),

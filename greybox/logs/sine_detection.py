@@ -24,7 +24,6 @@ TRANSIENT = 0.03  # half periods; crossings at the ends that are farther off the
 SAMPLES = 8  # in a sine, and per period of it, at least
 UNEXPLAINED = 0.15  # of the variance, at most, of a sine
 BENT = 0.12  # rad, of the phase at the ends of a piece relative to a straight line: the piece is of a sweep
-BENT_UNEXPLAINED = 0.5  # of the variance, at most, of a piece of a sweep
 FOLLOWS = 0.05  # of the amplitude: where the signal is farther off the fitted sine, it ends
 SHORTEST = 1.0  # s, of a sine
 OVERLAP = 0.1  # of a run, that another may cover
@@ -156,8 +155,7 @@ def _fitted(time: Array, values: Array, crossings: Array) -> Segment | None:
     amplitude = math.hypot(c[2], c[3])
     deviation = np.abs(values - _waves(time - middle, omega, 4) @ c)
     noise = float(np.sqrt(np.mean(deviation[rows] ** 2)))
-    unexplained = BENT_UNEXPLAINED if bend > BENT else UNEXPLAINED
-    if amplitude < LEAST_AMPLITUDE * float(np.ptp(values)) or noise**2 > unexplained * (amplitude**2 / 2 + noise**2):
+    if amplitude < LEAST_AMPLITUDE * float(np.ptp(values)) or noise**2 > UNEXPLAINED * (amplitude**2 / 2 + noise**2):
         return None
     if bend > BENT:
         return Segment(start, float(crossings[-1]), "sweep", band=(omega, omega), amplitude=amplitude)

@@ -26,13 +26,18 @@ from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import traced_derivative, traced_output
 from greybox.modeling.trim import trim_function
 
-# Odd, so that a kink such as that of |v| v, sampled at a symmetric orbit, counts as if sampled twice as often.
-POINTS = 33  # at least, over one period
-HALVINGS = 7  # of the amplitude, from which to follow the solution where Newton's method fails at once
-TINY = 1e-6  # the harmonics, per amplitude, from which the first step of Newton's method goes to the linear response
-TOLERANCE = 1e-8  # of the balance, relative to the size of the harmonics
-SINGULAR = 1e-9  # singular value of the balance, rows scaled to one, below which it leaves something open
-UNSEEN = 1e-7  # share of what is left open from which a condition determines it
+# Samples over one period, at least. Odd, so that a kink such as that of |v| v, sampled at a symmetric orbit, counts as
+# if sampled twice as often; and four a harmonic, for products of up to three signals without aliasing.
+POINTS = 33
+# Of the amplitude, where Newton's method fails at once: from 1/128 of it, where a model is nearly linear, doubled.
+HALVINGS = 7
+# The harmonics, per amplitude, where Newton's method begins: its first step then goes to the linear response. Not zero,
+# where a kink has no slope.
+SMALL = 1e-6
+TOLERANCE = 1e-8  # of the balance, relative to the size of the harmonics: Newton's last step squares it
+SINGULAR = 1e-9  # singular value of the balance, rows scaled to one, that is rounding: it leaves a direction open
+DETERMINED = 1e-7  # part of a condition in the open directions from which it determines one, above rounding
+TINY = 1e-300  # instead of a division by zero
 
 
 def harmonic_response(
@@ -66,12 +71,13 @@ def harmonic_response(
     """
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
     input, output = pick_signals(model, input, output)
-    sine, pade = as_sine(amplitude), delay_order(delay)
+    sine = as_sine(amplitude)
+    pade = delay_order(delay)
     function = harmonic_function(model, omega, sine, input=input, output=output, at=at, pade=pade)
     re, im = (np.asarray(part).ravel() for part in function(list(model.values(values).values())))
-    there = np.isfinite(re) & np.isfinite(im)
-    if not there.all():
-        k = int(np.argmin(there))
+    finite = np.isfinite(re) & np.isfinite(im)
+    if not finite.all():
+        k = int(np.argmin(finite))
         raise ValueError(
             f"{model.label} has no periodic motion at omega = {omega[k]:g} rad/s in which {sine.signal} is a sine of "
             f"amplitude {sine.amplitudes(omega)[k]:g}: give a smaller amplitude, or check the values and `at`."
@@ -108,10 +114,12 @@ def harmonic_function(
     input, output = pick_signals(model, input, output)
     check_sine(model, sine, input, omega)
     assert isinstance(model, StateSpace)
-    trim, amplitudes = trim_function(model, at or {}), sine.amplitudes(omega)
+    trim = trim_function(model, at or {})
+    amplitudes = sine.amplitudes(omega)
     orbit = _Orbit.of(model, sine, input, output, pade)
     point = np.concatenate([np.asarray(part).ravel() for part in trim([q.start for q in model.parameters.values()])])
     chosen = _mean_conditions(orbit, point, omega, amplitudes)
+
     p = ca.MX.sym("p", len(model.parameters))
     columns = ca.repmat(ca.vertcat(p, *trim(p)), 1, omega.size)
     parts = _balanced(orbit, chosen, ca.vertcat(columns, ca.DM(omega).T, ca.DM(amplitudes).T))
@@ -122,7 +130,7 @@ def check_sine(model: Model, sine: Sine, input: str, omega: NDArray[np.float64])
     """Raise ValueError, naming the cure, where model, data and sine do not fit together."""
     if not isinstance(model, StateSpace):
         raise ValueError(
-            f"{model.label} is a transfer function, which answers alike at every amplitude: leave out the amplitude."
+            f"{model.label} is a transfer function, whose response is the same at every amplitude: omit the amplitude."
         )
     known = dict.fromkeys((input, *model.outputs, *model.states))
     if sine.signal not in known:
@@ -152,16 +160,23 @@ class _Orbit:
     @classmethod
     def of(cls, model: StateSpace, sine: Sine, input: str, output: str, pade: int | None) -> "_Orbit":
         """Write down the balance."""
-        n, names = len(model.states), (*model.states, *model.inputs)
-        p, z = ca.SX.sym("p", len(model.parameters)), ca.SX.sym("z", len(names))
-        point, omega, amplitude = ca.SX.sym("point", len(names)), ca.SX.sym("omega"), ca.SX.sym("amplitude")
-        rates, read = traced_derivative(model, z, p), traced_output(model, z, p)
+        n = len(model.states)
+        names = (*model.states, *model.inputs)
+        p = ca.SX.sym("p", len(model.parameters))
+        z = ca.SX.sym("z", len(names))
+        point = ca.SX.sym("point", len(names))
+        omega = ca.SX.sym("omega")
+        amplitude = ca.SX.sym("amplitude")
+        rates = traced_derivative(model, z, p)
+        read = traced_output(model, z, p)
+
         driven = n + model.input_names.index(input)
         held = _position(model, sine.signal, read, z)
         unknown, per_amplitude = _unknown_series([*range(n), driven], len(names), 2 * sine.harmonics + 1, held)
         series = amplitude * per_amplitude
         series[:, 0] += point
         outputs = _harmonics(read, z, series, sine.harmonics)
+
         balance = [ca.vec((_derivative(series[:n, :], omega) - _harmonics(rates, z, series, sine.harmonics)).T)]
         means = [per_amplitude[k, 0] for k in (*range(n, len(names)), *range(n))]
         if held is None:
@@ -173,6 +188,7 @@ class _Orbit:
             means.insert(0, moving[0] / amplitude)
         else:
             means.insert(0, per_amplitude[held, 0])
+
         delay = p[list(model.parameters).index(model.delays[input])] if input in model.delays else ca.SX(0)
         first = _first(outputs[model.output_names.index(output), :]) / _first(series[driven, :])
         first = first * exp(-Complex(ca.SX(0), omega, pade) * delay)
@@ -212,7 +228,8 @@ def _derivative(series: ca.SX, omega: ca.SX) -> ca.SX:
     result = ca.SX(*series.shape)
     for k in range(1, series.size2() // 2 + 1):
         cosine, sine = 2 * k - 1, 2 * k
-        result[:, cosine], result[:, sine] = k * omega * series[:, sine], -k * omega * series[:, cosine]
+        result[:, cosine] = k * omega * series[:, sine]
+        result[:, sine] = -k * omega * series[:, cosine]
     return result
 
 
@@ -241,7 +258,8 @@ def _harmonics(formula: ca.SX, z: ca.SX, series: ca.SX, harmonics: int) -> ca.SX
 
 def _separated(formula: ca.SX, z: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Split `formula` into the coefficients of the signals in which a row is linear, and what is left of the row."""
-    slope, rest = ca.jacobian(formula, z), ca.SX(formula)
+    slope = ca.jacobian(formula, z)
+    rest = ca.SX(formula)
     linear = ca.SX(*slope.shape)
     for k in range(slope.size1()):
         columns = [j for j in range(z.numel()) if slope.has_nz(k, j) and not ca.depends_on(slope[k, j], z)]
@@ -275,17 +293,17 @@ def _mean_conditions(
     middle = int(np.argsort(amplitudes)[omega.size // 2])
     start = [q.start for q in orbit.model.parameters.values()]
     given = np.concatenate([start, point, [omega[middle], amplitudes[middle]]])
-    some = np.random.default_rng(0).normal(size=orbit.unknown.numel())
+    generic = np.random.default_rng(0).normal(size=orbit.unknown.numel())
     function = ca.Function("slopes", [orbit.unknown, orbit.given], blocks)
-    rows, conditions = (np.nan_to_num(np.asarray(ca.DM(block))) for block in function(some, given))
-    rows, conditions = (e / np.maximum(np.linalg.norm(e, axis=1, keepdims=True), 1e-300) for e in (rows, conditions))
+    rows, conditions = (np.nan_to_num(np.asarray(ca.DM(block))) for block in function(generic, given))
+    rows, conditions = (e / np.maximum(np.linalg.norm(e, axis=1, keepdims=True), TINY) for e in (rows, conditions))
     _, singular, basis = np.linalg.svd(rows)
     open_directions = basis[int(np.sum(singular > SINGULAR)) :]
     chosen: list[int] = []
     missing = orbit.unknown.numel() - orbit.balance.numel()
     for k, row in enumerate(conditions):
-        seen = np.array([*conditions[chosen], row]) @ open_directions.T
-        if len(chosen) < missing and np.linalg.matrix_rank(seen, UNSEEN) == len(seen):
+        in_open = np.array([*conditions[chosen], row]) @ open_directions.T
+        if len(chosen) < missing and np.linalg.matrix_rank(in_open, DETERMINED) == len(in_open):
             chosen.append(k)
     if len(chosen) < missing or len(open_directions) > missing:
         raise ValueError(
@@ -297,7 +315,8 @@ def _mean_conditions(
 
 def _balanced(orbit: _Orbit, chosen: Sequence[int], given: Any) -> Any:
     """Return real and imaginary part of the response, (2, n), for columns of what is given at every frequency."""
-    x, n = orbit.unknown, given.size2()
+    x = orbit.unknown
+    n = given.size2()
     balance = ca.vertcat(orbit.balance, *[orbit.means[k] for k in chosen])
     options = {"error_on_fail": False, "abstol": 1e-11, "max_iter": 30, "show_eval_warnings": False}
     equations = {"x": x, "p": orbit.given, "g": balance}
@@ -307,20 +326,20 @@ def _balanced(orbit: _Orbit, chosen: Sequence[int], given: Any) -> Any:
     finish = ca.Function("finish", [x, orbit.given], [orbit.response, size < TOLERANCE])
     guesses = _guess(newton, careful, finish).map(n)(given)
     # Newton's method once more, from its own solution: derivatives then go through this call and leave out the guess.
-    response, found = finish.map(n)(newton.map(n)(x0=guesses, p=given)["x"], given)
+    response, converged = finish.map(n)(newton.map(n)(x0=guesses, p=given)["x"], given)
     # A motion that was not found becomes infinite, so that the run that met it fails instead of using it.
-    return response / ca.repmat(found, 2, 1)
+    return response / ca.repmat(converged, 2, 1)
 
 
 def _guess(newton: ca.Function, careful: ca.Function, finish: ca.Function) -> ca.Function:
     """Return the function from what is given to the harmonics: at once, or else from small amplitudes upwards."""
     given: Any = ca.MX.sym("given", newton.numel_in("p"))
     direct: Any = ca.MX.sym("direct", newton.numel_in("x0"))
-    nothing = ca.DM(np.full(direct.numel(), TINY))
-    root = ca.MX(nothing)
+    small = ca.DM(np.full(direct.numel(), SMALL))
+    root = ca.MX(small)
     for halving in range(HALVINGS, -1, -1):
         root = careful(x0=root, p=ca.vertcat(given[:-1], given[-1] / 2**halving))["x"]
-    slowly = ca.Function("slowly", [given], [root])
-    better = ca.if_else(finish(direct, given)[1], direct, slowly(given), True)
-    choose = ca.Function("choose", [direct, given], [better], {"never_inline": True})
-    return ca.Function("guess", [given], [choose(newton(x0=nothing, p=given)["x"], given)])
+    by_doubling = ca.Function("by_doubling", [given], [root])
+    chosen = ca.if_else(finish(direct, given)[1], direct, by_doubling(given), True)
+    choose = ca.Function("choose", [direct, given], [chosen], {"never_inline": True})
+    return ca.Function("guess", [given], [choose(newton(x0=small, p=given)["x"], given)])

@@ -19,6 +19,11 @@ from greybox.modeling.symbolic_reading import parameter_names, require_no_nan, t
 from greybox.modeling.transfer_function import TransferFunction, require_no_operating_point
 from greybox.modeling.trim import trim_function
 
+# The order of elimination is checked with this many draws of the parameters besides the start values, and at this many
+# frequencies: a pivot that vanishes whatever the parameters vanishes with any of them.
+DRAWS = 3
+FREQUENCIES = 50
+
 
 def frequency_response(
     model: Model,
@@ -46,17 +51,19 @@ def frequency_response(
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         if isinstance(model, TransferFunction):
             require_no_operating_point(model, at)
-            response = _numbers(model, omega, model.values(values), pade)
+            response = _transfer_function_values(model, omega, model.values(values), pade)
         else:
             assert isinstance(model, StateSpace)
-            response = _state_space_numbers(linearize(model, values, at), omega, input, output, pade)
+            response = _state_space_values(linearize(model, values, at), omega, input, output, pade)
     if not np.all(np.isfinite(response)):
         worst = omega[np.argmin(np.isfinite(response))]
         raise ValueError(f"{model.label} has no finite response at omega = {worst:g} rad/s: a pole lies there.")
     return FrequencyResponse(omega, response, input=input, output=output, name=model.label, source="model")
 
 
-def _numbers(model: TransferFunction, omega: NDArray[np.float64], p: Names, pade: int | None) -> NDArray[np.complex128]:
+def _transfer_function_values(
+    model: TransferFunction, omega: NDArray[np.float64], p: Names, pade: int | None
+) -> NDArray[np.complex128]:
     s: Any = 1j * omega if pade is None else Complex(np.zeros_like(omega), omega, pade)
     result = model.response(s, p)
     if isinstance(result, Complex):
@@ -71,10 +78,11 @@ def _numbers(model: TransferFunction, omega: NDArray[np.float64], p: Names, pade
     return np.broadcast_to(values, omega.shape)
 
 
-def _state_space_numbers(
+def _state_space_values(
     system: LinearSystem, omega: NDArray[np.float64], input: str, output: str, pade: int | None
 ) -> NDArray[np.complex128]:
-    i, k = system.inputs.index(input), system.outputs.index(output)
+    i = system.inputs.index(input)
+    k = system.outputs.index(output)
     pencil = 1j * omega[:, None, None] * np.eye(len(system.A)) - system.A
     b = np.broadcast_to(system.B[:, i], (len(omega), len(system.A)))
     plant = solve_pencils(pencil, b) @ system.C[k] + system.D[k, i]
@@ -100,14 +108,21 @@ def response_function(
         require_no_operating_point(model, at)
         result = traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
         return ca.Function("response", [p], _parts(result, s, model.label))
+
     assert isinstance(model, StateSpace)
-    x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", len(model.inputs))
-    i, k = model.input_names.index(input), model.output_names.index(output)
-    matrices, trim = jacobians(model), trim_function(model, at or {})
+    x = ca.SX.sym("x", len(model.states))
+    u = ca.SX.sym("u", len(model.inputs))
+    i = model.input_names.index(input)
+    k = model.output_names.index(output)
+    matrices = jacobians(model)
+    trim = trim_function(model, at or {})
+
+    # C (s I - A)⁻¹ B + D, then the delay
     A, B, C, D = matrices(p, x, u)
     n = A.size1()
     entries = [[None if A[r, c].is_zero() else A[r, c] for c in range(n)] for r in range(n)]
-    states = solve(entries, [B[r, i] for r in range(n)], s, _order(model, matrices, trim, i, omega))
+    order = _elimination_order(model, matrices, trim, i, omega)
+    states = solve(entries, [B[r, i] for r in range(n)], s, order)
     result = sum((state * C[k, r] for r, state in enumerate(states) if not C[k, r].is_zero()), D[k, i])
     if input in model.delays:
         result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
@@ -116,20 +131,20 @@ def response_function(
     return ca.Function("response", [q], at_point(q, *trim(q)))
 
 
-def _order(
+def _elimination_order(
     model: StateSpace, matrices: ca.Function, trim: ca.Function, input: int, omega: NDArray[np.float64]
 ) -> tuple[int, ...]:
-    """Choose the order of elimination from the matrices at the start values and at some others."""
+    """Choose the order of elimination from the matrices at the start values and at draws from the start boxes."""
     random = np.random.default_rng(0)
     points = [[q.start for q in model.parameters.values()]]
-    points += [[q.draw(random) for q in model.parameters.values()] for _ in range(3)]
+    points += [[q.draw(random) for q in model.parameters.values()] for _ in range(DRAWS)]
     blocks = [[np.asarray(ca.DM(block)) for block in matrices(point, *trim(point))[:2]] for point in points]
     usable = [(A, B[:, input]) for A, B in blocks if np.all(np.isfinite(A)) and np.all(np.isfinite(B))]
     if not usable:
         return tuple(range(len(model.states)))
     zero = np.all([A == 0 for A, _ in usable], axis=0)
-    few = omega if omega.size <= 50 else omega[np.linspace(0, omega.size - 1, 50).astype(int)]
-    return elimination_order(np.array([A for A, _ in usable]), np.array([b for _, b in usable]), zero, few)
+    looked_at = omega if omega.size <= FREQUENCIES else omega[np.linspace(0, omega.size - 1, FREQUENCIES).astype(int)]
+    return elimination_order(np.array([A for A, _ in usable]), np.array([b for _, b in usable]), zero, looked_at)
 
 
 def _parts(result: Any, s: Complex, owner: str) -> list[ca.SX]:

@@ -14,7 +14,7 @@ PACKAGE = __name__.rpartition(".")[0]  # whose classes' attributes no parameter 
 
 
 class Names(Mapping[str, Any]):
-    """Values by name, as attributes (``p.a1``) and as a mapping (``p["a1"]``); what a formula gets to see."""
+    """Values by name, as attributes (``p.a1``) and as a mapping (``p["a1"]``): the arguments of a formula."""
 
     def __init__(self, values: Mapping[str, Any], what: str = "it") -> None:
         self.__dict__.update(values)
@@ -67,17 +67,17 @@ class Model(ABC):
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Collect the parameters of the class body and of the classes above it."""
         super().__init_subclass__(**kwargs)
-        found: dict[str, Parameter] = {}
+        parameters: dict[str, Parameter] = {}
         for owner in reversed(cls.__mro__):
-            hidden = [n for n, value in vars(owner).items() if n in found and isinstance(value, (int, float))]
+            hidden = [n for n, value in vars(owner).items() if n in parameters and isinstance(value, (int, float))]
             if hidden:
                 raise TypeError(
                     f"{cls.__name__}.{hidden[0]} is a number where a Parameter was declared: use Parameter(...)."
                 )
-            found |= {name: value for name, value in vars(owner).items() if isinstance(value, Parameter)}
+            parameters |= {name: value for name, value in vars(owner).items() if isinstance(value, Parameter)}
         for taken in (Names, *(base for base in cls.__mro__[1:] if base.__module__.startswith(PACKAGE))):
-            require_usable(found, cls.__name__, taken)
-        cls.parameters = MappingProxyType(found)
+            require_usable(parameters, cls.__name__, taken)
+        cls.parameters = MappingProxyType(parameters)
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
         """Remember the arguments, so that a stored result can name its model."""
@@ -121,13 +121,13 @@ class Model(ABC):
         require_known(given, self.parameters, "parameter", self.label)
         for name, value in given.items():
             if isinstance(value, (str, type(None))) or (isinstance(value, float) and not math.isfinite(value)):
-                raise ValueError(f"{name} = {value!r} is no finite number: give a value for {self.label}.")
+                raise ValueError(f"{name} = {value!r} of {self.label} is not a finite number: give one.")
         return Names({n: given.get(n, p.start) for n, p in self.parameters.items()}, self.label)
 
     def __repr__(self) -> str:
         args, kwargs = self.arguments
-        words = [repr(a) for a in args] + [f"{k}={v!r}" for k, v in kwargs.items()]
-        return f"{type(self).__name__}({', '.join(words)})"
+        written = [repr(a) for a in args] + [f"{k}={v!r}" for k, v in kwargs.items()]
+        return f"{type(self).__name__}({', '.join(written)})"
 
 
 def require_known(names: Iterable[str], known: Iterable[str], what: str, owner: str) -> None:

@@ -13,6 +13,7 @@ from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import parameter_names, require_no_nan, traced, traced_derivative, traced_output
 from greybox.modeling.transfer_function import TransferFunction
 
+NO_POLE = 1e-9  # rad/s: a pole below is an integrator's, as far as rounding lets the roots be known
 SWITCHES = {ca.OP_LT, ca.OP_LE, ca.OP_IF_ELSE_ZERO, ca.OP_FMIN, ca.OP_FMAX}
 
 
@@ -60,7 +61,8 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
     if isinstance(model, TransferFunction):
         return _realized(model, p, pade)
     assert isinstance(model, StateSpace)
-    x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", len(model.inputs))
+    x = ca.SX.sym("x", len(model.states))
+    u = ca.SX.sym("u", len(model.inputs))
     names = list(model.parameters)
     delays = [p[names.index(model.delays[i])] if i in model.delays else ca.SX(0) for i in model.inputs]
     z = ca.vertcat(x, u)
@@ -83,16 +85,17 @@ def has_branches(model: Model) -> bool:
     """Tell whether the equations of a `StateSpace` hold comparisons or limits, such as `gb.where` and `gb.maximum`."""
     if not isinstance(model, StateSpace):
         return False
-    form = dynamics(model)
-    found = [f.instruction_id(k) for f in (form.derivative, form.output) for k in range(f.n_instructions())]
-    return bool(SWITCHES & set(found))
+    system = dynamics(model)
+    operations = {f.instruction_id(k) for f in (system.derivative, system.output) for k in range(f.n_instructions())}
+    return bool(SWITCHES & operations)
 
 
 def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
     s = Rational([1.0, 0.0], pade=pade)
     rational = traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
     rational = rational if isinstance(rational, Rational) else Rational([rational])
-    numerator, denominator = [ca.SX(c) for c in rational.numerator], [ca.SX(c) for c in rational.denominator]
+    numerator = [ca.SX(c) for c in rational.numerator]
+    denominator = [ca.SX(c) for c in rational.denominator]
     n = len(denominator) - 1
     if len(numerator) > n + 1:
         raise ValueError(
@@ -103,10 +106,12 @@ def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
     a = [c / denominator[0] for c in denominator]
     feedthrough = numerator[0] / denominator[0]
     b = [c / denominator[0] - feedthrough * a[k] for k, c in enumerate(numerator)]
-    pace = _pace(a, p, model)
-    x, u = ca.SX.sym("x", n), ca.SX.sym("u", 1)
+    scale = _time_scale(a, p, model)
+
+    x = ca.SX.sym("x", n)
+    u = ca.SX.sym("u", 1)
     rows = [
-        pace * ((x[k + 1] if k + 1 < n else 0) - a[k + 1] / pace ** (k + 1) * x[0] + b[k + 1] / pace ** (k + 1) * u)
+        scale * ((x[k + 1] if k + 1 < n else 0) - a[k + 1] / scale ** (k + 1) * x[0] + b[k + 1] / scale ** (k + 1) * u)
         for k in range(n)
     ]
     f = ca.vertcat(ca.SX(0, 1), *rows)
@@ -124,14 +129,14 @@ def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
     )
 
 
-def _pace(a: list[Any], p: ca.SX, model: Model) -> float:
+def _time_scale(a: list[Any], p: ca.SX, model: Model) -> float:
     """Return the geometric mean of the nonzero poles' magnitudes at the start values, rad/s; 1 without poles."""
     values = ca.Function("a", [p], [ca.vertcat(*a)])([q.start for q in model.parameters.values()])
     coefficients = np.asarray(values).ravel()
     if not np.all(np.isfinite(coefficients)):
         return 1.0
     poles = np.abs(np.roots(coefficients))
-    poles = poles[poles > 1e-9]
+    poles = poles[poles > NO_POLE]
     return float(np.exp(np.mean(np.log(poles)))) if poles.size else 1.0
 
 
@@ -139,24 +144,28 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
     """Replace every delay by the states of its Padé approximation, where an order is given."""
     if pade is None or not exact.delayed:
         return exact
-    n, m = len(exact.states), len(exact.inputs)
-    p, u = ca.SX.sym("p", len(exact.parameters)), ca.SX.sym("u", m)
+    m = len(exact.inputs)
+    p = ca.SX.sym("p", len(exact.parameters))
+    u = ca.SX.sym("u", m)
     delays: Any = ca.vertsplit(exact.delay(p))
-    own: list[tuple[str, ca.SX]] = []
-    rows, late = [], []
+    added: list[tuple[str, ca.SX]] = []
+    rows = []
+    delayed_inputs = []
     for k, name in enumerate(exact.inputs):
         if delays[k].is_zero():
-            late.append(u[k])
+            delayed_inputs.append(u[k])
             continue
-        x = ca.SX.sym(f"delay_{name}", pade)
-        output, derivative = pade_states(x, u[k], delays[k], pade)
-        own += [(f"{name}_delay_{i}", x[i]) for i in range(pade)]
+        state = ca.SX.sym(f"delay_{name}", pade)
+        output, derivative = pade_states(state, u[k], delays[k], pade)
+        added += [(f"{name}_delay_{i}", state[i]) for i in range(pade)]
         rows.append(derivative)
-        late.append(output)
-    x = ca.SX.sym("x", n)
-    full, delayed = ca.vertcat(x, *[symbol for _, symbol in own]), ca.vertcat(*late)
+        delayed_inputs.append(output)
+
+    x = ca.SX.sym("x", len(exact.states))
+    full = ca.vertcat(x, *[symbol for _, symbol in added])
+    delayed = ca.vertcat(*delayed_inputs)
     return Dynamics(
-        states=(*exact.states, *(name for name, _ in own)),
+        states=(*exact.states, *(name for name, _ in added)),
         inputs=exact.inputs,
         outputs=exact.outputs,
         parameters=exact.parameters,

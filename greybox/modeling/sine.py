@@ -1,4 +1,4 @@
-"""The sine of a test: which signal it is that moves sinusoidally, and how far."""
+"""A sine test: which signal is sinusoidal, and its amplitude."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -22,9 +22,9 @@ class Sine:
     amplitude : float or (n,) array, in the signal's unit
         Half the distance from peak to peak; one for all frequencies or one for each.
     harmonics : int
-        How many harmonics the other signals are given. Enough when more do not change the response, and a fit says
-        when more would change its estimate; a kink, as in the drag ``|v| v`` of a fast oscillation, is content with 3,
-        a strong one with 5 to 9.
+        How many harmonics of the other signals are modeled: enough when more do not change the response; a fit warns
+        when more would change its estimate. For a kink, as in the drag ``|v| v`` of a fast oscillation, 3 suffice, for
+        a strong one 5 to 9.
 
     Raises
     ------
@@ -63,7 +63,7 @@ class Sine:
 
     @property
     def plain(self) -> dict[str, Any]:
-        """The fields as JSON takes them."""
+        """The fields for JSON."""
         amplitude = self.amplitude.tolist() if isinstance(self.amplitude, np.ndarray) else self.amplitude
         return {"signal": self.signal, "amplitude": amplitude, "harmonics": int(self.harmonics)}
 

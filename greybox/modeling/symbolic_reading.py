@@ -11,7 +11,7 @@ import numpy as np
 from greybox.modeling.model import Model, Names
 from greybox.modeling.state_space import StateSpace
 
-_CURE = "write it with + - * / **, gb.exp, gb.where, gb.maximum and friends, not with math, numpy, if, max or and."
+CURE = "write it with + - * / **, gb.exp, gb.where, gb.maximum and friends, not with math, numpy, if, max or and."
 
 
 def parameter_names(model: Model, p: Any) -> Names:
@@ -41,7 +41,7 @@ def traced(owner: str, formula: Callable[..., Any], *arguments: Any) -> Any:
             return formula(*arguments)
     except (RuntimeError, NotImplementedError, TypeError) as error:
         reason = re.sub(r"^\.\.\./casadi\S+ ", "", str(error).strip().partition("\n")[0])
-        raise ValueError(f"{owner} cannot be compiled ({reason.rstrip('.')}): {_CURE}") from error
+        raise ValueError(f"{owner} cannot be compiled ({reason.rstrip('.')}): {CURE}") from error
 
 
 def traced_derivative(model: StateSpace, z: ca.SX, p: ca.SX) -> ca.SX:
@@ -65,7 +65,7 @@ def column(owner: str, values: Sequence[Any]) -> ca.SX:
     """Stack scalar expressions, saying which one is not an expression."""
     for k, value in enumerate(values):
         if not isinstance(value, (int, float, np.number, ca.SX, ca.DM)):
-            raise ValueError(f"{owner} gives a {type(value).__name__} as value {k}, not an expression: {_CURE}")
+            raise ValueError(f"{owner} gives a {type(value).__name__} as value {k}, not an expression: {CURE}")
         if isinstance(value, (ca.SX, ca.DM)) and not value.is_scalar():
             raise ValueError(f"{owner} gives {value.numel()} numbers as value {k}: return one scalar for each.")
     return require_no_nan(owner, ca.SX(ca.vertcat(*values)) if values else ca.SX(0, 1))
@@ -76,7 +76,7 @@ def require_no_nan(owner: str, expression: ca.SX) -> ca.SX:
     function = ca.Function("scan", ca.symvar(expression), [expression])
     for k in range(function.n_instructions()):
         if function.instruction_id(k) == ca.OP_CONST and np.isnan(function.instruction_constant(k)):
-            raise ValueError(f"{owner} becomes NaN when it is compiled, as math.sin of an expression does: {_CURE}")
+            raise ValueError(f"{owner} becomes NaN when it is compiled, as math.sin of an expression does: {CURE}")
     return expression
 
 

@@ -36,17 +36,19 @@ class TransferFunction(Model):
         return (self.output,)
 
     def __mul__(self, other: Any) -> "TransferFunction":
-        return Series(self, other) if isinstance(other, TransferFunction) else NotImplemented
+        return SeriesConnection(self, other) if isinstance(other, TransferFunction) else NotImplemented
 
 
-class Series(TransferFunction):
+class SeriesConnection(TransferFunction):
     """Series connection: the signal passes `first`, then `second`; parameters of one name are one unknown."""
 
     def __init__(self, first: TransferFunction, second: TransferFunction) -> None:
         _require_transfer_functions(first, second)
-        self.first, self.second = first, second
+        self.first = first
+        self.second = second
         self.parameters = merged_parameters((first, second))
-        self.input, self.output = first.input, second.output
+        self.input = first.input
+        self.output = second.output
 
     @property
     def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
@@ -63,7 +65,7 @@ class Series(TransferFunction):
         return f"{self.first.label} * {self.second.label}"
 
 
-class Feedback(TransferFunction):
+class FeedbackLoop(TransferFunction):
     """Closed loop forward / (1 - sign · forward · back); negative feedback with the default sign.
 
     A loop around a delay has exact readings in numbers and in CasADi; its rational reading needs a Padé approximation.
@@ -73,10 +75,12 @@ class Feedback(TransferFunction):
         _require_transfer_functions(forward, *(() if back is None else (back,)))
         if sign not in (-1, 1):
             raise ValueError(f"sign {sign!r} must be -1 (negative feedback) or 1.")
-        self.forward, self.back, self.sign = forward, back, sign
-        parts = (forward,) if back is None else (forward, back)
-        self.parameters = merged_parameters(parts)
-        self.input, self.output = forward.input, forward.output
+        self.forward = forward
+        self.back = back
+        self.sign = sign
+        self.parameters = merged_parameters((forward,) if back is None else (forward, back))
+        self.input = forward.input
+        self.output = forward.output
 
     @property
     def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
@@ -97,7 +101,7 @@ class Feedback(TransferFunction):
 
 def feedback(forward: TransferFunction, back: TransferFunction | None = None, sign: int = -1) -> TransferFunction:
     """Close the loop around `forward`, through `back` if given; `sign` is that of the feedback."""
-    return Feedback(forward, back, sign)
+    return FeedbackLoop(forward, back, sign)
 
 
 def require_no_operating_point(model: Model, at: Mapping[str, float] | None) -> None:
@@ -109,4 +113,4 @@ def require_no_operating_point(model: Model, at: Mapping[str, float] | None) -> 
 def _require_transfer_functions(*models: Any) -> None:
     for model in models:
         if not isinstance(model, TransferFunction):
-            raise TypeError(f"{model!r} is not a TransferFunction: only transfer functions are connected.")
+            raise TypeError(f"{model!r} is not a TransferFunction: only transfer functions can be connected.")

@@ -11,8 +11,16 @@ from greybox.modeling.model import Names, require_known
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import column, derivative_function, parameter_names, traced, traced_derivative
 
-_TOLERANCE = 1e-9  # of the derivative at a trim, relative to the size of its terms
-_STEPS = 10  # from the trim at the start values to that at the values asked for
+TOLERANCE = 1e-9  # of the derivative at a trim, relative to the states and inputs there
+OWN_TOLERANCE = 1e-6  # the same for a trim that the user wrote, whose constants may be rounded
+ROUNDING = 1e-12  # derivative at the origin that is rounding
+DRAWS = (
+    8  # parameter vectors at which the origin must be an equilibrium: one generic vector decides, save for accidents
+)
+STEPS = 10  # from the trim at the start values to that at the values asked for, where one step does not converge
+POLISHING = 30  # Newton steps: at a double root each only halves the distance, and with it the slope, to a billionth
+SINGULAR = 1e-9  # pivot of a Jacobian, relative to the largest, that is rounding
+VANISHING = 1e-6  # pivot relative to its value a tenth of the point away: it vanishes at the trim, as at a double root
 
 
 def trim_function(model: StateSpace, at: Mapping[str, float]) -> ca.Function:
@@ -58,7 +66,7 @@ def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> ca.Functi
     start = [q.start for q in model.parameters.values()]
     point = ca.vertcat(*trim(start))
     rest = np.asarray(derivative_function(model)(point, start)).ravel()
-    if not np.all(np.abs(rest) < 1e-6 * (1 + np.abs(np.asarray(point)).max(initial=0))):
+    if not np.all(np.abs(rest) < OWN_TOLERANCE * (1 + np.abs(np.asarray(point)).max(initial=0))):
         worst = int(np.argmax(np.abs(np.nan_to_num(rest, nan=np.inf))))
         raise ValueError(
             f"{model.label}.trim at {dict(at)} is no equilibrium: the derivative of "
@@ -71,26 +79,28 @@ def _is_always_equilibrium(model: StateSpace, point: Sequence[float]) -> bool:
     """Tell whether `point` is an equilibrium whatever the parameters, by trying some."""
     derivative = derivative_function(model)
     random = np.random.default_rng(0)
-    for _ in range(8):
+    for _ in range(DRAWS):
         trial = [p.draw(random) for p in model.parameters.values()]
         value = np.asarray(derivative(point, trial))
-        if not np.all(np.abs(value) < 1e-12):
+        if not np.all(np.abs(value) < ROUNDING):
             return False
     return True
 
 
 def _implicit_trim(model: StateSpace, at: Mapping[str, float]) -> ca.Function:
     names = (*model.states, *model.inputs)
-    z, p = ca.SX.sym("z", len(names)), ca.SX.sym("p", len(model.parameters))
+    z = ca.SX.sym("z", len(names))
+    p = ca.SX.sym("p", len(model.parameters))
     rest = traced_derivative(model, z, p)
     used = ca.sum1(ca.DM(ca.jacobian_sparsity(rest, z), 1.0)) if len(model.states) else ca.DM.zeros(1, len(names))
     unknown = [k for k, name in enumerate(names) if name not in at and float(used[k]) > 0]
     excess = len(unknown) - len(model.states)
     if excess > 0:
         raise ValueError(
-            f"the operating point of {model.label} is not fixed by at={dict(at)}: give {excess} more of "
+            f"the operating point of {model.label} is not determined by at={dict(at)}: give {excess} more of "
             f"{', '.join(names[k] for k in unknown)}."
         )
+
     w = ca.SX.sym("w", len(unknown))
     point = ca.SX([at.get(name, 0.0) for name in names])
     for k, index in enumerate(unknown):
@@ -121,15 +131,15 @@ def _presolve(
             ftol=1e-15,
             gtol=1e-15,
         )
-        if np.abs(solution.fun).max() > _TOLERANCE * (1 + np.abs(solution.x).max(initial=0)):
+        if np.abs(solution.fun).max() > TOLERANCE * (1 + np.abs(solution.x).max(initial=0)):
             continue
         root = solution.x
-        for _ in range(30):  # at a double root every step only halves the distance, and with it the slope
+        for _ in range(POLISHING):
             rest, jacobian = (np.asarray(v) for v in residual(root, start))
             root = root - np.linalg.lstsq(jacobian, rest.ravel())[0]
         diagonal, order = _pivots(residual(root, start)[1])
         nearby, _ = _pivots(residual(root + 0.1 * (1 + np.abs(root)), start)[1])
-        if diagonal.size and diagonal.min() < max(1e-9 * diagonal.max(), 1e-6 * np.nan_to_num(nearby).min()):
+        if diagonal.size and diagonal.min() < max(SINGULAR * diagonal.max(), VANISHING * np.nan_to_num(nearby).min()):
             raise ValueError(
                 f"{model.label} at {dict(at)} has a singular operating point (its derivative does not fix every "
                 "state there): give more of the point in at, or declare trim(self, at, p)."
@@ -157,17 +167,19 @@ def _rootfinder(
     equations = ca.vertcat(*[rest[k] for k in rows])
     newton = ca.rootfinder("newton", "newton", {"x": w, "p": p, "g": equations}, options)
     size = ca.sqrt(ca.sumsqr(rest)) / (1 + ca.sqrt(ca.sumsqr(w)))
-    finish = ca.Function("finish", [w, p], [point, size < _TOLERANCE])
+    finish = ca.Function("finish", [w, p], [point, size < TOLERANCE])
+
     parameters = ca.MX.sym("p", p.numel())
-    # A root that was not found becomes infinite, so that the run that met it fails instead of using it.
     direct = newton(x0=guess, p=parameters)["x"]
     start = ca.DM([q.start for q in model.parameters.values()])
     root = ca.MX(ca.DM(guess))
-    for step in range(1, _STEPS + 1):
-        root = newton(x0=root, p=start + (parameters - start) * step / _STEPS)["x"]
-    slowly = ca.Function("slowly", [parameters], [root])
-    root = ca.if_else(finish(direct, parameters)[1], direct, slowly(parameters), True)
-    full, found = finish(root, parameters)
-    full = full / found
+    for step in range(1, STEPS + 1):
+        root = newton(x0=root, p=start + (parameters - start) * step / STEPS)["x"]
+    in_steps = ca.Function("in_steps", [parameters], [root])
+    root = ca.if_else(finish(direct, parameters)[1], direct, in_steps(parameters), True)
+
+    # A root that was not found becomes infinite, so that the run that met it fails instead of using it.
+    full, converged = finish(root, parameters)
+    full = full / converged
     n = len(model.states)
     return ca.Function("trim", [parameters], [full[:n], full[n:]])

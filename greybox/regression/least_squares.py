@@ -1,4 +1,4 @@
-"""Linear least squares over several equations with bounds, and the covariance of its answer when residuals are colored.
+"""Linear least squares over several equations, with bounds; the covariance of the estimate when residuals are colored.
 
 Colored residuals: Cov = (XᵀX)⁻¹ Xᵀ R X (XᵀX)⁻¹ with the autocovariance R of the residuals (Morelli and Klein, Aircraft
 System Identification, 2nd ed., chapter 5). R is the sample autocovariance under a Parzen window (Parzen, Ann. Math.
@@ -14,9 +14,16 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-DEAD = 1e-7  # singular value of the unit-column matrix below which a combination is not determined
-PART = 1e-3  # share in such a combination from which a column belongs to it
-WIDTH = 8.0  # Parzen window, in correlation lengths of the residuals
+# Singular value of the matrix with unit columns below which a combination is not determined: the root of the rounding,
+# at which the normal equations lose it.
+UNDETERMINED = 1e-7
+PART = 1e-3  # share in such a combination from which a column belongs to it: above rounding divided by UNDETERMINED
+# Parzen window, in correlation lengths of the residuals: it passes half at 0.36 of its width, nearly three of them.
+WIDTH = 8.0
+# Residuals for each lag of the correlation length: with a fifth as many lags, every lag averages over most residuals.
+RESIDUALS_PER_LAG = 5
+ROUNDING = 1e-24  # of the power of a target: residuals smaller than this are rounding
+TINY = 1e-300  # instead of a division by zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,10 +37,10 @@ class Block:
 
 
 @dataclass(frozen=True, eq=False)
-class Color:
-    """Autocovariance (lags 0 ... m - 1) of one equation's residuals, and how many independent ones they are worth."""
+class Autocovariance:
+    """Of one equation's residuals: at the `lags` 0 ... m - 1, and how many independent residuals they are worth."""
 
-    autocovariance: Array
+    lags: Array
     independent: float
 
 
@@ -41,16 +48,16 @@ def undetermined(blocks: Sequence[Block]) -> list[tuple[int, ...]]:
     """Return the columns that change nothing, each alone, and the sets whose combination changes nothing."""
     triangle = _triangle(blocks, np.ones(1 + max(b.equation for b in blocks)))[:, 1:]
     sizes = np.linalg.norm(triangle, axis=0)
-    dead = [(int(k),) for k in np.flatnonzero(sizes == 0)]
-    alive = np.flatnonzero(sizes)
-    if not alive.size:
-        return dead
-    _, values, directions = np.linalg.svd(triangle[:, alive] / sizes[alive], full_matrices=True)
-    values = np.pad(values, (0, alive.size - values.size))
-    blind = directions[values < DEAD * values[0]]
-    share = np.sqrt(np.sum(blind**2, axis=0))
-    together = tuple(int(k) for k in alive[share > PART])
-    return [*dead, together] if together else dead
+    zero = [(int(k),) for k in np.flatnonzero(sizes == 0)]
+    nonzero = np.flatnonzero(sizes)
+    if not nonzero.size:
+        return zero
+    _, values, directions = np.linalg.svd(triangle[:, nonzero] / sizes[nonzero], full_matrices=True)
+    values = np.pad(values, (0, nonzero.size - values.size))
+    open_directions = directions[values < UNDETERMINED * values[0]]
+    share = np.sqrt(np.sum(open_directions**2, axis=0))
+    combined = tuple(int(k) for k in nonzero[share > PART])
+    return [*zero, combined] if combined else zero
 
 
 def solve(blocks: Sequence[Block], weights: Array, low: Array, high: Array) -> Array:
@@ -58,7 +65,8 @@ def solve(blocks: Sequence[Block], weights: Array, low: Array, high: Array) -> A
     from scipy.optimize import lsq_linear  # noqa: PLC0415  (import of greybox stays free of scipy)
 
     triangle = _triangle(blocks, weights)
-    right, matrix = triangle[:, 0], triangle[:, 1:]
+    right = triangle[:, 0]
+    matrix = triangle[:, 1:]
     if not matrix.shape[1]:
         return np.zeros(0)
     sizes = np.linalg.norm(matrix, axis=0)
@@ -66,8 +74,8 @@ def solve(blocks: Sequence[Block], weights: Array, low: Array, high: Array) -> A
     free = np.linalg.lstsq(matrix / sizes, right, rcond=None)[0] / sizes
     if np.all((free >= low) & (free <= high)):
         return free
-    found = lsq_linear(matrix / sizes, right, (low * sizes, high * sizes), method="bvls", max_iter=1000)
-    return np.clip(found.x / sizes, low, high)
+    bounded = lsq_linear(matrix / sizes, right, (low * sizes, high * sizes), method="bvls", max_iter=1000)
+    return np.clip(bounded.x / sizes, low, high)
 
 
 def residuals(blocks: Sequence[Block], unknowns: Array) -> list[Array]:
@@ -78,35 +86,42 @@ def residuals(blocks: Sequence[Block], unknowns: Array) -> list[Array]:
 def spread(blocks: Sequence[Block], errors: Sequence[Array]) -> Array:
     """Return the root mean square of the errors of every equation, (equations,); at least rounding of its target."""
     count = 1 + max(block.equation for block in blocks)
-    square, size, scale = np.zeros(count), np.zeros(count), np.zeros(count)
+    squares = np.zeros(count)
+    power = np.zeros(count)
+    size = np.zeros(count)
     for block, error in zip(blocks, errors, strict=True):
-        square[block.equation] += error @ error
-        scale[block.equation] += block.target @ block.target
+        squares[block.equation] += error @ error
+        power[block.equation] += block.target @ block.target
         size[block.equation] += error.size
-    return np.sqrt((square + 1e-24 * scale + 1e-300) / np.maximum(size, 1))
+    return np.sqrt((squares + ROUNDING * power + TINY) / np.maximum(size, 1))
 
 
-def colors(blocks: Sequence[Block], errors: Sequence[Array]) -> list[Color]:
+def autocovariances(blocks: Sequence[Block], errors: Sequence[Array]) -> list[Autocovariance]:
     """Return the autocovariance of the residuals of every equation, over its stretches."""
     count = 1 + max(block.equation for block in blocks)
-    return [_color([e for b, e in zip(blocks, errors, strict=True) if b.equation == k]) for k in range(count)]
+    return [_autocovariance([e for b, e in zip(blocks, errors, strict=True) if b.equation == k]) for k in range(count)]
 
 
-def covariance(blocks: Sequence[Block], weights: Array, color: Sequence[Color]) -> Array:
-    """Return the covariance (k, k) for residuals of these colors; the equations are taken as independent."""
+def covariance(blocks: Sequence[Block], weights: Array, colored: Sequence[Autocovariance]) -> Array:
+    """Return the covariance (k, k) for residuals of these autocovariances; the equations are taken as independent."""
     from scipy.signal import fftconvolve  # noqa: PLC0415  (takes a third of a second to import)
 
     size = blocks[0].slopes.shape[1]
-    normal, middle = np.zeros((size, size)), np.zeros((size, size))
+    normal = np.zeros((size, size))
+    middle = np.zeros((size, size))
     for block in blocks:
-        weight, r = weights[block.equation] ** 2, color[block.equation].autocovariance
+        weight = weights[block.equation] ** 2
+        r = colored[block.equation].lags
         kernel = np.concatenate([r[:0:-1], r])[:, None]
-        spreaded = fftconvolve(block.slopes, kernel, axes=0)[len(r) - 1 : len(r) - 1 + len(block.slopes)]
+        convolved = fftconvolve(block.slopes, kernel, axes=0)[len(r) - 1 : len(r) - 1 + len(block.slopes)]
         normal += weight * block.slopes.T @ block.slopes
-        middle += weight**2 * block.slopes.T @ spreaded
+        middle += weight**2 * block.slopes.T @ convolved
+
     sizes = np.sqrt(np.diag(normal))
     scale = np.divide(1, sizes, out=np.zeros(size), where=sizes > 0)
-    inverse = np.linalg.pinv(normal * np.outer(scale, scale), rcond=DEAD**2, hermitian=True) * np.outer(scale, scale)
+    inverse = np.linalg.pinv(normal * np.outer(scale, scale), rcond=UNDETERMINED**2, hermitian=True) * np.outer(
+        scale, scale
+    )
     return inverse @ ((middle + middle.T) / 2) @ inverse
 
 
@@ -119,17 +134,17 @@ def _triangle(blocks: Sequence[Block], weights: Array) -> Array:
     return result
 
 
-def _color(errors: Sequence[Array]) -> Color:
-    """Estimate the autocovariance over several stretches, with a window as wide as the residuals remember."""
+def _autocovariance(errors: Sequence[Array]) -> Autocovariance:
+    """Estimate the autocovariance over several stretches, in a window of several correlation lengths."""
     total = sum(e.size for e in errors)
-    longest = max(2, min(total // 5, max(e.size for e in errors) - 1))
+    longest = max(2, min(total // RESIDUALS_PER_LAG, max(e.size for e in errors) - 1))
     raw = np.sum([_products(e, longest) for e in errors], axis=0) / total
     if raw[0] <= 0:
-        return Color(np.zeros(1), float(total))
+        return Autocovariance(np.zeros(1), float(total))
     noise = 2 * longest / total  # what the squared autocorrelations of white residuals add up to
     length = max(1.0, float(2 * np.sum((raw / raw[0]) ** 2) - 1 - noise))
     width = int(min(max(math.ceil(WIDTH * length), 2), longest))
-    return Color(raw[:width] * _parzen(width), total / length)
+    return Autocovariance(raw[:width] * _parzen(width), total / length)
 
 
 def _products(error: Array, lags: int) -> Array:

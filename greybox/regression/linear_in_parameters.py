@@ -1,4 +1,4 @@
-"""Which equations of a model the measured signals make into regressions: how each state is known, what is left out."""
+"""Which equations of a model become regressions: how each state is known, which parameters enter linearly."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -9,10 +9,14 @@ import numpy as np
 
 from greybox.modeling.realization import Dynamics
 
-Way = tuple[str, ca.SX, Literal["signal", "derivative"]]
-"""A source, the row of the model that it equals, and whether it is a signal or the derivative of a state."""
+Source = tuple[str, ca.SX, Literal["signal", "derivative"]]
+"""A name, the row of the model that it equals, and whether it is a signal or the derivative of a state."""
 
-TRIALS = 20  # random points at which a row must be affine
+# Random points at which a row must be affine: kinks such as |x| bend it at every second one, so that one chance in a
+# million is left. They lie in a cube of this half width, where exponentials are still finite.
+TRIALS = 20
+HALF_WIDTH = 3.0
+ROUNDING = 1e-9  # of the terms of a row, by which it may miss an affine one
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +33,9 @@ class KnownState:
     value: ca.Function | None
 
     def __str__(self) -> str:
-        words = {"signal": f"from the signal {self.source}", "derivative": f"from the derivative of {self.source}"}
-        return f"{self.name} {words.get(self.how, 'simulated from ' + self.source)}"
+        if self.how == "simulated":
+            return f"{self.name} simulated from {self.source}"
+        return f"{self.name} from the {'signal' if self.how == 'signal' else 'derivative of'} {self.source}"
 
 
 @dataclass(frozen=True)
@@ -87,7 +92,7 @@ class Equations:
 
 
 def regressions(model: Dynamics, signals: Iterable[str], fixed: Mapping[str, float], start: np.ndarray) -> Equations:
-    """Find out which states are known and which equations then hold nothing but known signals and parameters.
+    """Find out which states are known, and which equations then contain only known signals and parameters.
 
     Parameters
     ----------
@@ -96,7 +101,7 @@ def regressions(model: Dynamics, signals: Iterable[str], fixed: Mapping[str, flo
     fixed : mapping of name to value
         Of the parameters that are not estimated.
     start : (number of free parameters,) array
-        Values at which simulated states must be stable, or they would not forget their unknown initial values.
+        Values at which simulated states must be stable, so that they forget their unknown initial values.
     """
     return _Analysis(model, set(signals), fixed, start).result()
 
@@ -105,8 +110,11 @@ class _Analysis:
     """Symbols of one model with the fixed parameters put in."""
 
     def __init__(self, model: Dynamics, signals: set[str], fixed: Mapping[str, float], start: np.ndarray) -> None:
-        self.model, self.signals, self.start = model, signals, start
-        self.x, self.u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", len(model.inputs))
+        self.model = model
+        self.signals = signals
+        self.start = start
+        self.x = ca.SX.sym("x", len(model.states))
+        self.u = ca.SX.sym("u", len(model.inputs))
         self.free = tuple(name for name in model.parameters if name not in fixed)
         self.p = ca.SX.sym("p", len(self.free))
         p = ca.vertcat(*[fixed.get(name, self._symbol(name)) for name in model.parameters], ca.SX(0, 1))
@@ -120,47 +128,57 @@ class _Analysis:
         return self.p[self.free.index(name)] if name in self.free else ca.SX(0)
 
     def result(self) -> Equations:
-        self._measure()
-        self._simulate()
-        found = list(self._candidates())
-        needed = self._needed(found)
-        kept = [s for s in self.states.values() if s.how != "simulated" or s.name in needed]
-        rows = [row for row, _ in found]
+        """Go through the states, then the equations, then the parameters."""
+        self._know_measured_states()
+        self._know_simulated_states()
+
+        candidates = list(self._candidates())
+        equations = tuple(equation for _, equation in candidates)
+        rows = [row for row, _ in candidates]
+        needed = set().union(*(self._behind(row) for row in rows))
+        states = [s for s in self.states.values() if s.how != "simulated" or s.name in needed]
         linear = self._linear(rows)
-        nonlinear = tuple(n for n in self.free if n not in linear and any(n in e.parameters for _, e in found))
-        columns = ca.vertcat(*[self._symbol(n) for n in linear], ca.SX(0, 1))
-        column = ca.vertcat(*rows, ca.SX(0, 1))
-        slopes = ca.jacobian(column, columns)
-        base = ca.substitute(column, columns, ca.SX.zeros(columns.numel())) if linear else column
-        own = [self.model.states.index(s.name) for s in kept if s.how == "simulated"]
-        pull = self.f[own] if own else ca.SX(0, 1)
-        here = self.x[own] if own else ca.SX(0, 1)
-        push = ca.substitute(pull, here, ca.SX.zeros(len(own))) if own else pull
+        nonlinear = tuple(n for n in self.free if n not in linear and any(n in e.parameters for e in equations))
+
+        symbols = ca.vertcat(*[self._symbol(n) for n in linear], ca.SX(0, 1))
+        right_sides = ca.vertcat(*rows, ca.SX(0, 1))
+        slopes = ca.jacobian(right_sides, symbols)
+        base = ca.substitute(right_sides, symbols, ca.SX.zeros(symbols.numel())) if linear else right_sides
+
+        # x' = matrix x + drive for the simulated states
+        simulated = [self.model.states.index(s.name) for s in states if s.how == "simulated"]
+        derivative = self.f[simulated] if simulated else ca.SX(0, 1)
+        x = self.x[simulated] if simulated else ca.SX(0, 1)
+        drive = ca.substitute(derivative, x, ca.SX.zeros(len(simulated))) if simulated else derivative
+        matrix = ca.jacobian(derivative, x)
         arguments = [self.x, self.u, self.p]
         return Equations(
-            states=tuple(sorted(kept, key=lambda s: s.how == "simulated")),
-            equations=tuple(e for _, e in found),
+            states=tuple(sorted(states, key=lambda s: s.how == "simulated")),
+            equations=equations,
             free=self.free,
             linear=linear,
             nonlinear=nonlinear,
             rows=ca.Function("rows", arguments, [ca.densify(base), ca.densify(slopes)]),
-            simulated=ca.Function("simulated", arguments, [ca.densify(push), ca.densify(ca.jacobian(pull, here))]),
+            simulated=ca.Function("simulated", arguments, [ca.densify(drive), ca.densify(matrix)]),
             delay=ca.Function("delay", [self.p], [ca.densify(self.delays)]),
             delayed=tuple(n for k, n in enumerate(self.model.inputs) if not self.delays[k].is_zero()),
             left_out=tuple(self.left_out),
         )
 
-    def _measure(self) -> None:
-        """Take states from signals of their name, from outputs, and from derivatives of known states, until none is."""
+    def _know_measured_states(self) -> None:
+        """Take states from signals of their name, then from outputs and derivatives of known states, one by one."""
         for name in self.model.states:
             if name in self.signals:
                 self.states[name] = KnownState(name, "signal", name, None)
-        while self._one_more():
+        while self._one_more_state():
             pass
 
-    def _one_more(self) -> bool:
-        outputs: list[Way] = [(n, self.h[k], "signal") for k, n in enumerate(self.model.outputs) if n in self.signals]
-        known: list[Way] = [(n, self.f[self.model.states.index(n)], "derivative") for n in self.states]
+    def _one_more_state(self) -> bool:
+        """Find one more state that is a signal or a derivative, up to constants; False if there is none."""
+        outputs: list[Source] = [
+            (n, self.h[k], "signal") for k, n in enumerate(self.model.outputs) if n in self.signals
+        ]
+        known: list[Source] = [(n, self.f[self.model.states.index(n)], "derivative") for n in self.states]
         for source, row, how in (*outputs, *known):
             for k, name in enumerate(self.model.states):
                 if self._unknown(row) != {name} or self._inputs(row) or self._own_parameters(row):
@@ -175,31 +193,31 @@ class _Analysis:
                 return True
         return False
 
-    def _simulate(self) -> None:
+    def _know_simulated_states(self) -> None:
         """Take what follows from a stable linear equation with constant coefficients, driven by known signals."""
-        own = [n for n in self.model.states if n not in self.states]
-        while own:
-            places = [self.model.states.index(n) for n in own]
+        names = [n for n in self.model.states if n not in self.states]
+        while names:
+            places = [self.model.states.index(n) for n in names]
             matrix = ca.jacobian(self.f[places], self.x[places])
-            bad = [n for k, n in enumerate(own) if self._unfit(self.f[places[k]], matrix[k, :], own)]
-            if not bad:
+            excluded = [n for k, n in enumerate(names) if self._cannot_simulate(self.f[places[k]], matrix[k, :], names)]
+            if not excluded:
                 values = np.asarray(ca.Function("A", [self.p], [ca.densify(matrix)])(self.start))
-                bad = _unstable(values, own)
-            if not bad:
+                excluded = _unstable(values, names)
+            if not excluded:
                 break
-            own = [n for n in own if n not in bad]
-        for name in own:
-            row = self.f[self.model.states.index(name)]
-            driven = [n for k, n in enumerate(self.model.states) if ca.depends_on(row, self.x[k]) and n != name]
-            self.states[name] = KnownState(
-                name, "simulated", " and ".join([*driven, *self._inputs(row)]) or "rest", None
-            )
+            names = [n for n in names if n not in excluded]
 
-    def _unfit(self, row: ca.SX, slopes: ca.SX, own: list[str]) -> bool:
+        for name in names:
+            row = self.f[self.model.states.index(name)]
+            driving = [n for k, n in enumerate(self.model.states) if ca.depends_on(row, self.x[k]) and n != name]
+            source = " and ".join([*driving, *self._inputs(row)]) or "rest"
+            self.states[name] = KnownState(name, "simulated", source, None)
+
+    def _cannot_simulate(self, row: ca.SX, slopes: ca.SX, names: list[str]) -> bool:
         """Tell whether the row of a state to be simulated needs others, or is not linear with constant coefficients."""
         varies = ca.depends_on(slopes, ca.vertcat(self.x, self.u))
-        places = [self.model.states.index(n) for n in own]
-        return varies or bool(self._unknown(row) - {*own}) or not self._affine(row, self.x[places])
+        places = [self.model.states.index(n) for n in names]
+        return varies or bool(self._unknown(row) - {*names}) or not self._affine(row, self.x[places])
 
     def _affine(self, row: ca.SX, symbols: ca.SX) -> bool:
         """Tell in numbers whether a row is affine in the symbols; the derivative of a sign is zero and hides it."""
@@ -208,10 +226,11 @@ class _Analysis:
         error = moved - row - ca.mtimes(ca.jacobian(row, symbols), step)
         test = ca.Function("test", [self.x, self.u, self.p, step], [ca.vertcat(error, row, moved)])
         random = np.random.default_rng(0)
-        points = [[random.uniform(-3, 3, (test.size1_in(k), 1)) for k in range(4)] for _ in range(TRIALS)]
+        sizes = [test.size1_in(k) for k in range(4)]
+        points = [[random.uniform(-HALF_WIDTH, HALF_WIDTH, (n, 1)) for n in sizes] for _ in range(TRIALS)]
         values = np.array([np.asarray(test(*point)).ravel() for point in points])
         values = values[np.all(np.isfinite(values), axis=1)]
-        return bool(np.all(np.abs(values[:, 0]) <= 1e-9 * (1 + np.abs(values[:, 1:]).sum(axis=1))))
+        return bool(np.all(np.abs(values[:, 0]) <= ROUNDING * (1 + np.abs(values[:, 1:]).sum(axis=1))))
 
     def _candidates(self) -> Iterable[tuple[ca.SX, Equation]]:
         """Yield the right side and the description of every equation that can be used."""
@@ -246,12 +265,10 @@ class _Analysis:
     def _inputs(self, row: ca.SX) -> list[str]:
         return [name for k, name in enumerate(self.model.inputs) if ca.depends_on(row, self.u[k])]
 
-    def _needed(self, found: list[tuple[ca.SX, Equation]]) -> set[str]:
-        return set().union(*(self._behind(row) for row, _ in found))
-
     def _behind(self, row: ca.SX) -> set[str]:
         """Return the states that a row needs, with those that its simulated and derived states need."""
-        needed, new = set(), self._used(row)
+        needed: set[str] = set()
+        new = self._used(row)
         while new:
             needed |= new
             rows = [self.f[self.model.states.index(n)] for n in new if self._is_simulated(n)]
@@ -277,35 +294,38 @@ class _Analysis:
 
     def _sources(self, row: ca.SX, target: str) -> tuple[str, ...]:
         """Return the measured states behind a row and its target."""
-        names, found = [*self._behind(row), *([target] if target else [])], set()
-        for name in names:
+        sources = set()
+        for name in [*self._behind(row), *([target] if target else [])]:
             state = self.states.get(name)
             while state is not None and state.how == "derivative":
                 state = self.states[state.source]
             if state is not None and state.how == "signal":
-                found.add(state.source)
-        return tuple(sorted(found))
+                sources.add(state.source)
+        return tuple(sorted(sources))
 
     def _linear(self, rows: list[ca.SX]) -> tuple[str, ...]:
         """Return parameters in which all rows are jointly affine; of two that multiply, one is left out."""
+        # What is in a delay or in the equation of a simulated state changes the regressors themselves.
         inside = ca.vertcat(*[r for row in rows for r in self._rows_behind(row)[1:]], self.delays, ca.SX(0, 1))
-        own = [n for n in self.free if not ca.depends_on(inside, self._symbol(n))]
-        own = [n for n in own if any(ca.depends_on(row, self._symbol(n)) for row in rows)]
-        column = ca.vertcat(*rows, ca.SX(0, 1))
-        partners = {n: self._partners(column, n, own) for n in own}
-        own = [n for n in own if n not in partners[n] and all(self._affine(row, self._symbol(n)) for row in rows)]
-        while any(partners[n] & {*own} for n in own):
-            worst = max(own, key=lambda n: (len(partners[n] & {*own}), own.index(n)))
-            own.remove(worst)
-        return tuple(own)
+        names = [n for n in self.free if not ca.depends_on(inside, self._symbol(n))]
+        names = [n for n in names if any(ca.depends_on(row, self._symbol(n)) for row in rows)]
 
-    def _partners(self, column: ca.SX, name: str, others: list[str]) -> set[str]:
-        slope = ca.simplify(ca.jacobian(column, self._symbol(name)))
+        right_sides = ca.vertcat(*rows, ca.SX(0, 1))
+        partners = {n: self._partners(right_sides, n, names) for n in names}
+        names = [n for n in names if n not in partners[n] and all(self._affine(row, self._symbol(n)) for row in rows)]
+        while any(partners[n] & {*names} for n in names):
+            worst = max(names, key=lambda n: (len(partners[n] & {*names}), names.index(n)))
+            names.remove(worst)
+        return tuple(names)
+
+    def _partners(self, right_sides: ca.SX, name: str, others: list[str]) -> set[str]:
+        """Return the parameters that this one multiplies, itself included where it enters as a power."""
+        slope = ca.simplify(ca.jacobian(right_sides, self._symbol(name)))
         return {n for n in others if ca.depends_on(slope, self._symbol(n))}
 
 
 def _unstable(matrix: np.ndarray, names: list[str]) -> list[str]:
-    """Return the state that weighs most in a mode that does not die away."""
+    """Return the state with the largest part in a mode that does not decay."""
     if not np.all(np.isfinite(matrix)):
         return names
     values, vectors = np.linalg.eig(matrix)

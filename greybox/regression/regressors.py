@@ -17,8 +17,10 @@ Array = NDArray[np.float64]
 # Cutoff of an equation's terms over the lowest of its signals: with 1 what the signals have lost biases the tilt model
 # by many standard errors, with 0.7 and 0.5 the intervals cover, with 0.35 precision is lost.
 SHARE = 0.5
-REMEMBERED = 0.01  # part of its initial value that a simulated state may still remember
-FEWEST = 4  # rows left of a stretch, below which it is not worth using
+# Of its unknown initial value: what a simulated state may still hold where its rows begin. An error of 1 % that decays
+# within a few rows is far below what noise in the regressors does.
+REMEMBERED = 0.01
+FEWEST = 4  # rows left of a stretch: fewer add nothing to the thousands of a record
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,10 +76,17 @@ class Regressors:
         def cut(signals: Mapping[str, Array]) -> dict[str, Array]:
             return {name: values[rows] for name, values in signals.items()}
 
-        states, derivatives, inputs, outputs = map(cut, (self.states, self.derivatives, self.inputs, self.outputs))
-        splines = _splines(self.time[rows], inputs, self.splines)
-        shorter = {"states": states, "derivatives": derivatives, "inputs": inputs, "outputs": outputs}
-        return replace(self, time=self.time[rows], splines=splines, **shorter)
+        time = self.time[rows]
+        inputs = cut(self.inputs)
+        return replace(
+            self,
+            time=time,
+            states=cut(self.states),
+            derivatives=cut(self.derivatives),
+            inputs=inputs,
+            outputs=cut(self.outputs),
+            splines=_splines(time, inputs, self.splines),
+        )
 
     def blocks(self, p: Array) -> list[Block]:
         """Return every equation over every stretch that is long enough, at the values `p` of the free parameters.
@@ -96,7 +105,8 @@ class Regressors:
         return [block for k in range(len(base)) for block in self._blocks(k, base[k], slopes[k])]
 
     def _blocks(self, k: int, base: Array, slopes: Array) -> list[Block]:
-        equation, band = self.equations.equations[k], self.bands[k]
+        equation = self.equations.equations[k]
+        band = self.bands[k]
         target = (self.derivatives if equation.kind == "derivative" else self.outputs)[equation.target]
         columns = np.column_stack([target, base, slopes])
         edge = math.ceil(reach(band) / self.step)
@@ -106,7 +116,9 @@ class Regressors:
             if rows.stop - rows.start < 2 * edge + late + FEWEST:
                 continue
             part = columns[rows]
-            part = (low_pass(part, self.step, band) if math.isfinite(band) else part)[edge + late : len(part) - edge]
+            if math.isfinite(band):
+                part = low_pass(part, self.step, band)
+            part = part[edge + late : len(part) - edge]
             result.append(Block(k, part[:, 0], part[:, 1], part[:, 2:]))
         return result
 
@@ -129,14 +141,14 @@ class Regressors:
         if not names:
             return True
         parameters = np.tile(np.reshape(p, (-1, 1)), (1, self.time.size))
-        push, matrix = (np.asarray(value) for value in self.equations.simulated(x, u, parameters))
+        drive, matrix = (np.asarray(value) for value in self.equations.simulated(x, u, parameters))
         matrix = matrix[:, : len(names)]
         if not np.all(np.isfinite(matrix)) or np.max(np.linalg.eigvals(matrix).real) >= 0:
             return False
         places = [self.names[0].index(name) for name in names]
-        for rows in stretches(self.time, *push):
+        for rows in stretches(self.time, *drive):
             if rows.stop - rows.start > 1:
-                x[places, rows] = _response(matrix, push[:, rows], self.step)
+                x[places, rows] = _linear_response(matrix, drive[:, rows], self.step)
         return True
 
 
@@ -164,12 +176,16 @@ def regressors(
     band : float, rad/s, optional
         Cutoff of all terms of all equations.
     """
-    time, states, derivatives = record.time, {}, {}
-    used, noise = dict(cutoffs or {}), {}
+    time = record.time
+    states: dict[str, Array] = {}
+    derivatives: dict[str, Array] = {}
+    used = dict(cutoffs or {})
+    noise: dict[str, float] = {}
     for known in equations.states:
         if known.how == "signal":
             smoothed = smooth(time, record[known.source], used.get(known.source))
-            used[known.source], noise[known.source] = smoothed.cutoff, smoothed.noise
+            used[known.source] = smoothed.cutoff
+            noise[known.source] = smoothed.noise
             signal = smoothed.values
         elif known.how == "derivative":
             signal = derivatives[known.source]
@@ -177,14 +193,24 @@ def regressors(
             continue
         states[known.name] = signal if known.value is None else _value(known.value, names[0], states, signal)
         derivatives[known.name] = _derivative(time, states[known.name])
+
     inputs = {name: without_holes(time, record[name]) for name in names[1]}
     outputs = {e.target: without_holes(time, record[e.target]) for e in equations.equations if e.kind == "output"}
-    splines = _splines(time, inputs, equations.delayed)
     bands = [SHARE * min((used[s] for s in e.signals), default=math.inf) for e in equations.equations]
     bands = [b if band is None else min(b, band) for b in bands]
-    lateness = max(latest, default=0.0) + memory(equations, names, p)
     return Regressors(
-        equations, names, time, states, derivatives, inputs, outputs, used, noise, tuple(bands), lateness, splines
+        equations=equations,
+        names=names,
+        time=time,
+        states=states,
+        derivatives=derivatives,
+        inputs=inputs,
+        outputs=outputs,
+        cutoffs=used,
+        noise=noise,
+        bands=tuple(bands),
+        lateness=max(latest, default=0.0) + memory(equations, names, p),
+        splines=_splines(time, inputs, equations.delayed),
     )
 
 
@@ -222,8 +248,8 @@ def memory(equations: Equations, names: tuple[tuple[str, ...], tuple[str, ...]],
     return math.log(1 / REMEMBERED) / float(np.min(-np.linalg.eigvals(matrix).real))
 
 
-def _response(matrix: Array, push: Array, step: float) -> Array:
-    """Solve ``x' = matrix x + push`` (s, n) exactly for a push known at samples, from its equilibrium.
+def _linear_response(matrix: Array, drive: Array, step: float) -> Array:
+    """Solve ``x' = matrix x + drive`` (s, n) for a drive known at samples, from its equilibrium at the first one.
 
     Source: first-order hold, Franklin, Powell and Workman, Digital Control of Dynamic Systems, by the matrix
     exponential of Van Loan, IEEE Trans. Automatic Control 23 (1978) 395-404; the recursion runs in the Schur basis.
@@ -234,19 +260,19 @@ def _response(matrix: Array, push: Array, step: float) -> Array:
     s = len(matrix)
     triangle, basis, *_ = schur(matrix, output="complex")
     augmented = np.zeros((3 * s, 3 * s), complex)
-    augmented[:s, :s], augmented[:s, s : 2 * s], augmented[s : 2 * s, 2 * s :] = (
-        triangle * step,
-        step * np.eye(s),
-        np.eye(s),
-    )
+    augmented[:s, :s] = triangle * step
+    augmented[:s, s : 2 * s] = step * np.eye(s)
+    augmented[s : 2 * s, 2 * s :] = np.eye(s)
     exponential = expm(augmented)
-    hold, ramp = exponential[:s, s : 2 * s], exponential[:s, 2 * s :]
-    push = basis.conj().T @ push
-    push[:, 1:-1] -= np.diff(push, 2) / 12  # so that the mean over a step is right to the fourth order
-    drive = (hold - ramp) @ push[:, :-1] + ramp @ push[:, 1:]
-    z = np.zeros(push.shape, complex)
-    start = np.linalg.solve(triangle, -push[:, 0])
+    hold = exponential[:s, s : 2 * s]
+    ramp = exponential[:s, 2 * s :]
+
+    drive = basis.conj().T @ drive
+    drive[:, 1:-1] -= np.diff(drive, 2) / 12  # so that the mean over a step is right to the fourth order
+    added = (hold - ramp) @ drive[:, :-1] + ramp @ drive[:, 1:]
+    z = np.zeros(drive.shape, complex)
+    start = np.linalg.solve(triangle, -drive[:, 0])
     for k in reversed(range(s)):
-        right = drive[k] + exponential[k, k + 1 : s] @ z[k + 1 :, :-1]
+        right = added[k] + exponential[k, k + 1 : s] @ z[k + 1 :, :-1]
         z[k] = lfilter([1.0], [1.0, -exponential[k, k]], np.concatenate([[start[k]], right]))
     return (basis @ z).real

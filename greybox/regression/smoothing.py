@@ -1,4 +1,4 @@
-"""Noise taken from a measured signal, and its derivative, with the cutoff that the signal itself asks for.
+"""Smoothing of a measured signal, and its derivative, with a cutoff chosen from the signal itself.
 
 A stretch less the line between its ends is a sum of sines (Lanczos, Applied Analysis, 1956; Morelli and Klein, Aircraft
 System Identification, 2nd ed., chapter 11, who weigh them by a Wiener filter). Here the weight of the
@@ -24,14 +24,15 @@ from greybox.data.text_table import counted
 Array = NDArray[np.float64]
 
 POWER = 8  # twice the order of the smoothing spline
-SHORTEST = 12  # samples; fewer say nothing about their noise
-CANDIDATES = 60  # cutoffs tried, evenly in the logarithm
-UNEVEN = 0.02  # share of the step by which a sample may be off the uniform base
+SHORTEST = 12  # samples of a stretch: its 10 sines leave a few above any cutoff, from which the noise follows
+CANDIDATES = 60  # cutoffs tried, evenly in the logarithm: 10 to 20 a decade; the best is refined between its neighbors
+UNEVEN = 0.02  # share of the step by which a sample may be off the uniform base: it moves a slope by as much
+CONSTANT = 1e-24  # share of a signal's power: less is the rounding of a straight line
 
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """A signal without its noise, as far as it can be told apart.
+    """A smoothed signal and its derivative.
 
     Attributes
     ----------
@@ -62,15 +63,16 @@ def smooth(time: ArrayLike, values: ArrayLike, cutoff: float | None = None) -> S
     values : (n,) array
         NaN marks missing samples.
     cutoff : float, rad/s, optional
-        By default chosen by generalized cross-validation, which takes what is not white for signal: give it when a
-        vibration is to be left out.
+        By default chosen by generalized cross-validation, which takes everything but white noise as signal: give it
+        when a vibration is to be removed.
 
     Raises
     ------
     ValueError
         If sampling is not uniform, no stretch has 12 samples, or the cutoff is not a positive number.
     """
-    time, values = np.asarray(time, dtype=float), np.asarray(values, dtype=float)
+    time = np.asarray(time, dtype=float)
+    values = np.asarray(values, dtype=float)
     require_uniform(time)
     if cutoff is not None and not (math.isfinite(cutoff) and cutoff > 0):
         raise ValueError(f"cutoff {cutoff!r} must be a number of rad/s above 0.")
@@ -80,19 +82,22 @@ def smooth(time: ArrayLike, values: ArrayLike, cutoff: float | None = None) -> S
     if not parts:
         raise ValueError(
             f"the signal has no stretch of {SHORTEST} samples without a gap among its {values.size}, of which "
-            f"{int(np.isfinite(values).sum())} are there: put it on the time base of its own sensor with gb.prepare."
+            f"{int(np.isfinite(values).sum())} are finite: put it on the time base of its own sensor with gb.prepare."
         )
     sines = [_sines(values[rows], step) for rows in parts]
     amplitude, omega = (np.concatenate(columns) for columns in zip(*sines, strict=True))
     if cutoff is None:
-        still = float(np.sum(amplitude**2)) <= 1e-24 * float(np.nansum(values**2))  # a line, to rounding
-        cutoff = float(omega.max()) if still else _cross_validated(amplitude, omega)
-    taken = 1 - _weight(omega, cutoff)
-    smooth_values, derivative = np.full((2, values.size), np.nan)
+        is_line = float(np.sum(amplitude**2)) <= CONSTANT * float(np.nansum(values**2))
+        cutoff = float(omega.max()) if is_line else _cross_validated(amplitude, omega)
+
+    smooth_values = np.full(values.size, np.nan)
+    derivative = np.full(values.size, np.nan)
     for rows in parts:
         smooth_values[rows] = low_pass(values[rows], step, cutoff)
         derivative[rows] = differentiate(smooth_values[rows], step)
-    noise = math.sqrt(float(np.sum((taken * amplitude) ** 2)) / max(float(np.sum(taken)), 1e-9))
+
+    removed = 1 - _weight(omega, cutoff)
+    noise = math.sqrt(float(np.sum((removed * amplitude) ** 2)) / max(float(np.sum(removed)), 1e-9))
     return Smoothed(smooth_values, derivative, cutoff, noise)
 
 
@@ -156,9 +161,7 @@ def regular(record: Record) -> Record:
         If a sample is off the uniform base by more than 2 % of the step.
     """
     if len(record) < SHORTEST:
-        raise ValueError(
-            f"the record has {counted(len(record), 'sample')}, of which nothing can be learned: give more."
-        )
+        raise ValueError(f"the record has {counted(len(record), 'sample')}: give at least {SHORTEST}.")
     step, pieces = record.step, record.pieces
     places = [np.rint((piece.time - piece.time[0]) / step).astype(int) for piece in pieces]
     if all(place[-1] + 1 == len(piece) for place, piece in zip(places, pieces, strict=True)):
@@ -197,9 +200,9 @@ def _base(time: Array, places: NDArray[np.int_]) -> Array:
     return base
 
 
-def _uneven(at: float, step: float, usual: float) -> ValueError:
+def _uneven(time: float, step: float, usual: float) -> ValueError:
     return ValueError(
-        f"sampling is not uniform: the step at {at:.6g} s is {step:.4g} s and otherwise {usual:.4g} s; "
+        f"sampling is not uniform: the step at {time:.6g} s is {step:.4g} s and otherwise {usual:.4g} s; "
         "put the signals on one time base with gb.prepare(..., rate=...)."
     )
 
@@ -231,8 +234,8 @@ def _cross_validated(amplitude: Array, omega: Array) -> float:
     power = amplitude**2
 
     def score(logarithm: float) -> float:
-        taken = 1 - _weight(omega, math.exp(logarithm))
-        return math.log(float(taken**2 @ power) + 1e-300) - 2 * math.log(float(np.sum(taken)) + 1e-300)
+        removed = 1 - _weight(omega, math.exp(logarithm))
+        return math.log(float(removed**2 @ power) + 1e-300) - 2 * math.log(float(np.sum(removed)) + 1e-300)
 
     candidates: Sequence[float] = np.linspace(math.log(np.sort(omega)[2]), math.log(omega.max()), CANDIDATES).tolist()
     best = min(candidates, key=score)

@@ -9,17 +9,22 @@ from numpy.typing import NDArray
 
 from greybox.formulation.starts import Sobol
 from greybox.modeling.parameter import Parameter
-from greybox.regression.least_squares import Block, colors, covariance, residuals, solve, spread, undetermined
+from greybox.regression.least_squares import Block, autocovariances, covariance, residuals, solve, spread, undetermined
 from greybox.regression.regressors import Regressors
 from greybox.regression.smoothing import reach, stretches
 
 Array = NDArray[np.float64]
 
-TRIED = 16  # points in the box of the nonlinear unknowns, of which the best begins the search
-SEARCHED = 6000  # samples on which the search begins
-SEARCHES = 2  # of these points from which a search runs, besides the start
-PASSES = 3  # times that the equations are weighed by their residuals
-TOUCHING = 1e-6  # of the interval between bounds
+# Points in the box of the nonlinear unknowns, of which there are one to three, a delay or a lag each: with two, four
+# along each.
+TRIED = 16
+SEARCHES = 2  # of these points, the best, from which a search runs besides the start
+SEARCHED = 6000  # samples on which the search begins: a minute at 100 Hz determines where, the whole record how well
+PASSES = 3  # times that the equations are weighted by their residuals: each changes the weights to second order only
+TOUCHING = 1e-6  # of the interval between bounds: closer is at the bound
+DIFFERENCE = 1e-4  # of a nonlinear unknown: central differences err by its square, 1e-8, and rounding by 1e-12
+TINY = 1e-9  # the least size of an unknown that is differenced
+WORST = 1e3  # weighted residual where the model has none (an unstable simulated state): larger than any that has
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +41,7 @@ class Projection:
     r_squared, rows, spread : tuple
         Of every equation; 0 rows where no stretch was long enough.
     undetermined : tuple of tuples of names
-        What changes nothing, alone or in a combination.
+        Parameters that have no effect, alone or in a combination.
     """
 
     names: tuple[str, ...]
@@ -62,20 +67,16 @@ class Projection:
         """Return the Gauss-Newton step (k,) that other data of the same equations ask for from here."""
         search = self.search.on(data)
         blocks = search.full(self.point, self.unknowns)
-        wide = np.full(len(search.columns), np.inf)
-        moved = np.zeros(len(search.columns))
-        keep = [k for k, n in enumerate(search.columns) if n in self.names and n not in self.at_bound]
-        errors = [
-            Block(
-                b.equation,
-                b.target - b.base - b.slopes[:, : len(self.unknowns)] @ self.unknowns,
-                0 * b.base,
-                b.slopes[:, keep],
-            )
+        free = [k for k, n in enumerate(search.columns) if n in self.names and n not in self.at_bound]
+        linear = slice(len(self.unknowns))
+        remaining = [
+            Block(b.equation, b.target - b.base - b.slopes[:, linear] @ self.unknowns, 0 * b.base, b.slopes[:, free])
             for b in blocks
         ]
-        moved[keep] = solve(errors, self.weights, -wide[keep], wide[keep]) if errors else math.nan
-        return moved[[search.columns.index(n) for n in self.names]]
+        unbounded = np.full(len(free), np.inf)
+        step = np.zeros(len(search.columns))
+        step[free] = solve(remaining, self.weights, -unbounded, unbounded) if remaining else math.nan
+        return step[[search.columns.index(n) for n in self.names]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,10 +127,12 @@ class _Search:
         slopes: list[list[Array]] = []
         low, high = self.bounds(self.nonlinear)
         for k in range(len(point)):
-            size = 1e-4 * min(high[k] - low[k], max(abs(point[k]), 1e-3 * (high[k] - low[k]), 1e-9), 1e9)
+            width = high[k] - low[k]
+            size = DIFFERENCE * min(width, max(abs(point[k]), 1e-3 * width, TINY), 1 / TINY)
             ends = [self.blocks(point + sign * size * (np.arange(len(point)) == k)) for sign in (1, -1)]
             if any([len(b.base) for b in end] != [len(b.base) for b in blocks] for end in ends):
-                slopes.append([0 * b.base for b in blocks])  # the model ends here, so that nothing is known of it
+                # A simulated state becomes unstable there, or rows are lost: no difference can be taken.
+                slopes.append([0 * b.base for b in blocks])
                 continue
             above, below = ([b.base + b.slopes @ unknowns for b in end] for end in ends)
             slopes.append([(a - b) / (2 * size) for a, b in zip(above, below, strict=True)])
@@ -166,10 +169,10 @@ def project(data: Regressors, parameters: Mapping[str, Parameter], start: Array)
 
 def _too_short(data: Regressors) -> str:
     longest = max(rows.stop - rows.start for rows in stretches(data.time, data.time))
-    edge = 2 * reach(min(data.bands)) + data.lateness
+    lost = 2 * reach(min(data.bands)) + data.lateness
     return (
         "no stretch without a gap is long enough: the longest piece of the record has "
-        f"{longest * data.step:.3g} s, and smoothing, delays and simulated states take {edge:.3g} s from its ends; "
+        f"{longest * data.step:.3g} s, of which smoothing, delays and simulated states need {lost:.3g} s at its ends; "
         "give a longer or less noisy record."
     )
 
@@ -194,7 +197,7 @@ def _errors(search: _Search, point: Array, weights: Array) -> Array | None:
 def _located(search: _Search) -> Array:
     """Return where the nonlinear unknowns begin: the best end of searches from the start and from good points.
 
-    Where the record is long, its busiest part decides.
+    Of a long record the part with the most excitation decides.
     """
     point = np.array([search.parameters[n].start for n in search.nonlinear])
     if not point.size:
@@ -211,8 +214,8 @@ def _located(search: _Search) -> Array:
     def cost(candidate: Array) -> float:
         return _mean_square(_errors(part, candidate, weights), size)
 
-    begun = [point, *sorted(tried, key=cost)[:SEARCHES]]
-    ends = [_refine(part, begin, weights) for begin in begun if math.isfinite(cost(begin))]
+    starts = [point, *sorted(tried, key=cost)[:SEARCHES]]
+    ends = [_refine(part, start, weights) for start in starts if math.isfinite(cost(start))]
     return min(ends, key=cost)
 
 
@@ -237,17 +240,16 @@ def _refine(search: _Search, point: Array, weights: Array) -> Array:
 
     begin = _errors(search, point, weights)
     assert begin is not None
-    worst = 1e3 * np.ones(begin.size)
 
     def errors(z: Array) -> Array:
-        found = _errors(search, back(z), weights)
-        return worst if found is None or found.size != begin.size else found
+        values = _errors(search, back(z), weights)
+        return WORST * np.ones(begin.size) if values is None or values.size != begin.size else values
 
     inside = np.clip(here, (low + TOUCHING * width) / width, (high - TOUCHING * width) / width)
-    found = least_squares(errors, inside, bounds=(low / width, high / width), xtol=1e-8, ftol=1e-10)
-    z = np.where(found.x - low / width < 2 * TOUCHING, low / width, found.x)
+    end = least_squares(errors, inside, bounds=(low / width, high / width), xtol=1e-8, ftol=1e-10)
+    z = np.where(end.x - low / width < 2 * TOUCHING, low / width, end.x)
     z = np.where(high / width - z < 2 * TOUCHING, high / width, z)
-    return back(z if 2 * found.cost <= begin @ begin else here)
+    return back(z if 2 * end.cost <= begin @ begin else here)
 
 
 def _judged(search: _Search, point: Array, unknowns: Array, weights: Array) -> Projection:
@@ -255,23 +257,28 @@ def _judged(search: _Search, point: Array, unknowns: Array, weights: Array) -> P
     blocks = search.full(point, unknowns)
     values = np.concatenate([unknowns, point])
     low, high = search.bounds(search.columns)
+
     groups = undetermined(blocks)
-    blind = {k for group in groups for k in group}
-    bound = [k for k in range(len(values)) if k not in blind and (values[k] <= low[k] or values[k] >= high[k])]
+    in_groups = {k for group in groups for k in group}
+    at_bound = [k for k in range(len(values)) if k not in in_groups and not low[k] < values[k] < high[k]]
+    free = [k for k in range(len(values)) if k not in at_bound]
+    # Parameters that are undetermined in combination count as one estimate.
+    estimated = len(free) - sum(len(group) - (len(group) > 1) for group in groups)
+
     errors = residuals([Block(b.equation, b.target, b.base, b.slopes[:, : len(unknowns)]) for b in blocks], unknowns)
-    color = colors(blocks, errors)
-    free = [k for k in range(len(values)) if k not in bound]
-    loose = [Block(b.equation, b.target, b.base, b.slopes[:, free]) for b in blocks]
+    colored = autocovariances(blocks, errors)
+    independent = sum(c.independent for c in colored)
     matrix = np.full((len(values), len(values)), np.nan)
-    independent = sum(c.independent for c in color)
-    used = len(free) - sum(len(group) - (len(group) > 1) for group in groups)
     if free:
-        matrix[np.ix_(free, free)] = covariance(loose, weights, color) * independent / max(independent - used, 1)
-    keep = [k for k in range(len(values)) if k not in blind]
+        by_free = [Block(b.equation, b.target, b.base, b.slopes[:, free]) for b in blocks]
+        correction = independent / max(independent - estimated, 1)
+        matrix[np.ix_(free, free)] = covariance(by_free, weights, colored) * correction
+
+    keep = [k for k in range(len(values)) if k not in in_groups]
     names = tuple(search.columns[k] for k in keep)
     if not names:
         raise ValueError(
-            f"the record determines none of {', '.join(search.columns)}: the signals that they multiply do not move, "
+            f"the record determines none of {', '.join(search.columns)}: the signals that they multiply are constant, "
             "or only a combination of them is determined; fix some."
         )
     rows, r_squared = _explained(blocks, errors, len(search.data.equations.equations))
@@ -279,8 +286,8 @@ def _judged(search: _Search, point: Array, unknowns: Array, weights: Array) -> P
         names=names,
         values=values[keep],
         covariance=matrix[np.ix_(keep, keep)],
-        at_bound=tuple(search.columns[k] for k in bound),
-        dof=independent - used,
+        at_bound=tuple(search.columns[k] for k in at_bound),
+        dof=independent - estimated,
         r_squared=r_squared,
         rows=rows,
         spread=tuple(spread(blocks, errors)),

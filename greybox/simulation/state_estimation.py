@@ -252,6 +252,7 @@ def _line_search(
     """
     before = posterior.cost(e, x)
     length = np.where(finite, 1.0, 0.0)
+    worse = finite
     for _ in range(HALVINGS):
         moved = x + length[:, None] * step
         e = residual(moved)

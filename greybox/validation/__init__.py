@@ -1,11 +1,13 @@
 """Fits held against each other and against data that they have not seen.
 
 Begin with `compare`, which fills a `comparison` (table and sentences that print themselves). `same_data` tells whether
-fits have the same data and comparable costs, `same_windows` predicts the same windows by all of them, and
-`significance` tests which of two models is closer to the data and which terms the data determine.
+fits have the same data and comparable costs, `held_out` predicts the same windows by all of them, on their own data and
+on records that none has seen, `measures` makes the rows of the table, and `significance` the sentences: which of two
+models is closer to the data and which terms the data determine. `nested_models` tests terms that one model has more
+than another.
 """
 
 from greybox.validation.compare import compare as compare
-from greybox.validation.compare import nested_test as nested_test
 from greybox.validation.comparison import Comparison as Comparison
-from greybox.validation.comparison import NestedTest as NestedTest
+from greybox.validation.nested_models import NestedTest as NestedTest
+from greybox.validation.nested_models import nested_test as nested_test

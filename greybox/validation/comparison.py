@@ -1,6 +1,5 @@
 """What a comparison of fits answers, in plain values that print themselves."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -9,7 +8,10 @@ from greybox.data.text_table import counted, number, one_line, text_table
 from greybox.simulation.prediction import Prediction
 from greybox.simulation.windows import seconds
 
-IDENTIFICATION, HELD_OUT = "identification", "held-out"
+IDENTIFICATION = "identification"
+HELD_OUT = "held-out"
+
+# p-value below which a difference counts: the customary 5 %, one false alarm in twenty comparisons.
 SIGNIFICANT = 0.05
 
 
@@ -120,54 +122,10 @@ class Comparison:
         return [*("  " + line for line in table.splitlines()), ""]
 
 
-@dataclass(frozen=True)
-class NestedTest:
-    """Whether terms that one model has more than another are needed. Printing it says so in words.
-
-    Attributes
-    ----------
-    small, large : str
-        The models.
-    terms : tuple of str
-        The parameters that are free in the larger alone.
-    likelihood_ratio : float
-        Twice the difference of the negative log-likelihoods; NaN where the criterion is no likelihood.
-    scale : float
-        By how much the correlation of the residuals in time inflates it; 1 for white residuals.
-    statistic : float
-        What is compared with the F distribution.
-    dof : (float, float)
-        Its degrees of freedom; the second is `Fit.dof` of the larger.
-    p_value : float
-    """
-
-    small: str
-    large: str
-    terms: tuple[str, ...]
-    likelihood_ratio: float
-    scale: float
-    statistic: float
-    dof: tuple[float, float]
-    p_value: float
-
-    def __repr__(self) -> str:
-        return one_line(self, f"{self.small} in {self.large}", f"p = {self.p_value:.2g}")
-
-    def __str__(self) -> str:
-        names = ", ".join(self.terms)
-        reference = f"chi2({self.dof[0]:g})" if math.isinf(self.dof[1]) else f"F({self.dof[0]:g}, {self.dof[1]:.0f})"
-        value = self.statistic * (self.dof[0] if math.isinf(self.dof[1]) else 1)
-        p = "p < 0.0001" if self.p_value < 1e-4 else f"p = {self.p_value:.2g}"
-        verb = "is" if len(self.terms) == 1 else "are"
-        said = f"{names} {verb} not needed: {self.small} explains the data as well as {self.large}"
-        if self.p_value < SIGNIFICANT:
-            said = f"{names} {verb} needed: {self.small} leaves more than chance explains"
-        how = "Wald test with the errors of the fit"
-        if not math.isnan(self.likelihood_ratio):
-            how = f"likelihood ratio {number(self.likelihood_ratio, 4)}, reduced by {number(self.scale, 3)}"
-            how += " for residuals that are correlated in time"
-        return f"{said} ({reference} = {number(value, 4)}, {p}; {how})."
-
-
 def _cell(value: float | None) -> str:
     return "-" if value is None else number(value, 5)
+
+
+def p_text(p: float) -> str:
+    """Return a p-value as it stands in a sentence."""
+    return "p < 0.0001" if p < 1e-4 else f"p = {p:.2g}"

@@ -11,17 +11,30 @@ from greybox.estimate.result import Fit, FittedRecord, FittedResponse
 LIKELIHOOD = "negative log-likelihood"
 
 
+def check_fits(fits: Sequence[Fit]) -> None:
+    """Raise TypeError or ValueError for what is no fit, for a single one, and for one without an estimate."""
+    for fit in fits:
+        if not isinstance(fit, Fit):
+            raise TypeError(f"cannot compare {fit!r:.80}: give fits, such as gb.fit(problem) returns.")
+    if len(fits) < 2:
+        raise ValueError(f"there is {len(fits) or 'no'} fit to compare: give at least two.")
+    for fit in fits:
+        if not fit.converged:
+            raise ValueError(f"the fit {fit.name!r} has no estimate: {fit.status}.")
+
+
 def labels_of(fits: Sequence[Fit]) -> tuple[str, ...]:
     """Return the names of the models, with those of the problems or numbers where they do not tell the fits apart."""
     models = [", ".join(dict.fromkeys(part.label for part in fit.parts)) for fit in fits]
-    for said in (models, [f"{m} ({fit.name})" for m, fit in zip(models, fits, strict=True)]):
-        if len(set(said)) == len(said):
-            return tuple(said)
+    with_problems = [f"{model} ({fit.name})" for model, fit in zip(models, fits, strict=True)]
+    for labels in (models, with_problems):
+        if len(set(labels)) == len(labels):
+            return tuple(labels)
     return tuple(f"{model} {k}" for k, model in enumerate(models, 1))
 
 
 def data_difference(fits: Sequence[Fit], names: Sequence[str]) -> str:
-    """Return in words how the data of a fit differ from those of the first, or nothing."""
+    """Return in words how the data of a fit differ from those of the first; empty where they are the same."""
     first = fits[0]
     for fit, name in zip(fits[1:], names[1:], strict=True):
         if len(fit.parts) != len(first.parts):
@@ -50,7 +63,7 @@ def _same(a: FittedResponse | FittedRecord, b: FittedResponse | FittedRecord) ->
     return type(a) is type(b)
 
 
-def described(fits: Sequence[Fit]) -> str:
+def shared_data(fits: Sequence[Fit]) -> str:
     """Say which data the fits share."""
     parts = [f"{part.data.name or part.name} ({part.data.checksum[:8]})" for part in fits[0].parts]
     count = sum(count_numbers(part) for part in fits[0].parts)
@@ -64,35 +77,41 @@ def count_numbers(part: FittedResponse | FittedRecord) -> int:
     return sum(int(np.isfinite(part.residual(name)).sum()) for name in part.outputs)
 
 
+def count_unknowns(fit: Fit) -> int:
+    """Return how many numbers were estimated: free parameters, initial states, and variances of the noise."""
+    return len(fit.free) + sum(part.nuisances for part in fit.records)
+
+
 def is_likelihood(fit: Fit) -> bool:
     """Tell whether the cost is the negative logarithm of a likelihood."""
     return all(part.weight == 1 and part.is_likelihood for part in fit.parts)
 
 
 def other_samples(fits: Sequence[Fit], names: Sequence[str]) -> str:
-    """Return in words how a fit leaves out other samples of the same data than the first, or nothing."""
-    for part, first in enumerate(fits[0].parts):
+    """Return in words how a fit leaves out other samples of the same data than the first; empty where it does not."""
+    for k, first in enumerate(fits[0].parts):
+        count = count_numbers(first)
         for fit, name in zip(fits[1:], names[1:], strict=True):
-            counts = [count_numbers(each) for each in (first, fit.parts[part])]
-            if counts[0] != counts[1]:
+            other = count_numbers(fit.parts[k])
+            if other != count:
                 return (
-                    f"{names[0]} was fitted to {counts[0]} numbers of {first.data.name or first.name!r} and {name} to "
-                    f"{counts[1]} (the longest delay in the bounds keeps the first samples out, and PredictionError "
-                    "those that miss an output)"
+                    f"{names[0]} was fitted to {count} numbers of {first.data.name or first.name!r} and {name} to "
+                    f"{other} (the longest delay that the bounds allow leaves out the first samples, and "
+                    "PredictionError those that miss an output)"
                 )
     return ""
 
 
 def why_not_comparable(fits: Sequence[Fit], names: Sequence[str]) -> str:
-    """Return why the costs of fits to the same data cannot be compared, or nothing.
+    """Return why the costs of fits to the same data cannot be compared; empty where they can.
 
-    Those in time are negative log-likelihoods whatever the criterion takes the errors for, and so are those of
+    Those in time are negative log-likelihoods whatever the criterion assumes of the errors, and so are those of
     MaximumLikelihood; other criteria can only be compared with themselves.
     """
-    apart = other_samples(fits, names)
+    samples = other_samples(fits, names)
+    if samples:
+        return samples
     weights = list(dict.fromkeys(", ".join(number(part.weight, 3) for part in fit.parts) for fit in fits))
-    if apart:
-        return apart
     if len(weights) > 1:
         return f"their data are weighted differently ({'; '.join(weights)})"
     first = fits[0]

@@ -119,3 +119,13 @@ def test_data_or_a_model_in_the_place_of_a_problem(capsys):
     assert f"--model tilt:Tilt --data {FLIGHT}" in refused(capsys, "fit", FLIGHT)
     assert "write --model drag:Drag --data FILE" in refused(capsys, "fit", "drag:Drag")
     assert "write --model drag:CLASS --data FILE" in refused(capsys, "fit", "drag")
+
+
+def test_a_users_file_chooses_the_transcription_and_its_integrator(own, capsys):
+    text = RECORD.replace('"starts": 3', '"starts": 3, "method": gb.SingleShooting(integrator=gb.Rosenbrock())')
+    assert run(capsys, "fit", own(text))[0] == 0
+
+
+def test_unknown_settings_are_refused(own, capsys):
+    path = own(RECORD.replace('"starts": 3', '"tries": 3'))
+    assert "has 'tries': it may contain 'starts', 'seed' and 'method'" in refused(capsys, "fit", path)

@@ -47,6 +47,14 @@ def test_the_names_are_there(file):
         operator.attrgetter(name.rstrip("."))(gb)
 
 
+def test_the_new_names_in_the_changelog_are_there():
+    text = (README.parent / "CHANGELOG.md").read_text(encoding="utf-8")
+    names = re.findall(r"^\| `gb\.[^|]*\| `gb\.([\w.]+)", text, re.MULTILINE)
+    assert len(names) > 40
+    for name in names:
+        operator.attrgetter(name)(gb)
+
+
 def test_the_commands_are_there():
     for heading in ("Run it", "Test it"):
         section = TEXT.split(f"## {heading}\n")[1].split("\n## ")[0]

@@ -129,9 +129,9 @@ def test_what_it_is_told_and_what_it_says():
     ("arguments", "sentence"),
     [
         ({"values": {"K_p": 1.0}}, "AttitudeController has no parameter 'K_p'; it has K_theta, K_P"),
-        ({"values": {"K_P": np.nan}}, "K_P = nan is no finite number"),
-        ({"values": {"K_P": "much"}}, "K_P = 'much' is no finite number"),
-        ({"rate": 0}, "cannot run 0 times a second"),
+        ({"values": {"K_P": np.nan}}, "K_P = nan is not a finite number"),
+        ({"values": {"K_P": "much"}}, "K_P = 'much' is not a finite number"),
+        ({"rate": 0}, "cannot run 0 times per second"),
         ({"signals": {"phi": "theta"}}, "has no signal 'phi'; it has theta, q, reference"),
         ({"initial": {"integrator": 1}}, "has no state 'integrator'; it has error"),
     ],

@@ -8,8 +8,7 @@ import pytest
 from huber import Huber
 
 import greybox as gb
-from greybox.formulation.frequency_criteria import CRITERIA
-from greybox.formulation.time_criteria import TIME_CRITERIA
+from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
 
 NAMES = {
     "relative-error": gb.RelativeError(),

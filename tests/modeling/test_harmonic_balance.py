@@ -359,7 +359,7 @@ def test_a_sine_needs_a_name_and_harmonics():
 
 
 def test_a_transfer_function_has_no_amplitude():
-    with pytest.raises(ValueError, match=r"Tilt is a transfer function.* leave out the amplitude"):
+    with pytest.raises(ValueError, match=r"Tilt is a transfer function.* omit the amplitude"):
         respond({"theta": 0.1}, Tilt())
 
 

@@ -148,12 +148,12 @@ def test_a_static_model_is_where_its_inputs_are_given(at, wanted):
         (
             make(lambda x, u, p: (u.a + u.b - p.c * x.x + 1,), inputs=("a", "b")),
             {},
-            r"point of Mine is not fixed by at=\{\}: give 2 more of x, a, b",
+            r"point of Mine is not determined by at=\{\}: give 2 more of x, a, b",
         ),
         (
             make(lambda x, u, p: (u.a + u.b - p.c * x.x + 1,), inputs=("a", "b")),
             {"a": 3.0},
-            r"not fixed by at=\{'a': 3\.0\}: give 1 more of x, b",
+            r"not determined by at=\{'a': 3\.0\}: give 1 more of x, b",
         ),
         (
             make(lambda x, u, p: (u.u - (x.x - 1) ** 2,)),

@@ -94,67 +94,6 @@ def test_a_renamed_parameter_is_one_records_own():
     assert_true(found, SPRING | {"b_heavy": 1.5})
 
 
-def test_a_record_biases_are_its_own_when_renamed():
-    a, b = spring(seed=1), spring(seed=2)
-    b = b.with_signals(x=b["x"] + 0.5)
-    with_bias = gb.OutputError(inputs="held", biases=("x",))
-    problem = gb.Problem(Spring(), a, with_bias) + gb.Problem(Spring(), b, with_bias, rename={"x_bias": "x_bias_2"})
-    assert_true(fit(problem), SPRING | {"x_bias": 0.0, "x_bias_2": 0.5})
-
-
-def biased(seed, offset, **options):
-    data = spring(seed=seed, **options)
-    return data.with_signals(x=data["x"] + offset)
-
-
-BIASED = gb.OutputError(inputs="held", biases=("x",))
-
-
-def test_in_a_plain_sum_every_record_has_a_bias_of_its_own():
-    problems = [gb.Problem(Spring(), biased(k, offset), BIASED) for k, offset in enumerate((0.4, -0.3, 0.1))]
-    truth = SPRING | {"x_bias_1": 0.4, "x_bias_2": -0.3, "x_bias_3": 0.1}
-    for problem in (sum(problems), problems[0] + (problems[1] + problems[2]), sum(problems).with_(weight=1.0)):
-        assert set(problem.parameters) == {*truth, "d"}
-    found = fit(sum(problems))
-    assert_true(found, truth)
-    assert fit(gb.several(Spring(), [p.data for p in problems], criterion=BIASED)).estimate == found.estimate
-
-
-def test_a_bias_is_shared_where_the_parts_give_it_one_name_or_are_of_one_record():
-    a, b = biased(1, 0.4), biased(2, 0.4)
-    shared = {"rename": {"x_bias": "x_bias"}}
-    together = gb.Problem(Spring(), a, BIASED, **shared) + gb.Problem(Spring(), b, BIASED, **shared)
-    apart = gb.Problem(Spring(), a, BIASED) + gb.Problem(Spring(), b, BIASED)
-    found, wide = fit(together), fit(apart)
-    assert_true(found, SPRING | {"x_bias": 0.4})
-    assert found.standard_error["x_bias"] < 0.85 * wide.standard_error["x_bias_1"]  # 1 / sqrt(2) of it
-    assert set(gb.several(Spring(), [a, b], criterion=BIASED, **shared).parameters) == {*SPRING, "d", "x_bias"}
-    again = gb.Problem(Spring(), a, BIASED) + gb.Problem(Spring(), gb.Record(a.time, a.signals, a.units), BIASED)
-    assert set(again.parameters) == {*SPRING, "d", "x_bias"}
-
-
-def test_numbers_of_biases_are_those_of_the_records_and_take_no_name_that_is_there():
-    a, b, c = (biased(k, 0.0) for k in range(3))
-    without = gb.Problem(Spring(), a, HELD) + gb.Problem(Spring(), b, BIASED) + gb.Problem(Spring(), c, BIASED)
-    assert [n for n in without.parameters if "bias" in n] == ["x_bias_2", "x_bias_3"]
-    named = gb.Problem(Spring(), a, BIASED, rename={"x_bias": "x_bias_2"})
-    three = named + gb.Problem(Spring(), b, BIASED) + gb.Problem(Spring(), c, BIASED)
-    assert len({n for n in three.parameters if "bias" in n}) == 3
-    fixed = gb.Problem(Spring(), a, BIASED, fixed={"x_bias": 0.2}) + gb.Problem(Spring(), b, BIASED)
-    assert fixed.parameters["x_bias_1"].fixed
-    assert not fixed.parameters["x_bias_2"].fixed
-
-
-def test_a_bias_of_an_earlier_fit_keeps_the_name_that_the_fit_knows():
-    a, b = biased(1, 0.4), biased(2, -0.2)
-    earlier = fit(gb.Problem(Spring(), a, BIASED))
-    held = gb.Problem(Spring(), a, BIASED, fixed={"x_bias": earlier})
-    found = fit(held + gb.Problem(Spring(), b, BIASED) + gb.Problem(Spring(), biased(3, 0.1), BIASED))
-    assert found.estimate["x_bias"] == earlier.estimate["x_bias"]
-    assert found.standard_error["x_bias"] == pytest.approx(earlier.standard_error["x_bias"])
-    assert_true(found, {"x_bias_2": -0.2, "x_bias_3": 0.1})
-
-
 def test_degrees_of_freedom_are_those_of_independent_residuals_also_with_noise_given():
     """Errors follow the residuals, so given variances leave them as uncertain as estimated ones."""
     given = gb.OutputError(noise={"x": 0.05, "v": 0.15}, inputs="held")

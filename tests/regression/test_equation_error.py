@@ -13,7 +13,7 @@ from greybox.models.rigid_body import RigidBody
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
 from greybox.models.yaw import YawStates
-from greybox.regression.least_squares import Block, colors, covariance, residuals, solve
+from greybox.regression.least_squares import Block, autocovariances, covariance, residuals, solve
 from greybox.regression.linear_in_parameters import regressions
 
 TILT = {"a1": -2.0, "a2": 4.0, "a3": 3.0, "a4": 200.0}
@@ -260,7 +260,7 @@ def test_covariance_of_known_color():
         blocks = [Block(0, X @ [1.0, 2.0] + noise, np.zeros(n), X)]
         found = solve(blocks, np.ones(1), np.full(2, -np.inf), np.full(2, np.inf))
         drawn.append(found)
-        claimed.append(np.diag(covariance(blocks, np.ones(1), colors(blocks, residuals(blocks, found)))))
+        claimed.append(np.diag(covariance(blocks, np.ones(1), autocovariances(blocks, residuals(blocks, found)))))
     assert_allclose(np.sqrt(np.mean(claimed, axis=0)), np.std(drawn, axis=0), rtol=0.2)
 
 
@@ -444,7 +444,7 @@ def test_it_prints_itself(flown):
     ("change", "options", "sentence"),
     [
         ({"F": None}, {}, "the record has no signal 'F', an input of Slider; it has x, v"),
-        ({"F": 0.3}, {}, "F of Slider never moves in the record"),
+        ({"F": 0.3}, {}, "F of Slider is constant in the record"),
         ({"x": None, "v": None}, {}, r"no equation of Slider can be used \(v' \(the state v is not known\)\)"),
         ({"v": 0.0, "x": 0.0}, {"fixed": {"b": 4.0}}, "the record determines none of k, c, mu"),
         ({}, {"fixed": SLIDER}, "Slider has no free parameter here"),

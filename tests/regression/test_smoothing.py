@@ -107,8 +107,8 @@ def test_a_missing_row_is_put_in():
     ("time", "values", "cutoff", "sentence"),
     [
         (TIME + 0.1 * STEP * (np.arange(1500) == 700), TIME, None, r"not uniform: the step at 13\.98 s is 0\.022 s"),
-        (TIME[:8], TIME[:8], None, "no stretch of 12 samples without a gap among its 8, of which 8 are there"),
-        (TIME, np.where(np.arange(1500) % 10, np.nan, 1.0), None, "of which 150 are there: put it on the time base"),
+        (TIME[:8], TIME[:8], None, "no stretch of 12 samples without a gap among its 8, of which 8 are finite"),
+        (TIME, np.where(np.arange(1500) % 10, np.nan, 1.0), None, "of which 150 are finite: put it on the time base"),
         (TIME, TIME, -1.0, r"cutoff -1\.0 must be a number of rad/s above 0"),
         (TIME[:1], TIME[:1], None, "1 sample has no derivative"),
     ],

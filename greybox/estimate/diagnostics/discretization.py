@@ -27,8 +27,8 @@ def discretization_warnings(
     if math.isfinite(error.largest):
         by = f"by {error.largest:.2g} standard errors"
     yield (
-        f"the integration is too coarse: twice the steps per sample ({2 * count} instead of {count}) would change {name} "
-        f"or its standard error {by}; {_cure(nlp.method, count, error.growth)}."
+        f"the integration is too coarse: twice the steps per sample ({2 * count} instead of {count}) would change "
+        f"{name} or its standard error {by}; {_cure(nlp.method, count, error.growth)}."
     )
 
 

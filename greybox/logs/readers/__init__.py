@@ -29,7 +29,7 @@ YEAR_2000, YEAR_2100 = 946_684_800_000_000, 4_102_444_800_000_000  # µs since 1
 
 
 class Format(NamedTuple):
-    """One format: its module, what to call it, the suffixes it usually has, and a test of a file's first bytes."""
+    """One format: its module, its name, its usual suffixes, and a test of a file's first bytes."""
 
     module: str
     about: str
@@ -71,8 +71,7 @@ def _is_csv(head: bytes) -> bool:
 
 
 def _is_text(head: bytes) -> bool:
-    strange = sum(byte < 9 or 13 < byte < 32 for byte in head)
-    return strange == 0
+    return not any(byte < 9 or 13 < byte < 32 for byte in head)
 
 
 FORMATS = (
@@ -93,7 +92,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     ----------
     path : str or Path
         ArduPilot DataFlash (.BIN, text .log), MAVLink telemetry (.tlog), PX4 (.ulg), CSV, HDF5 or MATLAB (.mat). The
-        contents decide; the suffix only where they do not tell.
+        contents decide; the suffix only where they are ambiguous.
     messages : collection of str, optional
         Read only these, e.g. ``("ATT", "RATE")``; all by default.
 
@@ -123,7 +122,7 @@ def _format(path: Path) -> Format:
         if path.suffix.lower() in known.suffixes:
             return known
     kinds = "; ".join(f"{known.about} ({', '.join(known.suffixes)})" for known in FORMATS)
-    raise ValueError(f"{path} {_looks(head)}, which greybox does not read; give it one of: {kinds}.")
+    raise ValueError(f"{path} {_looks(head)}, which greybox does not read; supported are: {kinds}.")
 
 
 def _head(path: Path) -> bytes:
@@ -138,7 +137,7 @@ def _head(path: Path) -> bytes:
     except OSError as problem:
         raise OSError(f"{path} cannot be opened ({problem.strerror}): check its permissions.") from None
     if not head:
-        raise ValueError(f"{path} is empty: the logging never started, or the copy failed; copy it again.")
+        raise ValueError(f"{path} is empty: logging never started, or the copy failed; copy it again.")
     return head
 
 

@@ -1,4 +1,4 @@
-"""What ArduPilot says about itself in a log: vehicle, firmware, parameters, modes, arming, units."""
+"""Metadata of an ArduPilot log: vehicle, firmware, parameters, modes, arming; its names of units."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,7 +19,7 @@ VEHICLES = {  # the firmware's name for itself, and its MAV_TYPE of MAVLink, by 
     "Blimp": 7,
 }
 EVENT_ARMED, EVENT_DISARMED = 10, 11  # EV.Id, ArduPilot's LogEvent
-UNITS = {  # the log's words for units, where ours differ
+UNITS = {  # of the log, where greybox writes them differently
     "degheading": "deg",
     "deglatitude": "deg",
     "deglongitude": "deg",
@@ -36,12 +36,12 @@ NO_RATE = (
 
 
 def unit(label: str) -> str:
-    """Return a unit as we write it: deg for headings, m/s² for m/s/s."""
+    """Return a unit in the notation of greybox: deg for headings, m/s² for m/s/s."""
     return UNITS.get(label, label.replace("/s/s", "/s²"))
 
 
 def metadata(groups: Iterable[Messages]) -> dict[str, Any]:
-    """Return what a recording's metadata have, from MSG, VER, PARM, MODE, ARM and EV; only what is known."""
+    """Return the metadata of a recording from MSG, VER, PARM, MODE, ARM and EV; only what is known."""
     by_name = {group.name: group for group in groups}
     known = {
         **_firmware(by_name),
@@ -75,7 +75,7 @@ def armed_intervals(
 
 
 def _firmware(by_name: Mapping[str, Messages]) -> dict[str, Any]:
-    """Return vehicle and firmware: VER says it in so many words, otherwise a text message of the start does."""
+    """Return vehicle and firmware, from VER or else from a text message at the start."""
     said = list(by_name["VER"].texts.get("FWS", ())) if "VER" in by_name else []
     said += by_name["MSG"].texts.get("Message", ()) if "MSG" in by_name else ()
     for text in said:

@@ -18,7 +18,7 @@ from greybox.logs.readers.table_columns import SECONDS, Heading, heading, second
 def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
     """Read a table with a header line into one record named after the file.
 
-    The separator is the one of ``;``, tab and comma that the header has, in this order; with ``;`` or tab the numbers
+    The separator is the first of ``;``, tab and comma that the header contains; with ``;`` or tab the numbers
     may have a decimal comma. Units stand in the header: ``pitch [deg]`` or ``pitch (deg)``. Lines that start with
     ``#`` are comments; empty cells, and words such as ``nan``, are missing samples.
 
@@ -46,23 +46,28 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     """
     path = Path(path)
     raw = path.read_bytes()
+    checksum = hashlib.sha256(raw).hexdigest()
     lines = [line for line in _decode(raw).splitlines() if line.strip() and not line.lstrip().startswith("#")]
     if len(lines) < 2:
-        raise ValueError(f"{path} has no table: write a header line with names, then a line of numbers a sample.")
+        raise ValueError(f"{path} has no table: write a header line with names, then one line of numbers per sample.")
+
     separator = next((s for s in ";\t" if s in lines[0]), ",")
     headings = _headings(next(_rows(lines[:1], separator, path), []), lines[0], path)
-    columns, words, odd = _columns(headings, lines[1:], separator, path)
+    columns, not_numeric, wrong_length = _columns(headings, lines[1:], separator, path)
     units = {h.name: h.unit for h in headings}
-    group, findings = table(path.stem, _time_first(headings, columns, path), units)
+    group, left_out = table(path.stem, _time_first(headings, columns, path), units)
     groups, restarts = on_one_clock([group] if group else [])
-    made, problems = records(groups, path.name, hashlib.sha256(raw).hexdigest())
-    if not made:
+    found, problems = records(groups, path.name, checksum)
+    if not found:
         raise ValueError(f"{path} has no numeric column beside the time: it needs one for each signal.")
-    if words:
-        findings += (f"columns without numbers were left out: {', '.join(words)}.",)
-    short = (f"{odd} of {len(lines) - 1} lines have another number of cells than the header and were skipped.",)
-    checksum = next(iter(made.values())).checksum
-    return Recording(made, path.name, checksum, {}, (short if odd else ()) + findings + restarts + problems)
+
+    findings = []
+    if wrong_length:
+        findings.append(f"{wrong_length} of {len(lines) - 1} lines do not have as many cells as the header: skipped.")
+    findings += left_out
+    if not_numeric:
+        findings.append(f"columns without numbers were left out: {', '.join(not_numeric)}.")
+    return Recording(found, path.name, checksum, {}, (*findings, *restarts, *problems))
 
 
 def _decode(raw: bytes) -> str:
@@ -88,36 +93,37 @@ def _headings(cells: Sequence[str], line: str, path: Path) -> list[Heading]:
 def _columns(
     headings: Sequence[Heading], lines: Sequence[str], separator: str, path: Path
 ) -> tuple[dict[str, NDArray[np.float64]], list[str], int]:
-    """Return the numeric columns by name, the names of the others that hold anything, and how many lines are odd."""
+    """Return the numeric columns by name, the names of other non-empty ones, and how many lines have a wrong length."""
     try:
         clean = np.loadtxt(lines, delimiter=separator, comments=None, ndmin=2)
     except ValueError:
         clean = np.empty((0, 0))
     if clean.shape[1] == len(headings):
         return {h.name: clean[:, i] for i, h in enumerate(headings) if h.name}, [], 0
-    cells, odd = _cells(_rows(lines, separator, path), len(headings))
+
+    cells, wrong_length = _cells(_rows(lines, separator, path), len(headings))
     columns = {}
-    words = []
+    not_numeric = []
     for (name, _), column in zip(headings, cells, strict=True):
         values = _numbers(column, separator)
         if name and values is not None:
             columns[name] = values
         elif name and any(cell.strip() for cell in column):
-            words.append(name)
-    return columns, words, odd
+            not_numeric.append(name)
+    return columns, not_numeric, wrong_length
 
 
 def _rows(lines: Sequence[str], separator: str, path: Path) -> Iterator[list[str]]:
     try:
         yield from csv.reader(lines, delimiter=separator, skipinitialspace=True)
     except csv.Error as problem:
-        raise ValueError(f"{path} is no table of numbers ({problem}): save it as plain CSV.") from None
+        raise ValueError(f"{path} is not a table of numbers ({problem}): save it as plain CSV.") from None
 
 
 def _cells(rows: Iterable[list[str]], width: int) -> tuple[list[list[str]], int]:
-    """Return the cells column by column, and how many lines have another number of them."""
+    """Return the cells column by column, and how many lines have a wrong number of them."""
     columns: list[list[str]] = [[] for _ in range(width)]
-    odd = 0
+    wrong_length = 0
     for cells in rows:
         if len(cells) == width + 1 and not cells[-1].strip():
             cells.pop()  # a separator at the end of every line
@@ -125,8 +131,8 @@ def _cells(rows: Iterable[list[str]], width: int) -> tuple[list[list[str]], int]
             for column, cell in zip(columns, cells, strict=True):
                 column.append(cell)
         else:
-            odd += 1
-    return columns, odd
+            wrong_length += 1
+    return columns, wrong_length
 
 
 def _numbers(cells: Sequence[str], separator: str) -> NDArray[np.float64] | None:
@@ -139,7 +145,7 @@ def _numbers(cells: Sequence[str], separator: str) -> NDArray[np.float64] | None
         cleaned = [cell.replace(",", ".") for cell in cleaned]
     filled = [cell for cell in cleaned if cell]
     numeric = sum(map(is_number, filled))
-    if not filled or numeric < len(filled) / 2:
+    if not filled or numeric < len(filled) / 2:  # some damaged cells do not make a column text
         return None
     return np.array([float(cell) if is_number(cell) else np.nan for cell in cleaned])
 
@@ -147,7 +153,7 @@ def _numbers(cells: Sequence[str], separator: str) -> NDArray[np.float64] | None
 def _time_first(
     headings: Sequence[Heading], columns: Mapping[str, NDArray[np.float64]], path: Path
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the columns; where none is named as a time, a first one that increases and has such a unit becomes it."""
+    """Return the columns; where none is named as a time, the first serves if it increases and has a unit of time."""
     if any(seconds(h.name, h.unit) and h.name in columns for h in headings):
         return dict(columns)
     name, unit = headings[0]

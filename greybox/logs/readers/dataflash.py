@@ -1,7 +1,7 @@
-"""ArduPilot DataFlash logs, binary (.BIN): decoded in bulk, a whole column at a time.
+"""ArduPilot DataFlash logs, binary (.BIN): decoded one whole column at a time.
 
-The walk over the file is in `dataflash_index`; what the numbers mean (scales of the format letters, unit and
-multiplier tables) is as pymavlink has it, and the values are the same as pymavlink's to the last bit.
+`dataflash_index` finds the messages in the file; what the numbers mean (scales of the format letters, unit and
+multiplier tables) follows pymavlink, and the values are equal to pymavlink's to the last bit.
 """
 
 import hashlib
@@ -18,8 +18,8 @@ from greybox.logs.readers.dataflash_index import Index, Layout, index, text
 from greybox.logs.readers.dataflash_units import Units, UnitTables, with_usual_units
 from greybox.logs.readers.messages import Messages, bare, merged, on_one_clock, records
 
-ABOUT = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE")  # about the log or the vehicle, no time histories
-ALWAYS = ("PARM", "MSG", "MODE", "VER", "ARM", "EV")  # metadata, whatever is asked for
+ABOUT = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE")  # about the log or the vehicle: no time histories
+ALWAYS = ("PARM", "MSG", "MODE", "VER", "ARM", "EV")  # metadata, read whatever is requested
 TABLES = ("FMT", "FMTU", "UNIT", "MULT")
 CLOCKS = {"TimeUS": 1e6, "TimeMS": 1e3}  # ticks per second
 
@@ -50,9 +50,8 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     with open(path, "rb") as file:
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     found = index(data)
-    groups = _groups(data, found, messages)
     checksum = hashlib.sha256(data).hexdigest()
-    return recording(groups, path, checksum, messages, _damage(found))
+    return recording(_groups(data, found, messages), path, checksum, messages, _damage(found))
 
 
 def recording(
@@ -62,30 +61,35 @@ def recording(
     messages: Collection[str] | None,
     findings: Sequence[str],
 ) -> Recording:
-    """Make a recording of the messages of an ArduPilot log, binary or text; those not asked for serve the metadata."""
+    """Make a recording of the messages of an ArduPilot log, binary or text; all of them serve the metadata."""
     groups, assumed = with_usual_units(list(groups))
-    groups, doubles = merged(groups)
+    groups, conflicts = merged(groups)
     groups, restarts = on_one_clock(groups)
+
     wanted = [g for g in groups if g.name not in ABOUT and (messages is None or g.name in messages)]
-    made, problems = records(wanted, path.name, checksum)
-    about = ardupilot_metadata.metadata(groups)
-    if not made and not about:
+    found, problems = records(wanted, path.name, checksum)
+    metadata = ardupilot_metadata.metadata(groups)
+    if not found and not metadata:
         raise ValueError(f"{path} holds no ArduPilot message that can be read; copy it from the vehicle again.")
     missing = _missing({g.name for g in groups}, messages)
-    return Recording(made, path.name, checksum, about, (*findings, *doubles, *restarts, *missing, *problems, *assumed))
+    findings = (*findings, *conflicts, *restarts, *missing, *problems, *assumed)
+    return Recording(found, path.name, checksum, metadata, findings)
 
 
 def _groups(data: mmap.mmap, found: Index, messages: Collection[str] | None) -> list[Messages]:
-    """Decode every type that is asked for, and of the others the times."""
+    """Decode every type that is requested, and of the others the times."""
     layouts = [(layout, found.of(i)) for i, layout in enumerate(found.layouts)]
     layouts = [(layout, rows) for layout, rows in layouts if rows.size]
-    nothing = Units({}, "")
-    tables = UnitTables(_decode(data, found, *pair, nothing) for pair in layouts if pair[0].name in TABLES)
-    return [
-        _decode(data, found, layout, rows, tables.of(layout), messages is None or layout.name in {*messages, *ALWAYS})
-        for layout, rows in layouts
-        if layout.name not in TABLES
-    ]
+    no_units = Units({}, "")
+    tables = UnitTables(
+        _decode(data, found, layout, rows, no_units) for layout, rows in layouts if layout.name in TABLES
+    )
+    groups = []
+    for layout, rows in layouts:
+        if layout.name not in TABLES:
+            whole = messages is None or layout.name in {*messages, *ALWAYS}
+            groups.append(_decode(data, found, layout, rows, tables.of(layout), whole))
+    return groups
 
 
 def _decode(
@@ -94,7 +98,8 @@ def _decode(
     """Return the messages of one layout; without `whole` only their times."""
     timer = clock_column(layout)
     offsets = found.offsets[rows]
-    # A view of a body at every byte of the file; indexing a field of it copies only what is asked for.
+
+    # A view of a body at every byte of the file; indexing a field of it copies only the messages of this layout.
     bodies = np.ndarray((len(data) - layout.length + 1,), layout.dtype, data, 3, (1,))
     time = None
     columns = {}
@@ -121,14 +126,14 @@ def clock_column(layout: Layout) -> str:
     return layout.columns[0] if layout.columns and layout.columns[0] in CLOCKS else ""
 
 
-def _missing(there: set[str], messages: Collection[str] | None) -> tuple[str, ...]:
-    """Say which messages were asked for, or are needed, and are not there."""
-    absent = [name for name in messages or () if name not in there]
-    names = ", ".join(sorted(there - {*ABOUT}))
-    found = [f"there is no message {name}; the log has {names or 'none'}." for name in absent if name != "RATE"]
-    if "RATE" not in there and ("ATT" in there if messages is None else "RATE" in messages):
-        found.append(ardupilot_metadata.NO_RATE)
-    return tuple(found)
+def _missing(present: set[str], messages: Collection[str] | None) -> tuple[str, ...]:
+    """Say which messages were requested, or are needed, but are missing."""
+    absent = [name for name in messages or () if name not in present]
+    names = ", ".join(sorted(present - {*ABOUT}))
+    findings = [f"there is no message {name}; the log has {names or 'none'}." for name in absent if name != "RATE"]
+    if "RATE" not in present and ("ATT" in present if messages is None else "RATE" in messages):
+        findings.append(ardupilot_metadata.NO_RATE)
+    return tuple(findings)
 
 
 def _damage(found: Index) -> tuple[str, ...]:

@@ -1,8 +1,8 @@
-"""Where the messages of a DataFlash log lie: a walk over the file that survives damage.
+"""Finds the messages in a DataFlash log, damaged ones included.
 
-pymavlink has such a walk, compiled, but it ends the whole Python process at the first message of an unknown type or
-length, and prints a line for every byte that it skips. This one is about as fast, silent, and counts what it skips.
-The table of format letters is pymavlink's.
+pymavlink has a compiled scan, but it terminates the Python process at the first message of an unknown type or length,
+and prints a line for every byte that it skips. This one is about as fast, silent, and counts what it skips. The table
+of format letters is pymavlink's.
 """
 
 import mmap
@@ -15,8 +15,9 @@ from pymavlink.DFReader import FORMAT_TO_STRUCT
 
 HEAD = b"\xa3\x95"  # before every message, then the type's number
 FMT, FMT_LENGTH = 0x80, 89  # the message that describes the others: type, length, name, format, columns
-STRIDE = 256  # messages that are first tried at once; doubled while all is well
-PIECE = 2**22  # bytes
+STRIDE = 256  # messages that are first tried at once; doubled while all are sound, so that any value serves
+PIECE = 2**22  # bytes scanned for headers at once: 4 MB, against a log of gigabytes in memory
+PADDING = 4096  # bytes behind the last message that are looked at: a page of zeros or of erased flash is no damage
 FMT_BODY = struct.Struct("<BB4s16s64s")
 
 
@@ -55,7 +56,7 @@ class Index:
     Attributes
     ----------
     layouts : tuple of Layout
-        Every description met; one type may be described twice in different words.
+        Every description in the file; one type may have several that differ.
     offsets : (n,) array
         Where each message starts, bytes.
     which : (n,) array
@@ -80,7 +81,7 @@ class Index:
 
 
 class _Walk:
-    """State of the walk: the descriptions so far, and the messages found."""
+    """State of the scan: the descriptions so far, and the messages found."""
 
     def __init__(self, data: Bytes) -> None:
         self.data = data
@@ -96,7 +97,7 @@ class _Walk:
         self.cut = ""
 
     def run(self) -> Index:
-        """Go from message to message: in strides where the next header is where it should be, singly elsewhere."""
+        """Go from message to message: many at once where every header is where it should be, one by one elsewhere."""
         heads = _heads(self.raw)
         at = 0
         last = len(self.data) - 3
@@ -109,7 +110,7 @@ class _Walk:
         return Index(tuple(self.layouts), offsets, which, self.skipped, self.places, self.first, self.cut)
 
     def _stride(self, at: int, heads: NDArray[np.int64]) -> int:
-        """Take messages that follow each other exactly, up to the next description; return where to go on."""
+        """Take messages that follow each other exactly, up to the next description; return where to continue."""
         here = int(np.searchsorted(heads, at))
         size = STRIDE
         while here + 1 < heads.size and heads[here] == at:
@@ -126,7 +127,7 @@ class _Walk:
         return at
 
     def _step(self, at: int) -> int:
-        """Take the message at `at`, if it is one, and return where to go on."""
+        """Take the message at `at`, if it is one, and return where to continue."""
         head = self.data[at : at + 3]
         length = int(self.lengths[head[2]]) if head[:2] == HEAD else 0
         if not length:
@@ -162,7 +163,7 @@ class _Walk:
         self.current[layout.kind] = self.layouts.index(layout)
 
     def _recover(self, at: int) -> int:
-        """Return where to go on after bytes that start no known message; the message before may be a torn one."""
+        """Return where to continue after bytes that start no known message; the message before may be truncated."""
         start = at
         if self.offsets:
             before = int(self.offsets[-1][-1])
@@ -173,7 +174,7 @@ class _Walk:
                 return inside
         found = self._next_sound(at + 1, len(self.data))
         end = len(self.data) if found < 0 else found
-        if found >= 0 or not _is_padding(self.data[at : at + 4096]):
+        if found >= 0 or not _is_padding(self.data[at : at + PADDING]):
             self._skip(start, end)
         return end
 
@@ -201,7 +202,7 @@ def index(data: Bytes) -> Index:
 
 
 def sound(kind: int, name: str, length: int, letters: str, columns: tuple[str, ...]) -> Layout | None:
-    """Return the layout if it can be true: known letters, a name, as many columns, and the length that they need."""
+    """Return the layout if it is plausible: known letters, a name, as many columns, and the length that they need."""
     if not (name.isascii() and name.replace("_", "").isalnum() and all(c in FORMAT_TO_STRUCT for c in letters)):
         return None
     layout = Layout(kind, name, length, letters, columns)
@@ -225,7 +226,7 @@ def text(raw: bytes) -> str:
 
 
 def _heads(raw: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Return every place with the two bytes of a header and room for a third, in pieces that spare the memory."""
+    """Return every offset of the two bytes of a header with room for a third; in pieces, to save memory."""
     found = []
     for start in range(0, raw.size - 2, PIECE):
         piece = raw[start : min(start + PIECE, raw.size - 2) + 1]

@@ -1,4 +1,4 @@
-"""ArduPilot DataFlash logs as text (.log): one message a line, ``ATT, 42079828, 0.01, ...``, described by FMT lines."""
+"""ArduPilot DataFlash logs as text (.log): one message per line, ``ATT, 42079828, 0.01, ...``, and FMT lines."""
 
 import hashlib
 from collections.abc import Collection, Sequence

@@ -12,8 +12,7 @@ from greybox.logs.readers.dataflash_index import Layout
 from greybox.logs.readers.messages import Messages
 
 INSTANCE = "#"  # the letter of a column that counts instances
-INSTANCES = ("I", "C", "Inst", "Instance")  # what such a second column is called in logs without FMTU
-
+INSTANCES = ("I", "C", "Inst", "Instance")  # names of such a second column in logs without FMTU
 
 _ANGLES = dict.fromkeys("DesRoll Roll DesPitch Pitch DesYaw Yaw ErrRP ErrYaw".split(), "deg")
 _VELOCITY = dict.fromkeys(("VN", "VE", "VD"), "m/s") | dict.fromkeys(("PN", "PE", "PD"), "m")
@@ -64,13 +63,13 @@ class UnitTables:
 
 
 def with_usual_units(groups: list[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
-    """Give the messages of a log without unit tables the units that ArduPilot has always used, and say so."""
+    """Give the messages of a log without unit tables the units that ArduPilot has always used, with a finding."""
     if any(unit for group in groups for unit in group.units.values()):
         return groups, ()
     known = [group.name for group in groups if group.name in USUAL]
     made = [replace(g, units={**g.units, **USUAL[g.name]}) if g.name in USUAL else g for g in groups]
     names = ", ".join(dict.fromkeys(known))
-    return made, ((f"the log has no table of units: those usual for {names} are assumed.",) if known else ())
+    return made, ((f"the log has no table of units: ArduPilot's usual ones are assumed for {names}.",) if known else ())
 
 
 def _prefixed(label: str, multiplier: float) -> str:

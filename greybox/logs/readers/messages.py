@@ -1,4 +1,4 @@
-"""From the messages of a log, whatever its format, to records: instances apart, one clock, increasing times."""
+"""From the messages of a log of any format to records: one per instance, on one clock, with increasing times."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,16 +20,16 @@ class Messages:
     ----------
     name : str
     order : (n,) array
-        The number of each among all messages of the file.
+        Number of each among all messages of the file.
     time : (n,) array, s, or None
         On the log's clock; None when the messages have no time.
     columns : mapping of str to (n,) array
-        The numeric ones, the time left out.
+        Numeric columns, without the time.
     texts : mapping of str to sequence of str
-        The others.
+        Columns of text.
     units : mapping of str to str
     instance : str
-        The column, numeric or text, that tells several senders apart; empty for one.
+        The column, numeric or text, that distinguishes several senders; empty if there is one.
     """
 
     name: str
@@ -55,15 +55,16 @@ class Messages:
 
 
 def bare(messages: Collection[str] | None) -> tuple[str, ...] | None:
-    """Return names without instances: whoever asks for ``IMU[0]`` gets all of IMU."""
+    """Return names without instances: a request for ``IMU[0]`` reads all of IMU."""
     return None if messages is None else tuple(dict.fromkeys(name.partition("[")[0] for name in messages))
 
 
 def merged(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
-    """Join messages of one name that the log describes twice: in the same words, or else the larger lot is kept."""
+    """Join messages of one name that the log describes twice if their columns agree; otherwise keep the larger lot."""
     by_name: dict[str, list[Messages]] = {}
     for group in groups:
         by_name.setdefault(group.name, []).append(group)
+
     joined = []
     findings = []
     for name, lots in by_name.items():
@@ -71,7 +72,7 @@ def merged(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str, ...]]
         same = [lot for lot in lots if _alike(lot, largest)]
         lost = sum(map(len, lots)) - sum(map(len, same))
         if lost:
-            findings.append(f"{name}: {lost} messages with another set of fields than the rest were left out.")
+            findings.append(f"{name}: {lost} messages with other fields than the rest were left out.")
         joined.append(_joined(same) if len(same) > 1 else largest)
     return joined, tuple(findings)
 
@@ -106,7 +107,7 @@ def on_one_clock(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str,
 
 
 def records(groups: Iterable[Messages], source: str, checksum: str) -> tuple[dict[str, Record], tuple[str, ...]]:
-    """Return a record for every type and instance with a time and a number, and what was found wrong on the way."""
+    """Return a record for every type and instance with a time and a number, and findings."""
     made: dict[str, Record] = {}
     findings: list[str] = []
     for group in groups:
@@ -118,7 +119,7 @@ def records(groups: Iterable[Messages], source: str, checksum: str) -> tuple[dic
         for name, part in _instances(group):
             record = _record(name, part, source, checksum)
             if record is None:
-                findings.append(f"{name}: none of its {len(part)} messages has a possible time; it was left out.")
+                findings.append(f"{name}: none of its {len(part)} messages has a plausible time; it was left out.")
                 continue
             made[name] = record
             findings += record.findings
@@ -156,6 +157,6 @@ def _record(name: str, part: Messages, source: str, checksum: str) -> Record | N
 
 def _dropped(name: str, dropped: int, time: Floats) -> str:
     wrong = int(np.count_nonzero(~np.isfinite(time)))
-    reasons = [f"{wrong} with impossible times"] if wrong else []
+    reasons = [f"{wrong} with implausible times"] if wrong else []
     reasons += [f"{dropped - wrong} whose time does not increase"] if dropped > wrong else []
     return f"{name}: {dropped} of {time.size} samples dropped: {', '.join(reasons)}."

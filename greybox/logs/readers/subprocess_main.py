@@ -16,17 +16,17 @@ from typing import Any
 
 import numpy as np
 
-SMALL = 2**24  # bytes: arrays of that size together are never suspicious
-COMPRESSION = 1000  # more than that many bytes of arrays for a byte of file are damage, not compression
-MEMORY = 2**32  # bytes: what the process may use, and `COMPRESSION` times the file
-MOST = 20_000  # arrays
-DEEPEST = 8  # structs within structs
+SMALL = 2**24  # bytes: arrays of 16 MB together are accepted from a file of any size
+COMPRESSION = 1000  # bytes of arrays per byte of file: deflate reaches 1032, more is damage
+MEMORY = 2**32  # bytes that the process may use, in addition to `COMPRESSION` times the file
+MOST = 20_000  # arrays; a PX4 log has some thousand fields
+DEEPEST = 8  # structs within structs, since MATLAB's may be circular when damaged
 OPAQUE = ("MatlabOpaque", "MatlabFunction")  # scipy's stand-ins for timetable, timeseries, table and other objects
 PROBLEMS = (OSError, RuntimeError, ValueError, TypeError, KeyError, OverflowError, MemoryError)
 
 
 class Collector:
-    """Numeric arrays of a file by path, as far as they can be true."""
+    """Numeric arrays of a file by path, as far as their size is plausible."""
 
     def __init__(self, size: int) -> None:
         self.room = max(SMALL, COMPRESSION * size)
@@ -118,7 +118,7 @@ def _keep_struct(group: str, contents: Mapping[str, Any], found: Collector) -> N
             found.findings.append(f"{key}: only MATLAB can read this object (a timetable?); save it as a struct.")
         elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.ndim in (1, 2) and value.size:
             if not found.reserve(value.size):
-                raise ValueError("its arrays are too large to be true")
+                raise ValueError("its arrays are too large for its size")
             found.add(f"{group}{key}", value)
 
 
@@ -145,7 +145,7 @@ def ulog(path: str, found: Collector, topics: list[str]) -> None:
         name = f"{topic.name}[{topic.multi_id}]" if topic.name in several else topic.name
         for field, values in topic.data.items():
             if not found.reserve(values.size):
-                raise ValueError("its arrays are too large to be true")
+                raise ValueError("its arrays are too large for its size")
             found.add(f"{name}/{field}", values, "us" if field == "timestamp" else "")
     parameters = {**log.initial_parameters, **{name: value for _, name, value in log.changed_parameters}}
     found.about = {
@@ -154,15 +154,16 @@ def ulog(path: str, found: Collector, topics: list[str]) -> None:
         "texts": [(line.timestamp, line.message) for line in log.logged_messages],
         "info": {key: value for key, value in log.msg_info_dict.items() if isinstance(value, str | int | float)},
     }
+
     if log.file_corruption:
         found.findings.append("parts of the file are damaged and were skipped.")
     if log.dropouts:
         lost = sum(dropout.duration for dropout in log.dropouts) / 1e3
-        found.findings.append(f"the logger lost data {len(log.dropouts)} times, {lost:.2f} s in all.")
+        found.findings.append(f"the logger lost data {len(log.dropouts)} times, {lost:.2f} s in total.")
 
 
 def _limit_memory(size: int) -> None:
-    """Let a damaged file fail with a MemoryError, where the system can be told so."""
+    """Let a damaged file fail with a MemoryError, where the system supports a limit."""
     try:
         import resource  # noqa: PLC0415 (not on Windows)
     except ImportError:
@@ -173,7 +174,7 @@ def _limit_memory(size: int) -> None:
 
 
 def main() -> None:
-    """Write what a file holds to standard output, or leave with the reason why not."""
+    """Write the contents of a file to standard output, or exit with the reason why not."""
     kind, path, *wanted = sys.argv[1:]
     size = os.path.getsize(path)
     _limit_memory(size)

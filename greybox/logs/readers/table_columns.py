@@ -1,4 +1,4 @@
-"""Tables of named columns, from whatever file: which column is the time, units in names, one group of messages."""
+"""Tables of named columns, from any file: units in headings, the time column, and the messages made of them."""
 
 import re
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ TIMES = ("time", "t", "timestamp", "timestamps", "tout")  # names of a time colu
 ARDUPILOT = {"timeus": 1e-6, "timems": 1e-3}
 BRACKETS = re.compile(r"^([^\[\]()]+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))$")
 SUFFIX = re.compile(r"^(.+)_(s|sec|ms|us|ns)$")
-WIDEST = 64  # columns of a matrix that become signals of their own
+WIDEST = 64  # columns of a matrix that become signals of their own; a wider one is an image or a map
 
 
 class Heading(NamedTuple):
@@ -68,7 +68,7 @@ def table(
     name : str
         What to call them.
     columns : mapping of str to array
-        As read, in any real type; matrices with a sample in each row give a signal ``x[0]``, ``x[1]``, ... a column.
+        As read, in any real type; matrices with one sample per row give signals ``x[0]``, ``x[1]`` ..., one per column.
     units : mapping of str to str
 
     Returns
@@ -80,10 +80,11 @@ def table(
     timer = next((key for key in columns if seconds(key, units.get(key, "")) and columns[key].ndim == 1), "")
     if not timer or not columns[timer].size:
         return None, (f"{name or 'the file'}: {len(columns)} variables without a time were left out.",)
+
     time = columns[timer].astype(float) * (seconds(timer, units.get(timer, "")) or 1.0)
     kept = {}
     labels = {}
-    odd = []
+    wrong_length = []
     for key, values in columns.items():
         if key == timer:
             continue
@@ -91,9 +92,12 @@ def table(
             kept[label] = column
             labels[label] = units.get(key, "")
         if values.shape[:1] != time.shape:
-            odd.append(key)
-    findings = (f"{name}: left out, for their length is not that of the time: {_list(odd)}.",) if odd else ()
-    return (Messages(name, np.arange(time.size), time, kept, {}, labels) if kept else None), findings
+            wrong_length.append(key)
+    findings = []
+    if wrong_length:
+        findings.append(f"{name}: left out, because their length is not that of the time: {_list(wrong_length)}.")
+    messages = Messages(name, np.arange(time.size), time, kept, {}, labels) if kept else None
+    return messages, tuple(findings)
 
 
 def _split(name: str, values: NDArray[np.generic], size: int) -> list[tuple[str, Floats]]:

@@ -1,7 +1,7 @@
 """MAVLink telemetry logs (.tlog), as ground stations write them: packets of one or several senders.
 
 A packet that carries the sender's own time (``time_boot_ms``, ``time_usec``) is put there, without the jitter of the
-link; the others where they were received. Both are on one clock, the vehicle's since its first start.
+link; the others are put where they were received. Both are on one clock, the vehicle's since its first start.
 """
 
 import hashlib
@@ -24,8 +24,8 @@ Floats = NDArray[np.float64]
 
 TICKS = {"time_boot_ms": 1e3, "time_boot_us": 1e6, "time_usec": 1e6}  # the sender's time, ticks per second
 EPOCH = 1e9  # s; a larger time counts from 1970, not from the sender's start
-ABOUT = ("PARAM_VALUE", "STATUSTEXT")  # told in the metadata; no time histories
-SENDER = "sender"  # the text column that tells senders and instances apart
+ABOUT = ("PARAM_VALUE", "STATUSTEXT")  # part of the metadata; no time histories
+SENDER = "sender"  # the text column that distinguishes senders and instances
 
 
 def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
@@ -57,16 +57,17 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     frames = walk(data)
     if not frames.kinds.size:
         raise ValueError(f"{path} holds no MAVLink packet that can be read; copy it from the ground station again.")
+
     own = _own_times(data, frames)
     time, restarts = _common_clock(frames, own, telemetry_metadata.vehicle_sender(data, frames))
     names = {kind: KINDS[kind].msgname for kind in np.unique(frames.kinds).tolist()}
     wanted = [k for k, name in names.items() if (name not in ABOUT if messages is None else name in messages)]
     groups = [_messages(data, frames, kind, time) for kind in wanted]
     checksum = hashlib.sha256(data).hexdigest()
-    made, problems = records(groups, path.name, checksum)
+    found, problems = records(groups, path.name, checksum)
     about = telemetry_metadata.metadata(data, frames, time)
     findings = (*_damage(frames), *restarts, *_missing(frames, messages), *_received(frames, own, wanted), *problems)
-    return Recording(made, path.name, checksum, about, findings)
+    return Recording(found, path.name, checksum, about, findings)
 
 
 def _own_times(data: mmap.mmap, frames: Frames) -> Floats:
@@ -97,7 +98,7 @@ def _common_clock(frames: Frames, own: Floats, vehicle: int) -> tuple[Floats, tu
             zero = start if zero is None else zero
             time[piece] = own[piece] + start
         findings += [
-            f"sender {_address(sender)} restarted at {time[rows[i]] - (zero or 0.0):.1f} s; its times go on from there."
+            f"sender {_address(sender)} restarted at {time[rows[i]] - (zero or 0.0):.1f} s; its clock continues there."
             for i in starts[1:]
         ]
     return time - (float(time[0]) if zero is None else zero), tuple(findings)
@@ -138,7 +139,7 @@ def _columns(name: str, values: NDArray[Any]) -> list[tuple[str, NDArray[Any]]]:
 def _labels(
     senders: NDArray[np.int64], instance: str | None, columns: dict[str, Floats], texts: dict[str, Sequence[str]]
 ) -> list[str]:
-    """Return what tells the senders and instances of one kind apart; nothing if there is one."""
+    """Return the labels of senders and instances of one kind; nothing if there is only one."""
     parts: list[list[str]] = []
     if np.unique(senders).size > 1:
         parts.append([_address(sender) for sender in senders.tolist()])
@@ -154,17 +155,17 @@ def _address(sender: int) -> str:
 
 
 def _received(frames: Frames, own: Floats, wanted: Collection[int]) -> tuple[str, ...]:
-    """Say which kinds stand where they were received."""
+    """Say which kinds have their reception time."""
     names = [KINDS[kind].msgname for kind in wanted if np.isnan(own[frames.kinds == kind]).all()]
-    return (
-        (f"these carry no time of their own and stand where they were received: {', '.join(names)}.",) if names else ()
-    )
+    if not names:
+        return ()
+    return (f"these carry no time of their own and have the time of their reception: {', '.join(names)}.",)
 
 
 def _missing(frames: Frames, messages: Collection[str] | None) -> tuple[str, ...]:
-    there = [KINDS[kind].msgname for kind in np.unique(frames.kinds).tolist()]
-    absent = [name for name in messages or () if name not in there]
-    return tuple(f"there is no message {name}; the log has {', '.join(there)}." for name in absent)
+    present = [KINDS[kind].msgname for kind in np.unique(frames.kinds).tolist()]
+    absent = [name for name in messages or () if name not in present]
+    return tuple(f"there is no message {name}; the log has {', '.join(present)}." for name in absent)
 
 
 def _damage(frames: Frames) -> tuple[str, ...]:

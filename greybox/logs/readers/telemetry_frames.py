@@ -1,6 +1,6 @@
-"""Where the packets of a telemetry log lie, and their fields in bulk: 8 bytes of reception time before each packet.
+"""Finds the packets in a telemetry log and decodes their fields in bulk; 8 bytes of reception time precede each.
 
-What the packets mean (names, types, units, checksums) is pymavlink's table of MAVLink messages.
+Names, types, units and checksums are from pymavlink's table of MAVLink messages.
 """
 
 import mmap

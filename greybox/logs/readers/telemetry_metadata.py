@@ -1,4 +1,4 @@
-"""What a telemetry log says about the vehicle: firmware, parameters, texts, modes, arming."""
+"""Metadata of a telemetry log: firmware, parameters, texts, modes, arming."""
 
 import mmap
 from typing import Any
@@ -12,7 +12,7 @@ from greybox.logs.readers.ardupilot_metadata import VEHICLES, armed_intervals, m
 from greybox.logs.readers.dataflash_index import text
 from greybox.logs.readers.telemetry_frames import Frames, payloads
 
-NO_VEHICLE = (mavlink.MAV_AUTOPILOT_INVALID,)  # what ground stations, cameras and gimbals say in their heartbeats
+NO_VEHICLE = (mavlink.MAV_AUTOPILOT_INVALID,)  # in the heartbeats of ground stations, cameras and gimbals
 HULLS = {  # MAV_TYPE of a vehicle with ArduPilot, and its firmware
     **dict.fromkeys((2, 3, 4, 13, 14, 15, 29, 35), "ArduCopter"),
     **dict.fromkeys((1, 16, 19, 20, 21, 22, 23, 24, 25, 28), "ArduPlane"),
@@ -30,7 +30,7 @@ def vehicle_sender(data: mmap.mmap, frames: Frames) -> int:
 
 
 def metadata(data: mmap.mmap, frames: Frames, time: NDArray[np.float64]) -> dict[str, Any]:
-    """Return what a recording's metadata have, as far as it was sent; times in s, see `telemetry`."""
+    """Return the metadata of a recording, as far as they were sent; times in s, see `telemetry`."""
     beats, rows = _heartbeats(data, frames)
     texts = _texts(data, frames, time)
     known = {
@@ -82,12 +82,12 @@ def _texts(data: mmap.mmap, frames: Frames, time: NDArray[np.float64]) -> tuple[
     joined: list[tuple[float, str]] = []
     last = None
     for row, packet in zip(rows, payloads(data, frames, mavlink.MAVLINK_MSG_ID_STATUSTEXT), strict=True):
-        said = text(packet["text"])
+        words = text(packet["text"])
         source = (int(frames.senders[row]), int(packet["id"]))
         if packet["id"] and packet["chunk_seq"] and source == last:
-            joined[-1] = (joined[-1][0], joined[-1][1] + said)
+            joined[-1] = (joined[-1][0], joined[-1][1] + words)
         else:
-            joined.append((float(time[row]), said))
+            joined.append((float(time[row]), words))
         last = source
     return tuple(joined)
 

@@ -1,4 +1,4 @@
-"""Time stamps of a log: restarts of the clock, impossible stamps, samples that do not advance."""
+"""Time stamps of a log: clock restarts, implausible stamps, times that do not increase."""
 
 from bisect import bisect_left
 from itertools import pairwise
@@ -8,17 +8,20 @@ from numpy.typing import NDArray
 
 from greybox.data.record import GAP
 
-BACK = 1.0  # s; a log's stamps jitter back by far less, a restart of the clock by more
-WINDOW = 50  # messages before and after, whose medians must agree that the clock restarted
+BACK = 1.0  # s by which stamps must fall at a clock restart; jitter between messages is of the order of 10 ms
+WINDOW = (
+    50  # messages before and after, whose medians must agree that the clock restarted: 24 damaged ones do not matter
+)
 PAUSE = 10.0  # s between two boots on the common clock: the real pause is not known
-SLACK = 600.0  # s; a stamp farther before a log's first stamps or after its last is damaged, or of another clock
-REGULAR = 20  # samples that a message needs before its gaps are worth words
+SLACK = 600.0  # s before the first or after the last stamps, beyond which a stamp is damaged or of another clock
+REGULAR = 20  # samples that a message needs for its usual interval to be known
+IRREGULAR = 0.05  # of the intervals: a message with more gaps has no usual interval, such as an event
 
 
 def restarts(stamps: NDArray[np.float64]) -> tuple[int, ...]:
     """Return where the clock restarted, as indices into the stamps (s) of all messages in the order of the file.
 
-    A single damaged stamp is no restart: the median stamp after must lie below the median before.
+    A single damaged stamp is not a restart: the median stamp after must lie below the median before.
     """
     drops = np.flatnonzero(np.diff(stamps) < -BACK) + 1
     found: list[int] = []
@@ -31,17 +34,17 @@ def restarts(stamps: NDArray[np.float64]) -> tuple[int, ...]:
 
 
 def one_clock(stamps: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """Return the stamps (s) on one clock that goes on at a restart, NaN where they cannot be true, and what was found.
+    """Return the stamps (s) on one clock that continues at a restart, NaN where they are implausible, and findings.
 
     After a restart the clock is set to `PAUSE` after the last stamp before it, so that all boots stay in the record,
-    apart from each other by a gap.
+    separated by a gap.
     """
     finite = np.isfinite(stamps)
     ticks = stamps[finite]
     findings = []
     end = 0.0
     for i, (start, stop) in enumerate(pairwise([0, *restarts(ticks), ticks.size])):
-        piece = _possible(ticks[start:stop])
+        piece = _plausible(ticks[start:stop])
         shift = end + PAUSE - float(np.nanmin(piece)) if i else 0.0
         ticks[start:stop] = piece + shift
         if i:
@@ -55,7 +58,7 @@ def one_clock(stamps: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[s
     return shifted, tuple(findings)
 
 
-def _possible(stamps: NDArray[np.float64]) -> NDArray[np.float64]:
+def _plausible(stamps: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the stamps of one boot, NaN where they lie far outside of those at its start and its end."""
     if not stamps.size:
         return stamps
@@ -65,9 +68,9 @@ def _possible(stamps: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _edge(stamps: NDArray[np.float64], side: int) -> float:
-    """Return the first (side -1) or last (1) stamp of a few that mostly increase evenly, whatever a quarter of them is.
+    """Return the first (side -1) or last (1) of some stamps that mostly increase evenly; a quarter may be wrong.
 
-    Half of the stamps lie between the quartiles, so that the edge is one such distance outside of them.
+    A quarter of the stamps lies between the median and a quartile: the edge is twice as far from the median.
     """
     low, middle, high = np.percentile(stamps, (25, 50, 75))
     return float(middle + side * 2 * (high - middle if side > 0 else middle - low))
@@ -109,10 +112,8 @@ def gaps(name: str, time: NDArray[np.float64]) -> tuple[str, ...]:
         return ()
     usual = float(np.median(steps))
     wide = steps > GAP * usual
-    if not wide.any() or np.mean(wide) > 0.05:
+    if not wide.any() or np.mean(wide) > IRREGULAR:
         return ()
     longest = int(steps.argmax())
     number = f"{int(wide.sum())} gaps, the longest" if wide.sum() > 1 else "a gap"
-    return (
-        f"{name}: {number} {steps[longest]:.3g} s at {time[longest]:.1f} s (it usually comes every {usual:.3g} s).",
-    )
+    return (f"{name}: {number} {steps[longest]:.3g} s at {time[longest]:.1f} s (its usual interval is {usual:.3g} s).",)

@@ -63,7 +63,7 @@ def test_numbers_survive(saved, values, separator):
 def test_rows_of_another_length_are_counted(saved):
     recording = saved("t,x\n0,1\n1\n2,3,4\n3,5\n")
     assert recording["flight"]["x"].tolist() == [1, 5]
-    assert recording.findings == ("2 of 4 lines have another number of cells than the header and were skipped.",)
+    assert recording.findings == ("2 of 4 lines do not have as many cells as the header: skipped.",)
 
 
 def test_separators_at_the_end_of_lines_and_quotes(saved):

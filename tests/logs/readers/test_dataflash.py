@@ -208,7 +208,7 @@ def test_gaps_are_found(saved):
     kept = [
         p for p in log.parts if not (p[2] == log.kinds["ATT"][0] and 11e6 < int.from_bytes(p[3:11], "little") < 12e6)
     ]
-    assert "ATT: a gap 1.01 s at 11.0 s (it usually comes every 0.01 s)." in saved(b"".join(kept)).findings
+    assert "ATT: a gap 1.01 s at 11.0 s (its usual interval is 0.01 s)." in saved(b"".join(kept)).findings
 
 
 def test_a_truncated_log(saved):
@@ -284,7 +284,7 @@ def test_a_type_described_twice_differently_keeps_the_larger_lot(saved):
         log.add("ATT", 1000 * i + 20_000, 1.0, 2.0)
     recording = saved(log.binary)
     assert len(recording["ATT"]) == 30
-    assert "ATT: 10 messages with another set of fields than the rest were left out." in recording.findings
+    assert "ATT: 10 messages with other fields than the rest were left out." in recording.findings
 
 
 def test_a_file_without_messages_is_refused(saved):
@@ -301,7 +301,7 @@ def test_a_text_log_of_an_old_tool(saved):
     np.testing.assert_array_equal(recording["ATT"].time, [0.1, 0.14])
     np.testing.assert_array_equal(recording["ATT"]["Pitch"], [-1.25, -1.23])
     assert "ATT: 1 damaged lines were skipped." in recording.findings
-    assert "ATT: 1 of 3 samples dropped: 1 with impossible times." in recording.findings
+    assert "ATT: 1 of 3 samples dropped: 1 with implausible times." in recording.findings
     assert any(finding.startswith("1 lines are damaged") for finding in recording.findings)
 
 

@@ -42,8 +42,8 @@ def test_a_folder(tmp_path):
 @pytest.mark.parametrize(
     ("data", "match"),
     [
-        (b"", "is empty: the logging never started"),
-        (b"PK\3\4rest", "looks like a zip archive, which greybox does not read; give it one of: ArduPilot DataFlash"),
+        (b"", "is empty: logging never started"),
+        (b"PK\3\4rest", "looks like a zip archive, which greybox does not read; supported are: ArduPilot DataFlash"),
         (b"just a few words", "looks like text that starts with 'just a few words', which"),
         (b"\1\2\3\4\5", "looks like binary data that start with 01 02 03 04, which"),
     ],

@@ -55,6 +55,6 @@ def test_times_that_are_not_finite_are_dropped():
 def test_gaps_of_a_regular_message_only():
     time = np.arange(100) * 0.04
     time[50:] += 1.0
-    assert time_stamps.gaps("IMU", time) == ("IMU: a gap 1.04 s at 2.0 s (it usually comes every 0.04 s).",)
+    assert time_stamps.gaps("IMU", time) == ("IMU: a gap 1.04 s at 2.0 s (its usual interval is 0.04 s).",)
     assert time_stamps.gaps("IMU", np.arange(100) / 23.6) == ()
     assert time_stamps.gaps("EV", np.cumsum(np.random.default_rng(0).exponential(size=100))) == ()

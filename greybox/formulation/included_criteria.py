@@ -1,0 +1,22 @@
+"""The included criteria: what the command line offers, and what a result reports besides the criterion minimized."""
+
+from greybox.formulation.frequency_criteria import (
+    Criterion,
+    MagnitudePhase,
+    MaximumLikelihood,
+    RelativeError,
+    SquaredRelativeError,
+)
+from greybox.formulation.time_criteria import OutputError, PredictionError, TimeCriterion
+
+CRITERIA: tuple[Criterion, ...] = (
+    RelativeError(),
+    RelativeError(normalized="model"),
+    SquaredRelativeError(),
+    MagnitudePhase(),
+    MaximumLikelihood(),
+)
+"""For frequency responses; a result reports the cost by each of them."""
+
+TIME_CRITERIA: tuple[TimeCriterion, ...] = (OutputError(), PredictionError())
+"""For records."""

@@ -1,0 +1,99 @@
+"""One experiment on one time base: what is refused, its rate, gaps, parts and identity."""
+
+import math
+
+import numpy as np
+import pytest
+
+from greybox.data.record import GAP, Record, Recording
+
+TIME = np.arange(10) / 50
+SIGNAL = np.sin(TIME)
+
+
+def record(**more):
+    return Record(TIME, {"u": SIGNAL, "theta": 2 * SIGNAL}, {"theta": "rad"}, **more)
+
+
+def test_arrays_are_copied_and_read_only():
+    values = SIGNAL.copy()
+    made = Record(TIME, {"u": values})
+    values[0] = 9.0
+    assert made["u"][0] == 0
+    with pytest.raises(ValueError, match="read-only"):
+        made["u"][0] = 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        made.time[0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("time", "signals", "words"),
+    [
+        ([], {}, "the record is empty"),
+        ([0.0, math.nan], {}, "time is nan at index 1"),
+        ([0.0, 1.0, 1.0], {}, r"time does not increase after 1.000000 s \(index 1\)"),
+        ([0.0, 1.0], {"u": [1.0]}, "time has 2 samples but u has 1"),
+        ([0.0, 1.0], {"u": [[1.0, 2.0]]}, r"u must be one-dimensional, but has shape \(1, 2\)"),
+    ],
+)
+def test_what_is_no_record(time, signals, words):
+    with pytest.raises(ValueError, match=words):
+        Record(time, signals)
+
+
+def test_rate_and_duration():
+    assert record().rate == pytest.approx(50)
+    assert record().duration == pytest.approx(0.18)
+    assert math.isnan(Record([1.0], {}).step)
+    jittered = Record([0.0, 0.02, 0.04, 0.07, 0.5], {})
+    assert jittered.step == np.median(np.diff(jittered.time))
+
+
+def test_pieces_are_cut_at_gaps_and_put_together_give_the_record():
+    step = 0.02
+    time = np.concatenate([np.arange(50) * step, 0.98 + GAP * step * 1.01 + np.arange(30) * step])
+    flown = Record(time, {"u": time**2})
+    first, second = flown.pieces
+    assert (len(first), len(second)) == (50, 30)
+    np.testing.assert_array_equal(np.concatenate([p["u"] for p in flown.pieces]), flown["u"])
+    assert len(Record(np.delete(np.arange(50) * step, 20), {}).pieces) == 1  # one sample lost is no gap
+    assert "in 2 pieces" in str(flown)
+
+
+def test_a_cut_keeps_its_ends():
+    cut = record().between(0.02, 0.1)
+    assert (cut.time[0], cut.time[-1]) == (0.02, 0.1)
+    np.testing.assert_array_equal(cut["theta"], 2 * SIGNAL[1:6])
+    with pytest.raises(ValueError, match=r"no sample from 5 to 6 s; it runs from 0 to 0\.18 s"):
+        record().between(5, 6)
+
+
+def test_the_checksum_is_that_of_names_and_numbers():
+    assert record().checksum == record(name="again", source="elsewhere").checksum
+    assert record().checksum != Record(TIME, {"w": SIGNAL, "theta": 2 * SIGNAL}).checksum
+    assert record().checksum != record().with_signals(u=SIGNAL + 1e-15).checksum
+    assert record(checksum="of the file").checksum == "of the file"
+
+
+def test_signals_are_added_and_replaced():
+    more = record().with_signals({"q": "rad/s"}, q=np.ones(10), u=np.zeros(10))
+    assert list(more.signals) == ["u", "theta", "q"]
+    assert not more["u"].any()
+    assert more.units == {"theta": "rad", "q": "rad/s"}
+    with pytest.raises(KeyError, match="no signal 'v'; it has u, theta"):
+        record()["v"]
+
+
+def test_a_recording_finds_signals_by_message_and_by_bare_name():
+    log = Recording({"IMU[0]": record(), "IMU[1]": Record(TIME, {"gyro": SIGNAL})}, "flight.bin")
+    assert log["IMU"] is log["IMU[0]"]
+    assert log.locate("IMU[1].gyro") == (log["IMU[1]"], "gyro")
+    assert log.locate("gyro") == (log["IMU[1]"], "gyro")
+    assert (len(log), list(log)) == (2, ["IMU[0]", "IMU[1]"])
+    with pytest.raises(KeyError, match=r"flight.bin has no message 'ATT'; it has IMU\[0\], IMU\[1\]"):
+        log["ATT"]
+    with pytest.raises(KeyError, match=r"no message has it; write MESSAGE\.yaw"):
+        log.locate("yaw")
+    both = Recording({"A": record(), "B": record()})
+    with pytest.raises(KeyError, match=r"several messages have it: A, B; write MESSAGE\.u"):
+        both.locate("u")

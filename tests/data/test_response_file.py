@@ -1,0 +1,129 @@
+"""Frequency responses in files: what is written is read back, what is damaged is refused in a sentence."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from measured_responses import EXTRAS, RESPONSE, assert_same, measured
+
+import greybox as gb
+
+
+@pytest.mark.parametrize("extras", [{}, {"variance": EXTRAS["variance"]}, EXTRAS], ids=lambda e: "+".join(e) or "none")
+def test_what_is_written_is_read_exactly(tmp_path, extras):
+    path = tmp_path / "pitch.csv"
+    response = measured(response=np.array(RESPONSE) / 3, **extras)
+    gb.data.write_response(response, path)
+    back = gb.read_response(path, input="u", output="theta")
+    assert_same(back, response)
+    assert back.checksum == response.checksum
+    assert (back.name, back.source) == ("pitch", "pitch.csv")
+    assert [p.name for p in tmp_path.iterdir()] == ["pitch.csv"]
+
+
+@settings(deadline=None, derandomize=True)
+@given(numbers=st.tuples(*[st.floats(1e-300, 1e300)] * 3))
+def test_any_number_survives_the_file(tmp_path_factory, numbers):
+    path = tmp_path_factory.mktemp("numbers") / "one.csv"
+    omega, alpha, beta = numbers
+    response = gb.FrequencyResponse([omega], [complex(alpha, -beta)])
+    gb.data.write_response(response, path)
+    assert_same(gb.read_response(path), response)
+
+
+def test_writing_twice_keeps_the_last(tmp_path):
+    path = tmp_path / "pitch.csv"
+    gb.data.write_response(measured(**EXTRAS), path)
+    gb.data.write_response(measured(), path)
+    assert_same(gb.read_response(path), measured())
+
+
+def file(tmp_path, text, encoding="utf-8"):
+    path = tmp_path / "data.csv"
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+TABLE = """omega_rad_s, note , roll_alpha, roll_beta, yaw_alpha, yaw_beta, yaw_variance
+1.0, first,  1.5, -2, 0.25, 0.5, 0.01
+2.0,, , , 1e-3, 2, 0.02
+
+4.0, last, 3, 4, , ,
+"""
+
+
+def test_a_table_of_several_responses_is_read_by_prefix(tmp_path):
+    path = file(tmp_path, TABLE)
+    roll = gb.read_response(path, "roll_", input="u", output="phi", name="roll")
+    assert_same(roll, gb.FrequencyResponse([1, 4], [1.5 - 2j, 3 + 4j]))
+    assert (roll.input, roll.output, roll.name) == ("u", "phi", "roll")
+    yaw = gb.read_response(path, prefix="yaw_")
+    assert_same(yaw, gb.FrequencyResponse([1, 2], [0.25 + 0.5j, 0.001 + 2j], variance=[0.01, 0.02]))
+
+
+def test_a_byte_order_mark_and_the_order_of_columns_do_not_matter(tmp_path):
+    text = "beta,omega_rad_s,alpha\r\n2,1,3\r\n"
+    assert_same(gb.read_response(file(tmp_path, text, "utf-8-sig")), gb.FrequencyResponse([1], [3 + 2j]))
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", r"has no column 'omega_rad_s'; it has no header line: the columns must be omega_rad_s, alpha, beta"),
+        ("omega,alpha,beta\n1,2,3\n", r"has no column 'omega_rad_s'; it has omega, alpha, beta"),
+        ("omega_rad_s,alpha\n1,2\n", r"has no column 'beta'"),
+        ("omega_rad_s,alpha,beta\n", r"data\.csv: the frequency response is empty"),
+        ("omega_rad_s,alpha,beta\n1,2,x\n", r"data\.csv, line 2: beta is 'x', which is not a number"),
+        ("omega_rad_s,alpha,beta\n1,2,3\n2,,3\n", r"line 3: alpha is '', which is not a number"),
+        ("omega_rad_s,alpha,beta\n,2,3\n", r"line 2: omega_rad_s is '', which is not a number"),
+        ("omega_rad_s,alpha,beta\n1,2\n", r"line 2, has 2 cells where the header has 3"),
+        ("omega_rad_s,alpha,beta\n1,2,3\n1,2,3\n", r"data\.csv: omega = 1 rad/s is repeated"),
+        ("omega_rad_s,alpha,beta\n1,nan,3\n", r"data\.csv: response is \(nan\+3j\) at index 0"),
+        ("omega_rad_s,alpha,beta,alpha\n1,2,3,4\n", r"data\.csv has two columns 'alpha'"),
+    ],
+)
+def test_bad_files_are_refused_in_a_sentence(tmp_path, text, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        gb.read_response(file(tmp_path, text))
+
+
+def test_a_missing_prefix_names_its_column(tmp_path):
+    with pytest.raises(ValueError, match=r"has no column 'pitch_alpha'; it has omega_rad_s, note, roll_alpha"):
+        gb.read_response(file(tmp_path, TABLE), "pitch_")
+
+
+def test_a_file_that_is_no_text_is_refused(tmp_path):
+    path = tmp_path / "data.csv"
+    path.write_bytes(b"\xff\xfe\x00\x81binary")
+    with pytest.raises(ValueError, match=r"data\.csv is not a CSV text file"):
+        gb.read_response(path)
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"nothing\.csv"):
+        gb.read_response(tmp_path / "nothing.csv")
+
+
+@pytest.mark.parametrize("extras", [{}, EXTRAS], ids=["bare", "all"])
+def test_hdf5_keeps_numbers_and_names(tmp_path, extras):
+    path = tmp_path / "pitch.h5"
+    response = measured(response=np.array(RESPONSE) / 3, name="hover", source="flight 7", **extras)
+    gb.data.write_response(response, path)
+    back = gb.read_response(path)
+    assert_same(back, response)
+    assert (back.input, back.output, back.name, back.source) == ("u", "theta", "hover", "flight 7")
+    renamed = gb.read_response(path, output="phi")
+    assert (renamed.input, renamed.output) == ("u", "phi")
+
+
+def test_a_damaged_hdf5_file_is_refused(tmp_path):
+    path = tmp_path / "pitch.h5"
+    gb.data.write_response(measured(), path)
+    whole = path.read_bytes()
+    for position in (600, len(whole) // 2, len(whole) - 1):
+        path.write_bytes(whole[:position] + bytes([whole[position] ^ 0xFF]) + whole[position + 1 :])
+        with pytest.raises(ValueError, match="is damaged or was changed since it was saved"):
+            gb.read_response(path)
+    path.write_bytes(b"something else")
+    with pytest.raises(ValueError, match="is not a greybox frequency response"):
+        gb.read_response(path)

@@ -1,0 +1,64 @@
+import math
+
+import pytest
+
+from greybox.data.text_table import counted, is_number, listed, number, one_line, text_table, with_error
+
+
+def test_columns_are_aligned():
+    assert text_table(["name", "value"], [["a", "1.5"], ["longer", "10"]]).splitlines() == [
+        "name    value",
+        "------  -----",
+        "a         1.5",
+        "longer     10",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "shown"),
+    [
+        (3.14159, 0.012, ("3.142", "0.012")),
+        (3.14159, 0.0996, ("3.14", "0.10")),
+        (1234.5, 38.0, ("1234", "38")),
+        (1234.5, 380.0, ("1230", "380")),
+        (-0.5, 2.0, ("-0.5", "2.0")),
+        (0.0, 0.1, ("0", "0.1")),
+        (1.0, math.nan, ("1", "-")),
+        (math.nan, 1.0, ("-", "-")),
+        (2.0, 0.0, ("2", "-")),
+    ],
+)
+def test_an_error_has_two_digits_and_the_value_ends_with_it(value, error, shown):
+    """The rule of the Particle Data Group and of GUM 7.2.6, with two digits."""
+    assert with_error(value, error) == shown
+
+
+def test_very_large_and_small_values_keep_their_digits():
+    value, error = with_error(1.23456e-9, 4.5e-12)
+    assert float(value) == pytest.approx(1.2346e-9, rel=1e-3)
+    assert float(error) == 4.5e-12
+    value, error = with_error(1.23456e9, 4.5e5)
+    assert float(value) == pytest.approx(1.2346e9, rel=1e-3)
+    assert float(error) == 4.5e5
+
+
+def test_words_and_numbers():
+    assert [counted(1, "record"), counted(2, "record")] == ["1 record", "2 records"]
+    assert counted(2, "axis", "axes") == "2 axes"
+    assert [number(1.23456789), number(math.nan), number(2.0, 3)] == ["1.2346", "-", "2"]
+
+
+@pytest.mark.parametrize(("cell", "yes"), [("1e3", True), ("nan", True), (" 2 ", True), ("", False), ("1,5", False)])
+def test_a_cell_is_a_number_or_not(cell, yes):
+    assert is_number(cell) == yes
+
+
+def test_names_are_listed_as_in_a_sentence():
+    assert [listed(["a", "b", "c"][:k]) for k in (1, 2, 3)] == ["a", "a and b", "a, b and c"]
+
+
+def test_a_representation_is_one_short_line():
+    assert one_line(1.0, "a", "b") == "<float a, b>"
+    assert one_line(1.0, "two\nlines") == "<float two lines>"
+    assert len(one_line(1.0, "long " * 100)) < 120
+    assert one_line(1.0, "long " * 100).endswith("...>")

@@ -1,0 +1,66 @@
+"""From messages to records: joined, on one clock, one record per instance."""
+
+import numpy as np
+
+from greybox.logs.readers.messages import Messages, bare, merged, on_one_clock, records
+
+
+def messages(name="ATT", order=(0, 1, 2), time=(0.0, 1.0, 2.0), instance="", **columns):
+    order = np.array(order)
+    columns = columns or {"x": np.arange(order.size) * 1.0}
+    return Messages(name, order, None if time is None else np.array(time), columns, instance=instance)
+
+
+def test_instances_are_left_out_of_requested_names():
+    assert bare(None) is None
+    assert bare(["IMU[0]", "ATT", "IMU[1]"]) == ("IMU", "ATT")
+
+
+def test_two_lots_of_one_name_are_joined_in_the_order_of_the_file():
+    first = messages(order=(0, 4), time=(0.0, 4.0), x=np.array([0.0, 4.0]))
+    second = messages(order=(2, 6), time=(2.0, 6.0), x=np.array([2.0, 6.0]))
+    (joined,), findings = merged([first, second])
+    np.testing.assert_array_equal(joined.columns["x"], [0, 2, 4, 6])
+    np.testing.assert_array_equal(joined.time, joined.order)
+    assert findings == ()
+
+
+def test_of_two_lots_with_other_fields_the_larger_stays():
+    large = messages()
+    small = messages(order=(5,), time=(5.0,), y=np.array([1.0]))
+    (kept,), findings = merged([small, large])
+    assert kept is large
+    assert findings == ("ATT: 1 messages with other fields than the rest were left out.",)
+
+
+def test_one_clock_for_all_messages_of_a_log():
+    """A restart between the messages of one kind is seen in those of the other."""
+    n = 200
+    fast = messages("IMU", order=np.arange(n), time=np.concatenate([np.arange(100.0), np.arange(100.0)]) + 5)
+    slow = messages("GPS", order=(n,), time=(105.0,))
+    (fast, slow), (finding,) = on_one_clock([fast, slow])
+    assert np.all(np.diff(fast.time) > 0)
+    assert slow.time[0] > fast.time[-1]
+    assert "the clock restarted at 104.0 s" in finding
+
+
+def test_a_record_for_every_instance_and_none_without_time_or_numbers():
+    imu = messages("IMU", order=range(4), time=(0, 0, 1, 1), instance="I", I=np.array([0, 1, 0, 1.0]), g=np.arange(4.0))
+    timeless = messages("VER", time=None)
+    empty = Messages("MSG", np.arange(1), np.zeros(1), {}, {"text": ["hello"]})
+    never = messages("BAD", time=(np.nan,) * 3)
+    found, findings = records([imu, timeless, empty, never], "a.bin", "abc")
+    assert list(found) == ["IMU[0]", "IMU[1]"]
+    np.testing.assert_array_equal(found["IMU[1]"]["g"], [1, 3])
+    assert list(found["IMU[0]"].signals) == ["g"]
+    assert (found["IMU[0]"].source, found["IMU[0]"].checksum) == ("a.bin", "abc")
+    assert findings == (
+        "VER: its 3 messages have no time and were left out.",
+        "BAD: none of its 3 messages has a plausible time; it was left out.",
+    )
+
+
+def test_dropped_samples_are_counted_with_the_reason():
+    found, findings = records([messages(order=range(5), time=(0.0, 1.0, np.nan, 1.0, 2.0))], "a.bin", "abc")
+    np.testing.assert_array_equal(found["ATT"].time, [0, 1, 2])
+    assert findings == ("ATT: 2 of 5 samples dropped: 1 with implausible times, 1 whose time does not increase.",)

@@ -1,0 +1,38 @@
+import numpy as np
+import pytest
+
+from greybox.data.record import Record
+from greybox.spectral.uniform_stretches import JITTER, uniform_stretches
+
+TIME = np.arange(100) / 50
+RAMP = 3 + 2 * TIME
+
+
+def test_stretches_are_cut_at_gaps_and_missing_samples():
+    time = np.where(TIME < 1, TIME, TIME + 5)
+    hole = np.where(np.arange(100) == 20, np.nan, np.sin(time))
+    stretches = uniform_stretches(Record(time, {"u": RAMP, "y": hole}, source="a.bin"), ["u", "y"], "none")
+    assert [s.values.shape for s in stretches] == [(2, 20), (2, 29), (2, 50)]
+    np.testing.assert_array_equal(stretches[2].values[0], RAMP[50:])
+    assert {s.source for s in stretches} == {"a.bin"}
+    assert stretches[0].step == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize(("detrend", "degree"), [("constant", 0), ("linear", 1)])
+def test_what_is_removed_is_a_polynomial_fitted_by_least_squares(detrend, degree):
+    values = np.random.default_rng(0).standard_normal(100) + RAMP
+    (stretch,) = uniform_stretches(Record(TIME, {"u": values}), ["u"], detrend)
+    fitted = np.polyval(np.polyfit(TIME, values, degree), TIME)
+    np.testing.assert_allclose(stretch.values[0], values - fitted, atol=1e-12)
+
+
+@pytest.mark.parametrize(("share", "accepted"), [(0.9, True), (1.1, False)])
+def test_a_time_base_may_be_off_by_a_twentieth_of_a_step(share, accepted):
+    time = TIME.copy()
+    time[30] += share * JITTER * 0.02
+    flown = Record(time, {"u": RAMP}, name="flight")
+    if accepted:
+        assert len(uniform_stretches(flown, ["u"], "none")) == 1
+    else:
+        with pytest.raises(ValueError, match=r"flight is not uniformly sampled \(1.1 ms off at 0.60 s\)"):
+            uniform_stretches(flown, ["u"], "none")

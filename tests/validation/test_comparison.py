@@ -1,0 +1,48 @@
+"""The table of a comparison, as values and as text."""
+
+import math
+
+import pytest
+
+from greybox.validation.comparison import Comparison, Row, p_text
+
+ROWS = (
+    Row("fit", "", "AIC", "", (3.0, None)),
+    Row("fit", "", "free parameters", "", (2.0, 4.0)),
+)
+
+
+def test_values_are_found_by_measure_and_label():
+    found = Comparison(("a", "b"), "the same for all", ROWS, ("a is better.",))
+    assert found.value("AIC", "a") == 3.0
+    assert found.value("AIC", "b") is None
+    for arguments in (("BIC", "a"), ("AIC", "c"), ("AIC", "a", "held-out"), ("AIC", "a", "fit", "v")):
+        with pytest.raises(ValueError, match="there is no"):
+            found.value(*arguments)
+    assert found.table[1] == {
+        "data": "fit",
+        "output": "",
+        "measure": "free parameters",
+        "unit": "",
+        "values": {"a": 2.0, "b": 4.0},
+    }
+
+
+def test_it_prints_the_table_and_the_sentences():
+    text = str(Comparison(("a", "b"), "the same for all", ROWS, ("a is better.",)))
+    lines = text.splitlines()
+    assert lines[0] == "Comparison of a, b"
+    assert lines[2] == "  data  the same for all"
+    assert any(line.split() == ["AIC", "3", "-"] for line in lines)
+    assert lines[-1] == "  a is better."
+
+
+def test_p_values_in_sentences():
+    assert [p_text(p) for p in (0.0, 9e-5, 1e-4, 0.0123, 0.5)] == [
+        "p < 0.0001",
+        "p < 0.0001",
+        "p = 0.0001",
+        "p = 0.012",
+        "p = 0.5",
+    ]
+    assert p_text(math.nan) == "p = nan"
