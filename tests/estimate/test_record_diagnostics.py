@@ -176,7 +176,7 @@ def test_rest_in_one_of_several_records_is_no_matter():
 
 def test_a_record_in_which_nothing_happens_is_refused():
     still = slid(0.0, 0.0)
-    with pytest.raises(ValueError, match=r"never move \(u\): nothing can be estimated from it, since x moves no more"):
+    with pytest.raises(ValueError, match=r"never change \(u\) and x is indistinguishable from noise: nothing can"):
         fit(Slide(), still)
 
 

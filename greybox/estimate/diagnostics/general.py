@@ -1,19 +1,21 @@
 """What a careful colleague would say about an answer: warnings in sentences."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.part import Trajectory
+from greybox.compiled.record_part import RecordPart
+from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.text_table import counted
 from greybox.estimate.covariance import Accuracy
 from greybox.formulation.problem import Problem
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import has_branches
-from greybox.solve.gauss_newton.driver import Profile
 from greybox.solve.minima import Minimum, Multistart
 
 PHASE_LIMIT = 1.0  # degrees of Padé error over the fitted band
@@ -28,7 +30,7 @@ def warnings(
     search: Multistart,
     accuracy: Accuracy,
     pade_errors: list[float | None],
-    profile: Profile | None = None,
+    trajectories: Sequence[Trajectory | None] = (),
 ) -> tuple[str, ...]:
     """Return everything a reader should know before believing the estimate, most serious first."""
     return (
@@ -41,7 +43,7 @@ def warnings(
         *_variants(search, accuracy),
         *_pade(nlp, pade_errors),
         *_noise(nlp, search.minima[0], accuracy),
-        *_record_noise(nlp, profile),
+        *_record_noise(nlp, trajectories),
         *_jumps(nlp),
     )
 
@@ -102,9 +104,9 @@ def _unknown_constants(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
 
 
 def _size(nlp: Nlp) -> Iterator[str]:
-    numbers = sum(part.numbers for part in nlp.responding)
-    numbers, unknowns = numbers + sum(int(part.shooting.counts.sum()) for part in nlp.records), len(nlp.free)
-    initial = sum(part.unknown_initial for part in nlp.records)
+    numbers = sum(part.numbers for part in nlp.parts)
+    unknowns = len(nlp.free)
+    initial = sum(part.unknown_initial_states for part in nlp.parts)
     if numbers <= unknowns + initial:
         states = f" and {counted(initial, 'initial state')}" if initial else ""
         leave = "leaves" if numbers == 1 else "leave"
@@ -137,7 +139,7 @@ def _agreement(nlp: Nlp, search: Multistart) -> Iterator[str]:
         )
     if search.converged < 0.5 * len(runs):
         yield f"only {search.converged} of {len(runs)} runs converged ({search.failures})."
-    if nlp.records:
+    if nlp.has_states:
         rivals = [m for m in search.minima[1:] if m.cost <= best.cost + CLOSE]
         if rivals:
             excess = rivals[0].cost - best.cost
@@ -177,13 +179,13 @@ def _noise(nlp: Nlp, best: Minimum, accuracy: Accuracy) -> Iterator[str]:
                 f"is about {100 * abs(bias):.0f} % too {'low' if bias < 0 else 'high'}; "
                 f"compare with normalized='{other}', which errs to the other side."
             )
-        if part in nlp.responding and part.criterion.known_noise:
+        if isinstance(part.data, FrequencyResponse) and part.criterion.known_noise:
             yield from _misfit(part, nlp, best.estimate)
 
 
 def _misfit(part: Problem, nlp: Nlp, x: NDArray[np.float64]) -> Iterator[str]:
-    position = nlp.responding.index(part)
-    ratio = float(np.asarray(nlp.cost(nlp.all_values(x)))[position, 0]) / max(len(part.data) - len(nlp.free) / 2, 0.5)
+    position = [response.problem for response in nlp.response_parts].index(part)
+    ratio = float(nlp.part_costs(x)[position]) / max(len(part.data) - len(nlp.free) / 2, 0.5)
     if not 0.4 <= ratio <= 2.5:
         yield (
             f"the residuals of {part.name!r} are {ratio:.2g} times what the given variances say: "
@@ -195,23 +197,23 @@ def _misfit(part: Problem, nlp: Nlp, x: NDArray[np.float64]) -> Iterator[str]:
         )
 
 
-def _record_noise(nlp: Nlp, profile: Profile | None) -> Iterator[str]:
+def _record_noise(nlp: Nlp, trajectories: Sequence[Trajectory | None]) -> Iterator[str]:
     """Say where given standard deviations of outputs are far from those of the residuals."""
-    for part, path in zip(nlp.records, profile.paths if profile else (), strict=False):
-        if part.noise.known is None:
+    for part, trajectory in zip(nlp.parts, trajectories, strict=False):
+        if not isinstance(part, RecordPart) or trajectory is None or part.covariance.known is None:
             continue
-        found = np.sqrt(np.diag(path.products) / np.maximum(part.noise.counts, 1))
-        for name, given, there in zip(part.outputs, part.noise.known, found, strict=True):
+        found = np.sqrt(np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1))
+        for name, given, there in zip(part.outputs, part.covariance.known, found, strict=True):
             if not 0.6 <= there / given <= 1.6:
                 yield (
-                    f"the residual of {name} in {part.part.name!r} is {there / given:.2g} times the given standard "
+                    f"the residual of {name} in {part.problem.name!r} is {there / given:.2g} times the given standard "
                     "deviation: the model misses something or that is wrong; the errors follow the residuals."
                 )
 
 
 def _jumps(nlp: Nlp) -> Iterator[str]:
     """Name delays with which the cost jumps, since a held input reaches an output directly."""
-    found = {name: why for part in nlp.records for name, why in part.jumping.items() if name in nlp.free}
+    found = {name: why for part in nlp.parts for name, why in part.discontinuous_delays.items() if name in nlp.free}
     for name, (input_, output) in found.items():
         yield (
             f"the held input {input_} reaches {output} directly, so the cost jumps where {name} passes a whole sample: "
