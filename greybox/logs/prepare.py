@@ -43,11 +43,9 @@ TO_SI: dict[str, tuple[float, str]] = {
 # wider pass band takes more samples from the ends of a stretch: the filter has 5.0 / (STOP - PASS) new samples.
 PASS = 0.35
 STOP = 0.5
-ATTENUATION = 80.0  # dB of the stop band, 13 bits: below the resolution of what flight controllers log
+ATTENUATION = 80.0  # dB: 1e-4 of the amplitude of what would be aliased
 
-SAME_RATE = (
-    0.95  # of the source's rate, from which no filter is needed: aliases are within 5 % of the Nyquist frequency
-)
+SAME_RATE = 0.95  # of the source's rate, from which no filter is applied: it would change only the uppermost 5 %
 FASTEST = 10  # times the rate of the fastest signal, beyond which `rate` is refused as a mistake in units
 
 
@@ -142,7 +140,8 @@ def prepare(
     keep = np.logical_and.reduce([np.isfinite(values) for values in sampled.values()])
     if keep.sum() < 2:
         raise ValueError(
-            f"{', '.join(sources)} are never present at the same time from {grid[0]:.1f} to {grid[-1]:.1f} s."
+            f"{', '.join(sources)} are never present at the same time from {grid[0]:.1f} to {grid[-1]:.1f} s: "
+            "choose signals, or a start and an end, that overlap."
         )
 
     values = {}
