@@ -30,6 +30,11 @@ def counted(count: float, one: str, more: str = "") -> str:
     return f"{amount} {one if count == 1 else more or one + 's'}"
 
 
+def listed(names: Sequence[str]) -> str:
+    """Return "a", "a and b" or "a, b and c"."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
 def with_error(value: float, error: float) -> tuple[str, str]:
     """Format a value and its standard error, the error with two significant digits and the value to its last digit."""
     if not (math.isfinite(value) and math.isfinite(error)) or error <= 0:

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.text_table import counted, number, with_error
+from greybox.data.text_table import counted, listed, number, with_error
 from greybox.estimate.result import Fit, FittedRecord
 from greybox.simulation.prediction import Prediction
 from greybox.statistics.metrics import mean_test, whiteness
@@ -185,7 +185,7 @@ def _residuals_not_white(fits: Sequence[Fit], labels: Sequence[str]) -> Iterator
             colored.append(label)
     if colored:
         yield (
-            f"AIC and BIC assume white residuals, and those of {_listed(colored)} are not white: their differences "
+            f"AIC and BIC assume white residuals, and those of {listed(colored)} are not white: their differences "
             "overstate the evidence."
         )
 
@@ -216,10 +216,10 @@ def _by_predictions(others: Sequence[tuple[str, float]]) -> str:
     """Say what predictions add to an estimate that is distinguishable from zero, given the z over the others."""
     better = [label for label, z in others if z < 0]
     if better:
-        return f"not zero, but {_listed(better)}, without it, explains the data better."
+        return f"not zero, but {listed(better)}, without it, explains the data better."
     equal = [label for label, z in others if z == 0]
     if equal:
-        return f"not zero, but {_listed(equal)}, without it, explains the data as well."
+        return f"not zero, but {listed(equal)}, without it, explains the data as well."
     return "determined by these data."
 
 
@@ -231,11 +231,6 @@ def _no_likelihood(fits: Sequence[Fit]) -> Iterator[str]:
             f"AIC and BIC do not exist for {' and '.join(sorted(rules))}, which is no likelihood: compare the costs; "
             "with the variance of every point, MaximumLikelihood() has them."
         )
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Return "a", "a and b" or "a, b and c"."""
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def _two_sided(z: float, dof: float = math.inf) -> float:

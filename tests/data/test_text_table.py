@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from greybox.data.text_table import counted, is_number, number, text_table, with_error
+from greybox.data.text_table import counted, is_number, listed, number, one_line, text_table, with_error
 
 
 def test_columns_are_aligned():
@@ -51,3 +51,14 @@ def test_words_and_numbers():
 @pytest.mark.parametrize(("cell", "yes"), [("1e3", True), ("nan", True), (" 2 ", True), ("", False), ("1,5", False)])
 def test_a_cell_is_a_number_or_not(cell, yes):
     assert is_number(cell) == yes
+
+
+def test_names_are_listed_as_in_a_sentence():
+    assert [listed(["a", "b", "c"][:k]) for k in (1, 2, 3)] == ["a", "a and b", "a, b and c"]
+
+
+def test_a_representation_is_one_short_line():
+    assert one_line(1.0, "a", "b") == "<float a, b>"
+    assert one_line(1.0, "two\nlines") == "<float two lines>"
+    assert len(one_line(1.0, "long " * 100)) < 120
+    assert one_line(1.0, "long " * 100).endswith("...>")

@@ -105,3 +105,52 @@ def test_too_few_values_are_not_tested(values):
     assert math.isnan(metrics.whiteness([np.array(values)]).p_value)
     assert math.isnan(metrics.input_correlation([np.array(values)], [np.array(values)]).p_value)
     assert math.isnan(metrics.mean_test([np.array(values)])[1])
+
+
+def colored(values, random, count=400):
+    return lfilter([1], [1, -values], random.normal(size=count + 50))[50:]
+
+
+def test_whiteness_has_its_nominal_size_and_finds_color():
+    random = np.random.default_rng(0)
+    holes = [random.normal(size=400) for _ in range(400)]
+    for e in holes[::2]:
+        e[random.uniform(size=400) < 0.2] = np.nan
+    assert 0.02 < np.mean([metrics.whiteness([e]).p_value < 0.05 for e in holes]) < 0.085
+    assert np.mean([metrics.whiteness([colored(0.3, random)]).p_value < 0.05 for _ in range(50)]) > 0.9
+    # Two stretches tell of correlations within them alone.
+    step = np.repeat([5.0, -5.0], 200)
+    halves = np.split(random.normal(size=400) + 0 * step, 2)
+    assert metrics.whiteness(halves).dof == 25
+    assert np.isnan(metrics.whiteness([np.full(9, np.nan)]).p_value)
+
+
+def test_correlation_with_the_input_has_its_nominal_size_and_finds_what_was_missed():
+    random = np.random.default_rng(1)
+    for color in (0.0, 0.7):
+        p = [metrics.input_correlation([colored(color, random)], [colored(0.9, random)]).p_value for _ in range(300)]
+        assert 0.015 < np.mean(np.array(p) < 0.05) < 0.10, color
+    missed = []
+    for _ in range(50):
+        u = colored(0.9, random)
+        missed.append(metrics.input_correlation([random.normal(size=400) + 0.15 * np.roll(u, 3)], [u]).p_value < 0.05)
+    assert np.mean(missed) > 0.9
+
+
+def test_the_error_of_a_mean_takes_the_correlation_into_account():
+    random = np.random.default_rng(2)
+    z = [np.divide(*metrics.mean_test([colored(0.7, random)])) for _ in range(300)]
+    assert 0.85 < np.std(z) < 1.25
+
+
+def test_theils_shares_are_those_of_what_was_made():
+    y = np.sin(np.arange(1000) / 30)
+    assert metrics.theil(y, y).coefficient == 0
+    assert metrics.theil(y, y + 0.5).bias == pytest.approx(1)
+    assert metrics.theil(y, 0.5 * y).variance == pytest.approx(1, abs=0.01)
+    noisy = metrics.theil(y, y + 0.1 * np.random.default_rng(0).normal(size=1000))
+    assert noisy.covariance > 0.95
+    assert noisy.bias + noisy.variance + noisy.covariance == pytest.approx(1)
+    assert metrics.theil(y, -y).coefficient == pytest.approx(1)
+    assert metrics.variance_accounted_for(y, y + 3) == pytest.approx(100)
+    assert metrics.fit_percent(y, np.full(1000, y.mean())) == pytest.approx(0)

@@ -6,17 +6,8 @@ import numpy as np
 import pytest
 from declared_models import TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from drag_flights import LINEAR, QUADRATIC, Drag, LinearDrag, QuadraticDrag, fitted, flight
-from scipy.signal import lfilter
 
 import greybox as gb
-from greybox.statistics.metrics import (
-    fit_percent,
-    input_correlation,
-    mean_test,
-    theil,
-    variance_accounted_for,
-    whiteness,
-)
 
 
 @pytest.fixture(scope="module")
@@ -63,29 +54,6 @@ def test_slow_flight_does_not_determine_the_quadratic_term():
     found = gb.compare(fitted(Drag(), record), fitted(LinearDrag(), record), records=other)
     (said,) = [s for s in found.statements if s.startswith("C_x")]
     assert "determined by these data" not in said
-
-
-def test_the_measures_are_those_of_the_predictions(quadratic):
-    right, wrong, other = quadratic
-    found = gb.compare(right, wrong, records=other, window=2.0, lead=1.0)
-    alone = gb.predict(wrong, record=other, horizon=2.0, lead=1.0)
-    assert found.windows == {"identification": 14, "held-out": 14}
-    assert found.value("error (rms)", "LinearDrag", "held-out", "v") == pytest.approx(alone.rms("v"), rel=1e-6)
-    assert found.value("  1 s ahead", "LinearDrag", "held-out", "v") == pytest.approx(alone.rms("v", 0.5), rel=1e-6)
-    assert found.value("fit", "LinearDrag", "held-out", "v") == pytest.approx(alone.fit_percent("v"), rel=1e-6)
-    first, second = (p[0] for p in found.predictions["held-out"])
-    assert np.array_equal(first.rows, second.rows)
-
-
-def test_aic_and_bic_are_those_of_the_likelihood(quadratic):
-    right, wrong, _ = quadratic
-    found = gb.compare(right, wrong)
-    e = right.parts[0].residual("v")
-    n, variance = e.size, np.mean(e**2)
-    logarithm = -0.5 * n * (np.log(2 * np.pi * variance) + 1)
-    k = 1 + 1 + 1  # C_x, the initial state, the variance
-    assert found.value("AIC", "QuadraticDrag") == pytest.approx(2 * k - 2 * logarithm, rel=1e-6)
-    assert found.value("BIC", "QuadraticDrag") == pytest.approx(k * np.log(n) - 2 * logarithm, rel=1e-6)
 
 
 def test_the_table_is_plain(quadratic):
@@ -148,84 +116,6 @@ def test_mistakes_are_told_in_a_sentence(quadratic, call, error, sentence):
     with pytest.raises(error) as caught:
         call(*quadratic)
     assert sentence in str(caught.value)
-
-
-def test_a_nested_test_says_what_is_needed():
-    record = flight({"a5": 0.2, "C_x": 0.05}, 8)
-    small, large = fitted(LinearDrag(), record), fitted(Drag(), record)
-    found = gb.validation.nested_test(small, large)
-    assert found.terms == ("C_x",)
-    assert found.p_value < 1e-6
-    assert str(found).startswith("C_x is needed: LinearDrag is rejected by the test against Drag")
-    held = gb.validation.nested_test(fitted(Drag(), record, fixed={"C_x": 0.05}), large)
-    assert held.p_value > 0.01
-    assert str(held).startswith("C_x is not needed: Drag with C_x fixed explains the data as well as Drag (F(1, 597)")
-    # Of a term that changes little the scaled ratio is the squared t-value.
-    record = flight({"a5": 0.2, "C_x": 0.03}, 8, noise=0.6)
-    small, large = fitted(LinearDrag(), record), fitted(Drag(), record)
-    t = large.estimate["C_x"] / large.standard_error["C_x"]
-    assert 2 < t < 12
-    assert gb.validation.nested_test(small, large).statistic == pytest.approx(t**2, rel=0.15)
-
-
-def test_a_nested_test_keeps_its_size_where_residuals_are_correlated():
-    scaled, bare = [], []
-    for seed in range(80):
-        record = flight(LINEAR, 100 + seed, duration=15.0, color=0.7)
-        found = gb.validation.nested_test(fitted(LinearDrag(), record), fitted(Drag(), record))
-        scaled.append(found.p_value < 0.05)
-        bare.append(found.likelihood_ratio > 3.84)
-    assert np.mean(bare) > 0.2  # as if the residuals were white
-    assert np.mean(scaled) < 0.125  # at 5 %: 97.5 % of such experiments with up to 80 of 80
-
-
-def colored(values, random, count=400):
-    return lfilter([1], [1, -values], random.normal(size=count + 50))[50:]
-
-
-def test_whiteness_has_its_nominal_size_and_finds_color():
-    random = np.random.default_rng(0)
-    holes = [random.normal(size=400) for _ in range(400)]
-    for e in holes[::2]:
-        e[random.uniform(size=400) < 0.2] = np.nan
-    assert 0.02 < np.mean([whiteness([e]).p_value < 0.05 for e in holes]) < 0.085
-    assert np.mean([whiteness([colored(0.3, random)]).p_value < 0.05 for _ in range(50)]) > 0.9
-    # Two stretches tell of correlations within them alone.
-    step = np.repeat([5.0, -5.0], 200)
-    halves = np.split(random.normal(size=400) + 0 * step, 2)
-    assert whiteness(halves).dof == 25
-    assert np.isnan(whiteness([np.full(9, np.nan)]).p_value)
-
-
-def test_correlation_with_the_input_has_its_nominal_size_and_finds_what_was_missed():
-    random = np.random.default_rng(1)
-    for color in (0.0, 0.7):
-        p = [input_correlation([colored(color, random)], [colored(0.9, random)]).p_value for _ in range(300)]
-        assert 0.015 < np.mean(np.array(p) < 0.05) < 0.10, color
-    missed = []
-    for _ in range(50):
-        u = colored(0.9, random)
-        missed.append(input_correlation([random.normal(size=400) + 0.15 * np.roll(u, 3)], [u]).p_value < 0.05)
-    assert np.mean(missed) > 0.9
-
-
-def test_the_error_of_a_mean_takes_the_correlation_into_account():
-    random = np.random.default_rng(2)
-    z = [np.divide(*mean_test([colored(0.7, random)])) for _ in range(300)]
-    assert 0.85 < np.std(z) < 1.25
-
-
-def test_theils_shares_are_those_of_what_was_made():
-    y = np.sin(np.arange(1000) / 30)
-    assert theil(y, y).coefficient == 0
-    assert theil(y, y + 0.5).bias == pytest.approx(1)
-    assert theil(y, 0.5 * y).variance == pytest.approx(1, abs=0.01)
-    noisy = theil(y, y + 0.1 * np.random.default_rng(0).normal(size=1000))
-    assert noisy.covariance > 0.95
-    assert noisy.bias + noisy.variance + noisy.covariance == pytest.approx(1)
-    assert theil(y, -y).coefficient == pytest.approx(1)
-    assert variance_accounted_for(y, y + 3) == pytest.approx(100)
-    assert fit_percent(y, np.full(1000, y.mean())) == pytest.approx(0)
 
 
 def test_fits_of_responses_are_compared_by_their_costs():

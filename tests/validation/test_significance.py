@@ -96,7 +96,3 @@ def test_a_term_is_judged_against_zero_and_by_predictions():
         == "not zero, but b, without it, explains the data as well."
     )
     assert significance._by_predictions([("a", 3.0)]) == "determined by these data."
-
-
-def test_names_are_listed_as_in_a_sentence():
-    assert [significance._listed("abc"[:k]) for k in (1, 2, 3)] == ["a", "a and b", "a, b and c"]

@@ -1,0 +1,125 @@
+"""Least squares over several equations and its covariance, against the formulas written out with full matrices."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.linalg import toeplitz
+from scipy.optimize import minimize
+from scipy.signal import lfilter
+
+from greybox.regression.least_squares import (
+    Autocovariance,
+    Block,
+    autocovariances,
+    covariance,
+    residuals,
+    solve,
+    spread,
+    undetermined,
+)
+
+TRUTH = np.array([2.0, -30.0, 0.004])
+WIDE = np.full(3, np.inf)
+
+
+def blocks(noise=0.0, sizes=(40, 25, 60), seed=0):
+    """Two equations, the first over two stretches; the columns differ in size by five decades."""
+    random = np.random.default_rng(seed)
+    result = []
+    for equation, n in zip((0, 0, 1), sizes, strict=True):
+        slopes = random.normal(size=(n, 3)) * [1.0, 0.01, 1e3]
+        base = random.normal(size=n)
+        result.append(Block(equation, base + slopes @ TRUTH + noise * random.normal(size=n), base, slopes))
+    return result
+
+
+def stacked(parts, weights):
+    X = np.vstack([weights[b.equation] * b.slopes for b in parts])
+    return X, np.concatenate([weights[b.equation] * (b.target - b.base) for b in parts])
+
+
+def test_the_solution_is_that_of_the_stacked_equations():
+    parts, weights = blocks(noise=0.5), np.array([1.0, 7.0])
+    X, y = stacked(parts, weights)
+    assert_allclose(solve(parts, weights, -WIDE, WIDE), np.linalg.lstsq(X, y, rcond=None)[0], rtol=1e-10)
+    assert_allclose(solve(blocks(), weights, -WIDE, WIDE), TRUTH, rtol=1e-12)
+
+
+def test_bounds_hold_and_the_rest_is_the_best_within_them():
+    parts, weights = blocks(noise=0.5), np.ones(2)
+    low, high = np.array([-np.inf, -20.0, -np.inf]), np.array([1.5, np.inf, np.inf])
+    found = solve(parts, weights, low, high)
+    X, y = stacked(parts, weights)
+    scale = np.array([1.0, 100.0, 1e-3])
+    best = minimize(
+        lambda z: np.sum((X @ (z * scale) - y) ** 2),
+        np.array([1.0, 0.0, 0.0]),
+        bounds=list(zip(low / scale, high / scale, strict=True)),
+        tol=1e-14,
+    )
+    assert_allclose(found[:2], [1.5, -20.0])
+    assert_allclose(found, best.x * scale, rtol=1e-4)
+
+
+def test_what_has_no_effect_is_named_alone_and_in_combination():
+    parts = [Block(b.equation, b.target, b.base, np.column_stack([b.slopes, 0 * b.base])) for b in blocks()]
+    assert undetermined(parts) == [(3,)]
+    doubled = [
+        Block(b.equation, b.target, b.base, np.column_stack([b.slopes, 3e-5 * b.slopes[:, 2] - b.slopes[:, 0]]))
+        for b in blocks()
+    ]
+    assert undetermined(doubled) == [(0, 2, 3)]
+    assert undetermined(blocks()) == []
+
+
+def test_spread_is_the_rms_of_an_equation():
+    parts = blocks(noise=0.5)
+    errors = residuals(parts, TRUTH)
+    first, second = np.concatenate(errors[:2]), errors[2]
+    assert_allclose(spread(parts, errors), [np.sqrt(np.mean(first**2)), np.sqrt(np.mean(second**2))])
+    exact = spread(parts, [0 * e for e in errors])
+    assert np.all((exact > 0) & (exact < 1e-10))
+
+
+@pytest.mark.parametrize("lags", [[0.3], [0.3, 0.2, 0.1, 0.02]])
+def test_the_covariance_is_the_sandwich_with_full_matrices(lags):
+    parts, weights = blocks(), np.array([1.0, 7.0])
+    colored = [Autocovariance(np.array(lags), 1.0), Autocovariance(2 * np.array(lags), 1.0)]
+    X, _ = stacked(parts, weights)
+    R = np.zeros((len(X), len(X)))
+    first = 0
+    for b in parts:
+        row = np.zeros(len(b.base))
+        row[: len(lags)] = colored[b.equation].lags
+        rows = slice(first, first + len(b.base))
+        R[rows, rows] = weights[b.equation] ** 2 * toeplitz(row)
+        first += len(b.base)
+    inverse = np.linalg.inv(X.T @ X)
+    assert_allclose(covariance(parts, weights, colored), inverse @ X.T @ R @ X @ inverse, rtol=1e-8)
+
+
+def test_the_autocovariance_of_white_residuals_is_their_variance():
+    random = np.random.default_rng(1)
+    parts = blocks(sizes=(3000, 2000, 4000))
+    first, second = autocovariances(parts, [2.0 * random.normal(size=len(b.base)) for b in parts])
+    assert first.lags[0] == pytest.approx(4.0, rel=0.05)
+    assert np.abs(first.lags[1:]).max(initial=0.0) < 0.2
+    assert first.independent == pytest.approx(5000, rel=0.1)
+    assert second.independent == pytest.approx(4000, rel=0.1)
+
+
+def test_the_autocovariance_of_colored_residuals_is_theirs():
+    """Of an AR(1) with a pole at a: a^k, worth (1 - a²) / (1 + a²) of its samples, under a Parzen window."""
+    a, random = 0.9, np.random.default_rng(2)
+    parts = blocks(sizes=(20000, 20000, 10))
+    errors = [lfilter([np.sqrt(1 - a**2)], [1, -a], random.normal(size=len(b.base))) for b in parts]
+    colored = autocovariances(parts, errors)[0]
+    assert_allclose(colored.lags[:10], a ** np.arange(10), atol=0.12)
+    # Squares of noisy lags add up, so that the number is on the low side.
+    assert 0.7 < colored.independent / (40000 * (1 - a**2) / (1 + a**2)) < 1.05
+    assert np.linalg.eigvalsh(toeplitz(colored.lags)).min() > -1e-9
+
+
+def test_exact_residuals_have_no_color():
+    parts = blocks()
+    assert autocovariances(parts, [0 * b.base for b in parts])[0].lags.tolist() == [0.0]

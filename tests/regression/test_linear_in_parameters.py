@@ -1,0 +1,96 @@
+"""Which states are known, which equations are left, which parameters enter linearly, of a small model."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import greybox as gb
+from greybox.modeling.realization import dynamics
+from greybox.regression.linear_in_parameters import regressions
+
+
+class Motor(gb.StateSpace):
+    """Angle, rate and a current that follows the voltage with a lag: L i' = u - R i."""
+
+    states, inputs, outputs = ("angle", "rate", "current"), ("u",), ("degrees",)
+    delays = {"u": "T"}
+    k = gb.Parameter(2.0, bounds=(0, 10))
+    c = gb.Parameter(0.5, bounds=(0, 10))
+    R = gb.Parameter(3.0, bounds=(0.1, 10))
+    L = gb.Parameter(0.5, bounds=(0.1, 10))
+    T = gb.Parameter(0.0, bounds=(0, 0.1), fixed=True)
+
+    def derivative(self, x, u, p):
+        return (x.rate, p.k * x.current - p.c * x.rate * abs(x.rate), (u.u - p.R * x.current) / p.L)
+
+    def output(self, x, u, p):
+        return (180 / np.pi * x.angle + 4,)
+
+
+def of(model, signals, fixed=None, start=None):
+    fixed = {"T": 0.0} if fixed is None else fixed
+    free = [p.start for name, p in model.parameters.items() if name not in fixed]
+    return regressions(dynamics(model), signals, fixed, np.array(free if start is None else start))
+
+
+def test_each_state_is_known_in_its_own_way():
+    found = of(Motor(), ["u", "degrees"])
+    assert [str(state) for state in found.states] == [
+        "angle from the signal degrees",
+        "rate from the derivative of angle",
+        "current simulated from u",
+    ]
+    angle, rate, _ = found.states
+    assert_allclose(angle.value([0, 0, 0], 94.0), np.pi / 2)
+    assert_allclose(rate.value([0, 0, 0], 0.3), 0.3)
+    assert found.simulated_names == ("current",)
+
+
+def test_parameters_of_a_simulated_state_are_not_linear():
+    found = of(Motor(), ["u", "degrees"])
+    assert [(e.left, e.parameters) for e in found.equations] == [("rate'", ("k", "c", "R", "L"))]
+    assert found.linear == ("k", "c")
+    assert found.nonlinear == ("R", "L")
+
+
+def test_a_measured_state_makes_its_own_equation():
+    found = of(Motor(), ["u", "degrees", "current"])
+    assert {e.left: e.parameters for e in found.equations} == {"rate'": ("k", "c"), "current'": ("R", "L")}
+    # Of R / L and 1 / L, R enters linearly for a given L.
+    assert found.linear == ("k", "c", "R")
+    assert found.nonlinear == ("L",)
+    assert found.equations[0].signals == ("current", "degrees")
+
+
+@pytest.mark.parametrize("signals", [["u", "degrees"], ["u", "degrees", "current"]])
+def test_rows_and_slopes_are_the_right_sides(signals):
+    model = Motor()
+    found = of(model, signals)
+    random = np.random.default_rng(0)
+    x, u, p = random.normal(size=3), random.normal(size=1), random.uniform(1, 2, 4)
+    base, slopes = (np.asarray(v) for v in found.rows(x, u, p))
+    linear = p[[found.free.index(n) for n in found.linear]]
+    wanted = np.asarray(dynamics(model).derivative(x, u, [*p, 0.0])).ravel()
+    rows = [model.states.index(e.target) for e in found.equations]
+    assert_allclose(base.ravel() + slopes @ linear, wanted[rows], rtol=1e-12)
+
+
+def test_the_simulated_state_is_linear_in_itself():
+    found = of(Motor(), ["u", "degrees"])
+    drive, matrix = found.simulated([0, 0, 5.0], [4.0], [2, 0.5, 3, 0.5])
+    assert (float(drive), float(matrix)) == (8.0, -6.0)
+
+
+def test_a_fixed_parameter_is_a_number_and_a_free_delay_is_not_linear():
+    found = of(Motor(), ["u", "degrees", "current"], fixed={"k": 2.0, "c": 0.5, "R": 3.0})
+    assert found.free == ("L", "T")
+    assert found.equations[0].left == "current'"
+    assert (found.linear, found.nonlinear) == ((), ("L", "T"))
+    assert found.delayed == ("u",)
+    assert float(found.delay([0.5, 0.07])) == 0.07
+
+
+def test_an_unstable_state_is_not_simulated():
+    found = of(Motor(), ["u", "degrees"], start=[2.0, 0.5, -3.0, 0.5])
+    assert found.equations == ()
+    assert found.left_out == ("rate' (it needs current, not known)", "current' (the state current is not known)")
