@@ -227,7 +227,8 @@ def _derivative(series: ca.SX, omega: ca.SX) -> ca.SX:
     """Return the coefficients of the time derivative, row by row."""
     result = ca.SX(*series.shape)
     for k in range(1, series.size2() // 2 + 1):
-        cosine, sine = 2 * k - 1, 2 * k
+        cosine = 2 * k - 1
+        sine = 2 * k
         result[:, cosine] = k * omega * series[:, sine]
         result[:, sine] = -k * omega * series[:, cosine]
     return result
