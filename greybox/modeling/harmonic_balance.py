@@ -134,7 +134,9 @@ def check_sine(model: Model, sine: Sine, input: str, omega: NDArray[np.float64])
         )
     known = dict.fromkeys((input, *model.outputs, *model.states))
     if sine.signal not in known:
-        raise ValueError(f"the sine names {sine.signal!r}; of {model.label} it may be {', '.join(known)}.")
+        raise ValueError(
+            f"the sine is of {sine.signal!r}, which {model.label} does not have: name one of {', '.join(known)}."
+        )
     sine.amplitudes(omega)
 
 
