@@ -6,7 +6,7 @@ oscillation is followed (`stable_substeps`). Accuracy is judged by repeating the
 is the error of n but for a factor 1 - 2^-q, and gives the number that meets a tolerance (`accurate_substeps`). Where
 the model is then run again, the growth per run is limited (`substep_growth`).
 
-The tolerance, what it is relative to, and the largest number of substeps differ from place to place: they are arguments.
+The tolerance, what it is relative to, and the most substeps differ from place to place: they are arguments.
 
 Source: Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, 2nd ed., section II.4: Richardson's error
 estimate (4.4), the step size that meets a tolerance, and limits of its change, (4.12) to (4.13). Stability: volume II,
