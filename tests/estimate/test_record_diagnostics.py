@@ -281,7 +281,7 @@ def test_no_branch_is_told_of_where_the_model_has_none():
             return (x.y + 0 * p.mass,)
 
     (text,) = said(fit(Dead(), driven(200), starts=[{}]), "mass is not determined")
-    assert text.endswith("at this estimate at all; fix it.")
+    assert text.endswith("at this estimate; fix it.")
 
 
 # --- residuals that are correlated in time ----------------------------------------------------------------------------
