@@ -130,11 +130,11 @@ class FrequencyResponse:
             digest.update(b"-" if values is None else np.ascontiguousarray(values).tobytes())
         return digest.hexdigest()
 
-    def where(self, there: NDArray[np.bool_]) -> "FrequencyResponse":
-        """Return the points for which `there` (n,) is true."""
+    def where(self, kept: NDArray[np.bool_]) -> "FrequencyResponse":
+        """Return the points for which `kept` (n,) is true."""
         columns = ("omega", "response", "coherence", "variance", "dof")
-        kept = {name: values[there] for name in columns if (values := getattr(self, name)) is not None}
-        return replace(self, **kept)
+        arrays = {name: values[kept] for name in columns if (values := getattr(self, name)) is not None}
+        return replace(self, **arrays)
 
     def times_s(self, output: str = "") -> "FrequencyResponse":
         """Multiply by jω, e.g. from an angle to its rate; `output` names the new signal."""

@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.text_table import counted, one_line
 
-GAP = 2.5  # a step longer than this many median steps is a gap, across which nothing is interpolated
+# Median steps: a longer one is a gap, across which nothing is interpolated. One lost sample makes a step of two, which
+# is none; the half is for jitter.
+GAP = 2.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,17 +27,17 @@ class Record:
     signals : mapping of name to (n,) array
         NaN marks a sample that is missing.
     units : mapping of name to str
-        SI after `prepare`; as the log says before.
+        SI after `prepare`; those of the log before.
     name, source : str
         A label, and the file that it came from.
     checksum : str
         SHA-256 of that file; by default that of the numbers.
     metadata : mapping
-        Vehicle, firmware, parameters and the like, as far as the log has them.
+        Vehicle, firmware, parameters and the like, as far as the log holds them.
     filters : mapping of signal name to tuple
-        Known filters that a signal has passed on its way into the log, for a model to include.
+        Known filters that a signal has passed before it was logged, for a model to include.
     findings : tuple of str
-        What was found wrong with it, in words.
+        Problems found in it, in words.
 
     Raises
     ------
@@ -64,7 +66,7 @@ class Record:
         if back.size:
             raise ValueError(
                 f"time does not increase after {time[back[0]]:.6f} s (index {back[0]}): "
-                "sort the samples and drop doubles."
+                "sort the samples and remove duplicates."
             )
         signals = {name: _read_only(values, name) for name, values in self.signals.items()}
         for name, values in signals.items():
@@ -157,7 +159,7 @@ class Recording(Mapping[str, Record]):
         As far as known: ``vehicle, firmware`` (str), ``parameters`` (name to value, the last set), ``defaults``,
         ``texts`` (tuple of (time, text)), ``modes`` (tuple of (time, name)), ``armed`` (tuple of (start, end), s).
     findings : tuple of str
-        What was wrong with the file or is missing, in words.
+        Problems and omissions of the file, in words.
     """
 
     records: Mapping[str, Record]
@@ -197,8 +199,8 @@ class Recording(Mapping[str, Record]):
             return record, name
         holders = [key for key, record in self.records.items() if signal in record.signals]
         if len(holders) != 1:
-            there = f"several messages have it: {', '.join(holders)}" if holders else "no message has it"
-            raise KeyError(f"the signal {signal!r} is not clear, {there}; write MESSAGE.{signal}.")
+            reason = f"several messages have it: {', '.join(holders)}" if holders else "no message has it"
+            raise KeyError(f"the signal {signal!r} is ambiguous or unknown, {reason}; write MESSAGE.{signal}.")
         return self.records[holders[0]], signal
 
     def __repr__(self) -> str:

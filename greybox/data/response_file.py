@@ -1,4 +1,4 @@
-"""Measured frequency responses in files: CSV and HDF5."""
+"""Frequency responses in files: CSV and HDF5."""
 
 import csv
 from collections.abc import Iterable
@@ -41,6 +41,7 @@ def read_response(
         raise FileNotFoundError(f"there is no file {path}.")
     if path.suffix.lower() in HDF5:
         return _read_hdf5(path, input, output, name)
+
     with path.open(newline="", encoding="utf-8-sig") as file:
         lines = csv.reader(file)
         try:
@@ -48,6 +49,7 @@ def read_response(
             rows = [(lines.line_num, row) for row in lines if any(cell.strip() for cell in row)]
         except (UnicodeDecodeError, csv.Error) as error:
             raise ValueError(f"{path} is not a CSV text file ({error}).") from None
+
     wanted = {c: header.index(_column(c, prefix)) for c in COLUMNS if _column(c, prefix) in header}
     missing = [_column(c, prefix) for c in COLUMNS[:3] if c not in wanted]
     if missing:
@@ -58,6 +60,7 @@ def read_response(
     twice = [header[k] for k in wanted.values() if header.count(header[k]) > 1]
     if twice:
         raise ValueError(f"{path} has two columns {twice[0]!r}: rename or remove one.")
+
     table = [_numbers(path, number, row, wanted, header) for number, row in rows]
     kept = np.array([row for row in table if row is not None], dtype=float).reshape(-1, len(wanted))
     values = dict(zip(wanted, kept.T, strict=True))
@@ -67,7 +70,7 @@ def read_response(
             values["alpha"] + 1j * values["beta"],
             input=input,
             output=output,
-            **{c: values[c] for c in COLUMNS[3:] if c in values},
+            **{c: values[c] for c in EXTRAS if c in values},
             name=name or path.stem,
             source=path.name,
         )
@@ -90,8 +93,9 @@ def write_response(response: FrequencyResponse, path: str | Path) -> None:
         return
     columns = {"omega_rad_s": response.omega, "alpha": response.alpha, "beta": response.beta}
     columns |= {c: getattr(response, c) for c in EXTRAS if getattr(response, c) is not None}
-    rows = [",".join(columns), *(",".join(repr(float(v)) for v in row) for row in zip(*columns.values(), strict=True))]
-    write_text(path, "\n".join(rows) + "\n")
+    rows = zip(*columns.values(), strict=True)
+    lines = [",".join(columns), *(",".join(repr(float(v)) for v in row) for row in rows)]
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def write_group(group: Node, response: FrequencyResponse) -> None:
@@ -114,8 +118,13 @@ def _read_hdf5(path: Path, input: str, output: str, name: str) -> FrequencyRespo
     from greybox.data.sealed_files import open_sealed  # noqa: PLC0415  (h5py is imported when it is needed)
 
     with open_sealed(path, KIND) as file:
-        found = read_group(file)
-    return replace(found, input=input or found.input, output=output or found.output, name=name or found.name)
+        response = read_group(file)
+    return replace(
+        response,
+        input=input or response.input,
+        output=output or response.output,
+        name=name or response.name,
+    )
 
 
 def _column(name: str, prefix: str) -> str:

@@ -1,8 +1,8 @@
-"""HDF5 files that are whole or not there, and that cannot be damaged unnoticed.
+"""HDF5 files with a checksum, written atomically.
 
 A file is written under a temporary name and renamed when it is complete. Its first 512 bytes are an HDF5 user block,
-which every HDF5 reader skips, with the kind of the file and the SHA-256 of everything behind: a damaged file is refused
-before the HDF5 library, which may loop for ever on it, gets to see it.
+which every HDF5 reader skips; it holds the kind of the file and the SHA-256 of everything after it. A damaged file is
+refused before the HDF5 library, which may loop forever on it, opens it.
 """
 
 import hashlib
@@ -16,11 +16,11 @@ import h5py
 from greybox.data.safe_files import replacing
 
 Node = Any  # h5py types every item as "group, dataset or type", which is of no help
-BLOCK = 512
+BLOCK = 512  # bytes, the smallest user block of HDF5
 
 
 def write_sealed(path: Path, kind: str, fill: Callable[[Node], None]) -> None:
-    """Let `fill` write into a new HDF5 file, seal it, and put it in the place of `path`."""
+    """Let `fill` write into a new HDF5 file, seal it, and replace `path` by it."""
     with replacing(path) as temporary:
         with h5py.File(temporary, "w", userblock_size=BLOCK) as file:
             fill(file)
@@ -36,7 +36,7 @@ def open_sealed(path: Path, kind: str) -> Iterator[Node]:
     FileNotFoundError
         If there is no such file.
     ValueError
-        If it is of another kind, or its content is not what was sealed, or cannot be read.
+        If it is of another kind, or was changed since it was sealed, or cannot be read.
     """
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}.")
@@ -58,7 +58,7 @@ def seal(path: Path, kind: str) -> None:
 
 
 def is_sealed(path: Path, kind: str) -> bool:
-    """Tell whether a file says that it is a sealed one of this kind."""
+    """Tell whether a file claims to be a sealed one of this kind."""
     with path.open("rb") as file:
         return file.read(BLOCK).startswith(_title(kind).encode())
 

@@ -1,4 +1,4 @@
-"""One excited stretch of an experiment, and a table of such."""
+"""One excited segment of an experiment, and a table of several."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -9,7 +9,7 @@ from greybox.data.text_table import number, one_line, text_table
 
 @dataclass(frozen=True)
 class Segment:
-    """One excited stretch of an experiment.
+    """One excited segment of an experiment: a sine, a sweep or a multisine.
 
     Parameters
     ----------
@@ -17,7 +17,7 @@ class Segment:
         On the record's clock.
     kind : "sine", "sweep" or "multisine"
     axis : str
-        As the log says it, or the setpoint's name.
+        As named in the log, or the setpoint's name.
     omega : float, rad/s
         Frequency of a sine; NaN otherwise.
     band : (low, high), rad/s
@@ -25,7 +25,7 @@ class Segment:
     amplitude, offset : float
         Of the excitation and its operating point, in `unit` (as the log has it); NaN if not known.
     source : str
-        How it was found: "SIDS", the announcing message, or "setpoint ...".
+        How it was detected: "SIDS", the announcing message, or "setpoint ...".
     usable : bool
         False for a test that cannot be used; `findings` (tuple of str) says why.
 
@@ -82,7 +82,7 @@ class Segment:
 
 
 def segment_table(segments: Sequence[Segment]) -> str:
-    """Return the segments as a table for a terminal, with what was found under it."""
+    """Return the segments as a table for a terminal, with their findings below it."""
     header = ("", "start s", "end s", "kind", "axis", "rad/s", "periods", "amplitude", "offset", "usable", "source")
     rows = []
     for k, s in enumerate(segments, start=1):
@@ -95,7 +95,7 @@ def segment_table(segments: Sequence[Segment]) -> str:
 
 
 def checked_segments(segments: Iterable[object]) -> tuple[Segment, ...]:
-    """Return the segments; TypeError for anything else, such as those of an `Excitation`'s schedule."""
+    """Return the segments; TypeError for anything else, such as the maneuvers of an `Excitation`."""
     found = tuple(segments)
     for segment in found:
         if not isinstance(segment, Segment):

@@ -73,7 +73,7 @@ class Excitation:
         return {name: float(np.ptp(v) / (2 * math.sqrt(2) * np.std(v))) for name, v in self.signals.items()}
 
     def record(self) -> Record:
-        """Return the signals as a `Record`, e.g. to simulate what they will do."""
+        """Return the signals as a `Record`, e.g. for a simulation."""
         return Record(self.time, self.signals, self.units, name="excitation", metadata={"schedule": self.schedule})
 
     def __repr__(self) -> str:
@@ -91,7 +91,7 @@ class Excitation:
 def checked_band(omega: Sequence[float], rate: float) -> Array:
     """Return the frequencies, rad/s, once they are known to be above 0 and well below the sampling rate."""
     values = np.asarray(omega, dtype=float)
-    limit = 2 * math.pi * rate / 5
+    limit = 2 * math.pi * rate / 5  # five samples per period: a held signal has 94 % of the amplitude
     bad = values[~((values > 0) & (values <= limit))]
     if values.size == 0 or bad.size:
         raise ValueError(

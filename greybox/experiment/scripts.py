@@ -1,4 +1,4 @@
-"""What brings a test signal to a vehicle: a CSV file, a Lua script and a parameter file for ArduPilot."""
+"""Files that bring a test signal to a vehicle: CSV, a Lua script and a parameter file for ArduPilot."""
 
 import math
 from pathlib import Path
@@ -13,11 +13,9 @@ FLOWN_AXES = SYSTEMID_AXES[:13]  # those that inject into an attitude loop or th
 
 
 def write_excitation(excitation: Excitation, path: str | Path) -> None:
-    """Write time in s and the signals to a CSV file, which appears complete or not at all."""
-    header = [
-        "time_s",
-        *(f"{n} [{u}]" if (u := excitation.units[n]) else n for n in excitation.signals),
-    ]
+    """Write time in s and the signals to a CSV file, atomically."""
+    units = excitation.units
+    header = ["time_s", *(f"{name} [{units[name]}]" if units[name] else name for name in excitation.signals)]
     rows = zip(excitation.time, *excitation.signals.values(), strict=True)
     lines = [",".join(header), *(",".join(repr(float(v)) for v in row) for row in rows)]
     write_text(Path(path), "\n".join(lines) + "\n")
@@ -27,7 +25,7 @@ def ardupilot_script(excitation: Excitation, axis: str = "pitch", *, period_ms: 
     """Return a Lua script that flies a sine schedule as the angle setpoint of a copter in GUIDED mode.
 
     It starts when the switch of RCx_OPTION `switch` (300 is Scripting1) goes high while the vehicle is armed and in
-    GUIDED, and gives up as soon as one of the three ends. It logs a SINE message: segment, axis, ω in rad/s, amplitude
+    GUIDED, and stops as soon as one of the three ends. It logs a SINE message: segment, axis, ω in rad/s, amplitude
     and operating point in degrees, seconds since the segment began, and the sine in degrees. Source of the interface:
     ArduPilot, libraries/AP_Scripting/docs/docs.lua.
 
@@ -36,8 +34,10 @@ def ardupilot_script(excitation: Excitation, axis: str = "pitch", *, period_ms: 
     excitation : Excitation
         Of `sine_schedule`, in rad.
     axis : {"roll", "pitch", "yaw"}
-    period_ms : between two setpoints, ms
+    period_ms : int, ms
+        Between two setpoints.
     switch : int
+        RCx_OPTION of the switch.
 
     Raises
     ------
@@ -51,6 +51,7 @@ def ardupilot_script(excitation: Excitation, axis: str = "pitch", *, period_ms: 
     unit = next(iter(excitation.units.values()))
     if unit != "rad":
         raise ValueError(f"the setpoint is an angle in rad, but the signal is in {unit or 'no unit'}: give unit='rad'.")
+
     sines = ", ".join(
         f"{{{s.low:.9g}, {math.degrees(s.amplitude):.9g}, {s.end - s.start:.9g}}}" for s in excitation.schedule
     )
@@ -63,7 +64,7 @@ def ardupilot_script(excitation: Excitation, axis: str = "pitch", *, period_ms: 
         "SINES": f"{{ {sines} }}",
     }
     settings = "".join(f"local {name} = {value}\n" for name, value in values.items())
-    return f"-- Sine test on {axis}, made by greybox. {excitation}\n{settings}{_SCRIPT}"
+    return f"-- Sine test on {axis}, made by greybox. {excitation}\n{settings}{_SINE_TEST}"
 
 
 def systemid_parameters(excitation: Excitation, axis: str) -> str:
@@ -78,35 +79,36 @@ def systemid_parameters(excitation: Excitation, axis: str) -> str:
         For anything else than a logarithmic sweep after two periods of its lowest frequency, or values out of the
         mode's range.
     """
-    have = excitation.settings
+    settings = excitation.settings
     if axis not in FLOWN_AXES:
         raise ValueError(f"the axis {axis!r} is not known: use one of {', '.join(FLOWN_AXES)}.")
-    if have.get("kind") != "logarithmic" or have.get("dwell") != DWELL:
+    if settings.get("kind") != "logarithmic" or settings.get("dwell") != DWELL:
         raise ValueError(
             f"SystemID mode flies logarithmic sweeps after {DWELL} periods only: use sweep(low, high, ...)."
         )
-    for name, limit in (("duration", 255), ("fade_in", 20), ("fade_out", 5)):
-        if have[name] > limit:
-            raise ValueError(f"{name} is {have[name]:g} s, but SystemID mode takes at most {limit} s: shorten it.")
+    for name, limit in (("duration", 255), ("fade_in", 20), ("fade_out", 5)):  # ranges of SID_T_REC, SID_T_FADE_...
+        if settings[name] > limit:
+            raise ValueError(f"{name} is {settings[name]:g} s, but SystemID mode takes at most {limit} s: shorten it.")
     number = FLOWN_AXES.index(axis) + 1
     angular = next(iter(excitation.units.values())).startswith("rad")
     if angular == axis.startswith("mixer"):
         raise ValueError(
             f"the axis {axis!r} needs {'a plain number' if angular else 'rad or rad/s'}: give sweep(unit=...)."
         )
+
     values = {
         "AXIS": number,
-        "MAGNITUDE": math.degrees(have["amplitude"]) if angular else have["amplitude"],
-        "F_START_HZ": have["low"] / (2 * math.pi),
-        "F_STOP_HZ": have["high"] / (2 * math.pi),
-        "T_FADE_IN": have["fade_in"],
-        "T_REC": have["duration"],
-        "T_FADE_OUT": have["fade_out"],
+        "MAGNITUDE": math.degrees(settings["amplitude"]) if angular else settings["amplitude"],
+        "F_START_HZ": settings["low"] / (2 * math.pi),
+        "F_STOP_HZ": settings["high"] / (2 * math.pi),
+        "T_FADE_IN": settings["fade_in"],
+        "T_REC": settings["duration"],
+        "T_FADE_OUT": settings["fade_out"],
     }
     return "".join(f"SID_{name},{value:.7g}\n" for name, value in values.items())
 
 
-_SCRIPT = """local GUIDED, HIGH, INFO = 4, 2, 6
+_SINE_TEST = """local GUIDED, HIGH, INFO = 4, 2, 6
 local W, ETA, SECONDS = 1, 2, 3 -- columns of SINES: rad/s, degrees, s
 
 local segment = 0   -- 0 while waiting

@@ -25,15 +25,17 @@ def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
 
     Parameters
     ----------
-    omega : (n,) sequence, rad/s, in the order in which they are flown
+    omega : (n,) sequence, rad/s
+        In the order in which they are flown.
     amplitude : float or (n,) sequence
         η_i, in the signal's unit.
-    offset : float, the operating point
-    periods, least : int and s
+    offset : float
+        The operating point.
+    periods, least : int and float, s
         A sine lasts `periods` periods or `least` seconds, whichever is longer, rounded up to whole periods.
-    lead_in, pause : s
+    lead_in, pause : float, s
         Of the same sine before that, in whole periods, to settle; and at the operating point before and after each.
-    rate : Hz
+    rate : float, Hz
     signal, unit : str
 
     Raises
@@ -42,18 +44,22 @@ def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
         For frequencies that are not between 0 and a fifth of the sampling rate, or numbers that do not match.
     """
     frequencies = checked_band(omega, rate)
-    heights = np.atleast_1d(np.asarray(amplitude, dtype=float))
-    if heights.size not in (1, frequencies.size):
-        raise ValueError(f"there are {frequencies.size} frequencies but {heights.size} amplitudes: give one for each.")
-    heights = np.broadcast_to(heights, frequencies.shape)
+    amplitudes = np.atleast_1d(np.asarray(amplitude, dtype=float))
+    if amplitudes.size not in (1, frequencies.size):
+        raise ValueError(
+            f"there are {frequencies.size} frequencies but {amplitudes.size} amplitudes: give one for each."
+        )
+    amplitudes = np.broadcast_to(amplitudes, frequencies.shape)
+
     schedule = []
     clock = pause
-    for w, eta in zip(frequencies.tolist(), heights.tolist(), strict=True):
+    for w, eta in zip(frequencies.tolist(), amplitudes.tolist(), strict=True):
         period = 2 * math.pi / w
         lead = round_up(lead_in / period) * period
         length = max(periods, round_up(least / period)) * period
         schedule.append(Maneuver(signal, "sine", clock, clock + lead, clock + lead + length, w, w, eta, offset))
         clock += lead + length + pause
+
     time = np.arange(round_up(clock * rate) + 1) / rate
     values = np.full(time.size, float(offset))
     for s in schedule:

@@ -33,13 +33,15 @@ def sweep(  # noqa: PLR0913 - each is one fact of the test card
 
     Parameters
     ----------
-    low, high : rad/s
-    duration, fade_in, fade_out : s
-    rate : Hz
-    amplitude : in the signal's unit
+    low, high : float, rad/s
+    duration, fade_in, fade_out : float, s
+    rate : float, Hz
+    amplitude : float
+        In the signal's unit.
     kind : {"logarithmic", "linear"}
         Equal time per octave, or per rad/s.
     dwell : int
+        Periods of the lowest frequency at the start.
     signal, unit : str
 
     Raises
@@ -59,6 +61,7 @@ def sweep(  # noqa: PLR0913 - each is one fact of the test card
             f"{duration:g} s are too short for {dwell} periods at {low:g} rad/s ({hold:.1f} s) and fades of "
             f"{fade_in:g} and {fade_out:g} s: raise the duration or the lowest frequency, or give dwell=0."
         )
+
     time = np.arange(round_up(duration * rate) + 1) / rate
     span = duration - hold
     late = np.maximum(time - hold, 0)
@@ -68,10 +71,19 @@ def sweep(  # noqa: PLR0913 - each is one fact of the test card
     else:
         phase = low * late + (high - low) * late**2 / (2 * span)
     values = amplitude * _fades(time, duration, fade_in, fade_out) * np.sin(phase + low * np.minimum(time - hold, 0))
-    settings = {"low": low, "high": high, "duration": duration, "kind": kind, "amplitude": amplitude}
-    settings |= {"fade_in": fade_in, "fade_out": fade_out, "dwell": dwell}
-    part = Maneuver(signal, f"{kind} sweep", 0.0, 0.0, duration, low, high, amplitude, 0.0)
-    return Excitation(time, {signal: values}, {signal: unit}, rate, (part,), settings)
+
+    settings = {
+        "low": low,
+        "high": high,
+        "duration": duration,
+        "kind": kind,
+        "amplitude": amplitude,
+        "fade_in": fade_in,
+        "fade_out": fade_out,
+        "dwell": dwell,
+    }
+    maneuver = Maneuver(signal, f"{kind} sweep", 0.0, 0.0, duration, low, high, amplitude, 0.0)
+    return Excitation(time, {signal: values}, {signal: unit}, rate, (maneuver,), settings)
 
 
 def _fades(time: Array, duration: float, fade_in: float, fade_out: float) -> Array:

@@ -1,4 +1,4 @@
-"""From the messages of a log to one record: one time base, SI units, no aliasing, nothing invented across gaps."""
+"""From the messages of a log to one record: one time base, SI units, no aliasing, no interpolation across gaps."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +15,6 @@ from greybox.logs.ardupilot import gyro_filter
 Array = NDArray[np.float64]
 
 # Log unit -> (factor, SI unit).
-
 TO_SI: dict[str, tuple[float, str]] = {
     "deg": (math.pi / 180, "rad"),
     "degheading": (math.pi / 180, "rad"),
@@ -39,7 +38,15 @@ TO_SI: dict[str, tuple[float, str]] = {
     "mV": (0.001, "V"),
     "rpm": (math.pi / 30, "rad/s"),
 }
-PASS, STOP = 0.35, 0.5  # of the new rate: the anti-alias filter is flat to the first and closed from the second
+
+# Of the new rate: the anti-alias filter passes up to the first and stops from the second, the new Nyquist frequency. A
+# wider pass band takes more samples from the ends of a stretch: the filter has 5.0 / (STOP - PASS) new samples.
+PASS = 0.35
+STOP = 0.5
+ATTENUATION = 80.0  # dB: 1e-4 of the amplitude of what would be aliased
+
+SAME_RATE = 0.95  # of the source's rate, from which no filter is applied: it would change only the uppermost 5 %
+FASTEST = 10  # times the rate of the fastest signal, beyond which `rate` is refused as a mistake in units
 
 
 @dataclass(frozen=True)
@@ -60,7 +67,7 @@ def horizontal_velocity(
     """Return the horizontal velocity along a body axis, for `prepare`, from north and east velocity and the yaw angle.
 
     "pitch" and "roll" are the paper's v, which grows with a positive tilt angle: a nose that goes up accelerates
-    backward, so that it is the negative of "forward"; a right side that goes down accelerates to the "right".
+    backward, so that it is the negative of "forward"; with the right side down it accelerates to the "right".
     """
     if axis in ("pitch", "forward"):
         sign = -1 if axis == "pitch" else 1
@@ -125,13 +132,18 @@ def prepare(
         recording = Recording(records, recording.source, recording.checksum, recording.metadata)
     if not signals:
         raise ValueError("signals is empty: name at least one, e.g. {'u': 'RATE.POut'}.")
+
     needed = {name: item.inputs if isinstance(item, Derived) else (item,) for name, item in signals.items()}
     sources = {name: _source(recording, name) for names in needed.values() for name in names}
     grid = _grid(sources, rate, start, end)
     sampled = {name: _on_grid(source, grid, interpolation) for name, source in sources.items()}
     keep = np.logical_and.reduce([np.isfinite(values) for values in sampled.values()])
     if keep.sum() < 2:
-        raise ValueError(f"{', '.join(sources)} are never there together from {grid[0]:.1f} to {grid[-1]:.1f} s.")
+        raise ValueError(
+            f"{', '.join(sources)} are never present at the same time from {grid[0]:.1f} to {grid[-1]:.1f} s: "
+            "choose signals, or a start and an end, that overlap."
+        )
+
     values = {}
     units = {}
     for name, item in signals.items():
@@ -168,9 +180,9 @@ class _Source:
 
 def _source(recording: Recording, signal: str) -> _Source:
     record, field = recording.locate(signal)
-    there = np.isfinite(record[field])
-    time = record.time[there]
-    values = record[field][there]
+    known = np.isfinite(record[field])
+    time = record.time[known]
+    values = record[field][known]
     if time.size < 2:
         raise ValueError(f"{signal} has {counted(time.size, 'sample')}: there is nothing to put on a time base.")
     unit = record.units.get(field, "")
@@ -189,7 +201,7 @@ def _grid(sources: Mapping[str, _Source], rate: float | None, start: float, end:
     if not (math.isfinite(rate) and rate > 0):
         raise ValueError(f"rate {rate} must be a finite number of Hz above 0.")
     fastest = 1 / min(source.step for source in sources.values())
-    if rate > 10 * fastest:
+    if rate > FASTEST * fastest:
         raise ValueError(
             f"rate {rate:g} Hz is more than ten times that of the fastest signal, {fastest:.4g} Hz: lower it."
         )
@@ -209,31 +221,31 @@ def _on_grid(source: _Source, grid: Array, interpolation: str) -> Array:
         inside = (grid >= time[0] - 1e-9) & (grid <= time[-1] + 1e-9)
         if time.size < 2 or not inside.any():
             continue
-        smooth = _low_passed(time, values, source.step, rate) if rate < 0.95 / source.step else (time, values)
+        smooth = _low_passed(time, values, source.step, rate) if rate < SAME_RATE / source.step else (time, values)
         result[inside] = _interpolated(*smooth, np.clip(grid[inside], time[0], time[-1]), interpolation)
     return result
 
 
-def _interpolated(time: Array, values: Array, at: Array, how: str) -> Array:
+def _interpolated(time: Array, values: Array, grid: Array, how: str) -> Array:
     if how == "hold":
-        return values[np.searchsorted(time, at + 1e-9, side="right") - 1]
+        return values[np.searchsorted(time, grid + 1e-9, side="right") - 1]
     if how == "linear" or time.size < 4:
-        return np.interp(at, time, values)
+        return np.interp(grid, time, values)
     if how != "cubic":
         raise ValueError(f"interpolation {how!r} is not known: use 'cubic', 'linear' or 'hold'.")
     from scipy.interpolate import CubicSpline  # noqa: PLC0415  (takes a quarter of a second to import)
 
-    return CubicSpline(time, values)(at)
+    return CubicSpline(time, values)(grid)
 
 
 def _low_passed(time: Array, values: Array, step: float, rate: float) -> tuple[Array, Array]:
-    """Filter with zero phase on a uniform base of the source's own rate; the ends are continued by point reflection."""
+    """Filter with zero phase on a uniform base of the source's own rate; the ends are extended by point reflection."""
     from scipy.signal import firwin, kaiserord, oaconvolve  # noqa: PLC0415  (takes a third of a second to import)
 
     uniform = np.linspace(time[0], time[-1], max(round((time[-1] - time[0]) / step) + 1, 2))
     samples = np.interp(uniform, time, values)
     nyquist = 0.5 / step
-    taps, beta = kaiserord(80.0, (STOP - PASS) * rate / nyquist)
+    taps, beta = kaiserord(ATTENUATION, (STOP - PASS) * rate / nyquist)
     taps = min(taps | 1, 2 * ((samples.size - 1) // 2) + 1)  # odd, and no longer than the reflection can feed
     window: Any = ("kaiser", beta)
     kernel = firwin(taps, (PASS + STOP) / 2 * rate, window=window, fs=2 * nyquist)

@@ -69,12 +69,16 @@ def elimination_order(
     with np.errstate(all="ignore"):
         exact = solve_pencils(pencil, np.stack(right, axis=-1))
         size = np.abs(exact).max(axis=-1, keepdims=True)
-        best, least = tuple(range(n)), np.inf
+        best = tuple(range(n))
+        least = np.inf
         for order in _orders(n):
-            found = np.stack([v + 0 * s for v in solve(entries, right, s, order)], axis=-1)
-            error = np.max(np.nan_to_num(np.abs(found - exact) / size, nan=1e300), where=np.isfinite(size), initial=0.0)
+            solution = np.stack([v + 0 * s for v in solve(entries, right, s, order)], axis=-1)
+            error = np.max(
+                np.nan_to_num(np.abs(solution - exact) / size, nan=1e300), where=np.isfinite(size), initial=0.0
+            )
             if error < least:
-                best, least = order, error
+                best = order
+                least = error
             if least < ACCURATE:
                 break
     return best

@@ -134,7 +134,9 @@ def check_sine(model: Model, sine: Sine, input: str, omega: NDArray[np.float64])
         )
     known = dict.fromkeys((input, *model.outputs, *model.states))
     if sine.signal not in known:
-        raise ValueError(f"the sine names {sine.signal!r}; of {model.label} it may be {', '.join(known)}.")
+        raise ValueError(
+            f"the sine is of {sine.signal!r}, which {model.label} does not have: name one of {', '.join(known)}."
+        )
     sine.amplitudes(omega)
 
 
@@ -227,7 +229,8 @@ def _derivative(series: ca.SX, omega: ca.SX) -> ca.SX:
     """Return the coefficients of the time derivative, row by row."""
     result = ca.SX(*series.shape)
     for k in range(1, series.size2() // 2 + 1):
-        cosine, sine = 2 * k - 1, 2 * k
+        cosine = 2 * k - 1
+        sine = 2 * k
         result[:, cosine] = k * omega * series[:, sine]
         result[:, sine] = -k * omega * series[:, cosine]
     return result

@@ -57,10 +57,13 @@ class LinearSystem:
 
 def jacobians(model: StateSpace) -> ca.Function:
     """Return the CasADi function (parameters, states, inputs) -> A, B, C, D."""
-    n, m = len(model.states), len(model.inputs)
-    p, z = ca.SX.sym("p", len(model.parameters)), ca.SX.sym("z", n + m)
-    f, h = traced_derivative(model, z, p), traced_output(model, z, p)
-    x, u = z[:n], z[n:]
+    n = len(model.states)
+    p = ca.SX.sym("p", len(model.parameters))
+    z = ca.SX.sym("z", n + len(model.inputs))
+    x = z[:n]
+    u = z[n:]
+    f = traced_derivative(model, z, p)
+    h = traced_output(model, z, p)
     blocks = [ca.jacobian(f, x), ca.jacobian(f, u), ca.jacobian(h, x), ca.jacobian(h, u)]
     return ca.Function("jacobians", [p, x, u], blocks)
 

@@ -154,7 +154,7 @@ def _pick(name: str, known: Sequence[str], what: str, owner: str) -> str:
             f"{owner} has no {what} {name!r}; it has {', '.join(known)}: name the data's {what} as one of them."
         )
     if len(known) > 1:
-        raise ValueError(f"{owner} has several {what}s ({', '.join(known)}): say which one the data are, {what}=...")
+        raise ValueError(f"{owner} has several {what}s ({', '.join(known)}): specify which one, {what}=...")
     return known[0]
 
 
@@ -164,7 +164,7 @@ def merge(name: str, a: Parameter, b: Parameter) -> Parameter:
     Raises
     ------
     ValueError
-        When the units differ, one is fixed and the other free, or the bounds do not meet.
+        When the units differ, one is fixed and the other free, or the bounds do not overlap.
     """
     if a == b:
         return a
@@ -214,7 +214,7 @@ def _intersect(name: str, what: str, a: tuple[float, float], b: tuple[float, flo
     low, high = max(a[0], b[0]), min(a[1], b[1])
     if low > high or (low == high and what == "bounds"):
         raise ValueError(
-            f"the {what} of {name!r}, ({a[0]:g}, {a[1]:g}) and ({b[0]:g}, {b[1]:g}), do not meet: "
+            f"the {what} of {name!r}, ({a[0]:g}, {a[1]:g}) and ({b[0]:g}, {b[1]:g}), do not overlap: "
             f"widen them, or give one another name, rename={{{name!r}: ...}}."
         )
     return low, high

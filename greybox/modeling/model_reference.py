@@ -37,7 +37,7 @@ def resolve(stored: dict[str, Any]) -> Model:
     except (ImportError, AttributeError) as error:
         raise LookupError(f"{missing} ({error}): {cure}.") from None
     if not (isinstance(owner, type) and issubclass(owner, Model)):
-        raise LookupError(f"{missing} ({class_name} there is no Model): {cure}.")
+        raise LookupError(f"{missing} (its {class_name} is not a Model): {cure}.")
     arguments = [_alive(value) for value in stored["arguments"]]
     try:
         return owner(*arguments, **{name: _alive(value) for name, value in stored["keywords"].items()})

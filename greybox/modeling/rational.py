@@ -153,8 +153,13 @@ def rational(
         return result if isinstance(result, Rational) else Rational([result])
     assert isinstance(model, StateSpace)
     system = linearize(model, values, at)
-    i, k = system.inputs.index(input), system.outputs.index(output)
-    b, c, d = system.B[:, i], system.C[k], system.D[k, i]
+    i = system.inputs.index(input)
+    k = system.outputs.index(output)
+    b = system.B[:, i]
+    c = system.C[k]
+    d = system.D[k, i]
+
+    # The numerator is the product of the denominator and the Markov parameters d, c b, c A b, ...
     denominator = np.atleast_1d(np.poly(np.linalg.eigvals(system.A))).real
     markov = [d, *(c @ np.linalg.matrix_power(system.A, j) @ b for j in range(len(b)))]
     numerator = np.convolve(denominator, markov)[: len(denominator)]
@@ -217,7 +222,8 @@ def _cancel(numerator: list[Any], denominator: list[Any]) -> tuple[list[Any], li
 
 def _sum(a: list[Any], b: list[Any]) -> list[Any]:
     size = max(len(a), len(b))
-    a, b = [0.0] * (size - len(a)) + a, [0.0] * (size - len(b)) + b
+    a = [0.0] * (size - len(a)) + a
+    b = [0.0] * (size - len(b)) + b
     return [x + y for x, y in zip(a, b, strict=True)]
 
 

@@ -42,7 +42,7 @@ class Dynamics:
 
     @property
     def delayed(self) -> bool:
-        """True when some input has a delay that the parameters set."""
+        """True when some input has a delay."""
         return not self.delay(ca.SX.sym("p", len(self.parameters))).is_zero()
 
 
@@ -100,7 +100,7 @@ def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
     if len(numerator) > n + 1:
         raise ValueError(
             f"{model.label} is improper (its numerator has degree {len(numerator) - 1}, its denominator {n}), which no "
-            "ODE can follow: fit the integral of its output, or add the lag that the measurement has."
+            "ODE can represent: fit the integral of its output, or add the lag that the measurement has."
         )
     numerator = [ca.SX(0)] * (n + 1 - len(numerator)) + numerator
     a = [c / denominator[0] for c in denominator]

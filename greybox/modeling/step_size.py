@@ -3,10 +3,10 @@
 Stability asks for steps within the scheme's region: |λ| h ≤ reach for every pole λ, and |Im λ| h ≤ wave, so that an
 oscillation is followed (`stable_substeps`). Accuracy is judged by repeating the steps with half their length
 (Richardson): for a scheme of order q the error of n substeps falls as n^-q, so the difference between n and 2n of them
-tells the error that n leave, but for a factor 1 - 2^-q, and how many meet a tolerance (`accurate_substeps`). Where the
-model is run again with what this asks for, the growth per run is limited (`substep_growth`).
+is the error of n but for a factor 1 - 2^-q, and gives the number that meets a tolerance (`accurate_substeps`). Where
+the model is then run again, the growth per run is limited (`substep_growth`).
 
-What error matters, of what, and how many substeps are too many, differs from place to place: these are arguments.
+The tolerance, what it is relative to, and the most substeps differ from place to place: they are arguments.
 
 Source: Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, 2nd ed., section II.4: Richardson's error
 estimate (4.4), the step size that meets a tolerance, and limits of its change, (4.12) to (4.13). Stability: volume II,
@@ -23,10 +23,10 @@ Array = NDArray[np.float64]
 # Substeps a sample. An explicit step follows poles up to `reach` per step, RK4 to 64 · 2.7 = 170 per sample; a model
 # with faster ones is stiff, and the implicit `Rosenbrock` takes fewer steps.
 MOST_SUBSTEPS = 64
-# Each repetition compiles the steps anew, which pays from twice as many on.
+# A repetition builds and runs everything anew, so it shall bring at least a halving of the steps.
 LEAST_GROWTH = 2
-# Steps far outside the range in which the error falls with the order exaggerate or hide it: three halvings at once, as
-# the factor facmax of (4.13) limits step sizes. Another repetition is cheaper than steps that are too short ever after.
+# Steps far outside the range in which the error falls with the order hide how many are needed. (4.13) limits the change
+# of a step by facmax, 1.5 to 5 for steps that are merely repeated; with a dearer repetition it is three halvings.
 MOST_GROWTH = 8
 # A state this much smaller than the largest one may be rounding alone: changes of 1e-16 of the largest state are then
 # 1e-10 of it, far below all tolerances here.

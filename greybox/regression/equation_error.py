@@ -34,7 +34,7 @@ MARKED = 0.5
 PAIRS = 2  # antithetic pairs of added noise that measure the bias
 LONG = 20000  # samples from which one pair averages well enough
 REST = 1e-9  # of its size: an input that varies by less is constant but for rounding
-FORGOTTEN = 1.1  # times as long a memory of simulated states at the estimate as at the start: rows are chosen anew
+SLOWER = 1.1  # times as long a memory of simulated states at the estimate as at the start: the rows are chosen anew
 FEW_RESIDUALS = 10  # independent ones beyond the estimates, below which standard errors are known to a quarter at best
 
 
@@ -192,7 +192,7 @@ def equation_error(
         determined, or no equation can be used.
     """
     _require(model, record, cutoff)
-    parameters = _stated(model, fixed or {}, [free] if isinstance(free, str) else free)
+    parameters = _problem_parameters(model, fixed or {}, [free] if isinstance(free, str) else free)
     constants = {n: p.start for n, p in parameters.items() if p.fixed}
     unknown = {n: p for n, p in parameters.items() if not p.fixed}
     if not unknown:
@@ -210,9 +210,10 @@ def equation_error(
 
     data = regressors(equations, names, record, start, longest_delays, band=band)
     projection = project(data, unknown, start)
-    if memory(equations, names, projection.vector) > FORGOTTEN * memory(equations, names, start):
+    # Lags that turn out slower than at their start need more rows at the beginning to forget their initial values.
+    if memory(equations, names, projection.vector) > SLOWER * memory(equations, names, start):
         shorter = regressors(equations, names, record, projection.vector, longest_delays, data.cutoffs, band)
-        if shorter.blocks(projection.vector):  # else the record is too short to leave out more
+        if shorter.blocks(projection.vector):  # else the record is too short for that
             data = shorter
             start = projection.vector
             projection = project(data, unknown, start)
@@ -230,7 +231,7 @@ def _require(model: Any, record: Any, cutoff: Any) -> None:
         raise ValueError(f"cutoff {cutoff!r} must be a number of Hz above 0.")
 
 
-def _stated(model: Model, fixed: Mapping[str, float], free: Sequence[str]) -> dict[str, Parameter]:
+def _problem_parameters(model: Model, fixed: Mapping[str, float], free: Sequence[str]) -> dict[str, Parameter]:
     """Apply `fixed` and `free` to the declared parameters."""
     if not isinstance(fixed, Mapping):
         raise TypeError(f"fixed is {fixed!r:.60}: give {{name: value}}, e.g. fixed=dict(fit.estimate).")

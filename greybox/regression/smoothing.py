@@ -162,7 +162,8 @@ def regular(record: Record) -> Record:
     """
     if len(record) < SHORTEST:
         raise ValueError(f"the record has {counted(len(record), 'sample')}: give at least {SHORTEST}.")
-    step, pieces = record.step, record.pieces
+    step = record.step
+    pieces = record.pieces
     places = [np.rint((piece.time - piece.time[0]) / step).astype(int) for piece in pieces]
     if all(place[-1] + 1 == len(piece) for place, piece in zip(places, pieces, strict=True)):
         require_uniform(record.time)
@@ -240,5 +241,5 @@ def _cross_validated(amplitude: Array, omega: Array) -> float:
     candidates: Sequence[float] = np.linspace(math.log(np.sort(omega)[2]), math.log(omega.max()), CANDIDATES).tolist()
     best = min(candidates, key=score)
     width = candidates[1] - candidates[0]
-    found = minimize_scalar(score, bounds=(best - width, min(best + width, candidates[-1])), method="bounded")
-    return math.exp(found.x if found.fun < score(best) else best)
+    refined = minimize_scalar(score, bounds=(best - width, min(best + width, candidates[-1])), method="bounded")
+    return math.exp(refined.x if refined.fun < score(best) else best)

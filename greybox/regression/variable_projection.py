@@ -205,7 +205,8 @@ def _located(search: _Search) -> Array:
     part = search.on(search.data.busiest(SEARCHED))
     blocks = part.blocks(point)
     if not blocks:
-        part, blocks = search, search.blocks(point)
+        part = search
+        blocks = search.blocks(point)
     weights = _weights(blocks, [b.target for b in blocks])
     boxes = {n: search.parameters[n] for n in search.nonlinear}
     tried = list(Sobol(TRIED).draw(boxes)) if all(np.all(np.isfinite(p.box)) for p in boxes.values()) else []
@@ -301,7 +302,8 @@ def _judged(search: _Search, point: Array, unknowns: Array, weights: Array) -> P
 
 def _explained(blocks: list[Block], errors: list[Array], count: int) -> tuple[tuple[int, ...], tuple[float, ...]]:
     """Return the rows of every equation, and the share of its target's variance that is explained."""
-    rows, shares = [], []
+    rows = []
+    shares = []
     for k in range(count):
         target = np.concatenate([np.zeros(0), *(b.target for b in blocks if b.equation == k)])
         error = np.concatenate([np.zeros(0), *(e for b, e in zip(blocks, errors, strict=True) if b.equation == k)])

@@ -87,7 +87,8 @@ class Prediction:
 
         A state that bears the name of an output is given once, as the output.
         """
-        signals, units = {}, {}
+        signals = {}
+        units = {}
         for k, name in enumerate(self.outputs):
             signals |= {name: self._spread(self.predicted[k]), f"{name}_error": self._spread(self.error[k])}
             units |= dict.fromkeys((name, f"{name}_error"), self.data.units.get(name, ""))

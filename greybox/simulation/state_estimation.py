@@ -1,4 +1,4 @@
-"""The state at the beginning of every window, from what was measured in its lead-in: all windows at once.
+"""State estimation: the state at the beginning of every window from its lead-in, all windows at once.
 
 Each is the maximum a posteriori estimate, by Gauss-Newton steps, under the noise of the outputs and a prior that the
 windows share. The prior's mean and spread of each state are those of all windows (empirical Bayes by expectation and

@@ -264,7 +264,7 @@ class FarAway(LagLagDelay):
             {"model": OtherUnit()},
             r"'T1' has the unit 's' in one part and 'ms' in the other.*rename=\{'T1': \.\.\.\}",
         ),
-        ({}, {"model": FarAway()}, r"the bounds of 'T1', \(0\.001, 10\) and \(20, 40\), do not meet.*rename"),
+        ({}, {"model": FarAway()}, r"the bounds of 'T1', \(0\.001, 10\) and \(20, 40\), do not overlap.*rename"),
         ({}, {"fixed": {"T1": 1.0}}, "'T1' is fixed in one part and free in the other: fix or free it in both"),
         ({"fixed": {"T1": 2.0}}, {"fixed": {"T1": 1.0}}, "'T1' is fixed at 2 in one part and at 1 in the other"),
         ({}, {"tied": {"T1": lambda p: p.T2}}, "'T1' is tied in 'made' and otherwise in another part"),

@@ -332,7 +332,10 @@ def respond(amplitude, model=None, **options):
 @pytest.mark.parametrize(
     ("amplitude", "sentence"),
     [
-        ({"speed": 0.1}, r"the sine names 'speed'; of NonlinearTilt it may be u, theta, v, q, rotor"),
+        (
+            {"speed": 0.1},
+            r"the sine is of 'speed', which NonlinearTilt does not have: name one of u, theta, v, q, rotor",
+        ),
         ({"theta": 0.0}, r"amplitude of 'theta' is 0\.0: give a finite number above 0"),
         ({"theta": np.nan}, r"amplitude of 'theta' is nan"),
         ({"theta": "5"}, r"amplitude of 'theta' is"),

@@ -83,7 +83,7 @@ def test_other_delay_words_are_refused(word):
     [
         ({"output": "w"}, r"LinearTilt has no output 'w'; it has theta, v: name the data's output"),
         ({"input": "w", "output": "v"}, r"LinearTilt has no input 'w'; it has u"),
-        ({}, r"LinearTilt has several outputs \(theta, v\): say which one the data are, output=\.\.\."),
+        ({}, r"LinearTilt has several outputs \(theta, v\): specify which one, output=\.\.\."),
     ],
 )
 @pytest.mark.parametrize("read", [gb.frequency_response, response_function, gb.modeling.rational])

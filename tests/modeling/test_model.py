@@ -124,10 +124,10 @@ def test_merged_bounds_and_start_boxes_intersect():
         (
             {"bounds": (0, 1)},
             {"bounds": (2, 3), "start": 2.0},
-            r"bounds of 'T', \(0, 1\) and \(2, 3\), do not meet",
+            r"bounds of 'T', \(0, 1\) and \(2, 3\), do not overlap",
         ),
-        ({"bounds": (0, 1)}, {"bounds": (1, 3)}, r"bounds of 'T', \(0, 1\) and \(1, 3\), do not meet"),
-        ({"starts": (0, 1)}, {"starts": (2, 3)}, r"start boxes of 'T', \(0, 1\) and \(2, 3\), do not meet"),
+        ({"bounds": (0, 1)}, {"bounds": (1, 3)}, r"bounds of 'T', \(0, 1\) and \(1, 3\), do not overlap"),
+        ({"starts": (0, 1)}, {"starts": (2, 3)}, r"start boxes of 'T', \(0, 1\) and \(2, 3\), do not overlap"),
     ],
 )
 def test_parameters_that_cannot_be_one_unknown_are_refused(a, b, sentence):

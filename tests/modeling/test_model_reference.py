@@ -50,8 +50,8 @@ def test_a_model_survives_json(model):
     [
         ("gone_module_xyz:Tilt", "the model Tilt of the module 'gone_module_xyz' is needed and was not found"),
         ("greybox.models.tilt:Gone", "the model Gone of the module 'greybox.models.tilt' is needed and was not found"),
-        ("greybox.models.tilt:gb", "gb there is no Model"),
-        ("math:sin", "sin there is no Model"),
+        ("greybox.models.tilt:gb", "its gb is not a Model"),
+        ("math:sin", "its sin is not a Model"),
     ],
 )
 def test_a_model_that_is_gone_is_named_with_the_cure(name, words):

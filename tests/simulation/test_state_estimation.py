@@ -1,9 +1,11 @@
-"""States that lead-ins tell stay where the model has finite values, and what is not finite is named."""
+"""States of lead-ins: least squares and Gaussian conditioning written out; models that are not finite everywhere."""
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import greybox as gb
+from greybox.simulation.state_estimation import estimate_states, one_step_errors
 
 
 class Tanks(gb.StateSpace):
@@ -55,3 +57,93 @@ def test_what_is_not_finite_is_named_with_its_place():
         gb.predict(Tanks(), {}, record, horizon=1.0, lead=2.0, integrator=gb.RungeKutta(substeps=8))
     with pytest.raises(ValueError, match=r"is not finite from 3\d\.?\d* s on, \w+ first, after upper = .*gb.maximum"):
         gb.simulate(Tanks(), {}, record, initial={"upper": 2.0, "lower": 1.5})
+
+
+# --- a linear model, of which everything is known
+
+
+SAMPLES, OUTPUTS, STATES = 6, 2, 3
+
+
+def linear(windows, seed=0):
+    """Outputs C_t x of every window, with the same C for all, one of the states the more certain."""
+    random = np.random.default_rng(seed)
+    C = random.normal(size=(SAMPLES, OUTPUTS, STATES))
+    truth = np.array([5.0, -2.0, 1.0]) + random.normal(size=(windows, STATES)) * [1.0, 0.5, 2.0]
+    return C, truth, random
+
+
+def estimated(C, measured, noise):
+    windows = len(measured)
+    present = np.isfinite(measured)
+    return estimate_states(
+        lambda x: np.einsum("tkn,wn->wtk", C, x),
+        lambda x: np.where(present[..., None], C, 0.0),
+        measured,
+        [np.zeros((windows, STATES))],
+        noise,
+        np.nanstd(measured, axis=(0, 1)),
+    )
+
+
+def test_a_few_windows_are_weighted_least_squares():
+    """With fewer than ten windows the prior stays so weak that it does not matter."""
+    C, truth, random = linear(3)
+    noise = np.array([[0.01, 0.004], [0.004, 0.04]])
+    errors = random.multivariate_normal(np.zeros(2), noise, size=(3, SAMPLES))
+    measured = np.einsum("tkn,wn->wtk", C, truth) + errors
+    found = estimated(C, measured, noise)
+    weight = np.linalg.inv(noise)
+    H = np.einsum("tki,kl,tlj->ij", C, weight, C)
+    wanted = np.linalg.solve(H, np.einsum("tki,kl,wtl->iw", C, weight, measured)).T
+    assert_allclose(found.states, wanted, atol=0.02 * np.sqrt(np.diag(np.linalg.inv(H))).max())
+    assert_allclose(found.covariance, np.broadcast_to(np.linalg.inv(H), (3, STATES, STATES)), rtol=0.02, atol=1e-4)
+    assert not found.not_finite.any()
+
+
+def test_many_windows_tell_their_prior_and_the_noise():
+    C, truth, random = linear(400)
+    measured = np.einsum("tkn,wn->wtk", C, truth) + random.normal(size=(400, SAMPLES, OUTPUTS)) * [0.3, 0.6]
+    measured[:, 2, 1] = np.nan
+    found = estimated(C, measured, None)
+    assert_allclose(found.mean, [5, -2, 1], atol=0.3)
+    assert_allclose(1 / np.sqrt(found.precision), [1.0, 0.5, 2.0], rtol=0.15)
+    # What the states have fitted away is shared between the outputs by number, not by what each tells of the states.
+    assert_allclose(np.sqrt(np.diag(found.noise)), [0.3, 0.6], rtol=0.15)
+    error = (found.states - truth) / np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
+    assert_allclose(error.std(axis=0), 1, rtol=0.15)
+
+
+def test_one_step_errors_are_those_of_gaussian_conditioning():
+    """The joint covariance of all measurements, factored: its Cholesky factor whitens them one after another."""
+    C, truth, random = linear(4)
+    noise, precision, mean = np.array([0.2, 0.5]), np.array([1.0, 4.0, 0.25]), np.array([5.0, -2.0, 1.0])
+    measured = np.einsum("tkn,wn->wtk", C, truth) + random.normal(size=(4, SAMPLES, OUTPUTS)) * np.sqrt(noise)
+    measured[1, 3] = np.nan
+    about = random.normal(size=(4, STATES))  # the trajectory about which everything is linear does not matter
+    residual = measured - np.einsum("tkn,wn->wtk", C, about)
+    slopes = np.broadcast_to(C, (4, *C.shape))
+    found = one_step_errors(residual, slopes, mean - about, precision, np.diag(noise))
+    for w in range(4):
+        y = measured[w].ravel()
+        present = np.isfinite(y)
+        H = C.reshape(-1, STATES)[present]
+        covariance = H @ np.diag(1 / precision) @ H.T + np.diag(np.tile(noise, SAMPLES)[present])
+        wanted = np.linalg.solve(np.linalg.cholesky(covariance), y[present] - H @ mean)
+        assert_allclose(found[w].ravel()[present], wanted, rtol=1e-9)
+        assert np.isnan(found[w].ravel()[~present]).all()
+
+
+def test_windows_that_are_not_finite_anywhere_are_named():
+    C, truth, _ = linear(3)
+    measured = np.einsum("tkn,wn->wtk", C, truth)
+    found = estimate_states(
+        lambda x: np.full((3, SAMPLES, OUTPUTS), np.nan),
+        lambda x: np.full((3, SAMPLES, OUTPUTS, STATES), np.nan),
+        measured,
+        [np.zeros((3, STATES)), np.ones((3, STATES))],
+        np.eye(2),
+        np.ones(2),
+    )
+    assert found.not_finite.all()
+    assert np.isnan(found.mean).all()

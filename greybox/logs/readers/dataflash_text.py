@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pymavlink.DFReader import FORMAT_TO_STRUCT
 
 from greybox.data.record import Recording
+from greybox.data.text_table import is_number
 from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.dataflash import CLOCKS, TABLES, clock_column, recording
 from greybox.logs.readers.dataflash_index import Layout
@@ -90,21 +91,22 @@ def _messages(lines: Lines, name: str, units: Units, damaged: dict[str, int]) ->
     split = [[field.strip() for field in body.split(",", width - 1)] for body in bodies]
     sound = [i for i, fields in enumerate(split) if len(fields) == width]
     fields = dict(zip(layout.columns, zip(*(split[i] for i in sound), strict=True), strict=True)) if sound else {}
+
     timer = clock_column(layout)
     time = None
     columns = {}
     texts = {}
-    bad = len(split) - len(sound)
     for letter, column in zip(layout.format, layout.columns, strict=True):
         values = fields.get(column, ())
         if column == timer:
             time = _numbers(values) / CLOCKS.get(column, 1e3)
-        elif letter in "anNZ" or (letter == "M" and values and not _is_number(values[0])):
+        elif letter in "anNZ" or (letter == "M" and values and not is_number(values[0])):
             texts[column] = values
         else:
             columns[column] = _numbers(values)
-    if bad:
-        damaged[name] = bad
+
+    if len(sound) < len(split):
+        damaged[name] = len(split) - len(sound)
     order = np.array([lines.numbers[name][i] for i in sound], dtype=np.int64)
     return Messages(name, order, time, columns, texts, units.columns, units.instance)
 
@@ -114,15 +116,7 @@ def _numbers(values: Sequence[str]) -> NDArray[np.float64]:
     try:
         return np.array(values, dtype=float)
     except ValueError:
-        return np.array([float(value) if _is_number(value) else np.nan for value in values])
-
-
-def _is_number(value: str) -> bool:
-    try:
-        float(value)
-    except ValueError:
-        return False
-    return True
+        return np.array([float(value) if is_number(value) else np.nan for value in values])
 
 
 def _banner(lines: Lines) -> list[Messages]:

@@ -18,7 +18,7 @@ from greybox.logs.readers import telemetry_metadata, time_stamps
 from greybox.logs.readers.ardupilot_metadata import unit
 from greybox.logs.readers.dataflash_index import text
 from greybox.logs.readers.messages import Messages, bare, records
-from greybox.logs.readers.telemetry_frames import KINDS, Frames, payloads, walk
+from greybox.logs.readers.telemetry_frames import KINDS, Frames, find_packets, payloads
 
 Floats = NDArray[np.float64]
 
@@ -54,34 +54,40 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     messages = bare(messages)
     with open(path, "rb") as file:
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    frames = walk(data)
+    frames = find_packets(data)
     if not frames.kinds.size:
         raise ValueError(f"{path} holds no MAVLink packet that can be read; copy it from the ground station again.")
 
-    own = _own_times(data, frames)
-    time, restarts = _common_clock(frames, own, telemetry_metadata.vehicle_sender(data, frames))
+    sender_time = _sender_times(data, frames)
+    time, restarts = _common_clock(frames, sender_time, telemetry_metadata.vehicle_sender(data, frames))
     names = {kind: KINDS[kind].msgname for kind in np.unique(frames.kinds).tolist()}
     wanted = [k for k, name in names.items() if (name not in ABOUT if messages is None else name in messages)]
     groups = [_messages(data, frames, kind, time) for kind in wanted]
     checksum = hashlib.sha256(data).hexdigest()
     found, problems = records(groups, path.name, checksum)
     about = telemetry_metadata.metadata(data, frames, time)
-    findings = (*_damage(frames), *restarts, *_missing(frames, messages), *_received(frames, own, wanted), *problems)
+    findings = (
+        *_damage(frames),
+        *restarts,
+        *_missing(frames, messages),
+        *_received(frames, sender_time, wanted),
+        *problems,
+    )
     return Recording(found, path.name, checksum, about, findings)
 
 
-def _own_times(data: mmap.mmap, frames: Frames) -> Floats:
+def _sender_times(data: mmap.mmap, frames: Frames) -> Floats:
     """Time of every packet by its sender's clock since the sender's start, s; NaN where it carries none."""
-    own = np.full(frames.kinds.size, np.nan)
+    sender_time = np.full(frames.kinds.size, np.nan)
     for kind in np.unique(frames.kinds).tolist():
         timer = next((name for name in TICKS if name in KINDS[kind].fieldnames), "")
         if timer:
             ticks = payloads(data, frames, kind)[timer] / TICKS[timer]
-            own[frames.kinds == kind] = np.where((ticks > 0) & (ticks < EPOCH), ticks, np.nan)
-    return own
+            sender_time[frames.kinds == kind] = np.where((ticks > 0) & (ticks < EPOCH), ticks, np.nan)
+    return sender_time
 
 
-def _common_clock(frames: Frames, own: Floats, vehicle: int) -> tuple[Floats, tuple[str, ...]]:
+def _common_clock(frames: Frames, sender_time: Floats, vehicle: int) -> tuple[Floats, tuple[str, ...]]:
     """Return the time of every packet, s since the vehicle's first start, and where senders restarted.
 
     The median difference between reception and the sender's time is the sender's start; it changes when it restarts.
@@ -91,12 +97,12 @@ def _common_clock(frames: Frames, own: Floats, vehicle: int) -> tuple[Floats, tu
     zero = None
     senders = np.unique(frames.senders).tolist()
     for sender in sorted(senders, key=lambda s: s != vehicle):
-        rows = np.flatnonzero((frames.senders == sender) & np.isfinite(own))
-        starts = (0, *time_stamps.restarts(own[rows]))
+        rows = np.flatnonzero((frames.senders == sender) & np.isfinite(sender_time))
+        starts = (0, *time_stamps.restarts(sender_time[rows]))
         for piece in np.split(rows, starts[1:]) if rows.size else ():
-            start = float(np.median(frames.received[piece] - own[piece]))
+            start = float(np.median(frames.received[piece] - sender_time[piece]))
             zero = start if zero is None else zero
-            time[piece] = own[piece] + start
+            time[piece] = sender_time[piece] + start
         findings += [
             f"sender {_address(sender)} restarted at {time[rows[i]] - (zero or 0.0):.1f} s; its clock continues there."
             for i in starts[1:]
@@ -111,6 +117,7 @@ def _messages(data: mmap.mmap, frames: Frames, kind: int, time: Floats) -> Messa
     sorting = np.argsort(time[rows], kind="stable")
     rows = rows[sorting]
     packets = payloads(data, frames, kind)[sorting]
+
     columns: dict[str, Floats] = {}
     texts: dict[str, Sequence[str]] = {}
     units: dict[str, str] = {}
@@ -123,6 +130,7 @@ def _messages(data: mmap.mmap, frames: Frames, kind: int, time: Floats) -> Messa
             else:
                 columns[label] = values.astype(float)
                 units[label] = unit(known.fieldunits_by_name.get(name, ""))
+
     labels = _labels(frames.senders[rows], known.instance_field, columns, texts)
     texts = {**texts, SENDER: labels} if labels else texts
     columns.pop(known.instance_field, None)
@@ -154,9 +162,9 @@ def _address(sender: int) -> str:
     return f"{sender >> 8}:{sender & 0xFF}"
 
 
-def _received(frames: Frames, own: Floats, wanted: Collection[int]) -> tuple[str, ...]:
+def _received(frames: Frames, sender_time: Floats, wanted: Collection[int]) -> tuple[str, ...]:
     """Say which kinds have their reception time."""
-    names = [KINDS[kind].msgname for kind in wanted if np.isnan(own[frames.kinds == kind]).all()]
+    names = [KINDS[kind].msgname for kind in wanted if np.isnan(sender_time[frames.kinds == kind]).all()]
     if not names:
         return ()
     return (f"these carry no time of their own and have the time of their reception: {', '.join(names)}.",)

@@ -54,7 +54,7 @@ class Frames:
     unknown: int
 
 
-def walk(data: mmap.mmap) -> Frames:
+def find_packets(data: mmap.mmap) -> Frames:
     """Find every packet in `data` whose checksum is right."""
     fields = array("q")
     at = 0
@@ -65,17 +65,19 @@ def walk(data: mmap.mmap) -> Frames:
     while at + STAMP < size:
         frame = _frame(data, at + STAMP)
         if frame is None:
-            found = _next_sound(data, at + STAMP + 1) - STAMP
-            skipped = skipped + found - at
-            places = places + 1
-            at = found
+            next_packet = _next_sound(data, at + STAMP + 1) - STAMP
+            skipped += next_packet - at
+            places += 1
+            at = next_packet
             continue
+
         kind, sender, start, length, end = frame
         if kind in KINDS:
             fields.extend((kind, sender, start, length, int.from_bytes(data[at : at + STAMP], "big") & 2**63 - 1))
         else:
             unknown += 1
         at = end
+
     kinds, senders, starts, lengths, stamps = np.array(fields, dtype=np.int64).reshape(-1, 5).T
     middle = np.int64(np.median(stamps)) if stamps.size else 0  # 53 bits would not hold µs since 1970 in s
     return Frames(kinds, senders, starts, lengths, (stamps - middle) / 1e6, skipped, places, unknown)
@@ -98,6 +100,7 @@ def _frame(data: mmap.mmap, at: int) -> tuple[int, int, int, int, int] | None:
         tail = 2 + SIGNATURE * head[2]
     else:
         return None
+
     stop = start + head[1]
     if stop + tail > len(data):
         return None

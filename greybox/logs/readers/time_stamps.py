@@ -49,8 +49,8 @@ def one_clock(stamps: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[s
         ticks[start:stop] = piece + shift
         if i:
             findings.append(
-                f"the clock restarted at {end:.1f} s (another boot): what follows was moved by {shift:+.1f} s, "
-                f"{PAUSE:g} s after it; the real pause is not known."
+                f"the clock restarted at {end:.1f} s (another boot): later times were shifted by {shift:+.1f} s, "
+                f"to {PAUSE:g} s after it; the real pause is not known."
             )
         end = float(np.nanmax(piece)) + shift if piece.size else 0.0
     shifted = np.full_like(stamps, np.nan)
@@ -63,8 +63,8 @@ def _plausible(stamps: NDArray[np.float64]) -> NDArray[np.float64]:
     if not stamps.size:
         return stamps
     first, last = _edge(stamps[:WINDOW], -1), _edge(stamps[-WINDOW:], 1)
-    possible = (stamps >= first - SLACK) & (stamps <= last + SLACK)
-    return np.where(possible, stamps, np.nan) if possible.any() else stamps
+    plausible = (stamps >= first - SLACK) & (stamps <= last + SLACK)
+    return np.where(plausible, stamps, np.nan) if plausible.any() else stamps
 
 
 def _edge(stamps: NDArray[np.float64], side: int) -> float:

@@ -175,7 +175,8 @@ def test_a_restart_of_the_clock_loses_nothing(saved):
     attitude = recording["ATT"]
     assert len(attitude) == 3000
     assert [len(piece) for piece in attitude.pieces] == [2000, 1000]
-    assert "the clock restarted at 320.0 s (another boot): what follows was moved by +325.0 s" in recording.findings[0]
+    assert "the clock restarted at 320.0 s (another boot)" in recording.findings[0]
+    assert "later times were shifted by +325.0 s" in recording.findings[0]
     assert recording.metadata["armed"] == ((300.001, 320), (330.001, 340))
     assert recording["IMU[1]"].time[-1] > 339
 

@@ -1,0 +1,44 @@
+"""Models and problems by their names, included ones and those in a user's own file."""
+
+import pytest
+
+from greybox.cli.catalog import find_model, find_problem, models_of, shipped, shipped_module
+from greybox.modeling.model import Model
+
+
+@pytest.mark.parametrize("name", shipped("models"))
+def test_every_included_model_is_found_by_its_name(name):
+    for model in models_of(shipped_module("models", name)):
+        found = find_model(f"{name}:{model.__name__}")
+        assert type(found) is model
+        assert isinstance(found, Model)
+
+
+@pytest.mark.parametrize("name", shipped("problems"))
+def test_every_included_problem_is_found_by_its_name(name):
+    problem, settings = find_problem(name)
+    assert problem.name == name
+    assert set(settings) <= {"starts", "seed"}
+
+
+def test_a_model_takes_arguments():
+    assert find_model("polynomial:Polynomial(3, 2)").label == "Polynomial(3, 2)"
+    for text in ("polynomial:Polynomial(n=3)", "polynomial:Polynomial(3, x)", "polynomial:Polynomial(3"):
+        with pytest.raises(ValueError, match=r"not understood|there is no model"):
+            find_model(text)
+
+
+def test_the_nearest_name_is_suggested():
+    with pytest.raises(ValueError, match="no included problem 'pitch_hoover'; did you mean 'pitch_hover'"):
+        find_problem("pitch_hoover")
+    with pytest.raises(ValueError, match="there is no model 'tilt:Tilted'; tilt has Tilt, LinearTilt, NonlinearTilt"):
+        find_model("tilt:Tilted")
+
+
+def test_a_file_that_is_named_like_a_module_is_refused(tmp_path):
+    path = tmp_path / "json.py"
+    path.write_text("")
+    with pytest.raises(ValueError, match=r"has the name of another Python module, 'json': rename the file"):
+        find_model(f"{path}:Lag")
+    with pytest.raises(FileNotFoundError, match="there is no file"):
+        find_problem(str(tmp_path / "none.py"))

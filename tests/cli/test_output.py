@@ -1,0 +1,48 @@
+"""Numbers as JSON has them, and files that may be written."""
+
+import json
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from greybox.cli.options import UsageError
+from greybox.cli.output import all_finite, finite, require_figure, require_writable, save_figure
+
+
+def test_what_is_not_finite_is_null():
+    values = {"a": 1.5, "b": np.nan, "c": -np.inf, "d": np.float64(2)}
+    assert json.loads(json.dumps(all_finite(values), allow_nan=False)) == {"a": 1.5, "b": None, "c": None, "d": 2.0}
+    assert type(finite(np.float64(2))) is float
+
+
+def test_files_that_exist_are_kept_unless_forced(tmp_path):
+    path = tmp_path / "fit.h5"
+    require_writable(None, force=False)
+    require_writable(path, force=False)
+    path.write_text("kept")
+    with pytest.raises(UsageError, match=r"fit\.h5 exists: give another name, or --force"):
+        require_writable(path, force=False)
+    require_writable(path, force=True)
+    with pytest.raises(UsageError, match="is a folder: give the name of a file"):
+        require_writable(tmp_path, force=True)
+    with pytest.raises(UsageError, match="does not exist: create it first"):
+        require_writable(tmp_path / "none" / "fit.h5", force=True)
+
+
+def test_a_figure_has_the_suffix_of_one(tmp_path):
+    require_figure(tmp_path / "a.PNG", force=False)
+    with pytest.raises(UsageError, match=r"not a known kind of figure: end it in \.png, \.pdf, \.svg"):
+        require_figure(tmp_path / "a.jpeg", force=False)
+
+
+def test_a_figure_that_cannot_be_drawn_leaves_no_file(tmp_path):
+    def broken():
+        raise ValueError("nothing to draw")
+
+    with pytest.raises(ValueError, match="nothing to draw"):
+        save_figure(tmp_path / "a.png", broken)
+    assert list(tmp_path.iterdir()) == []
+    assert save_figure(tmp_path / "a.png", Figure) == [f"drew {tmp_path / 'a.png'}"]
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    assert save_figure(None, broken) == []

@@ -1,0 +1,63 @@
+"""Model and values brought together, by hand and by a fit."""
+
+import numpy as np
+import pytest
+from hardening_spring import Spring, driven
+from numpy.testing import assert_allclose
+
+import greybox as gb
+from greybox.simulation.model_at_estimate import model_at
+
+
+def test_values_fill_in_the_declared_starts():
+    model = model_at(Spring(), {"stiffness": 9.0, "delay": 0.07})
+    assert model.label == "Spring"
+    assert dict(zip(model.names, model.q, strict=True)) == {
+        **{name: p.start for name, p in Spring.parameters.items()},
+        "stiffness": 9.0,
+        "delay": 0.07,
+    }
+    assert_allclose(model.delays, [0.07])
+    assert model.covariance is None
+    assert model.uncertain.size == 0
+    assert model.noise(("position",)) is None
+    assert model.criterion == gb.OutputError(inputs="linear")
+
+
+def test_biases_and_gains_come_by_their_names():
+    values = {"position_bias": 0.2, "K_velocity_position": 1.5}
+    model = model_at(Spring(), values, inputs="held")
+    assert model.names[-2:] == ("position_bias", "K_velocity_position")
+    assert_allclose(model.q[-2:], [0.2, 1.5])
+    assert_allclose(model.p, model.q[:-2])
+    assert model.criterion == gb.PredictionError(inputs="held", biases=("position",), corrected=("velocity",))
+    assert model.free_running() == gb.OutputError(inputs="held", biases=("position",))
+
+
+def test_a_fit_gives_its_covariance_and_noise():
+    fit = gb.fit(gb.Problem(Spring(), driven(8.0, noise=0.05)), starts=[{}], progress=False)
+    model = model_at(fit)
+    free = [model.names[i] for i in model.uncertain]
+    assert free == [name for name, p in Spring.parameters.items() if not p.fixed]
+    assert_allclose(np.sqrt(np.diag(model.covariance))[model.uncertain], [fit.standard_error[n] for n in free])
+    assert_allclose(model.noise(model.part.outputs), model.part.noise)
+    assert_allclose(model_at(Spring(), fit).q, model.q)
+    with pytest.raises(TypeError, match="the model is a Fit, which has an estimate of its own: leave the other out"):
+        model_at(fit, {"stiffness": 1.0})
+    with pytest.raises(TypeError, match=r"give the record by name, record=r"):
+        model_at(fit, driven(8.0))
+
+
+@pytest.mark.parametrize(
+    ("model", "values", "error", "sentence"),
+    [
+        (Spring, {}, TypeError, r"model is <class .*>: give an instance"),
+        (Spring(), None, TypeError, r"values is None: give \{name: value\} or a Fit"),
+        (Spring(), {"stiff": 1.0}, ValueError, "Spring has no parameter 'stiff'"),
+        (Spring(), {"stiffness": np.nan}, ValueError, "values gives 'stiffness' the value nan: give a finite number"),
+        (Spring(), {"stiffness": [1.0]}, ValueError, r"values gives 'stiffness' the value \[1\.0\]"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(model, values, error, sentence):
+    with pytest.raises(error, match=sentence):
+        model_at(model, values)

@@ -1,0 +1,79 @@
+"""The simulator: how finely it integrates, and what it calls diverged."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import greybox as gb
+from greybox.simulation.model_at_estimate import model_at
+from greybox.simulation.simulator import DIVERGED, MOST_AT_FIRST, TOLERANCE, _depends, _first_substeps, diverged
+
+
+class Growth(gb.StateSpace):
+    """x' = rate x + u."""
+
+    states, outputs = ("x",), ("x",)
+    rate = gb.Parameter(-1.0)
+
+    def derivative(self, x, u, p):
+        return (p.rate * x.x + u.u,)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+class Kinked(Growth):
+    """x' = -rate |x| x."""
+
+    def derivative(self, x, u, p):
+        return (-p.rate * abs(x.x) * x.x + u.u,)
+
+
+@pytest.mark.parametrize(("rate", "count"), [(-0.05, 1), (-3.0, 3), (3.0, 3), (-1e6, MOST_AT_FIRST)])
+def test_the_first_substeps_follow_the_poles_at_rest(rate, count):
+    assert _first_substeps(model_at(Growth(), {"rate": rate}), 0.1) == count
+
+
+def test_a_model_without_states_needs_no_substeps():
+    class Static(gb.StateSpace):
+        states = ()
+        k = gb.Parameter(2.0)
+
+        def output(self, x, u, p):
+            return (p.k * u.u,)
+
+    assert _first_substeps(model_at(Static(), {}), 0.1) == 1
+
+
+@pytest.mark.parametrize("integrator", [gb.RungeKutta(), gb.Rosenbrock()], ids=repr)
+@pytest.mark.parametrize("rate", [0.5, 8.0, 40.0])
+def test_substeps_are_refined_to_the_tolerance(integrator, rate):
+    """x' = -rate x² from 1 is 1 / (1 + rate t): fast at first, and slow where the poles at rest say so."""
+    time = 0.1 * np.arange(50)
+    record = gb.Record(time, {"u": np.zeros(50)})
+    found = gb.simulate(Kinked(), {"rate": rate}, record, initial={"x": 1.0}, integrator=integrator)
+    assert_allclose(found["x"], 1 / (1 + rate * time), atol=20 * TOLERANCE)
+
+
+def test_chosen_substeps_are_kept():
+    time = 0.1 * np.arange(11)
+    record = gb.Record(time, {"u": np.zeros(11)})
+    found = gb.simulate(Growth(), {"rate": -10.0}, record, initial={"x": 1.0}, integrator=gb.RungeKutta(1))
+    one_step = sum((-1.0) ** k / math.factorial(k) for k in range(5))
+    assert_allclose(found["x"], one_step ** np.arange(11), rtol=1e-12)
+
+
+def test_diverged_is_not_finite_or_beyond_any_physical_size():
+    signals = {"a": np.array([1.0, 2 * DIVERGED, 1.0, np.nan]), "b": np.array([1.0, 1.0, -np.inf, 1.0])}
+    assert diverged(signals).tolist() == [False, True, True, True]
+
+
+def test_what_an_output_depends_on_is_told_from_rounding():
+    slopes = np.zeros((2, 3, 2, 2))  # (windows, samples, outputs, values)
+    slopes[0, 1, 0, 0] = 5.0
+    slopes[1, 2, 0, 1] = 1e-12
+    slopes[1, 0, 1, 1] = 1e-12
+    found = _depends(slopes, np.array([1.0, 0.0]))
+    assert np.argwhere(found).tolist() == [[0, 1, 0, 0], [1, 0, 1, 1]]

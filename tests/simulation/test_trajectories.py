@@ -1,0 +1,70 @@
+"""Trajectories of several segments at once, against single steps and against differences."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from hardening_spring import Spring
+from numpy.testing import assert_allclose
+
+import greybox as gb
+from greybox.compiled.sample_step import sample_step
+from greybox.modeling.realization import dynamics
+from greybox.simulation.trajectories import Trajectories
+
+COUNT, LENGTH = 3, 7
+
+
+@pytest.fixture(scope="module")
+def made():
+    """The step, the initial states, the parameters and the data of every sample."""
+    model = Spring()
+    system = dynamics(model)
+    criterion = gb.OutputError()
+    step = sample_step(system, criterion, system.outputs, tuple(model.parameters), gb.RungeKutta(), 2)
+    random = np.random.default_rng(0)
+    q = np.array([p.start for p in model.parameters.values()])
+    rows = np.zeros((step.width, COUNT * LENGTH))
+    rows[: -1 - 2 * len(system.outputs)] = random.normal(
+        size=(step.width - 1 - 2 * len(system.outputs), COUNT * LENGTH)
+    )
+    rows[0] = 0  # whole samples of delay
+    rows[-1] = 0.05
+    return step, random.normal(size=(COUNT, 2)), q, rows
+
+
+def by_steps(step, initial, q, rows):
+    states, outputs = [], []
+    for k in range(COUNT):
+        x = initial[k]
+        for j in range(LENGTH):
+            following, _, y = (np.asarray(v).ravel() for v in step.function(x, q, rows[:, k * LENGTH + j]))
+            states.append(x)
+            outputs.append(y)
+            x = following
+    return np.reshape(states, (COUNT, LENGTH, -1)), np.reshape(outputs, (COUNT, LENGTH, -1))
+
+
+def test_each_segment_runs_from_its_own_state(made):
+    step, initial, q, rows = made
+    states, outputs = Trajectories(step, COUNT, LENGTH, np.zeros(0, dtype=int)).simulate(initial, q, ca.DM(rows))
+    wanted_states, wanted_outputs = by_steps(step, initial, q, rows)
+    assert_allclose(states, wanted_states, rtol=1e-13)
+    assert_allclose(outputs, wanted_outputs, rtol=1e-13)
+
+
+def test_sensitivities_are_differences(made):
+    step, initial, q, rows = made
+    active = np.array([1, 0])
+    found = Trajectories(step, COUNT, LENGTH, active).sensitivities(initial, q, ca.DM(rows))
+    assert found.shape[:2] == (COUNT, LENGTH)
+    h = 1e-6
+    for column in range(4):
+        ends = []
+        for sign in (1, -1):
+            x, p = initial.copy(), q.copy()
+            if column < 2:
+                x[:, column] += sign * h
+            else:
+                p[active[column - 2]] += sign * h
+            ends.append(by_steps(step, x, p, rows)[1])
+        assert_allclose(found[..., column], (ends[0] - ends[1]) / (2 * h), atol=1e-7)

@@ -1,0 +1,115 @@
+"""Windows of a record, against loops over its samples."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+import greybox as gb
+from greybox.simulation.windows import cut, default_length, sample_data, seconds
+
+
+def record(count=60, step=0.1, missing=(), unmeasured=()):
+    time = step * np.arange(count)
+    u = np.sin(time)
+    y = np.cos(time)
+    u[list(missing)] = np.nan
+    y[list(unmeasured)] = np.nan
+    return gb.Record(time, {"u": u, "y": y}, name="r")
+
+
+def by_hand(data, first, after):
+    """Windows written out: from the first sample of every run of inputs, one horizon after another."""
+    rows, begin = [], 0
+    known = np.isfinite(data["u"])
+    while begin < len(data):
+        if not known[begin]:
+            begin += 1
+            continue
+        end = begin
+        while end < len(data) and known[end]:
+            end += 1
+        start = begin
+        while start + first + after <= end:
+            window = np.arange(start, start + first + after)
+            measured = np.isfinite(data["y"][window])
+            if measured[:first].any() and measured[first:].any():
+                rows.append(window)
+            start += after
+        begin = end
+    return np.array(rows)
+
+
+@given(
+    first=st.integers(1, 9),
+    after=st.integers(1, 9),
+    missing=st.sets(st.integers(0, 59), max_size=3),
+    unmeasured=st.sets(st.integers(0, 59), max_size=40),
+)
+def test_windows_are_those_of_a_loop(first, after, missing, unmeasured):
+    data = record(missing=missing, unmeasured=unmeasured)
+    wanted = by_hand(data, first, after)
+    if not len(wanted):
+        return
+    windows = cut(data, ["u"], ["y"], lead=0.1 * first, horizon=0.1 * after)
+    assert_array_equal(windows.rows, wanted)
+    assert (windows.lead, windows.horizon, len(windows)) == (first, after, len(wanted))
+
+
+def test_lengths_are_rounded_half_down():
+    windows = cut(record(), ["u"], ["y"], lead=0.55, horizon=0.56)
+    assert (windows.lead, windows.horizon) == (5, 6)
+
+
+def test_default_lengths_cover_ten_samples_and_twice_the_delay():
+    fast, slow = record(step=0.01), record(step=0.2)
+    assert default_length([fast], 0.5) == 0.5
+    assert_allclose(default_length([fast, slow], 0.5), 2.0)
+    assert default_length([fast], 0.5, delay=0.4) == 0.8
+    assert default_length([gb.Record(np.zeros(1), {"u": np.zeros(1)})], 0.5) == 0.5
+
+
+def test_seconds_have_three_digits():
+    assert [seconds(v) for v in (0.12345, 12.3456, 123.456, 1234.5, 86400, 1.5e6)] == [
+        "0.123",
+        "12.3",
+        "123",
+        "1234",
+        "86400",
+        "1.5e+06",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("lengths", "sentence"),
+    [
+        ({"lead": 0.0, "horizon": 1.0}, r"lead is 0\.0: give a length above 0, in s"),
+        ({"lead": 1.0, "horizon": True}, "horizon is True: give a length above 0"),
+        ({"lead": 0.05, "horizon": 1.0}, r"lead=0\.05 s is shorter than a sample of r, 0\.1 s: give some samples"),
+        ({"lead": 4.0, "horizon": 3.0}, r"no room for lead=4 and horizon=3 s .* lasts 6 s; give a shorter lead"),
+    ],
+)
+def test_lengths_that_cannot_be_are_refused(lengths, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        cut(record(), ["u"], ["y"], **lengths)
+
+
+def test_the_input_must_be_there():
+    with pytest.raises(ValueError, match="the record has no signal 'F', an input of the model; it has u, y: name it"):
+        cut(record(), ["F"], ["y"], lead=1.0, horizon=1.0)
+
+
+def test_the_data_of_a_window_are_those_of_its_stretch():
+    data = record(missing=[30])
+    windows = cut(data, ["u"], ["y"], lead=0.5, horizon=1.0)
+    found = sample_data(windows, ("u",), ("y",), np.array([0.2]))
+    assert_allclose(found["step"], 0.1)
+    assert_allclose(found["whole"], 2)
+    # whole samples of the delay, and the inputs before, at and after the delayed one; held before a stretch
+    first = np.where(windows.rows < 30, 0, 31)
+    for row, shift in enumerate((-3, -2, -1)):
+        assert_allclose(found["around"][row], data["u"][np.maximum(windows.rows + shift, first)])
+    late = windows.rows - first < 2  # where the delayed input is that of before the stretch
+    assert_array_equal(np.isnan(found["measured"][0]), late)
+    assert_allclose(found["measured"][0][~late], data["y"][windows.rows][~late])

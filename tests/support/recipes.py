@@ -1,0 +1,115 @@
+"""What CONTRIBUTING's recipes tell to write, as a user writes it in a file beside the log."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from huber import Huber
+
+import greybox as gb
+
+
+class Spring(gb.StateSpace):
+    """A mass on a spring."""
+
+    states = ("x", "v")
+    inputs = ("F",)
+    outputs = ("x", "v")
+    k = gb.Parameter(6.0, bounds=(0.1, 100), unit="1/s²", about="stiffness")
+    c = gb.Parameter(0.8, bounds=(-5, 20), unit="1/s", about="damping")
+    b = gb.Parameter(1.5, bounds=(-50, 50), unit="1/kg", about="acceleration per force")
+
+    def derivative(self, x, u, p):
+        return (x.v, -p.k * x.x - p.c * x.v + p.b * u.F)
+
+    def output(self, x, u, p):
+        return (x.x, x.v)
+
+
+@dataclass(frozen=True)
+class Heun(gb.Integrator):
+    """Heun's method, Hairer, Nørsett, Wanner: Solving ODEs I, II.1."""
+
+    order: ClassVar[int] = 2
+    reach: ClassVar[float] = 2.0
+    wave: ClassVar[float] = 0.2
+
+    def advance(self, system: Any, x: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
+        k1 = system.derivative(x, u, p)
+        k2 = system.derivative(x + h * k1, u + slope * h, p)
+        return x + h / 2 * (k1 + k2)
+
+
+@dataclass(frozen=True)
+class Halton(gb.Starts):
+    """Scrambled Halton points in the start boxes."""
+
+    number: int
+    seed: int = 0
+
+    def draw(self, parameters):
+        from scipy.stats import qmc
+
+        shares = qmc.Halton(len(parameters), rng=np.random.default_rng(self.seed)).random(self.number)
+        return np.column_stack([p.in_box(shares[:, k]) for k, p in enumerate(parameters.values())])
+
+    def __str__(self) -> str:
+        return f"{self.number} by Halton, seed {self.seed}"
+
+
+@dataclass(frozen=True, eq=False)
+class DiagonalPrediction(gb.TimeCriterion):
+    """Prediction errors, where each output corrects the state of its own name alone."""
+
+    rule: ClassVar[str] = "prediction error with diagonal gains"
+    condition: ClassVar[str] = "white innovations"
+    errors_are_white: ClassVar[bool] = True
+    corrects_states: ClassVar[bool] = True
+
+    def gains(self, model, outputs):
+        return tuple((name, name) for name in outputs if name in model.states)
+
+
+class Hold(gb.Controller):
+    """Holds the position of the mass."""
+
+    inputs = ("x", "v")
+    outputs = ("F",)
+    K = gb.Parameter(4.0, bounds=(0, 100), unit="N/m", about="force per error")
+    D = gb.Parameter(1.0, bounds=(0, 100), unit="N·s/m", about="force per velocity")
+
+    def update(self, x, u, p):
+        return (), (p.K * (u.reference - u.x) - p.D * u.v,)
+
+
+TRUTH = {"k": 9.0, "c": 1.0, "b": 2.0}
+
+
+def record(wind=0.0):
+    """A flight of the mass under its controller."""
+    reference = np.repeat(np.random.default_rng(0).choice([-1.0, 1.0], 30), 20)
+    options = {"controller": Hold(rate=20.0), "noise": {"x": 0.02, "v": 0.06}, "process_noise": {"v": wind}, "seed": 1}
+    return gb.virtual_flight(Spring(), TRUTH, {"reference": reference}, **options)
+
+
+def problem():
+    """Output errors of a flight without wind."""
+    return gb.Problem(Spring(), record(), gb.OutputError(inputs="held"))
+
+
+def windy():
+    """A criterion of the user's own for records."""
+    return gb.Problem(Spring(), record(0.5), DiagonalPrediction(inputs="held"))
+
+
+def response():
+    """A criterion of the user's own for responses."""
+    omega = np.geomspace(0.5, 20, 15)
+    exact = gb.frequency_response(Spring(), TRUTH, omega, output="x").response
+    noise = 0.02 * np.random.default_rng(0).normal(size=(2, 15))
+    return gb.Problem(
+        Spring(), gb.FrequencyResponse(omega, exact * (1 + noise[0] + 1j * noise[1]), "F", "x"), Huber(0.1)
+    )
+
+
+settings = {"starts": Halton(3), "method": gb.MultipleShooting(integrator=Heun())}
