@@ -44,7 +44,7 @@ class Messages:
         return self.order.size
 
     def rows(self, rows: NDArray[np.intp]) -> "Messages":
-        """Return some of the messages."""
+        """Return the messages of these indices."""
         return replace(
             self,
             order=self.order[rows],

@@ -19,8 +19,8 @@ import numpy as np
 SMALL = 2**24  # bytes: arrays of 16 MB together are accepted from a file of any size
 COMPRESSION = 1000  # bytes of arrays per byte of file: deflate reaches 1032, more is damage
 MEMORY = 2**32  # bytes that the process may use, in addition to `COMPRESSION` times the file
-MOST = 20_000  # arrays; a PX4 log has some thousand fields
-DEEPEST = 8  # structs within structs, since MATLAB's may be circular when damaged
+MOST = 20_000  # arrays, each of which costs a header even when it is empty
+DEEPEST = 8  # structs within structs: bounds the recursion
 OPAQUE = ("MatlabOpaque", "MatlabFunction")  # scipy's stand-ins for timetable, timeseries, table and other objects
 PROBLEMS = (OSError, RuntimeError, ValueError, TypeError, KeyError, OverflowError, MemoryError)
 

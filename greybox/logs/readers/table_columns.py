@@ -26,7 +26,7 @@ TIMES = ("time", "t", "timestamp", "timestamps", "tout")  # names of a time colu
 ARDUPILOT = {"timeus": 1e-6, "timems": 1e-3}
 BRACKETS = re.compile(r"^([^\[\]()]+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))$")
 SUFFIX = re.compile(r"^(.+)_(s|sec|ms|us|ns)$")
-WIDEST = 64  # columns of a matrix that become signals of their own; a wider one is an image or a map
+WIDEST = 64  # columns of a matrix that become signals of their own: a convention, to keep images out
 
 
 class Heading(NamedTuple):

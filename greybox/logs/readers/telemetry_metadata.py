@@ -103,7 +103,7 @@ def _modes(beats: NDArray[Any], time: NDArray[np.float64], vehicle: str) -> tupl
 
 
 def _armed(beats: NDArray[Any], time: NDArray[np.float64]) -> tuple[tuple[float, float], ...]:
-    """Return (start, end), s, from the first heartbeat that says so to the first that does not."""
+    """Return (start, end), s, from the first armed heartbeat to the first disarmed one."""
     armed = (beats["base_mode"] & mavlink.MAV_MODE_FLAG_SAFETY_ARMED) > 0
     since = int(armed.argmax()) if armed.any() else armed.size
     states = list(zip(time[since:].tolist(), armed[since:].tolist(), strict=True))

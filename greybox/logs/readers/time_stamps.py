@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from greybox.data.record import GAP
 
-BACK = 1.0  # s by which stamps must fall at a clock restart; jitter between messages is of the order of 10 ms
+BACK = 1.0  # s by which stamps must fall at a clock restart; between messages of one boot they fall by up to 4 ms
 WINDOW = (
     50  # messages before and after, whose medians must agree that the clock restarted: 24 damaged ones do not matter
 )
