@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.part import Part, Trajectory
+from greybox.compiled.part import Part
 from greybox.compiled.record_part import RecordPart, compile_record
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.scaling import Scaling, scaling_of
@@ -133,13 +133,6 @@ class Nlp:
         values = np.asarray(self.responses(self.all_values(x).T)).T
         half = values.shape[1] // 2
         return values[:, :half] + 1j * values[:, half:]
-
-    # --- with nodes ---------------------------------------------------------------------------------------------------
-
-    def trajectories(self, x: Array, nodes: tuple[Array, ...]) -> tuple[Trajectory, ...]:
-        """Return the trajectory of every part at the parameters x (p,) with these nodes."""
-        z = self.scaling.to_solver(x)
-        return tuple(part.trajectory(z, n) for part, n in zip(self.parts, nodes, strict=True))
 
 
 def compile_problem(problem: AnyProblem, method: Transcription | None = None) -> Nlp:

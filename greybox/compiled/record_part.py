@@ -128,7 +128,9 @@ class RecordPart(Part):
         self.data = data
         self.substeps = substeps
         self.step = step or model.step(model.method.scheme, substeps)
-        self.segments = Segments(self.step, data, model.active, compile_linearization)
+        self.segments = Segments(self.step, data.segments, data.segment_length, model.active, compile_linearization)
+        self._measured = self.segments.columns(_measured_rows(data))
+        self._placed_data: tuple[tuple[float, ...], Array] | None = None
         self.covariance: ResidualCovariance = residual_covariance_of(model.criterion, model.outputs, data.measured)
         self.system: Dynamics = model.system
         self.outputs = model.outputs
@@ -154,7 +156,7 @@ class RecordPart(Part):
     @property
     def numbers(self) -> int:
         """Measured values that are compared."""
-        return int(self.segments.counts.sum())
+        return int(self.covariance.counts.sum())
 
     @property
     def unknown_initial_states(self) -> int:
@@ -195,7 +197,19 @@ class RecordPart(Part):
         """Return the parameters and the data at z (p,)."""
         q, slope, delay = (value.full() for value in self.model.locate(z))
         initial, initial_slope = (value.full() for value in self.model.initial(q))
-        return Placed(q.ravel(), slope, self.segments.data(delay.ravel()), initial.ravel(), initial_slope)
+        return Placed(q.ravel(), slope, self._data_at(delay.ravel()), initial.ravel(), initial_slope)
+
+    def _data_at(self, delays: Array) -> Array:
+        """Return the data of all samples, (width, columns), inputs placed for these delays (m,).
+
+        The same array as the last time, as long as no delay has passed a whole sample.
+        """
+        steps = [stretch.step for stretch in self.data.stretches]
+        whole = tuple(np.floor(np.asarray(delays)[:, None] / steps + 1e-9).ravel())
+        if self._placed_data is None or self._placed_data[0] != whole:
+            inputs = self.segments.columns(np.vstack(self.data.delayed_inputs(delays)))
+            self._placed_data = (whole, np.vstack([inputs, self._measured]))
+        return self._placed_data[1]
 
     def initial_trajectory(self, z: Array) -> Trajectory:
         """Return the trajectory at z (p,) with nodes from the data, see `greybox.compiled.initial_states`."""
@@ -221,7 +235,9 @@ class RecordPart(Part):
 
     def _simulated(self, z: Array, nodes: Array, placed: Placed) -> Trajectory:
         nodes = self._with_known_states(nodes, placed)
-        nodes, states, ends, products = self.segments.simulate_stretches(nodes, placed.q, placed.data)
+        nodes, states, ends, products = self.segments.simulate_stretches(
+            self.data.segment_counts, nodes, placed.q, placed.data
+        )
         gaps = np.zeros_like(ends)
         return Trajectory(z, nodes, ends, gaps, products, simulated=True, detail=Along(placed, states))
 
@@ -472,7 +488,7 @@ class RecordPart(Part):
         if not self.model.criterion.errors_are_white:
             residuals = self.data.unpadded(part.residuals(trajectory))
             score = colored_information(self.data.unpadded(weighted), residuals)
-            scaled = weight @ trajectory.products @ weight.T / np.maximum(self.segments.counts, 1)
+            scaled = weight @ trajectory.products @ weight.T / np.maximum(self.covariance.counts, 1)
             factor = correlation_factor(white * np.trace(scaled) / len(self.outputs), score)
         initial = self.unknown_initial_states
         independent = independent_numbers(self.numbers, initial, len(white), factor)
@@ -511,6 +527,12 @@ class RecordPart(Part):
             white += rows.T @ rows
             weighted[batch] = weight.T @ root
         return triangle, white, np.moveaxis(weighted.reshape(s * length, k, p), 0, -1)
+
+
+def _measured_rows(data: SampledData) -> Array:
+    """Return measured outputs, zero where missing; one where they are present; and the step of every sample."""
+    measured = data.measured
+    return np.vstack([np.nan_to_num(measured), np.isfinite(measured), data.steps])
 
 
 def _predicted_decrease(

@@ -8,6 +8,7 @@ Columns run over segments, sample by sample: column i · s + j is sample i of se
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -18,7 +19,6 @@ from numpy.typing import NDArray
 
 from greybox.compiled.code_generation import CompiledLinearization
 from greybox.compiled.sample_step import SampleStep
-from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.vectorized import Columns
 
 Array = NDArray[np.float64]
@@ -26,6 +26,10 @@ Array = NDArray[np.float64]
 # Samples whose derivatives are in memory at once: 20 000 with five states and ten parameters take 25 MB, and a longer
 # batch is no faster.
 BATCH = 20_000
+
+# Samples per segment and segment from which segments are simulated one after the other: a call of a CasADi function for
+# one column more costs 0.9 µs, a call from Python 12 µs.
+LONG = 10
 
 # Samples that make the mean transition of a record, evenly over it: its poles then move by less than the limits that
 # they are held against.
@@ -60,25 +64,30 @@ class Linearization:
 
 
 class Segments:
-    """The segments of one record, for the parameters that `active` names (those that are estimated)."""
+    """So many segments of one length, each simulated from its own state.
+
+    Derivatives are by that state and by the parameters that `active` names.
+    """
 
     def __init__(
-        self, step: SampleStep, data: SampledData, active: NDArray[np.integer], compile_linearization: bool = False
+        self,
+        step: SampleStep,
+        count: int,
+        length: int,
+        active: NDArray[np.integer],
+        compile_linearization: bool = False,
     ) -> None:
         """Prepare the functions of `step`; `compile_linearization` translates the linearization to C."""
         self._step = step
-        self._data = data
+        self.count = count
+        self.length = length
         self.active = active
         self.n = step.function.size1_in(0)
         self.k = step.function.size1_out(1)
-        self.length = data.segment_length
-        self._measured = _by_sample(_measured_rows(data), data)
-        self.counts = (self._measured[self.k : 2 * self.k] != 0).sum(axis=1)
-        self._placed: tuple[tuple[float, ...], Array] | None = None
         self._ordered: tuple[Array, Array] | None = None
         self._compiled = None
         if compile_linearization:
-            self._compiled = CompiledLinearization(step.function, active.tolist(), data.segments, data.segment_length)
+            self._compiled = CompiledLinearization(step.function, active.tolist(), count, length)
 
     # --- compiled functions, built when they are first asked for -----------------------------------------------------
 
@@ -99,11 +108,18 @@ class Segments:
         """Derivatives of the next state and of the residual by x and active parameters, and the residual."""
         x, q, d = self._step.symbols()
         after, e, _ = self._step.function(x, q, d)
-        by_state = [ca.jacobian(after, x), ca.jacobian(e, x)]
+        return self._columns("derivatives", [x, q, d], [*self._slopes(x, q, after, e), e])
+
+    @cached_property
+    def _output_derivatives(self) -> Columns:
+        """Derivatives of the next state and of the simulated output by x and active parameters."""
+        x, q, d = self._step.symbols()
+        after, _, y = self._step.function(x, q, d)
+        return self._columns("output_derivatives", [x, q, d], self._slopes(x, q, after, y))
+
+    def _slopes(self, x: Any, q: Any, *results: Any) -> list[Any]:
         active = self.active.tolist()
-        by_parameters = [ca.jacobian(after, q)[:, active], ca.jacobian(e, q)[:, active]]
-        slopes = [ca.densify(ca.horzcat(a, b)) for a, b in zip(by_state, by_parameters, strict=True)]
-        return self._columns("derivatives", [x, q, d], [*slopes, e])
+        return [ca.densify(ca.horzcat(ca.jacobian(r, x), ca.jacobian(r, q)[:, active])) for r in results]
 
     @cached_property
     def _by_state(self) -> Columns:
@@ -115,19 +131,7 @@ class Segments:
     def _columns(self, name: str, arguments: list[Any], results: list[Any]) -> Columns:
         return Columns(ca.Function(name, arguments, results, {"cse": True}), shared=(1,))
 
-    # --- data ---------------------------------------------------------------------------------------------------------
-
-    def data(self, delays: Array) -> Array:
-        """Return the data of all samples, (width, columns), inputs placed for these delays (m,).
-
-        The same array as the last time, as long as no delay has passed a whole sample.
-        """
-        steps = [stretch.step for stretch in self._data.stretches]
-        whole = tuple(np.floor(np.asarray(delays)[:, None] / steps + 1e-9).ravel())
-        if self._placed is None or self._placed[0] != whole:
-            inputs = np.vstack(self._data.delayed_inputs(delays))
-            self._placed = (whole, np.vstack([_by_sample(inputs, self._data), self._measured]))
-        return self._placed[1]
+    # --- the order of samples -----------------------------------------------------------------------------------------
 
     def rows(self, data: Array) -> Array:
         """Return the data of all samples in their order, (samples, width)."""
@@ -137,18 +141,25 @@ class Segments:
 
     def columns(self, values: Array) -> Array:
         """Return values (r, samples) in the order of the samples as columns."""
-        return _by_sample(values, self._data)
+        ordered = values.reshape(len(values), self.count, self.length).transpose(0, 2, 1)
+        return np.ascontiguousarray(ordered).reshape(len(values), self.count * self.length)
 
     def in_order(self, values: Array) -> Array:
         """Return columns (r, columns) in the order of the samples."""
-        s = self._data.segments
-        return values.reshape(len(values), self.length, s).transpose(0, 2, 1).reshape(len(values), s * self.length)
+        ordered = values.reshape(len(values), self.length, self.count).transpose(0, 2, 1)
+        return ordered.reshape(len(values), self.count * self.length)
+
+    def by_segment(self, values: Array) -> Array:
+        """Return columns (r, columns) as (segments, length, r)."""
+        return values.reshape(len(values), self.length, self.count).transpose(2, 1, 0)
 
     # --- simulation ---------------------------------------------------------------------------------------------------
 
     def simulate(self, nodes: Array, q: Array, data: Array) -> tuple[Array, Array]:
-        """Return the states at all samples (n, columns), and at the ends of the segments (s, n)."""
-        s = len(nodes)
+        """Return the states at all samples (n, columns), and at the ends of the segments (s, n), from nodes (s, n)."""
+        if self.n and self.length > LONG * self.count:
+            return self._simulate_one_by_one(nodes, q, data)
+        s = self.count
         x = nodes.T
         states = np.empty((self.n, self.length * s))
         for i in range(self.length if self.n else 0):
@@ -157,8 +168,21 @@ class Segments:
             (x,) = self._advance(x, q, data[:, sample])
         return states, x.T
 
-    def simulate_stretches(self, nodes: Array, q: Array, data: Array) -> tuple[Array, Array, Array, Array]:
-        """Simulate every stretch from its first node (of (s, n)) to its end, without a segment's beginning in between.
+    def _simulate_one_by_one(self, nodes: Array, q: Array, data: Array) -> tuple[Array, Array]:
+        rows = self.rows(data)
+        states = np.empty((len(rows), self.n))
+        ends = np.empty_like(nodes)
+        for k, node in enumerate(nodes):
+            samples = slice(k * self.length, (k + 1) * self.length)
+            run, _ = self._step.simulate(node, q, rows[samples])
+            states[samples] = run[:-1]
+            ends[k] = run[-1]
+        return self.columns(states.T), ends
+
+    def simulate_stretches(
+        self, counts: Sequence[int], nodes: Array, q: Array, data: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Simulate stretches of so many segments each, from the first node of each to its end.
 
         Returns nodes (s, n), states at all samples (n, columns), ends (s, n), and the sums of the products of the
         residuals of two outputs (k, k).
@@ -168,7 +192,7 @@ class Segments:
         ends = np.empty_like(nodes)
         products = np.zeros((self.k, self.k))
         first = 0
-        for count in self._data.segment_counts:
+        for count in counts:
             samples = slice(first * self.length, (first + count) * self.length)
             run, residuals = self._step.simulate(nodes[first], q, rows[samples])
             states[samples] = run[:-1]
@@ -240,7 +264,7 @@ class Segments:
     def _linearize_in_c(self, states: Array, q: Array, weight: Array, data: Array) -> Linearization | None:
         """Return the linearization by the compiled function, None where a derivative is not finite."""
         assert self._compiled is not None
-        n, s = self.n, self._data.segments
+        n, s = self.n, self.count
         v = n + len(self.active)
         nodes = states[:, :s].T
         end, slopes, products, gradient = self._compiled(nodes, q, weight, self.rows(data))
@@ -267,16 +291,29 @@ class Segments:
 
         Of the c segments of a `batch`, by node and active parameters.
         """
-        n, k, length = self.n, self.k, self.length
-        v = n + len(self.active)
-        s = data.shape[1] // length
-        count = len(range(s)[batch])
+        length = self.length
+        count = len(range(self.count)[batch])
 
         def chosen(values: Array) -> Array:
-            return values.reshape(len(values), length, s)[:, :, batch].reshape(len(values), length * count)
+            return values.reshape(len(values), length, self.count)[:, :, batch].reshape(len(values), length * count)
 
         A, C, e = _finite(self._derivatives(chosen(states), q, chosen(data)))
-        # CasADi stacks matrices column by column.
+        S, J = self._propagated(A, C, count)
+        return S, J, e.reshape(self.k, length, count).transpose(2, 1, 0)
+
+    def output_sensitivities(self, states: Array, q: Array, data: Array) -> Array:
+        """Return the derivatives of the simulated outputs at all samples, (s, length, k, v), measured or not."""
+        A, C = self._output_derivatives(states, q, data)
+        return self._propagated(A, C, self.count)[1]
+
+    def _propagated(self, A: Array, C: Array, count: int) -> tuple[Array, Array]:
+        """Carry the derivatives of every sample through the segments: of ends (count, n, v), of rows (c, length, k, v).
+
+        A and C are the derivatives by the state at a sample and the parameters, as CasADi stacks matrices, column by
+        column.
+        """
+        n, k, length = self.n, self.k, self.length
+        v = n + len(self.active)
         A = np.ascontiguousarray(A.reshape(v, n, length, count).transpose(2, 3, 1, 0))
         C = np.ascontiguousarray(C.reshape(v, k, length, count).transpose(3, 2, 1, 0))
         S = np.tile(np.eye(n, v), (count, 1, 1))
@@ -286,7 +323,7 @@ class Segments:
             S = A[i, :, :, :n] @ S
             S[:, :, n:] += A[i, :, :, n:]
         J[..., n:] += C[..., n:]
-        return S, J, e.reshape(k, length, count).transpose(2, 1, 0)
+        return S, J
 
     def mean_transition(self, states: Array, q: Array, data: Array) -> tuple[Array, Array]:
         """Return the mean derivatives of the next state (n, n) and of the outputs (k, n) by the state."""
@@ -305,15 +342,3 @@ class Segments:
 def _finite(values: list[Array]) -> list[Array]:
     """Return derivatives with zeros for what is not finite: that of a guarded root, sqrt(max(h, 0)), is 0 · inf."""
     return [v if math.isfinite(v.sum()) else np.nan_to_num(v, nan=0.0, posinf=0.0, neginf=0.0) for v in values]
-
-
-def _measured_rows(data: SampledData) -> Array:
-    """Return measured outputs, zero where missing; one where they are there; and the step of every sample."""
-    measured = data.measured
-    return np.vstack([np.nan_to_num(measured), np.isfinite(measured), data.steps])
-
-
-def _by_sample(values: Array, data: SampledData) -> Array:
-    """Return (r, samples) as columns."""
-    ordered = values.reshape(len(values), data.segments, data.segment_length).transpose(0, 2, 1)
-    return np.ascontiguousarray(ordered).reshape(len(values), data.samples)

@@ -2,8 +2,7 @@
 
 Begin with `simulate` (`simulate`, `predict`). `model_at_estimate` brings model and values together, `simulator` runs
 the model with as many steps as accuracy needs, `windows` cuts a record, `state_estimation` finds the state at the
-beginning of each window from their outputs and sensitivities (`trajectories`), and `prediction` is what
-`predict` returns.
+beginning of each window, and `prediction` is what `predict` returns.
 """
 
 from greybox.simulation.prediction import Prediction as Prediction

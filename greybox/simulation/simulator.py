@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.sampled_data import SampledData, Stretch
+from greybox.compiled.segments import Segments
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.step_size import (
@@ -21,7 +22,6 @@ from greybox.modeling.step_size import (
 )
 from greybox.simulation.model_at_estimate import ModelAtEstimate
 from greybox.simulation.state_estimation import StateEstimates, estimate_states, one_step_errors
-from greybox.simulation.trajectories import Trajectories
 from greybox.simulation.windows import Windows, sample_data
 
 Array = NDArray[np.float64]
@@ -66,14 +66,23 @@ class WindowSimulations:
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """What one pass with a number of substeps gave: the trajectories and the data that drove them."""
+    """What one pass with a number of substeps gave, and the data (width, columns) that drove it.
 
-    trajectories: Trajectories
-    initial: Array
-    data: ca.DM
+    States (n, columns) and outputs (k, columns) are those of all samples.
+    """
+
+    segments: Segments
+    data: Array
     states: Array
     outputs: Array
     estimates: StateEstimates | None = None
+
+    @classmethod
+    def of(
+        cls, segments: Segments, initial: Array, q: Array, data: Array, estimates: StateEstimates | None = None
+    ) -> "_Run":
+        states, _ = segments.simulate(initial, q, data)
+        return cls(segments, data, states, segments.outputs(states, q, data), estimates)
 
 
 class Simulator:
@@ -102,18 +111,17 @@ class Simulator:
         count = len(stretch)
         whole, around = SampledData((stretch,), (), 1).delayed_inputs(model.delays)
         nothing_measured = np.zeros((2 * len(self._outputs), count))
-        data = ca.DM(np.vstack([whole, around, nothing_measured, np.full((1, count), stretch.step)]))
+        data = np.vstack([whole, around, nothing_measured, np.full((1, count), stretch.step)])
 
         def run(step: SampleStep) -> _Run:
-            trajectories = Trajectories(step, 1, count, model.uncertain)
-            return _Run(trajectories, initial[None], data, *trajectories.simulate(initial[None], model.q, data))
+            return _Run.of(Segments(step, 1, count, model.uncertain), initial[None], model.q, data)
 
         result = self._accurate(stretch.step, run)
-        signals = dict(zip(model.system.states, result.states[0].T, strict=True))
-        signals |= dict(zip(self._outputs, result.outputs[0].T, strict=True))
+        signals = dict(zip(model.system.states, result.states, strict=True))
+        signals |= dict(zip(self._outputs, result.outputs, strict=True))
         unknown: tuple[str, ...] = ()
         if model.covariance is not None and not diverged(signals).any():
-            slopes = result.trajectories.sensitivities(initial[None], model.q, data)[0]
+            slopes = result.segments.output_sensitivities(result.states, model.q, data)[0]
             by_value, variance = _free_run_sensitivities(model, stretch, slopes, self._outputs, fitted_initial)
             error, unknown = _standard_errors(by_value, variance, model)
             signals |= {name + ERROR: row for name, row in zip(self._outputs, error.T, strict=True)}
@@ -134,36 +142,44 @@ class Simulator:
         past = np.where(mask, measured[:, :lead], np.nan)
 
         def run(step: SampleStep) -> _Run:
-            lead_in = Trajectories(step, w, lead, np.zeros(0, dtype=int))
-            before = _columns(data, in_lead, lead)
+            lead_in = Segments(step, w, lead, np.zeros(0, dtype=int))
+            before = _columns(lead_in, data, in_lead)
+
+            def simulate(x: Array) -> Array:
+                return lead_in.by_segment(_Run.of(lead_in, x, model.q, before).outputs)
+
+            def sensitivities(x: Array) -> Array:
+                states, _ = lead_in.simulate(x, model.q, before)
+                return np.where(mask[..., None], lead_in.output_sensitivities(states, model.q, before), 0.0)
+
             estimates = estimate_states(
-                lambda x: lead_in.simulate(x, model.q, before)[1],
-                lambda x: np.where(mask[..., None], lead_in.sensitivities(x, model.q, before), 0.0),
+                simulate,
+                sensitivities,
                 past,
                 _initial_guesses(model, self._outputs, past),
                 model.noise(self._outputs),
                 spread,
             )
-            whole = Trajectories(step, w, length, model.uncertain)
-            columns = _columns(data, in_lead, length)
-            simulated = whole.simulate(estimates.states, model.q, columns)
-            return _Run(whole, estimates.states, columns, *simulated, estimates)
+            whole = Segments(step, w, length, model.uncertain)
+            return _Run.of(whole, estimates.states, model.q, _columns(whole, data, in_lead), estimates)
 
         result = self._accurate(windows.record.step, run)
         estimates = result.estimates
         assert estimates is not None
-        slopes = result.trajectories.sensitivities(estimates.states, model.q, result.data)
+        segments = result.segments
+        slopes = segments.output_sensitivities(result.states, model.q, result.data)
         error, unknown = _window_errors(estimates, slopes, in_lead, model, n)
 
-        residuals = measured - result.outputs
+        residuals = measured - segments.by_segment(result.outputs)
         by_state = slopes[..., :n]
         if self._criterion.corrects_states:  # one step ahead, the corrections go on after the lead-in
-            columns = _columns(data, present, length)
-            residuals = measured - result.trajectories.simulate(estimates.states, model.q, columns)[1]
-            by_state = result.trajectories.sensitivities(estimates.states, model.q, columns)[..., :n]
+            corrected = _Run.of(segments, estimates.states, model.q, _columns(segments, data, present))
+            residuals = measured - segments.by_segment(corrected.outputs)
+            by_state = segments.output_sensitivities(corrected.states, model.q, corrected.data)[..., :n]
         offset = estimates.mean - estimates.states
         one_step = one_step_errors(residuals, by_state, offset, estimates.precision, estimates.noise)
-        return WindowSimulations(estimates, result.outputs, result.states, error, one_step, unknown)
+        outputs, states = (segments.by_segment(values) for values in (result.outputs, result.states))
+        return WindowSimulations(estimates, outputs, states, error, one_step, unknown)
 
     def _accurate(self, step: float, run: Callable[[SampleStep], _Run]) -> _Run:
         """Run with more and more substeps until halving them changes no sample noticeably."""
@@ -183,7 +199,7 @@ class Simulator:
 
     def _local_error(self, result: _Run) -> float:
         """Return the largest change of a state in one sample by halved substeps, relative to its size."""
-        states = result.states.reshape(-1, result.states.shape[2]).T
+        states = result.states
         usable = np.flatnonzero(np.all(np.abs(states) < DIVERGED, axis=0))
         spread_out = np.unique(np.linspace(0, usable.size - 1, min(usable.size, CHECKED)).astype(int))
         checked = usable[spread_out].tolist()
@@ -227,10 +243,11 @@ def _first_substeps(model: ModelAtEstimate, step: float) -> int:
     return stable_substeps(np.linalg.eigvals(matrix), step, reach=FIRST_REACH, most=MOST_AT_FIRST)
 
 
-def _columns(data: Mapping[str, Array], present: Array, length: int) -> ca.DM:
-    """Return the first `length` samples of every window as a sample takes them, with the outputs that are `present`."""
+def _columns(segments: Segments, data: Mapping[str, Array], present: Array) -> Array:
+    """Return the data of all windows as far as the segments reach, with the outputs that are `present` as measured."""
     rows = [data["whole"], data["around"], np.where(present, data["measured"], 0.0), present, data["step"]]
-    return ca.DM(np.concatenate([row[:, :, :length].reshape(len(row), -1) for row in rows]))
+    joined = [row[:, :, : segments.length].reshape(len(row), -1) for row in rows]
+    return segments.columns(np.concatenate(joined))
 
 
 def _free_run_sensitivities(

@@ -35,7 +35,7 @@ def chosen(model, method=None):
     record = gb.Record(TIME, {"u": u, "x": np.sin(TIME)})
     problem = gb.Problem(model, record, gb.OutputError(inputs="held"))
     (part,) = compile_problem(problem, method or gb.MultipleShooting()).records
-    return part.substeps, part.experiment.segment
+    return part.substeps, part.data.segment_length
 
 
 def test_slow_poles_need_one_substep():

@@ -1,6 +1,5 @@
-"""Trajectories of several segments at once, against single steps and against differences."""
+"""Several segments at once, against single steps and against differences."""
 
-import casadi as ca
 import numpy as np
 import pytest
 from hardening_spring import Spring
@@ -8,8 +7,8 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.compiled.sample_step import sample_step
+from greybox.compiled.segments import LONG, Segments
 from greybox.modeling.realization import dynamics
-from greybox.simulation.trajectories import Trajectories
 
 COUNT, LENGTH = 3, 7
 
@@ -46,16 +45,40 @@ def by_steps(step, initial, q, rows):
 
 def test_each_segment_runs_from_its_own_state(made):
     step, initial, q, rows = made
-    states, outputs = Trajectories(step, COUNT, LENGTH, np.zeros(0, dtype=int)).simulate(initial, q, ca.DM(rows))
+    segments = Segments(step, COUNT, LENGTH, np.zeros(0, dtype=int))
+    data = segments.columns(rows)
+    states, ends = segments.simulate(initial, q, data)
+    outputs = segments.outputs(states, q, data)
     wanted_states, wanted_outputs = by_steps(step, initial, q, rows)
-    assert_allclose(states, wanted_states, rtol=1e-13)
-    assert_allclose(outputs, wanted_outputs, rtol=1e-13)
+    assert_allclose(segments.by_segment(states), wanted_states, rtol=1e-13)
+    assert_allclose(segments.by_segment(outputs), wanted_outputs, rtol=1e-13)
+    assert_allclose(segments.in_order(data), rows)
+    last = np.asarray(step.function(wanted_states[-1, -1], q, rows[:, -1])[0]).ravel()
+    assert_allclose(ends[-1], last, rtol=1e-13)
+
+
+def test_few_long_segments_run_one_after_the_other_to_the_same_states(made):
+    step, initial, q, rows = made
+    repeated = np.tile(rows, (1, 4 * LONG))
+    length = repeated.shape[1] // 2
+    active = np.zeros(0, dtype=int)
+    long = Segments(step, 2, length, active)
+    assert length > LONG * 2
+    states, ends = long.simulate(initial[:2], q, long.columns(repeated))
+    x = initial[1]
+    for j in range(length):
+        assert_allclose(long.by_segment(states)[1, j], x, rtol=1e-9, atol=1e-12)
+        x = np.asarray(step.function(x, q, repeated[:, length + j])[0]).ravel()
+    assert_allclose(ends[1], x, rtol=1e-9, atol=1e-12)
 
 
 def test_sensitivities_are_differences(made):
     step, initial, q, rows = made
     active = np.array([1, 0])
-    found = Trajectories(step, COUNT, LENGTH, active).sensitivities(initial, q, ca.DM(rows))
+    segments = Segments(step, COUNT, LENGTH, active)
+    data = segments.columns(rows)
+    states, _ = segments.simulate(initial, q, data)
+    found = segments.output_sensitivities(states, q, data)
     assert found.shape[:2] == (COUNT, LENGTH)
     h = 1e-6
     for column in range(4):
