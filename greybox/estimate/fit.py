@@ -21,8 +21,9 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.covariance import Accuracy, assess
+from greybox.estimate.diagnostics.delay_approximation import pade_error
 from greybox.estimate.diagnostics.discretization import discretization_warnings
-from greybox.estimate.diagnostics.general import pade_error, warnings
+from greybox.estimate.diagnostics.general import warnings
 from greybox.estimate.diagnostics.harmonics import harmonic_warnings
 from greybox.estimate.diagnostics.not_finite import explained, not_finite_warnings
 from greybox.estimate.diagnostics.records import record_warnings
