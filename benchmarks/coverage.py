@@ -247,7 +247,8 @@ class Cell:
 
     def judge(self, problem: Any, x: np.ndarray, constants: np.ndarray) -> "Answer":
         """Return what a Fit would say at the minimum `x`, by the same code."""
-        nlp = replace(self.nlp, problem=problem, constant_values=constants)
+        parts = tuple(replace(part, problem=p) for part, p in zip(self.nlp.parts, problem.parts, strict=True))
+        nlp = replace(self.nlp, problem=problem, parts=parts, constant_values=constants)
         accuracy = assess(nlp, x)
         value, gradient = (np.asarray(v) for v in self._quantities(nlp.all_values(x)))
         gradient = np.vstack([np.eye(x.size, len(nlp.names)), gradient])

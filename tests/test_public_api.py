@@ -32,7 +32,7 @@ NAMESPACES = {
     "plotting": "bode nyquist plot recording starts time_history traces",
     "regression": "EquationError equation_error levy order_path",
     "simulation": "Prediction predict simulate",
-    "solve": "LatinHypercube Listed Sobol Starts Uniform",
+    "solve": "LatinHypercube Listed Sobol Starts Strategies Uniform",
     "spectral": "FiniteFrequency Quality check demodulate finite_frequency periodic_response spectral_response",
     "validation": "Comparison NestedTest compare nested_test",
 }

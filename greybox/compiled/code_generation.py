@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-O2", "-fPIC", "-shared")
-NAME = "blocks_of_all"
+NAME = "linearization_of_all"
 
 
-class CompiledBlocks:
+class CompiledLinearization:
     """For s segments of some samples: ends, their derivatives, and JᵀJ and Jᵀe, all in one loop.
 
     `sample` is (x, q, d) -> next state, residuals, outputs; `active` names the parameters of the derivatives.
@@ -40,7 +40,7 @@ class CompiledBlocks:
         what = (sample.serialize(), active, segments, length, FLAGS, ca.CasadiMeta.version(), platform.machine())
         kept = _cache() / f"{hashlib.sha256(repr(what).encode()).hexdigest()[:32]}.so"
         if not kept.is_file():
-            _compile(_blocks(sample, active, length).map(NAME, "serial", segments, [1, 2], []), kept)
+            _compile(_linearization(sample, active, length).map(NAME, "serial", segments, [1, 2], []), kept)
         self._function = ca.external(NAME, str(kept))
 
     def __call__(self, nodes: Array, q: Array, weight: Array, data: Array) -> list[Array]:
@@ -60,7 +60,7 @@ class CompiledBlocks:
         return results
 
 
-def _blocks(sample: ca.Function, active: list[int], length: int) -> ca.Function:
+def _linearization(sample: ca.Function, active: list[int], length: int) -> ca.Function:
     """Return (node, q, weight, data) -> end, its derivatives, products and gradient of a segment."""
     x, q, d = (ca.SX.sym(name, sample.numel_in(k)) for k, name in enumerate("xqd"))
     after, e, _ = sample(x, q, d)
@@ -84,7 +84,7 @@ def _blocks(sample: ca.Function, active: list[int], length: int) -> ca.Function:
     ends = np.cumsum([n, S.nnz(), H.numel(), v]).tolist()
     end, slopes, summed, gradient = ca.vertsplit(last, [0, *ends])
     full = ca.vec(ca.densify(ca.MX(S.sparsity(), slopes)))
-    return ca.Function("blocks", [node, Q, weight, D], [end, full, summed, gradient])
+    return ca.Function("linearization", [node, Q, weight, D], [end, full, summed, gradient])
 
 
 def _pattern(A: ca.SX, n: int, v: int) -> ca.Sparsity:

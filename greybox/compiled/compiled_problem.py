@@ -1,7 +1,7 @@
-"""The compiled problem: one CasADi graph of the cost, in scaled variables, built once and used by every start."""
+"""The compiled problem: its parts and constraints as functions of the solver's variables, built once for all starts."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,11 +9,14 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.record_part import RecordPart
+from greybox.compiled.part import Part, Trajectory
+from greybox.compiled.record_part import RecordPart, compile_record
+from greybox.compiled.response_part import ResponsePart
+from greybox.compiled.scaling import Scaling, scaling_of
+from greybox.compiled.strategies import Strategies
 from greybox.compiled.transcription.method import Transcription
 from greybox.compiled.transcription.multiple_shooting import MultipleShooting
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.record import Record
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -22,33 +25,9 @@ from greybox.modeling.harmonic_balance import harmonic_function
 from greybox.modeling.linear_response import response_function
 from greybox.modeling.model import Names
 from greybox.modeling.pade_delay import delay_order
-from greybox.modeling.parameter import Parameter
 
 AnyProblem = Problem | Sum[Problem]
-
-
-@dataclass(frozen=True, eq=False)
-class Scaling:
-    """The change of variables between parameters x and what the solver sees, z: x = factor · z, or x = exp(z)."""
-
-    factor: NDArray[np.float64]
-    logarithmic: NDArray[np.bool_]
-
-    def to_solver(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return z for x, along the last axis."""
-        with np.errstate(divide="ignore"):
-            return np.where(self.logarithmic, np.log(np.where(self.logarithmic, x, 1.0)), x / self.factor)
-
-    def to_parameters(self, z: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return x for z, along the last axis."""
-        return np.where(self.logarithmic, np.exp(np.where(self.logarithmic, z, 0.0)), z * self.factor)
-
-    def expressions(self, z: Any) -> list[Any]:
-        """Return x for a CasADi vector z."""
-        return [
-            ca.exp(z[k]) if log else z[k] * float(f)
-            for k, (f, log) in enumerate(zip(self.factor, self.logarithmic, strict=True))
-        ]
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,36 +44,40 @@ class Nlp:
         Bounds of the unknowns, in their own units.
     scaling : Scaling
         Between the unknowns and the solver's variables.
+    method : Transcription
+        Of the records.
+    parts : tuple of Part
+        In the order of the problem's.
     expressions : dict
-        ``x, p, f, g`` as `casadi.nlpsol` takes them, of the frequency responses; p is the smoothing of the cost.
-    first : dict or None
+        ``x, p, f, g`` as `casadi.nlpsol` takes them, f of the frequency responses alone; p is the smoothing of the
+        cost.
+    locating : dict or None
         The same with the criteria that locate the minimum, where they differ.
-    records : tuple of RecordPart
-        The parts whose data are records; `responding` are the others.
-    cost : casadi.Function
-        (all values) -> the cost without smoothing, of every frequency response, unweighted, stacked.
-    responses : casadi.Function
-        (all values) -> real and imaginary parts of all frequency responses, stacked: (2 N,).
     constraint : casadi.Function
         (all values) -> what must be >= 0, stacked.
     limits : tuple of str
         What each of these is, in words.
+    response_cost : casadi.Function
+        (all values) -> the cost without smoothing of every frequency response, unweighted, stacked.
+    responses : casadi.Function
+        (all values) -> real and imaginary parts of all frequency responses, stacked: (2 N,).
     """
 
     problem: AnyProblem
     free: tuple[str, ...]
     constants: tuple[str, ...]
-    constant_values: NDArray[np.float64]
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
+    constant_values: Array
+    lower: Array
+    upper: Array
     scaling: Scaling
+    method: Transcription
+    parts: tuple[Part, ...]
     expressions: Mapping[str, Any]
-    first: Mapping[str, Any] | None
-    records: tuple[RecordPart, ...]
-    cost: ca.Function
-    responses: ca.Function
+    locating: Mapping[str, Any] | None
     constraint: ca.Function
     limits: tuple[str, ...]
+    response_cost: ca.Function
+    responses: ca.Function
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -102,38 +85,61 @@ class Nlp:
         return (*self.free, *self.constants)
 
     @property
-    def weights(self) -> NDArray[np.float64]:
-        """The weight of every frequency response."""
-        return np.array([part.weight for part in self.responding])
+    def strategies(self) -> Strategies:
+        """The settings of the solver for records."""
+        return self.method.strategies
 
     @property
-    def responding(self) -> tuple[Problem, ...]:
-        """The parts whose data are frequency responses."""
-        return tuple(part for part in self.problem.parts if isinstance(part.data, FrequencyResponse))
+    def by_ipopt(self) -> bool:
+        """True when IPOPT solves the records as one sparse program."""
+        return self.method.by_ipopt
 
-    def all_values(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    @property
+    def has_states(self) -> bool:
+        """True when a part has hidden unknowns."""
+        return any(part.has_states for part in self.parts)
+
+    @property
+    def record_parts(self) -> tuple[RecordPart, ...]:
+        """The parts whose data are records."""
+        return tuple(part for part in self.parts if isinstance(part, RecordPart))
+
+    @property
+    def response_parts(self) -> tuple[ResponsePart, ...]:
+        """The parts whose data are frequency responses."""
+        return tuple(part for part in self.parts if isinstance(part, ResponsePart))
+
+    def all_values(self, x: Array) -> Array:
         """Append the constants to unknowns x (..., p)."""
         x = np.asarray(x, dtype=float)
         constants = np.broadcast_to(self.constant_values, (*x.shape[:-1], len(self.constants)))
         return np.concatenate([x, constants], axis=-1)
 
-    def costs(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    # --- all frequency responses at many points at once ---------------------------------------------------------------
+
+    def part_costs(self, x: Array) -> Array:
+        """Return the cost without smoothing of every frequency response, unweighted, at x (p,): (parts,)."""
+        return np.asarray(self.response_cost(self.all_values(x))).ravel()
+
+    def costs(self, x: Array) -> Array:
         """Return the cost without smoothing of the frequency responses, for every row of x (r, p): (r,)."""
         if not len(x):
             return np.zeros(0)
-        parts = np.asarray(self.cost(self.all_values(x).T))
-        return self.weights @ parts
+        weights = np.array([part.weight for part in self.response_parts])
+        return weights @ np.asarray(self.response_cost(self.all_values(x).T))
 
-    def response_rows(self, x: NDArray[np.float64]) -> NDArray[np.complex128]:
+    def response_rows(self, x: Array) -> NDArray[np.complex128]:
         """Return all frequency responses, stacked, for every row of x (r, p): (r, N)."""
         values = np.asarray(self.responses(self.all_values(x).T)).T
         half = values.shape[1] // 2
         return values[:, :half] + 1j * values[:, half:]
 
-    def split(self, stacked: NDArray[Any]) -> list[NDArray[Any]]:
-        """Cut an array whose first axis runs over the points of all frequency responses into one array for each."""
-        ends = np.cumsum([len(part.data) for part in self.responding])[:-1]
-        return np.split(stacked, ends)
+    # --- with nodes ---------------------------------------------------------------------------------------------------
+
+    def trajectories(self, x: Array, nodes: tuple[Array, ...]) -> tuple[Trajectory, ...]:
+        """Return the trajectory of every part at the parameters x (p,) with these nodes."""
+        z = self.scaling.to_solver(x)
+        return tuple(part.trajectory(z, n) for part, n in zip(self.parts, nodes, strict=True))
 
 
 def compile_problem(problem: AnyProblem, method: Transcription | None = None) -> Nlp:
@@ -150,33 +156,47 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     if not free:
         cure = f"free one, e.g. free=({constants[0]!r},)" if constants else "there is nothing to estimate"
         raise ValueError(f"no parameter of {problem.name!r} is free: {cure}.")
+    scaling = scaling_of([parameters[name] for name in free])
+    constant_values = np.array([parameters[name].start for name in constants])
     responding = [part for part in problem.parts if isinstance(part.data, FrequencyResponse)]
     models = [_response(part) for part in responding]
     # A trim that is found by Newton's method exists as MX only; everything else is faster as SX.
     kind: Any = ca.SX if all(f.is_a("SXFunction") for f in models) else ca.MX
-    scaling = _scaling([parameters[name] for name in free])
-    constant_values = np.array([parameters[name].start for name in constants])
 
     def trace(values: list[Any]) -> tuple[list[Complex], dict[str, Any]]:
         """Return the response of every part and the limits by label, for values in the order free, constants."""
-        local = [part.local_values(dict(zip((*free, *constants), values, strict=True))) for part in problem.parts]
-        there = [p for part, p in zip(problem.parts, local, strict=True) if part in responding]
-        responses = [Complex(*f(ca.vertcat(*p.values()))) for f, p in zip(models, there, strict=True)]
+        named = dict(zip((*free, *constants), values, strict=True))
+        local = [part.local_values(named) for part in problem.parts]
+        own = [p for part, p in zip(problem.parts, local, strict=True) if part in responding]
+        responses = [Complex(*f(ca.vertcat(*p.values()))) for f, p in zip(models, own, strict=True)]
         limits = [item for part, p in zip(problem.parts, local, strict=True) for item in _limits(part, p).items()]
         return responses, dict(limits)
 
     x = kind.sym("x", len(free) + len(constants))
     responses, limits = trace(ca.vertsplit(x))
     costs = [_criterion(part).cost(r, part.response) for part, r in zip(responding, responses, strict=True)]
-    stacked = ca.vertcat(kind(0, 1), *[r.re for r in responses], *[r.im for r in responses])
 
     z, smoothing = kind.sym("z", len(free)), kind.sym("smoothing")
     scaled, scaled_limits = trace([*scaling.expressions(z), *constant_values])
     statement = {"x": z, "p": smoothing, "g": ca.vertcat(kind(0, 1), *scaled_limits.values())}
-    locating = any(_criterion(part).locator is not None for part in responding)
+    own_cost = _costs(responding, scaled, smoothing, _criterion)
+    total = _weighted(responding, own_cost)
+    locating = None
+    if any(_criterion(part).locator is not None for part in responding):
+        located = _costs(responding, scaled, smoothing, lambda part: _criterion(part).locator or _criterion(part))
+        locating = statement | {"f": kind(_weighted(responding, located))}
+
+    compiled_responses = {
+        part: ResponsePart(
+            problem=part,
+            objective=ca.Function("objective", [z, smoothing], [kind(cost)]),
+            model_response=ca.Function("response", [x], [ca.vertcat(response.re, response.im)]),
+        )
+        for part, cost, response in zip(responding, own_cost, responses, strict=True)
+    }
     point = ca.SX.sym("z", len(free))
     named = dict(zip((*free, *constants), [*scaling.expressions(point), *constant_values], strict=True))
-    records = [part for part in problem.parts if isinstance(part.data, Record)]
+    method = method or MultipleShooting()
     return Nlp(
         problem=problem,
         free=free,
@@ -185,13 +205,19 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         lower=np.array([parameters[name].bounds[0] for name in free]),
         upper=np.array([parameters[name].bounds[1] for name in free]),
         scaling=scaling,
-        expressions=statement | {"f": kind(_total(responding, scaled, smoothing, locate=False))},
-        first=statement | {"f": kind(_total(responding, scaled, smoothing, locate=True))} if locating else None,
-        records=tuple(RecordPart(part, named, point, method or MultipleShooting()) for part in records),
-        cost=ca.Function("cost", [x], [ca.vertcat(kind(0, 1), *costs)]),
-        responses=ca.Function("responses", [x], [stacked]),
+        method=method,
+        parts=tuple(
+            compiled_responses[part] if part in compiled_responses else compile_record(part, named, point, method)
+            for part in problem.parts
+        ),
+        expressions=statement | {"f": kind(total)},
+        locating=locating,
         constraint=ca.Function("constraint", [x], [ca.vertcat(kind(0, 1), *limits.values())]),
         limits=tuple(limits),
+        response_cost=ca.Function("cost", [x], [ca.vertcat(kind(0, 1), *costs)]),
+        responses=ca.Function(
+            "responses", [x], [ca.vertcat(kind(0, 1), *[r.re for r in responses], *[r.im for r in responses])]
+        ),
     )
 
 
@@ -201,16 +227,24 @@ def _limits(part: Problem, p: Names) -> dict[str, Any]:
     for name in part.tied:
         low, high = part.model.parameters[name].bounds
         tied = f"of the tied {part.rename.get(name, name)}"
-        result |= {f"the lower bound {low:g} {tied}": p[name] - low} if math.isfinite(low) else {}
-        result |= {f"the upper bound {high:g} {tied}": high - p[name]} if math.isfinite(high) else {}
+        if math.isfinite(low):
+            result[f"the lower bound {low:g} {tied}"] = p[name] - low
+        if math.isfinite(high):
+            result[f"the upper bound {high:g} {tied}"] = high - p[name]
     return result
 
 
-def _total(parts: list[Problem], responses: list[Complex], smoothing: Any, locate: bool) -> Any:
+def _costs(
+    parts: list[Problem], responses: list[Complex], smoothing: Any, criterion: Callable[[Problem], Criterion]
+) -> list[Any]:
+    pairs = zip(parts, responses, strict=True)
+    return [criterion(part).cost(response, part.response, smoothing) for part, response in pairs]
+
+
+def _weighted(parts: list[Problem], costs: list[Any]) -> Any:
     total: Any = 0.0
-    for part, response in zip(parts, responses, strict=True):
-        criterion = (_criterion(part).locator if locate else None) or _criterion(part)
-        total = total + part.weight * criterion.cost(response, part.response, smoothing)
+    for part, cost in zip(parts, costs, strict=True):
+        total = total + part.weight * cost
     return total
 
 
@@ -225,22 +259,3 @@ def _response(part: Problem) -> ca.Function:
     if part.amplitude is not None:
         return harmonic_function(part.model, data.omega, part.amplitude, **options)
     return response_function(part.model, data.omega, **options)
-
-
-def _scaling(parameters: list[Parameter]) -> Scaling:
-    return Scaling(
-        factor=np.array([_size(p) for p in parameters]),
-        logarithmic=np.array([p.scale == "log" for p in parameters]),
-    )
-
-
-def _size(parameter: Parameter) -> float:
-    """Return the larger end of the start box: IPOPT then needs about half the time that it takes unscaled.
-
-    Not that of wider bounds, from which IPOPT would push the starts away by a share of their distance.
-    """
-    for pair in (parameter.box, parameter.bounds, (parameter.start, parameter.start)):
-        finite = [abs(v) for v in pair if math.isfinite(v) and v != 0]
-        if finite:
-            return max(finite)
-    return 1.0

@@ -1,4 +1,12 @@
-"""The linear algebra of multiple shooting: segments that hand their end state to the next one."""
+"""Condensing: nodes and multipliers of continuity are eliminated from the Gauss-Newton system of a record.
+
+The Karush-Kuhn-Tucker system of a chain of segments is banded: each segment is coupled to the next by its end state
+alone. Solved for several right-hand sides at once (the residuals, and one for each parameter), it gives how nodes and
+multipliers follow the parameters, so that a small system in the parameters is left.
+
+Source: Bock and Plitt (1984), A multiple shooting algorithm for direct solution of optimal control problems, IFAC
+Proceedings 17(2); Betts (2010), Practical Methods for Optimal Control and Estimation, 2nd ed., chapter 4.
+"""
 
 from functools import lru_cache
 from typing import Any
@@ -10,14 +18,19 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-def solve_chain(
-    hessian: Array, transition: Array, coupled: NDArray[np.bool_], stationarity: Array, continuity: Array, soft: Array
+def solve_continuity(
+    hessian: Array,
+    transition: Array,
+    coupled: NDArray[np.bool_],
+    stationarity: Array,
+    continuity: Array,
+    variance: Array,
 ) -> tuple[Array, Array]:
     """Solve the Karush-Kuhn-Tucker system of a chain of s segments with n states for r right-hand sides.
 
     H_j x_j + A_jᵀ λ_j - λ_(j-1) = stationarity_j and A_j x_j - x_(j+1) - P λ_j = continuity_j, with λ_j = 0 where
-    segment j is not `coupled` to the next. P = diag(soft) is zero for exact continuity. Sparse QR in the
-    order x_0, λ_0, x_1, λ_1 ... takes a time linear in s.
+    segment j is not `coupled` to the next. P = diag(variance) is zero for exact continuity; otherwise continuity is a
+    penalty gap²/2P. Sparse QR in the order x_0, λ_0, x_1, λ_1 ... takes a time linear in s.
 
     Parameters
     ----------
@@ -25,7 +38,7 @@ def solve_chain(
         H and A.
     coupled : (s,) bool array
     stationarity, continuity : (s, n, r) arrays
-    soft : (n,) array
+    variance : (n,) array
 
     Returns
     -------
@@ -39,38 +52,41 @@ def solve_chain(
     s, n, r = stationarity.shape
     if n == 0:
         return np.zeros((s, 0, r)), np.zeros((s, 0, r))
-    size = _sizes(hessian, transition)
-    on = coupled[:, None, None]
-    transition = np.where(on, transition * size / size[:, None], 0.0)
+    size = _state_sizes(hessian, transition)
+    linked = coupled[:, None, None]
+    transition = np.where(linked, transition * size / size[:, None], 0.0)
     hessian = hessian * size * size[:, None]
+
     link = np.where(coupled, -1.0, 0.0)
     # Column by column: of x_k the row of λ before, H and A; of λ_k the rows of A, itself, and x after.
     states = np.zeros((s, n, 2 * n + 1))
     states[1:, :, 0] = link[:-1, None]
     states[:, :, 1 : n + 1] = hessian.transpose(0, 2, 1)
     states[:, :, n + 1 :] = transition.transpose(0, 2, 1)
-    forces = np.zeros((s, n, n + 2))
-    forces[:, :, :n] = transition
-    forces[:, :, n] = np.where(coupled[:, None], -soft / size**2, 1.0)
-    forces[:, :, n + 1] = link[:, None]
-    values = np.concatenate([states.reshape(s, -1), forces.reshape(s, -1)], axis=1).ravel()
-    missed = np.where(on, continuity / size[:, None], 0.0)
-    right = np.concatenate([stationarity * size[:, None], missed], axis=1).reshape(2 * n * s, r)
+    multipliers = np.zeros((s, n, n + 2))
+    multipliers[:, :, :n] = transition
+    multipliers[:, :, n] = np.where(coupled[:, None], -variance / size**2, 1.0)
+    multipliers[:, :, n + 1] = link[:, None]
+    values = np.concatenate([states.reshape(s, -1), multipliers.reshape(s, -1)], axis=1).ravel()
+
+    gaps = np.where(linked, continuity / size[:, None], 0.0)
+    right = np.concatenate([stationarity * size[:, None], gaps], axis=1).reshape(2 * n * s, r)
     solver = _solver(s, n, r)
     solution = solver(values[solver.inside], np.ascontiguousarray(right.T)).T
     if not np.all(np.isfinite(solution)):
-        raise np.linalg.LinAlgError("the segments do not determine their states.")
+        raise np.linalg.LinAlgError("the nodes of the record are not determined: its KKT system is singular.")
     solution = np.ascontiguousarray(solution).reshape(s, 2 * n, r)
     return solution[:, :n] * size[:, None], solution[:, n:] / size[:, None]
 
 
-def _sizes(hessian: Array, transition: Array) -> Array:
-    """Return the size (n,) that states have by what they change, directly or after a segment; 1 where nothing."""
-    seen = np.abs(hessian.diagonal(axis1=1, axis2=2)).mean(axis=0)
-    passed = (transition**2).mean(axis=0).T
-    for _ in range(len(seen)):
-        seen = np.where(seen > 0, seen, passed @ seen)
-    return 1 / np.sqrt(np.where((seen > 1e-200) & (seen < 1e200), seen, 1.0))
+def _state_sizes(hessian: Array, transition: Array) -> Array:
+    """Return the change (n,) of each state that changes the outputs by one, at once or later; 1 if none does."""
+    curvature = np.abs(hessian.diagonal(axis1=1, axis2=2)).mean(axis=0)
+    passed_on = (transition**2).mean(axis=0).T
+    for _ in range(len(curvature)):
+        curvature = np.where(curvature > 0, curvature, passed_on @ curvature)
+    usable = (curvature > 1e-200) & (curvature < 1e200)  # their square roots and products stay within double range
+    return 1 / np.sqrt(np.where(usable, curvature, 1.0))
 
 
 class _Solver:
@@ -80,8 +96,10 @@ class _Solver:
         """Analyze the pattern of s blocks of n states, for r right-hand sides."""
         local = np.arange(n)
         of_states = np.concatenate([(local - n)[:, None], np.tile(np.arange(2 * n), (n, 1))], axis=1)
-        of_forces = np.concatenate([np.tile(local, (n, 1)), (n + local)[:, None], (2 * n + local)[:, None]], axis=1)
-        rows = np.concatenate([of_states.ravel(), of_forces.ravel()])
+        of_multipliers = np.concatenate(
+            [np.tile(local, (n, 1)), (n + local)[:, None], (2 * n + local)[:, None]], axis=1
+        )
+        rows = np.concatenate([of_states.ravel(), of_multipliers.ravel()])
         columns = np.concatenate([np.repeat(local, 2 * n + 1), np.repeat(n + local, n + 2)])
         shift = 2 * n * np.arange(s)[:, None]
         row, column = (rows + shift).ravel(), (columns + shift).ravel()

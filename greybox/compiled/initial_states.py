@@ -12,14 +12,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.sampled_data import Experiment
+from greybox.compiled.sampled_data import SampledData
+from greybox.compiled.strategies import Strategies
 from greybox.compiled.vectorized import Columns
 from greybox.modeling.realization import Dynamics
 
 Array = NDArray[np.float64]
 SIZES = (1.0, 0.1, 10.0, 0.01, 100.0, 1e-3, 1e3, 1e4, 1e5, -1.0, -0.1, -10.0, -100.0)
-AWAY = 0.5  # mean over standard deviation from which a state is not one that swings about its rest at zero
-SWEEPS = 2  # over the states, each of which tries all sizes
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +31,13 @@ class Shown:
     offset: float
 
 
-class FirstStates:
+class InitialStates:
     """The states of a model at some samples, for the outputs that are compared."""
 
-    def __init__(self, system: Dynamics, outputs: tuple[str, ...]) -> None:
+    def __init__(self, system: Dynamics, outputs: tuple[str, ...], strategies: Strategies) -> None:
         """Compile what tells whether the model is finite, with its derivatives."""
         self._n = len(system.states)
+        self._strategies = strategies
         x, u, p = (ca.SX.sym("v", len(v)) for v in (system.states, system.inputs, system.parameters))
         y = system.output(x, u, p)[[system.outputs.index(name) for name in outputs]]
         f = system.derivative(x, u, p) if self._n else ca.SX(0, 1)
@@ -56,10 +56,10 @@ class FirstStates:
         hidden[[shown.state for shown in self._shown]] = False
         given = hidden & np.isfinite(known)
         states[given] = seen[given] = known[given, None]
-        away = np.abs(seen.mean(axis=1)) > AWAY * seen.std(axis=1)
+        away = np.abs(seen.mean(axis=1)) > self._strategies.mean_over_deviation * seen.std(axis=1)
         states[away] = seen[away]
         finite, _ = self._judged(states, measured, inputs, p)
-        if finite.all():
+        if finite.all() or not self._strategies.scanned_initial_states:
             return states
         states = self._sized(seen, np.flatnonzero(hidden & ~given), measured, inputs, p)
         return self._mended(states, measured, inputs, p)
@@ -80,7 +80,7 @@ class FirstStates:
         """Return the states with the best sizes of the hidden ones: of all together, then of each."""
         best, least = states, self._score(states, measured, inputs, p)
         groups = [hidden] if hidden.size else []
-        for group in [*groups, *([[k] for k in hidden] * SWEEPS)]:
+        for group in [*groups, *([[k] for k in hidden] * self._strategies.sweeps)]:
             for size in (0.0, *SIZES):
                 trial = best.copy()
                 trial[group] = size
@@ -127,12 +127,12 @@ def _shown(y: ca.SX, x: ca.SX, others: ca.SX) -> list[Shown]:
     return list(found.values())
 
 
-def at_samples(experiment: Experiment, every: int) -> tuple[Array, Array]:
-    """Return measured outputs (k, s), gaps interpolated, and inputs (m, s) at every so manieth sample of a stretch."""
+def at_samples(data: SampledData, every: int) -> tuple[Array, Array]:
+    """Return measured outputs (k, s), gaps interpolated, and inputs (m, s) at every n-th sample of a stretch."""
     outputs, inputs = [], []
-    everywhere = [np.concatenate(rows) for rows in zip(*(s.outputs for s in experiment.stretches), strict=True)]
+    everywhere = [np.concatenate(rows) for rows in zip(*(s.outputs for s in data.stretches), strict=True)]
     means = [float(np.nanmean(row)) if np.isfinite(row).any() else 0.0 for row in everywhere]
-    for stretch in experiment.stretches:
+    for stretch in data.stretches:
         at = np.arange(0, len(stretch), every)
         rows = []
         for row, mean in zip(stretch.outputs, means, strict=True):

@@ -1,8 +1,8 @@
-"""The gain of a predictor: its stability, the states it leads to, and the values it begins with.
+"""The Kalman gain of a record in innovations form: its stability, and values to begin with.
 
-A predictor x[k+1] = F(x[k] + K e[k], u) whose poles lie within the unit circle forgets its initial state. It is
-simulated from the first sample of a stretch to the last: an unstable plant does not run away, and no states in between
-have to be found and joined. Steps that would lead out of the circle are bent along it.
+A predictor x[k+1] = F(x[k] + K e[k], u) whose poles lie within the unit circle forgets its initial state. It can then
+be simulated from the first sample of a stretch to the last: an unstable plant does not diverge, and no nodes in between
+have to be found and joined.
 """
 
 import math
@@ -13,26 +13,34 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.record_part import Path, Place, RecordPart
+from greybox.compiled.part import Part, Trajectory
+from greybox.compiled.record_part import Placed, RecordPart
 
 Array = NDArray[np.float64]
-COMPARED = 3000  # samples on which sizes of the process noise are compared
-PIECES = 3  # of a record, that hold them
-DOUBLINGS = 60  # of the time after which a filter is taken to be steady
-FORGOTTEN = 3.0  # time constants: an initial state has faded to a twentieth
-AT = 0.02  # of the distance of the limit from the unit circle: what is as close has come to it
-STEADY = 1e-12  # relative change of a covariance that ends them
+
+# Excerpts, evenly over a record, on which candidates of a gain are compared.
+EXCERPTS = 3
+
+# Doublings of the time after which a filter counts as steady: 2^60 samples.
+DOUBLINGS = 60
+
+# Relative change of a covariance from one doubling to the next that is rounding.
+STEADY = 1e-12
+
+# Of the distance between the stability limit and the unit circle: a pole this close has come to the limit. Steps go at
+# most 0.9 of the way to it, and two of them come within 0.01.
+AT_LIMIT = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Predictor:
+class KalmanGain:
     """The gain K (n, k) of one record.
 
     Attributes
     ----------
     part : RecordPart
     states, outputs, places : (g,) arrays
-        State and output of every entry, and its place among the parameters q.
+        State and output of every entry, and its place among the declared parameters.
     names : tuple of str
         Of the entries, as the problem knows them.
     """
@@ -51,109 +59,121 @@ class Predictor:
         by noise, the likelihood grows toward the unit circle and has no maximum within, as for the unit root of a
         moving average: Sargan and Bhargava (1983), Econometrica 51(3).
         """
-        return 1 - FORGOTTEN / max(len(stretch) for stretch in self.part.experiment.stretches)
+        return 1 - self.part.model.strategies.forgetting / max(len(stretch) for stretch in self.part.data.stretches)
 
-    def is_stable(self, path: Path, place: Place) -> bool:
-        """Tell whether the poles of the mean linearization along a path are within the limit."""
-        return radius(self._driven(path, place)) < self.limit
+    def is_stable(self, trajectory: Trajectory, placed: Placed | None = None) -> bool:
+        """Tell whether the poles of the mean linearization are within the limit.
 
-    def is_bounded(self, path: Path, place: Place) -> bool:
-        """Tell whether a pole has come to the limit, where the likelihood has no maximum."""
-        return 1 - radius(self._driven(path, place)) < (1 + AT) * (1 - self.limit)
-
-    def _driven(self, path: Path, place: Place) -> Array:
-        """Return the transition over a sample of the errors of those states that innovations drive."""
-        A, _ = self.part.shooting.mean_derivatives(path.states, place.q, place.data)
-        return self._part_driven(A)
-
-    def _part_driven(self, A: Array) -> Array:
-        driven = np.zeros(len(A), dtype=bool)
-        driven[self.states] = True
-        for _ in range(len(A)):
-            driven |= (A[:, driven] != 0).any(axis=1)
-        return A[np.ix_(driven, driven)]
-
-    def outward(self, path: Path, place: Place, places: Sequence[Place], steps: Array) -> tuple[Array, Array]:
-        """Return how the magnitudes of the poles (m,) change with the point, (m, p), and how far they may grow (m,).
-
-        `places` are those after `steps` (p,) along one entry of the point each.
+        Along a trajectory, with its parameters or with those `placed` elsewhere.
         """
-        A = self._driven(path, place)
+        return spectral_radius(self.error_transition(trajectory, placed)) < self.limit
+
+    def is_at_limit(self, trajectory: Trajectory) -> bool:
+        """Tell whether a pole has come to the limit, where the likelihood has no maximum."""
+        distance = 1 - spectral_radius(self.error_transition(trajectory))
+        return distance < (1 + AT_LIMIT) * (1 - self.limit)
+
+    def error_transition(self, trajectory: Trajectory, placed: Placed | None = None) -> Array:
+        """Return the transition over a sample of the errors of those states that innovations reach."""
+        placed = trajectory.detail.placed if placed is None else placed
+        assert placed is not None
+        A, _ = self.part.segments.mean_transition(trajectory.detail.states, placed.q, placed.data)
+        return self._reached(A)
+
+    def pole_derivatives(self, trajectory: Trajectory, z: Array, difference: float) -> tuple[Array, Array]:
+        """Return the derivatives of the poles' magnitudes (m, p) by z, and how far they may grow (m,).
+
+        By finite differences of the transition along a trajectory, of the relative size `difference`.
+        """
+        A = self.error_transition(trajectory)
+        steps = difference * np.maximum(np.abs(z), 1.0)
+        moved = [self.part.place(z + row) for row in np.diag(steps)]
+        change = [(self.error_transition(trajectory, at) - A) / step for at, step in zip(moved, steps, strict=True)]
         poles, right = np.linalg.eig(A)
         left = np.linalg.pinv(right)
-        change = np.array([(self._driven(path, at) - A) / step for at, step in zip(places, steps, strict=True)])
-        slopes = np.einsum("mi,pij,jm->mp", left, change, right)
-        size = np.maximum(np.abs(poles), 1e-12)
+        slopes = np.einsum("mi,pij,jm->mp", left, np.array(change), right)
+        size = np.maximum(np.abs(poles), 1e-12)  # a pole at zero has no direction, and is far from the limit
         return np.real(np.conj(poles)[:, None] * slopes) / size[:, None], self.limit - np.abs(poles)
 
-    def cost(self, nodes: Array, place: Place) -> float:
-        """Return about what `followed` costs, by some pieces of the record that begin at their own nodes."""
-        part, length = self.part, self.part.experiment.segment
-        rows, samples = part.shooting.rows(place.data), 0
+    def _reached(self, A: Array) -> Array:
+        reached = np.zeros(len(A), dtype=bool)
+        reached[self.states] = True
+        for _ in range(len(A)):
+            reached |= (A[:, reached] != 0).any(axis=1)
+        return A[np.ix_(reached, reached)]
+
+    def excerpt_cost(self, nodes: Array, placed: Placed) -> float:
+        """Return about what a simulation costs, by excerpts that begin at their own of the nodes (s, n)."""
+        part, length = self.part, self.part.data.segment_length
+        rows = part.segments.rows(placed.data)
         products = np.zeros((len(part.outputs), len(part.outputs)))
-        for first, count in self._pieces:
-            some = slice(first * length, (first + count) * length)
-            _, residuals = part.step.follow(nodes[first], place.q, rows[some])
-            products, samples = products + residuals.T @ residuals, samples + count * length
-        return part.noise.cost(products * (len(rows) / samples))
+        samples = 0
+        for first, count in self._excerpts:
+            excerpt = slice(first * length, (first + count) * length)
+            _, residuals = part.step.simulate(nodes[first], placed.q, rows[excerpt])
+            products += residuals.T @ residuals
+            samples += count * length
+        return part.covariance.cost(products * (len(rows) / samples))
 
     @cached_property
-    def _pieces(self) -> list[tuple[int, int]]:
-        """First segment and number of segments of every piece."""
-        counts = self.part.experiment.counts
-        ends, size = np.cumsum(counts), max(COMPARED // (PIECES * self.part.experiment.segment), 1)
-        firsts = np.unique(np.linspace(0, max(ends[-1] - size, 0), PIECES).astype(int))
+    def _excerpts(self) -> list[tuple[int, int]]:
+        """First segment and number of segments of every excerpt."""
+        ends = np.cumsum(self.part.data.segment_counts)
+        size = max(self.part.model.strategies.gain_samples // (EXCERPTS * self.part.data.segment_length), 1)
+        firsts = np.unique(np.linspace(0, max(ends[-1] - size, 0), EXCERPTS).astype(int))
         left = ends[np.searchsorted(ends, firsts, side="right")] - firsts
         return [(int(first), int(min(size, rest))) for first, rest in zip(firsts, left, strict=True)]
 
-    def steady(self, path: Path, place: Place, process: Sequence[Array]) -> list[Array | None]:
+    def steady_state(self, trajectory: Trajectory, process: Sequence[Array]) -> list[Array | None]:
         """Return the entries (g,) of steady Kalman filters, None where the predictor would not be stable.
 
-        For process noise of variances (n,) a sample in the states that are corrected, and the residuals of the path as
-        measurement noise.
+        For process noise of variances (n,) a sample in the states that are corrected, and the residuals of the
+        trajectory as measurement noise.
         """
-        q = place.q.copy()
+        placed = trajectory.detail.placed
+        q = placed.q.copy()
         q[self.places] = 0
-        F, C = self.part.shooting.mean_derivatives(path.states, q, place.data)
-        root, found = self.part.noise.weight(path.products), list[Array | None]()
+        F, C = self.part.segments.mean_transition(trajectory.detail.states, q, placed.data)
+        root = self.part.covariance.weight(trajectory.products)
         corrected = np.isin(np.arange(len(F)), self.states)
+        result: list[Array | None] = []
         for variance in process:
-            gain = steady_gain(F, root @ C, np.where(corrected, variance, 0.0)) @ root
+            gain = steady_state_gain(F, root @ C, np.where(corrected, variance, 0.0)) @ root
             K = np.zeros_like(gain)
             K[self.states, self.outputs] = entries = gain[self.states, self.outputs]
-            stable = radius(self._part_driven(F @ (np.eye(len(F)) - K @ C))) < self.limit
-            found.append(entries if stable else None)
-        return found
+            stable = spectral_radius(self._reached(F @ (np.eye(len(F)) - K @ C))) < self.limit
+            result.append(entries if stable else None)
+        return result
 
-    def placed(self, z: Array, place: Place, entries: Array) -> Array:
-        """Return the point z (p,) of the solver with these entries (g,) of the gain, where z alone sets them."""
-        z, active = z.copy(), self.part.active.tolist()
+    def placed(self, trajectory: Trajectory, z: Array, entries: Array) -> Array:
+        """Return the point z (p,) with these entries (g,) of the gain, where a single variable sets them."""
+        slope, z = trajectory.detail.placed.slope, z.copy()
+        active = self.part.model.active.tolist()
         for k, value in zip(self.places.tolist(), entries, strict=True):
-            slope = place.slope[active.index(k)] if k in active else np.zeros(len(z))
-            (of,) = np.nonzero(slope)
+            row = slope[active.index(k)] if k in active else np.zeros(len(z))
+            (of,) = np.nonzero(row)
             if len(of) == 1:
-                z[of] = value / slope[of]
+                z[of] = value / row[of]
         return z
 
 
-def predictor(part: RecordPart) -> Predictor | None:
-    """Return the predictor of a record; None where its criterion has none."""
-    if not part.criterion.corrects_states:
+def kalman_gain(part: Part) -> KalmanGain | None:
+    """Return the gain of a part; None where its criterion has none."""
+    if not part.gains or not isinstance(part, RecordPart):
         return None
-    pairs = part.criterion.gains(part.part.model, part.outputs)
-    names = [f"K_{state}_{output}" for state, output in pairs]
-    declared = list(part.part.declared)
-    return Predictor(
+    names = [f"K_{state}_{output}" for state, output in part.gains]
+    declared = list(part.problem.declared)
+    return KalmanGain(
         part,
-        states=np.array([part.system.states.index(state) for state, _ in pairs], dtype=int),
-        outputs=np.array([part.outputs.index(output) for _, output in pairs], dtype=int),
+        states=np.array([part.system.states.index(state) for state, _ in part.gains], dtype=int),
+        outputs=np.array([part.outputs.index(output) for _, output in part.gains], dtype=int),
         places=np.array([declared.index(name) for name in names], dtype=int),
-        names=tuple(part.part.rename.get(name, name) for name in names),
+        names=tuple(part.problem.rename.get(name, name) for name in names),
     )
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def steady_gain(F: Array, C: Array, process: Array) -> Array:
+def steady_state_gain(F: Array, C: Array, process: Array) -> Array:
     """Return the gain (n, k) of the steady Kalman filter of x[k+1] = F (x[k] + K e[k]) + w, y = C x + v; NaN without.
 
     `process` (n,) are the variances of w; v has unit variances. By the structure-preserving doubling algorithm, which
@@ -161,9 +181,13 @@ def steady_gain(F: Array, C: Array, process: Array) -> Array:
     Source: Chu, Fan, Lin, Wang (2004), International Journal of Control 77(8); Simon (2006), Optimal State Estimation,
     section 7.3.
     """
-    n, size = len(F), np.sqrt(np.where(process > 0, process, process.max(initial=0.0)))
-    A, seen = F.T * size[:, None] / size, C * size
-    G, H, eye = seen.T @ seen, np.diag(process / size**2), np.eye(n)
+    n = len(F)
+    size = np.sqrt(np.where(process > 0, process, process.max(initial=0.0)))
+    A = F.T * size[:, None] / size
+    scaled = C * size
+    G = scaled.T @ scaled
+    H = np.diag(process / size**2)
+    eye = np.eye(n)
     for _ in range(DOUBLINGS):
         if not np.all(np.isfinite(A)) or not np.all(np.isfinite(H)):
             break
@@ -171,15 +195,17 @@ def steady_gain(F: Array, C: Array, process: Array) -> Array:
             both = np.linalg.solve(eye + G @ H, np.hstack([A, G]))
         except np.linalg.LinAlgError:
             break
-        step, seen_later = both[:, :n], both[:, n:]
-        more = A.T @ H @ step
-        A, G, H = A @ step, G + A @ seen_later @ A.T, H + (more + more.T) / 2
-        if np.abs(more).max() <= STEADY * np.abs(H).max():
+        step, gramian = both[:, :n], both[:, n:]
+        change = A.T @ H @ step
+        G = G + A @ gramian @ A.T
+        A = A @ step
+        H = H + (change + change.T) / 2
+        if np.abs(change).max() <= STEADY * np.abs(H).max():
             P = H * size * size[:, None]
             return np.linalg.solve(C @ P @ C.T + np.eye(len(C)), C @ P).T.astype(float)
     return np.full((n, len(C)), np.nan)
 
 
-def radius(A: Array) -> float:
-    """Return the spectral radius of a transition matrix (n, n); infinite where it is not finite."""
+def spectral_radius(A: Array) -> float:
+    """Return the largest magnitude of an eigenvalue of A (n, n); infinite where A is not finite."""
     return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) if np.all(np.isfinite(A)) else math.inf

@@ -1,9 +1,8 @@
-"""A problem whose data are a record, compiled for Gauss-Newton steps: node states eliminated, parameters left."""
+"""A record with its model, compiled: nodes, trajectories, their linearization, and what they say of the parameters."""
 
 import itertools
 import math
 from collections.abc import Mapping
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -12,16 +11,23 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.condensing import solve_chain
-from greybox.compiled.initial_states import FirstStates, at_samples
-from greybox.compiled.residual_covariance import Noise, eased, lessened, noise_of
+from greybox.compiled.condensing import solve_continuity
+from greybox.compiled.initial_states import InitialStates, at_samples
+from greybox.compiled.part import Condensed, Information, Part, Trajectory
+from greybox.compiled.record_information import correlation_factor, independent_numbers
+from greybox.compiled.residual_covariance import (
+    ResidualCovariance,
+    followed_by_covariance,
+    reduced_hessian,
+    residual_covariance_of,
+)
 from greybox.compiled.sample_step import SampleStep, sample_step
-from greybox.compiled.sampled_data import Experiment, experiment
-from greybox.compiled.sensitivities import Blocks, Shooting
+from greybox.compiled.sampled_data import SampledData, sampled_data
+from greybox.compiled.segments import Linearization, Segments
 from greybox.compiled.step_size import substeps_and_segment
-from greybox.compiled.transcription.method import Transcription
+from greybox.compiled.strategies import Strategies
+from greybox.compiled.transcription.method import Transcribed, Transcription
 from greybox.data.record import Record
-from greybox.data.text_table import counted
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator
@@ -29,21 +35,23 @@ from greybox.modeling.model import Names
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import traced
+from greybox.statistics.residual_autocorrelation import colored_information
 
 Array = NDArray[np.float64]
-LOOKS = 100  # samples at which the model is looked at before it is cut into segments
-RIDGE = 1e-10  # on node states relative to their curvature: what no output shows keeps its value
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
-    """The part at one point of the solver: parameters q, their slope by the point, data, known initial states.
+class Placed:
+    """The parameters of a record at one point z of the solver.
 
     Attributes
     ----------
     q : (declared,) array
+        Values of all declared parameters.
     slope : (active, p) array
+        Derivatives of the estimated ones by z.
     data : (width, columns) array
+        The data, with the inputs placed for these delays.
     initial, initial_slope : (n,) and (n, active) arrays
         Known initial states and their derivatives by the active parameters; NaN where a state is unknown.
     """
@@ -56,313 +64,527 @@ class Place:
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
-    """What follows from nodes (s, n): states (n, columns), ends (s, n), gaps (s, n), residual products (k, k).
+class Along:
+    """What a trajectory of a record knows besides its nodes: where it is placed, and its states (n, columns)."""
 
-    `followed` where the first node of every stretch was followed to its end: no other node counts.
-    """
-
-    nodes: Array
+    placed: Placed
     states: Array
-    end: Array
-    gaps: Array
-    products: Array
-    followed: bool = False
-
-    @property
-    def finite(self) -> bool:
-        """True when nothing diverged."""
-        return bool(np.all(np.isfinite(self.gaps)) and np.all(np.isfinite(self.products)))
 
 
 @dataclass(frozen=True, eq=False)
-class Reduced:
-    """The Gauss-Newton system of a part without its nodes, which move by `step` + `follow` · dq, dq = `slope` · dz.
+class RecordModel:
+    """What a record and its model are, whatever the cut into segments and the substeps.
 
     Attributes
     ----------
-    hessian, gradient : (p, p) and (p,) arrays
-    slope : (active, p) array
-    step, follow : (s, n) and (s, n, active) arrays
-    force, force_follow : (s, n) and (s, n, active) arrays
-        Multipliers of the continuity, likewise.
-    held : (s, n) array
-        The damping of the nodes, by half the squares of their moves.
+    active : (q,) array
+        Places of the estimated parameters among the declared ones.
+    locate : casadi.Function
+        (z) -> values of the declared parameters, derivatives of the active ones by z, delays.
+    initial : casadi.Function
+        (declared parameters) -> known initial states, and their derivatives by the active parameters.
+    known_states : (n,) bool array
     """
 
-    hessian: Array
-    gradient: Array
-    slope: Array
-    step: Array
-    follow: Array
-    force: Array
-    force_follow: Array
-    held: Array
+    problem: Problem
+    record: Record
+    criterion: TimeCriterion
+    method: Transcription
+    system: Dynamics
+    outputs: tuple[str, ...]
+    active: NDArray[np.integer]
+    locate: ca.Function
+    initial: ca.Function
+    known_states: NDArray[np.bool_]
+    initial_states: InitialStates
 
+    @property
+    def strategies(self) -> Strategies:
+        """The settings of the solver."""
+        return self.method.strategies
 
-class RecordPart:
-    """One record of a problem, with all functions that the estimators need."""
-
-    def __init__(self, part: Problem, expressions: Mapping[str, Any], z: ca.SX, method: Transcription) -> None:
-        """Compile for the point z, of which `expressions` gives every parameter of the problem by outside name."""
-        assert isinstance(part.data, Record)
-        assert isinstance(part.criterion, TimeCriterion)
-        self.part, self.method = part, method
-        self.record: Record = part.data
-        self.criterion: TimeCriterion = part.criterion
-        self.system: Dynamics = dynamics(part.model, delay_order(part.delay))
-        self.outputs = self.criterion.compared(part.model, part.data)
-        self._locate(part, expressions, z)
-        whole = experiment(
-            self.record,
-            self.system.inputs,
-            self.outputs,
-            lead=_longest_delay(part, self.system),
-            segment=1,
-            complete=self.criterion.noise == "full",
+    def step(self, integrator: Integrator, substeps: int) -> SampleStep:
+        """Compile one sample."""
+        return sample_step(
+            self.system, self.criterion, self.outputs, tuple(self.problem.declared), integrator, substeps
         )
-        self._first_states = FirstStates(self.system, self.outputs)
-        seen = at_samples(whole, max(whole.segments // LOOKS, 1))
-        known = lambda q: self.initial(q)[0].full().ravel()  # noqa: E731  (of one line and one use)
-        substeps, segment = substeps_and_segment(part, method, self.system, self._first_states, seen, known)
-        self.experiment: Experiment = replace(whole, segment=segment)
+
+
+class RecordPart(Part):
+    """One record of a problem: a model, the data cut into segments, and the step from sample to sample."""
+
+    def __init__(
+        self,
+        model: RecordModel,
+        data: SampledData,
+        substeps: int,
+        *,
+        step: SampleStep | None = None,
+        compile_linearization: bool = False,
+    ) -> None:
+        """Build the functions; `step`, if given, has the same substeps."""
+        self.problem = model.problem
+        self.model = model
+        self.data = data
         self.substeps = substeps
-        self.step: SampleStep = self._step(method.integrator, substeps)
-        self.shooting = Shooting(self.step, self.experiment, self.active, method.compile)
-        self.noise: Noise = noise_of(self.criterion, self.outputs, self.experiment.measured)
-        self.first, self.coupled = self.experiment.first, self.experiment.coupled
-        self.begins = self.experiment.begins
-        self._nodes_see = at_samples(self.experiment, self.experiment.segment)
+        self.step = step or model.step(model.method.scheme, substeps)
+        self.segments = Segments(self.step, data, model.active, compile_linearization)
+        self.covariance: ResidualCovariance = residual_covariance_of(model.criterion, model.outputs, data.measured)
+        self.system: Dynamics = model.system
+        self.outputs = model.outputs
+        self.states = len(model.system.states)
+        self._at_nodes = at_samples(data, data.segment_length)
 
-    def _step(self, integrator: Integrator, substeps: int) -> SampleStep:
-        return sample_step(self.system, self.criterion, self.outputs, tuple(self.part.declared), integrator, substeps)
+    def excerpt(self, samples: int) -> "RecordPart":
+        """Return the part on excerpts, evenly over the record, of about so many samples in all."""
+        return RecordPart(self.model, self.data.excerpts(samples), self.substeps, step=self.step)
 
-    def _locate(self, part: Problem, expressions: Mapping[str, Any], z: ca.SX) -> None:
-        q = ca.vertcat(ca.SX(0, 1), *part.local_values(expressions).values())
-        slope = ca.jacobian(q, z)
-        self.active = np.array([i for i in range(q.numel()) if slope[i, :].nnz()], dtype=int)
-        delay = self.system.delay(q[: len(self.system.parameters)])
-        active = self.active.tolist()
-        self.locate = ca.Function("locate", [z], [q, ca.densify(slope[active, :]), ca.densify(delay)])
-        known, symbol = self.criterion.initial, ca.SX.sym("q", q.numel())
-        local = Names(dict(zip(part.declared, ca.vertsplit(symbol), strict=True)), part.model.label)
-        self.known_states = np.array([name in known for name in self.system.states], dtype=bool)
-        initial = ca.vertcat(
-            ca.SX(0, 1),
-            *[_called(f"initial[{name!r}]", known.get(name, math.nan), local) for name in self.system.states],
-        )
-        by = ca.densify(ca.jacobian(initial, symbol[active]))
-        self.initial = ca.Function("initial", [symbol], [initial, by])
+    def refined(self, factor: int, *, compiled: bool = True) -> "RecordPart":
+        """Return the part with `factor` times the substeps; not `compiled` for a look that no compiler is worth."""
+        compile_linearization = self.model.method.compile and compiled
+        return RecordPart(self.model, self.data, factor * self.substeps, compile_linearization=compile_linearization)
+
+    # --- facts --------------------------------------------------------------------------------------------------------
+
+    @property
+    def has_states(self) -> bool:
+        """A record has nodes."""
+        return True
+
+    @property
+    def numbers(self) -> int:
+        """Measured values that are compared."""
+        return int(self.segments.counts.sum())
+
+    @property
+    def unknown_initial_states(self) -> int:
+        """Unknown initial states of all stretches."""
+        known = int(self.data.begins_record.sum()) * int(self.model.known_states.sum())
+        return int(self.data.begins_stretch.sum()) * self.states - known
+
+    @property
+    def gains(self) -> tuple[tuple[str, str], ...]:
+        """State and output of every estimated entry of the Kalman gain."""
+        return self.model.criterion.gains(self.problem.model, self.outputs)
 
     @cached_property
-    def jumping(self) -> dict[str, tuple[str, str]]:
-        """Parameters at whose whole samples the cost jumps, with the held input that is late and the output it reaches.
-
-        The input reaches that output directly.
-        """
-        system, rename, found = self.system, self.part.rename, dict[str, tuple[str, str]]()
-        if self.criterion.inputs != "held" or not system.delayed:
-            return found
+    def discontinuous_delays(self) -> Mapping[str, tuple[str, str]]:
+        """Delays at whose whole samples the cost jumps: a held input reaches an output directly."""
+        system, rename = self.system, self.problem.rename
+        result: dict[str, tuple[str, str]] = {}
+        if self.model.criterion.inputs != "held" or not system.delayed:
+            return result
         x, u, p = (ca.SX.sym("v", len(v)) for v in (system.states, system.inputs, system.parameters))
-        through, delay = ca.jacobian(system.output(x, u, p), u), system.delay(p)
+        feedthrough = ca.jacobian(system.output(x, u, p), u)
+        delay = system.delay(p)
         for i, j in itertools.product(range(u.numel()), range(p.numel())):
-            shown = [name for k, name in enumerate(system.outputs) if through.has_nz(k, i) and name in self.outputs]
-            if shown and ca.depends_on(delay[i], p[j]):
-                found[rename.get(system.parameters[j], system.parameters[j])] = (system.inputs[i], shown[0])
-        return found
-
-    @property
-    def words(self) -> str:
-        """The method with what it chose."""
-        scheme = type(self.method.integrator).__name__
-        segment = counted(self.experiment.segment, "sample")
-        return f"{self.method.label}, {segment} a segment, {scheme} {self.substeps} a sample"
-
-    def thinned(self, samples: int) -> "RecordPart":
-        """Return the same for some stretches, evenly over the record, of so many samples in all."""
-        result = copy(self)
-        result.experiment = self.experiment.thinned(samples)
-        result.shooting = self.shooting.on(result.experiment)
-        result.noise = noise_of(self.criterion, self.outputs, result.experiment.measured)
-        result.first, result.coupled = result.experiment.first, result.experiment.coupled
-        result.begins = result.experiment.begins
-        result._nodes_see = at_samples(result.experiment, result.experiment.segment)
-        return result
-
-    def refined(self, factor: int, compiled: bool = True) -> "RecordPart":
-        """Return the same with so many times as many substeps; not `compiled` for a look that no compiler is worth."""
-        result = copy(self)
-        result.substeps = factor * self.substeps
-        result.step = self._step(self.method.integrator, result.substeps)
-        result.shooting = Shooting(result.step, self.experiment, self.active, self.method.compile and compiled)
+            reached = [n for k, n in enumerate(system.outputs) if feedthrough.has_nz(k, i) and n in self.outputs]
+            if reached and ca.depends_on(delay[i], p[j]):
+                name = system.parameters[j]
+                result[rename.get(name, name)] = (system.inputs[i], reached[0])
         return result
 
     @property
-    def states(self) -> int:
-        """Number of states."""
-        return len(self.system.states)
+    def description(self) -> str:
+        """The method, with the segments and steps that were chosen."""
+        return self.model.method.described(self.data.segment_length, self.substeps)
 
-    @property
-    def unknown_initial(self) -> int:
-        """Number of unknown initial states, of all stretches."""
-        return int(self.first.sum()) * self.states - int(self.begins.sum()) * int(self.known_states.sum())
+    # --- trajectories -------------------------------------------------------------------------------------------------
 
-    def place(self, z: Array) -> Place:
-        """Return the part at the point z (p,)."""
-        q, slope, delay = (value.full() for value in self.locate(z))
-        initial, by = (value.full() for value in self.initial(q))
-        return Place(q.ravel(), slope, self.shooting.data(delay.ravel()), initial.ravel(), by)
+    def place(self, z: Array) -> Placed:
+        """Return the parameters and the data at z (p,)."""
+        q, slope, delay = (value.full() for value in self.model.locate(z))
+        initial, initial_slope = (value.full() for value in self.model.initial(q))
+        return Placed(q.ravel(), slope, self.segments.data(delay.ravel()), initial.ravel(), initial_slope)
 
-    def first_nodes(self, place: Place) -> Array:
-        """Return nodes (s, n) to begin with, see `greybox.compiled.initial_states`."""
-        p = place.q[: len(self.system.parameters)]
-        return self.pinned(self._first_states.at(*self._nodes_see, p, place.initial).T, place)
+    def initial_trajectory(self, z: Array) -> Trajectory:
+        """Return the trajectory at z (p,) with nodes from the data, see `greybox.compiled.initial_states`."""
+        placed = self.place(z)
+        p = placed.q[: len(self.system.parameters)]
+        nodes = self.model.initial_states.at(*self._at_nodes, p, placed.initial).T
+        return self._trajectory(z, nodes, placed)
 
-    def pinned(self, nodes: Array, place: Place) -> Array:
+    def trajectory(self, z: Array, nodes: Array, *, simulated: bool = False) -> Trajectory:
+        """Return the trajectory at z (p,) from nodes (s, n); `simulated` from the first one of every stretch alone."""
+        placed = self.place(z)
+        return self._simulated(z, nodes, placed) if simulated else self._trajectory(z, nodes, placed)
+
+    def _trajectory(self, z: Array, nodes: Array, placed: Placed) -> Trajectory:
+        nodes = self._with_known_states(nodes, placed)
+        states, ends = self.segments.simulate(nodes, placed.q, placed.data)
+        gaps = np.zeros_like(ends)
+        gaps[:-1] = ends[:-1] - nodes[1:]
+        gaps[~self.data.coupled] = 0
+        residuals = self.segments.residuals(states, placed.q, placed.data)
+        products = residuals @ residuals.T
+        return Trajectory(z, nodes, ends, gaps, products, simulated=False, detail=Along(placed, states))
+
+    def _simulated(self, z: Array, nodes: Array, placed: Placed) -> Trajectory:
+        nodes = self._with_known_states(nodes, placed)
+        nodes, states, ends, products = self.segments.simulate_stretches(nodes, placed.q, placed.data)
+        gaps = np.zeros_like(ends)
+        return Trajectory(z, nodes, ends, gaps, products, simulated=True, detail=Along(placed, states))
+
+    def _with_known_states(self, nodes: Array, placed: Placed) -> Array:
         """Return the nodes with the known initial states in them."""
-        if not self.known_states.any():
+        known = self.model.known_states
+        if not known.any():
             return nodes
         nodes = nodes.copy()
-        rows = np.ix_(self.begins, self.known_states)
-        nodes[rows] = place.initial[self.known_states]
+        nodes[np.ix_(self.data.begins_record, known)] = placed.initial[known]
         return nodes
 
-    def path(self, nodes: Array, place: Place) -> Path:
-        """Follow all segments from their nodes (s, n), known initial states put in."""
-        nodes = self.pinned(nodes, place)
-        states, end = self.shooting.paths(nodes, place.q, place.data)
-        gaps = np.zeros_like(end)
-        gaps[:-1] = end[:-1] - nodes[1:]
-        gaps[~self.coupled] = 0
-        residuals = self.shooting.residuals(states, place.q, place.data)
-        return Path(nodes, states, end, gaps, residuals @ residuals.T)
+    def residuals(self, trajectory: Trajectory) -> Array:
+        """Return measured less simulated outputs (k, samples) in the order of the samples, zero where missing."""
+        along = trajectory.detail
+        return self.segments.in_order(self.segments.residuals(along.states, along.placed.q, along.placed.data))
 
-    def lost(self, path: Path, place: Place) -> NDArray[np.bool_]:
+    def simulated_outputs(self, trajectory: Trajectory) -> Array:
+        """Return the outputs (k, samples) along a trajectory, in the order of the samples."""
+        along = trajectory.detail
+        return self.segments.in_order(self.segments.outputs(along.states, along.placed.q, along.placed.data))
+
+    def diverged_segments(self, trajectory: Trajectory) -> NDArray[np.bool_]:
         """Return which segments (s,) leave the domain of the model."""
-        residuals = self.shooting.residuals(path.states, place.q, place.data)
-        inside = np.isfinite(residuals).reshape(len(residuals), self.experiment.segment, -1).all(axis=(0, 1))
-        return np.asarray(~(inside & np.isfinite(path.end).all(axis=1)))
+        along = trajectory.detail
+        residuals = self.segments.residuals(along.states, along.placed.q, along.placed.data)
+        finite = np.isfinite(residuals).reshape(len(residuals), self.data.segment_length, -1).all(axis=(0, 1))
+        return np.asarray(~(finite & np.isfinite(trajectory.ends).all(axis=1)))
 
-    def linearize(self, path: Path, place: Place, weight: Array, moments: bool = False) -> Blocks:
-        """Return the blocks, known initial states eliminated; with `moments` where the noise is estimated."""
-        moments = moments and self.noise.known is None and len(self.outputs) > 1
-        blocks = self.shooting.blocks(path.states, path.end, place.q, weight, place.data, moments)
-        blocks = self._flexible(blocks)
-        return self._without_known(blocks, place) if self.known_states.any() else blocks
+    def is_near_data(self, trajectory: Trajectory, factor: float) -> bool:
+        """Tell whether the rms of the residuals of every output is below `factor` times the spread of its signal."""
+        limit = self.covariance.counts * (factor * self.covariance.spread) ** 2
+        return bool(np.all(np.diag(trajectory.products) <= limit))
 
-    def _flexible(self, b: Blocks) -> Blocks:
-        """Add variables t to the parameters, of the cost t²/2 - t · uᵀx: its least is -(uᵀx)²/2, see `flexibility`."""
-        if b.moments is None:
-            return b
-        of_nodes, of_parameters = (self.noise.flexibility(m) for m in b.moments)
+    def signature(self, trajectory: Trajectory) -> Array:
+        """Return up to some 500 simulated samples of every output, in units of the measured signal's spread."""
+        along = trajectory.detail
+        columns = slice(None, None, max(along.placed.data.shape[1] // 500, 1))
+        outputs = self.segments.outputs(along.states[:, columns], along.placed.q, along.placed.data[:, columns])
+        return (outputs / self.covariance.spread[:, None]).ravel()
+
+    # --- cost ---------------------------------------------------------------------------------------------------------
+
+    def cost(self, trajectory: Trajectory, smoothing: float = 0.0) -> float:
+        """Return the negative log-likelihood of the residuals along a trajectory."""
+        return self.covariance.cost(trajectory.products)
+
+    def squared_cost(self, trajectory: Trajectory, weight: Array, smoothing: float) -> float:
+        """Return half the sum of squares of the residuals times `weight`."""
+        return float(np.trace(weight @ trajectory.products @ weight.T)) / 2
+
+    def residual_weight(self, trajectory: Trajectory) -> Array:
+        """Return W (k, k) with WᵀW the inverse of the residual covariance along a trajectory."""
+        return self.covariance.weight(trajectory.products)
+
+    def initial_weight(self, share: float) -> Array:
+        """Return W (k, k) for residuals of a `share` of each signal's spread."""
+        return np.diag(1 / (share * self.covariance.spread))
+
+    # --- linearization ------------------------------------------------------------------------------------------------
+
+    def linearize(self, trajectory: Trajectory, weight: Array, *, covariance_curvature: bool = False) -> Linearization:
+        """Linearize along a trajectory, known initial states eliminated."""
+        moments = covariance_curvature and self.covariance.known is None and len(self.outputs) > 1
+        placed = trajectory.detail.placed
+        result = self.segments.linearize(
+            trajectory.detail.states, trajectory.ends, placed.q, weight, placed.data, moments=moments
+        )
+        if result.moments is not None:
+            result = self._with_covariance(result)
+        return self._without_known_states(result, placed) if self.model.known_states.any() else result
+
+    def _with_covariance(self, b: Linearization) -> Linearization:
+        """Let the covariance follow: variables t join the parameters, of cost t²/2 - t · uᵀx, at best -(uᵀx)²/2."""
+        assert b.moments is not None
+        of_nodes, of_parameters = (self.covariance.curvature_of_covariance(m) for m in b.moments)
         r = of_parameters.shape[1]
-        own = np.block([[b.own, -of_parameters], [-of_parameters.T, np.eye(r)]])
-        still = np.zeros((*b.to_parameters.shape[:2], r))
+        hessian = np.block([[b.parameter_hessian, -of_parameters], [-of_parameters.T, np.eye(r)]])
+        without = np.zeros((*b.parameter_sensitivity.shape[:2], r))
         return replace(
             b,
-            to_parameters=np.concatenate([b.to_parameters, still], axis=2),
-            mixed=np.concatenate([b.mixed, -of_nodes], axis=2),
-            own=own,
-            slope=np.concatenate([b.slope, np.zeros(r)]),
+            parameter_sensitivity=np.concatenate([b.parameter_sensitivity, without], axis=2),
+            cross_hessian=np.concatenate([b.cross_hessian, -of_nodes], axis=2),
+            parameter_hessian=hessian,
+            parameter_gradient=np.concatenate([b.parameter_gradient, np.zeros(r)]),
         )
 
-    def _without_known(self, b: Blocks, place: Place) -> Blocks:
+    def _without_known_states(self, b: Linearization, placed: Placed) -> Linearization:
         """Let known initial states follow the parameters: x = x' + (dx/dq) dq, of which x' does not move."""
-        follow = np.where(self.known_states[:, None], place.initial_slope, 0.0)
-        follow = np.pad(follow, ((0, 0), (0, b.mixed.shape[2] - follow.shape[1])))
-        corner, mixed, gradient = b.corner.copy(), b.mixed.copy(), b.gradient.copy()
-        to_state, to_parameters = b.to_state.copy(), b.to_parameters.copy()
-        own, slope = b.own.copy(), b.slope.copy()
-        for at in np.flatnonzero(self.begins):
-            own += follow.T @ mixed[at] + mixed[at].T @ follow + follow.T @ corner[at] @ follow
-            slope += follow.T @ gradient[at]
-            mixed[at] += corner[at] @ follow
-            to_parameters[at] += to_state[at] @ follow
-            corner[at, self.known_states, :] = 0
-            corner[at, :, self.known_states] = 0
-            corner[at, self.known_states, self.known_states] = 1
-            mixed[at, self.known_states] = 0
-            gradient[at, self.known_states] = 0
-            to_state[at, :, self.known_states] = 0
-        return Blocks(b.end, to_state, to_parameters, corner, mixed, gradient, own, slope)
-
-    def reduce(self, blocks: Blocks, place: Place, gaps: Array, soft: Array, damping: float = 0.0) -> Reduced:
-        """Eliminate the nodes; `soft` (n,) is the variance by which continuity may be missed.
-
-        Where it may be, `damping` holds the nodes, relative to their curvature (Levenberg-Marquardt).
-        """
-        mixed, B = blocks.mixed, blocks.to_parameters
-        held = np.zeros_like(gaps)
-        if damping and np.all(soft > 0):
-            held = damping * self._curvature(blocks, soft)
-            blocks = replace(blocks, corner=blocks.corner + held[:, :, None] * np.eye(self.states))
-        right = -np.concatenate([blocks.gradient[:, :, None], mixed], axis=2)
-        continuity = -np.concatenate([gaps[:, :, None], B], axis=2)
-        x, force = self._solved(blocks, right, continuity, soft)
-        linked = np.where(self.coupled[:, None, None], B, 0.0)
-        both = np.tensordot(mixed, x, ((0, 1), (0, 1))) + np.tensordot(linked, force, ((0, 1), (0, 1)))
-        hessian, gradient = blocks.own + both[:, 1:], blocks.slope + both[:, 0]
-        q = place.slope.shape[0]
-        if len(gradient) > q:
-            follows = eased(hessian[q:, q:], np.concatenate([gradient[q:, None], hessian[q:, :q]], axis=1))
-            gradient = gradient[:q] + hessian[:q, q:] @ follows[:, 0]
-            hessian = lessened(hessian[:q, :q], -hessian[:q, q:] @ follows[:, 1:])
-            x, force = (v[:, :, : 1 + q] + v[:, :, 1 + q :] @ follows for v in (x, force))
-        return Reduced(
-            hessian=place.slope.T @ ((hessian + hessian.T) / 2) @ place.slope,
-            gradient=place.slope.T @ gradient,
-            slope=place.slope,
-            step=x[:, :, 0],
-            follow=x[:, :, 1:],
-            force=force[:, :, 0],
-            force_follow=force[:, :, 1:],
-            held=held,
+        known = self.model.known_states
+        follow = np.where(known[:, None], placed.initial_slope, 0.0)
+        follow = np.pad(follow, ((0, 0), (0, b.cross_hessian.shape[2] - follow.shape[1])))
+        node_hessian = b.node_hessian.copy()
+        cross_hessian = b.cross_hessian.copy()
+        node_gradient = b.node_gradient.copy()
+        transition = b.transition.copy()
+        sensitivity = b.parameter_sensitivity.copy()
+        hessian = b.parameter_hessian.copy()
+        gradient = b.parameter_gradient.copy()
+        for k in np.flatnonzero(self.data.begins_record):
+            mixed = follow.T @ cross_hessian[k]
+            hessian += mixed + mixed.T + follow.T @ node_hessian[k] @ follow
+            gradient += follow.T @ node_gradient[k]
+            cross_hessian[k] += node_hessian[k] @ follow
+            sensitivity[k] += transition[k] @ follow
+            node_hessian[k, known, :] = 0
+            node_hessian[k, :, known] = 0
+            node_hessian[k, known, known] = 1
+            cross_hessian[k, known] = 0
+            node_gradient[k, known] = 0
+            transition[k, :, known] = 0
+        return Linearization(
+            end=b.end,
+            transition=transition,
+            parameter_sensitivity=sensitivity,
+            node_hessian=node_hessian,
+            cross_hessian=cross_hessian,
+            node_gradient=node_gradient,
+            parameter_hessian=hessian,
+            parameter_gradient=gradient,
         )
 
-    def _curvature(self, blocks: Blocks, soft: Array) -> Array:
-        """Return the second derivatives of outputs and missed continuity by every node state, (s, n)."""
-        linked = np.where(self.coupled[:, None], (blocks.to_state**2 / soft[:, None]).sum(axis=1), 0.0)
-        linked[1:] += np.where(self.coupled[:-1, None], 1 / soft, 0.0)
-        return blocks.corner.diagonal(axis1=1, axis2=2) + linked
+    def continuity_variance(self, linearization: Linearization, spread: float) -> Array:
+        """Return variances (n,) by which states must jump to change the outputs of a segment by `spread`.
 
-    def closing(self, blocks: Blocks, gaps: Array) -> Array:
-        """Return the change of the nodes (s, n) that closes gaps (s, n) with the least change of the outputs."""
-        nothing = np.zeros((*gaps.shape, 1 + blocks.mixed.shape[2]))  # as in `reduce`, whose factorization then serves
-        wanted = nothing.copy()
-        wanted[:, :, 0] = -gaps
-        return self._solved(blocks, nothing, wanted, np.zeros(self.states))[0][:, :, 0]
+        `spread` is in units of the residuals that the linearization was weighted with.
+        """
+        curvature = np.nan_to_num(np.mean(linearization.node_hessian.diagonal(axis1=1, axis2=2), axis=0))
+        signal = spread**2 * self.data.segment_length * len(self.outputs)
+        # A state that no output shows has no such scale: any will do.
+        return np.where(curvature > 1e-200, signal / np.maximum(curvature, 1e-200), 1.0)
 
-    def _solved(self, blocks: Blocks, right: Array, continuity: Array, soft: Array) -> tuple[Array, Array]:
-        """Solve the chain in units in which the curvature is one: nodes and multipliers are then of one size."""
-        curvature = np.mean(blocks.corner.diagonal(axis1=1, axis2=2), axis=0)
-        seen = curvature > 1e-30 * curvature.max(initial=0.0) + 1e-300
-        unit = 1 / np.sqrt(np.where(seen, curvature, 1.0))
-        corner = blocks.corner * unit * unit[:, None] + RIDGE * np.eye(self.states)
-        transition, column = blocks.to_state * unit / unit[:, None], unit[:, None]
-        x, force = solve_chain(corner, transition, self.coupled, right * column, continuity / column, soft / unit**2)
-        return x * column, force / column
+    # --- condensing ---------------------------------------------------------------------------------------------------
 
-    def followed(self, nodes: Array, place: Place) -> Path:
-        """Return the path from the first of the nodes (s, n) of every stretch to its end."""
-        length = self.experiment.segment
-        rows, nodes = self.shooting.rows(place.data), self.pinned(nodes, place)
-        states, end = np.empty((len(rows), self.states)), np.empty_like(nodes)
-        products, at = np.zeros((len(self.outputs), len(self.outputs))), 0
-        for count in self.experiment.counts:
-            some = slice(at * length, (at + count) * length)
-            run, residuals = self.step.follow(nodes[at], place.q, rows[some])
-            states[some], end[at : at + count] = run[:-1], run[length::length]
-            products += residuals.T @ residuals
-            at += count
-        columns, gaps = self.shooting.columns(states.T), np.zeros_like(end)
-        return Path(states[::length].copy(), columns, end, gaps, products, followed=True)
+    def condense(
+        self, linearization: Linearization, trajectory: Trajectory, continuity_variance: Array, damping: float = 0.0
+    ) -> Condensed:
+        """Eliminate the nodes, see `greybox.compiled.condensing`.
 
-    def moved(self, nodes: Array, reduced: Reduced, dz: Array, length: float) -> Array:
-        """Return the nodes after a step `dz` (p,), of which `length` is taken."""
-        return nodes + length * (reduced.step + reduced.follow @ (reduced.slope @ dz))
+        Where gaps are allowed, `damping` holds the nodes, relative to their curvature (Levenberg-Marquardt).
+        """
+        b = linearization
+        gaps = trajectory.gaps
+        slope = trajectory.detail.placed.slope
+        node_damping = np.zeros_like(gaps)
+        if damping and np.all(continuity_variance > 0):
+            node_damping = damping * self._node_curvature(b, continuity_variance)
+            b = replace(b, node_hessian=b.node_hessian + node_damping[:, :, None] * np.eye(self.states))
+
+        stationarity = -np.concatenate([b.node_gradient[:, :, None], b.cross_hessian], axis=2)
+        continuity = -np.concatenate([gaps[:, :, None], b.parameter_sensitivity], axis=2)
+        x, multiplier = self._solve_continuity(b, stationarity, continuity, continuity_variance)
+        linked = np.where(self.data.coupled[:, None, None], b.parameter_sensitivity, 0.0)
+        change = np.tensordot(b.cross_hessian, x, ((0, 1), (0, 1)))
+        change += np.tensordot(linked, multiplier, ((0, 1), (0, 1)))
+        hessian = b.parameter_hessian + change[:, 1:]
+        gradient = b.parameter_gradient + change[:, 0]
+
+        q = slope.shape[0]
+        least = self.model.strategies.least_curvature
+        if len(gradient) > q:  # the variables of the covariance, see `_with_covariance`
+            right = np.concatenate([gradient[q:, None], hessian[q:, :q]], axis=1)
+            follows = followed_by_covariance(hessian[q:, q:], right, least)
+            gradient = gradient[:q] + hessian[:q, q:] @ follows[:, 0]
+            hessian = reduced_hessian(hessian[:q, :q], -hessian[:q, q:] @ follows[:, 1:], least)
+            x, multiplier = (v[:, :, : 1 + q] + v[:, :, 1 + q :] @ follows for v in (x, multiplier))
+
+        node_step = x[:, :, 0]
+        return Condensed(
+            hessian=slope.T @ ((hessian + hessian.T) / 2) @ slope,
+            gradient=slope.T @ gradient,
+            node_step=node_step,
+            node_sensitivity=x[:, :, 1:] @ slope,
+            multiplier=multiplier[:, :, 0],
+            multiplier_sensitivity=multiplier[:, :, 1:] @ slope,
+            damping=node_damping,
+            decrease=_predicted_decrease(linearization, node_step, multiplier[:, :, 0], gaps, continuity_variance, q),
+        )
+
+    def _node_curvature(self, b: Linearization, continuity_variance: Array) -> Array:
+        """Return the second derivatives of outputs and continuity penalty by every node state, (s, n)."""
+        coupled = self.data.coupled
+        penalty = np.where(coupled[:, None], (b.transition**2 / continuity_variance[:, None]).sum(axis=1), 0.0)
+        penalty[1:] += np.where(coupled[:-1, None], 1 / continuity_variance, 0.0)
+        return b.node_hessian.diagonal(axis1=1, axis2=2) + penalty
+
+    def close_gaps(self, linearization: Linearization, trajectory: Trajectory) -> Array:
+        """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
+        columns = 1 + linearization.cross_hessian.shape[2]  # as in `condense`, whose factorization then serves
+        stationarity = np.zeros((*trajectory.gaps.shape, columns))
+        continuity = np.zeros_like(stationarity)
+        continuity[:, :, 0] = -trajectory.gaps
+        exact = np.zeros(self.states)
+        return trajectory.nodes + self._solve_continuity(linearization, stationarity, continuity, exact)[0][:, :, 0]
+
+    def _solve_continuity(
+        self, b: Linearization, stationarity: Array, continuity: Array, variance: Array
+    ) -> tuple[Array, Array]:
+        """Solve in units in which the curvature is one: nodes and multipliers are then of one size."""
+        curvature = np.mean(b.node_hessian.diagonal(axis1=1, axis2=2), axis=0)
+        visible = curvature > 1e-30 * curvature.max(initial=0.0) + 1e-300  # above what rounding makes of zero
+        unit = 1 / np.sqrt(np.where(visible, curvature, 1.0))
+        column = unit[:, None]
+        x, multiplier = solve_continuity(
+            b.node_hessian * unit * column + self.model.strategies.state_ridge * np.eye(self.states),
+            b.transition * unit / column,
+            self.data.coupled,
+            stationarity * column,
+            continuity / column,
+            variance / unit**2,
+        )
+        return x * column, multiplier / column
+
+    # --- for IPOPT and for the covariance of the estimate -------------------------------------------------------------
+
+    def transcribe(self, q: Any, data: Any) -> Transcribed:
+        """Return the record's unknowns and equations for CasADi expressions of parameters and data."""
+        return self.model.method.transcribe(self.step, self.data, q, data)
+
+    def information(
+        self,
+        names: tuple[str, ...],
+        values: Array,
+        uncertain: tuple[int, ...],
+        trajectory: Trajectory | None,
+        dz_dx: Array,
+    ) -> Information:
+        """Return what the record says about the values (k,), the initial states fitted along.
+
+        For errors with the autocorrelation of the residuals, or white ones where the criterion takes them so.
+        """
+        assert trajectory is not None
+        columns = tuple(range(trajectory.z.size))
+        part: RecordPart = self
+        if uncertain:
+            # Constants with a covariance of their own join the unknowns, all of them without scaling.
+            columns = (*columns, *uncertain)
+            point = ca.SX.sym("x", len(columns))
+            named: dict[str, Any] = dict(zip(names, values.tolist(), strict=True))
+            named |= {names[column]: point[i] for i, column in enumerate(columns)}
+            part = RecordPart(record_model(self.problem, named, point, self.model.method), self.data, self.substeps)
+            trajectory = part.trajectory(values[list(columns)], trajectory.nodes, simulated=trajectory.simulated)
+            dz_dx = np.ones(len(columns))
+
+        weight = part.covariance.weight(trajectory.products)
+        triangle, white, weighted = part._jacobian(trajectory, weight)
+        factor, score = 1.0, white
+        if not self.model.criterion.errors_are_white:
+            residuals = self.data.unpadded(part.residuals(trajectory))
+            score = colored_information(self.data.unpadded(weighted), residuals)
+            scaled = weight @ trajectory.products @ weight.T / np.maximum(self.segments.counts, 1)
+            factor = correlation_factor(white * np.trace(scaled) / len(self.outputs), score)
+        initial = self.unknown_initial_states
+        independent = independent_numbers(self.numbers, initial, len(white), factor)
+        score = score * independent / (independent - initial)
+
+        jacobian = np.zeros((len(triangle), len(values)))
+        jacobian[:, columns] = triangle * dz_dx
+        meat = np.zeros((len(values), len(values)))
+        meat[np.ix_(columns, columns)] = score * dz_dx * dz_dx[:, None]
+
+        def spread(correction: float) -> tuple[float, Array]:
+            return 1.0, meat * correction**2
+
+        return Information(self, jacobian, round(independent) - initial, spread, math.nan)
+
+    def _jacobian(self, trajectory: Trajectory, weight: Array) -> tuple[Array, Array, Array]:
+        """Return a triangular factor (p, p) of the Jacobian of the weighted residuals, JᵀJ, and WᵀJ (k, p, samples)."""
+        linearization = self.linearize(trajectory, weight)
+        sensitivity = self.condense(linearization, trajectory, np.zeros(self.states)).node_sensitivity.copy()
+        del linearization  # of a long record, a tenth of what fits into memory
+        placed = trajectory.detail.placed
+        known = self.model.known_states
+        if known.any():
+            sensitivity[np.ix_(self.data.begins_record, known)] = placed.initial_slope[known] @ placed.slope
+
+        s, length, k, n = self.data.segments, self.data.segment_length, len(self.outputs), self.states
+        p = trajectory.z.size
+        weighted = np.empty((s, length, k, p))
+        triangle = np.zeros((0, p))
+        white = np.zeros((p, p))
+        for batch in self.segments.batches(s):
+            _, J, _ = self.segments.sensitivities(trajectory.detail.states, placed.q, placed.data, batch)
+            root = weight @ (J[..., :n] @ sensitivity[batch, None] + J[..., n:] @ placed.slope)
+            rows = root.reshape(-1, p)
+            triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows]), mode="r"))
+            white += rows.T @ rows
+            weighted[batch] = weight.T @ root
+        return triangle, white, np.moveaxis(weighted.reshape(s * length, k, p), 0, -1)
+
+
+def _predicted_decrease(
+    b: Linearization, step: Array, multiplier: Array, gaps: Array, continuity_variance: Array, q: int
+) -> float:
+    """Return the decrease of the merit that the quadratic model predicts for the step of the nodes alone."""
+    curved = float((step * (b.node_hessian @ step[:, :, None])[:, :, 0]).sum())
+    by_covariance = np.tensordot(b.cross_hessian[:, :, q:], step, ((0, 1), (0, 1)))
+    change = float((b.node_gradient * step).sum()) + 0.5 * (curved - float(by_covariance @ by_covariance))
+    if np.all(continuity_variance > 0):
+        gaps_after = continuity_variance * multiplier
+        change += 0.5 * float(((gaps_after**2 - gaps**2) / continuity_variance).sum())
+    return max(-change, 0.0)
+
+
+def compile_record(problem: Problem, expressions: Mapping[str, Any], z: ca.SX, method: Transcription) -> RecordPart:
+    """Compile a record for the point z, of which `expressions` gives every parameter of the problem by outside name."""
+    model = record_model(problem, expressions, z, method)
+    data = sampled_data(
+        model.record,
+        model.system.inputs,
+        model.outputs,
+        lead=_longest_delay(problem, model.system),
+        segment_length=1,
+        complete=model.criterion.noise == "full",
+    )
+    looks = at_samples(data, max(data.segments // model.strategies.looks, 1))
+
+    def known_initial(q: Array) -> Array:
+        return model.initial(q)[0].full().ravel()
+
+    substeps, segment_length = substeps_and_segment(
+        problem, method, model.system, model.initial_states, looks, known_initial
+    )
+    data = replace(data, segment_length=segment_length)
+    return RecordPart(model, data, substeps, compile_linearization=method.compile)
+
+
+def record_model(problem: Problem, expressions: Mapping[str, Any], z: ca.SX, method: Transcription) -> RecordModel:
+    """Compile what depends neither on the cut into segments nor on the substeps."""
+    assert isinstance(problem.data, Record)
+    assert isinstance(problem.criterion, TimeCriterion)
+    system = dynamics(problem.model, delay_order(problem.delay))
+    outputs = problem.criterion.compared(problem.model, problem.data)
+
+    q = ca.vertcat(ca.SX(0, 1), *problem.local_values(expressions).values())
+    slope = ca.jacobian(q, z)
+    active = [i for i in range(q.numel()) if slope[i, :].nnz()]
+    delay = system.delay(q[: len(system.parameters)])
+    locate = ca.Function("locate", [z], [q, ca.densify(slope[active, :]), ca.densify(delay)])
+
+    known = problem.criterion.initial
+    symbol = ca.SX.sym("q", q.numel())
+    local = Names(dict(zip(problem.declared, ca.vertsplit(symbol), strict=True)), problem.model.label)
+    states = [_called(f"initial[{name!r}]", known.get(name, math.nan), local) for name in system.states]
+    initial = ca.vertcat(ca.SX(0, 1), *states)
+    by_active = ca.densify(ca.jacobian(initial, symbol[active]))
+    return RecordModel(
+        problem=problem,
+        record=problem.data,
+        criterion=problem.criterion,
+        method=method,
+        system=system,
+        outputs=outputs,
+        active=np.array(active, dtype=int),
+        locate=locate,
+        initial=ca.Function("initial", [symbol], [initial, by_active]),
+        known_states=np.array([name in known for name in system.states], dtype=bool),
+        initial_states=InitialStates(system, outputs, method.strategies),
+    )
 
 
 def _called(what: str, value: Any, local: Names) -> Any:
+    """Evaluate an initial state that may be a function of the parameters, naming it where it fails."""
     if not callable(value):
         return value
     try:
@@ -371,13 +593,13 @@ def _called(what: str, value: Any, local: Names) -> Any:
         raise ValueError(f"{what}: {error}") from error
 
 
-def _longest_delay(part: Problem, system: Dynamics) -> Array:
+def _longest_delay(problem: Problem, system: Dynamics) -> Array:
     """Return the longest delay of every input within the bounds (m,), s; what is unbounded counts with its start."""
     if not system.delayed:
         return np.zeros(len(system.inputs))
     values: dict[str, float] = {}
-    for name, p in part.parameters.items():
+    for name, p in problem.parameters.items():
         high = p.bounds[1] if math.isfinite(p.bounds[1]) else max(p.box[1], p.start)
         values[name] = p.start if p.fixed or not math.isfinite(high) else high
-    q = list(part.local_values(values).values())[: len(system.parameters)]
+    q = list(problem.local_values(values).values())[: len(system.parameters)]
     return np.maximum(system.delay(q).full().ravel(), 0.0)

@@ -10,13 +10,16 @@ from numpy.typing import NDArray
 from greybox.formulation.time_criteria import TimeCriterion
 
 Array = NDArray[np.float64]
-FLOOR = 1e-9  # of a signal's own spread: residuals below are rounding
-RIGID = 0.05  # share of the curvature that an estimated covariance leaves, at least
-RIDGE = 1e-10  # of the curvature, for what the data do not see
+
+# Of a signal's own spread: residuals below are rounding, and their variance is not taken for smaller.
+ROUNDING = 1e-9
+
+# Of the curvature, added in every direction for the factorization where the data do not see one.
+RIDGE = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class Noise:
+class ResidualCovariance:
     """How residual products (k, k), summed over `counts` (k,) samples, become a cost and weights.
 
     The cost is the negative logarithm of the likelihood of normal errors. With an estimated covariance it is that of
@@ -32,7 +35,7 @@ class Noise:
         """Return the covariance (k, k) that goes with these products."""
         if self.known is not None:
             return np.diag(self.known**2)
-        floor = (FLOOR * self.spread) ** 2
+        floor = (ROUNDING * self.spread) ** 2
         count = np.maximum(self.counts, 1)
         if not self.full:
             return np.diag(np.maximum(np.diag(products) / count, floor))
@@ -54,7 +57,7 @@ class Noise:
         """Return W (k, k) with WᵀW the inverse of the covariance."""
         return np.linalg.inv(np.linalg.cholesky(self.covariance(products))).astype(float)
 
-    def flexibility(self, moments: Array) -> Array:
+    def curvature_of_covariance(self, moments: Array) -> Array:
         """Return vectors u (..., v, r) whose squares uuᵀ an estimated covariance takes from the Hessian of a known one.
 
         `moments` (..., k, k, v) are sums of e_a · de_b, of weighted residuals e. The covariance follows the parameters:
@@ -69,14 +72,14 @@ class Noise:
         return np.concatenate([own, np.swapaxes(both, -1, -2) / np.sqrt(counts.max())], axis=-1)
 
 
-def eased(hessian: Array, right: Array) -> Array:
-    """Return -H⁻¹ right, with no less than a share RIGID of the stiffness one, at which nothing would be eased."""
+def followed_by_covariance(hessian: Array, right: Array, least: float) -> Array:
+    """Return -H⁻¹ right, with no less than the share `least` of the stiffness one, at which nothing would be eased."""
     values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
-    return -(vectors / np.maximum(values, RIGID)) @ vectors.T @ right
+    return -(vectors / np.maximum(values, least)) @ vectors.T @ right
 
 
-def lessened(hessian: Array, by: Array) -> Array:
-    """Return a Hessian (q, q) less another, of which a share RIGID is left in every direction."""
+def reduced_hessian(hessian: Array, by: Array, least: float) -> Array:
+    """Return a Hessian (q, q) less another, of which the share `least` is left in every direction."""
     size = np.sqrt(np.maximum(np.diag(hessian), 0.0))
     unit = 1 / np.where(size > 0, size, 1.0)
     try:
@@ -86,10 +89,10 @@ def lessened(hessian: Array, by: Array) -> Array:
     inverse = np.linalg.inv(root)
     values, vectors = np.linalg.eigh(inverse @ ((by + by.T) / 2 * unit * unit[:, None]) @ inverse.T)
     axes = (root @ vectors) / unit[:, None]
-    return hessian - (axes * np.minimum(values, 1 - RIGID)) @ axes.T
+    return hessian - (axes * np.minimum(values, 1 - least)) @ axes.T
 
 
-def noise_of(criterion: TimeCriterion, outputs: tuple[str, ...], measured: Array) -> Noise:
+def residual_covariance_of(criterion: TimeCriterion, outputs: tuple[str, ...], measured: Array) -> ResidualCovariance:
     """Read the criterion's option for the outputs (k, samples) that are compared."""
     present = np.isfinite(measured)
     spread = np.array(
@@ -98,4 +101,4 @@ def noise_of(criterion: TimeCriterion, outputs: tuple[str, ...], measured: Array
     known = None
     if isinstance(criterion.noise, Mapping):
         known = np.array([float(criterion.noise[name]) for name in outputs])
-    return Noise(present.sum(axis=1), np.where(spread > 0, spread, 1.0), known, criterion.noise == "full")
+    return ResidualCovariance(present.sum(axis=1), np.where(spread > 0, spread, 1.0), known, criterion.noise == "full")

@@ -17,11 +17,24 @@ from greybox.data.record import Record
 from greybox.statistics.noise_ratio import noise_ratio
 
 Array = NDArray[np.float64]
-JITTER = 0.25  # of a step: how far samples may lie from uniform ones
-WHOLE = 1e-3  # of a step, by which a delay may exceed whole samples and be taken as these: steps are known no better
-LOST = 1.5  # steps: what is longer misses a sample, which ends a stretch
-REST = 5  # samples at the beginning of a stretch over which an input must be constant to have rested before it
-SOME, LONGER = 3, 2.0  # and so many times longer than its usual hold, where it holds at least so many values after that
+
+# Of a step: how far samples may lie from uniform ones. A quarter keeps every sample nearest to its own place.
+JITTER = 0.25
+
+# Of a step, by which a delay may exceed whole samples and be taken as these: the steps of a log are known no better.
+WHOLE = 1e-3
+
+# Steps between two samples from which one is missing between them, which ends a stretch; halfway between one and two.
+MISSING = 1.5
+
+# Samples at the beginning of a stretch over which an input must be constant to count as at rest before it: longer than
+# a command at a quarter of the logging rate is held.
+REST = 5
+
+# An input that returns to where it began after at most so many holds had rested there; and it must hold its first
+# value so many times longer than the median of its later holds where there are more.
+FEW_HOLDS = 3
+LONGER = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,61 +56,65 @@ class Stretch:
 
 
 @dataclass(frozen=True, eq=False)
-class Experiment:
-    """All stretches of a record, samples one after the other, in segments of `segment` samples.
+class SampledData:
+    """All stretches of a record, samples one after the other, in segments of `segment_length` samples.
 
-    The last segment of a stretch is filled up with samples without outputs. `first` (s,) tells which segments begin a
-    stretch, `coupled` (s,) which are followed by another of the same stretch. `masked` samples of the record with a
-    measured output are not compared, see `Stretch`; `resting` tells that no input ever moves.
+    The last segment of a stretch is filled up with samples without outputs. `masked` samples of the record with a
+    measured output are not compared, see `Stretch`; `constant_inputs` tells that no input ever changes.
     """
 
     stretches: tuple[Stretch, ...]
     outputs: tuple[str, ...]
-    segment: int
+    segment_length: int
     masked: int = 0
-    resting: bool = False
+    constant_inputs: bool = False
 
     @property
-    def counts(self) -> list[int]:
+    def segment_counts(self) -> list[int]:
         """Number of segments of every stretch."""
-        return [math.ceil(len(stretch) / self.segment) for stretch in self.stretches]
+        return [math.ceil(len(stretch) / self.segment_length) for stretch in self.stretches]
 
     @property
     def segments(self) -> int:
         """Number of segments."""
-        return sum(self.counts)
+        return sum(self.segment_counts)
 
     @property
-    def first(self) -> NDArray[np.bool_]:
-        """Which segments begin a stretch."""
-        return np.concatenate([np.arange(count) == 0 for count in self.counts])
+    def samples(self) -> int:
+        """Number of samples, those that fill up segments included."""
+        return self.segments * self.segment_length
 
     @property
-    def begins(self) -> NDArray[np.bool_]:
-        """Which segment, if any, begins with the first sample of the record."""
-        counts = zip(self.counts, self.stretches, strict=True)
+    def begins_stretch(self) -> NDArray[np.bool_]:
+        """Which segments (s,) begin a stretch."""
+        return np.concatenate([np.arange(count) == 0 for count in self.segment_counts])
+
+    @property
+    def begins_record(self) -> NDArray[np.bool_]:
+        """Which segment (s,), if any, begins with the first sample of the record."""
+        counts = zip(self.segment_counts, self.stretches, strict=True)
         return np.concatenate([np.arange(count) + stretch.first == 0 for count, stretch in counts])
 
     @property
     def coupled(self) -> NDArray[np.bool_]:
-        """Which segments are followed by another of the same stretch."""
-        return np.concatenate([np.arange(count) < count - 1 for count in self.counts])
+        """Which segments (s,) are followed by another of the same stretch."""
+        return np.concatenate([np.arange(count) < count - 1 for count in self.segment_counts])
 
-    def thinned(self, samples: int, pieces: int = 5) -> "Experiment":
-        """Return some stretches of about so many samples in all, evenly over these; all of them where they are few."""
+    def excerpts(self, samples: int, pieces: int = 5) -> "SampledData":
+        """Return excerpts of about so many samples in all, evenly over the stretches; all where they are few."""
         total = sum(len(stretch) for stretch in self.stretches)
         if total <= samples:
             return self
         kept = []
         for stretch in self.stretches:
             count = max(math.ceil(pieces * len(stretch) / total), 1)
-            length = min(max(samples // (count * len(self.stretches)), 2 * self.segment), len(stretch) // count)
+            length = max(samples // (count * len(self.stretches)), 2 * self.segment_length)
+            length = min(length, len(stretch) // count)
             for start in np.linspace(0, len(stretch) - length, count).astype(int):
-                some = slice(start, start + length)
-                kept.append(
-                    Stretch(stretch.inputs[:, some], stretch.outputs[:, some], stretch.first + start, stretch.step)
-                )
-        return Experiment(tuple(kept), self.outputs, self.segment)
+                rows = slice(start, start + length)
+                inputs, outputs = stretch.inputs[:, rows], stretch.outputs[:, rows]
+                kept.append(Stretch(inputs, outputs, stretch.first + start, stretch.step))
+        return SampledData(tuple(kept), self.outputs, self.segment_length)
 
     def padded(self, values: list[Array], fill: float | None) -> Array:
         """Join one array (r, n) per stretch, every stretch filled up to whole segments: (r, samples).
@@ -105,15 +122,15 @@ class Experiment:
         None repeats the last value: inputs of zero may lie outside of what a model allows, an airspeed for one.
         """
         joined = []
-        for value, count in zip(values, self.counts, strict=True):
-            rest = count * self.segment - value.shape[1]
+        for value, count in zip(values, self.segment_counts, strict=True):
+            rest = count * self.segment_length - value.shape[1]
             last = value[:, -1:] if fill is None else np.full((len(value), 1), fill)
             joined.append(np.concatenate([value, np.repeat(last, rest, axis=1)], axis=1))
         return np.concatenate(joined, axis=1)
 
     def unpadded(self, values: Array) -> list[Array]:
         """Cut (r, samples) into the samples of every stretch."""
-        ends = np.cumsum([count * self.segment for count in self.counts])[:-1]
+        ends = np.cumsum([count * self.segment_length for count in self.segment_counts])[:-1]
         parts = np.split(values, ends, axis=-1)
         return [part[..., : len(stretch)] for part, stretch in zip(parts, self.stretches, strict=True)]
 
@@ -125,9 +142,9 @@ class Experiment:
     @property
     def steps(self) -> Array:
         """The step of every sample, (1, samples), s."""
-        return np.repeat([s.step for s in self.stretches], [c * self.segment for c in self.counts])[None]
+        return np.repeat([s.step for s in self.stretches], [c * self.segment_length for c in self.segment_counts])[None]
 
-    def windows(self, delays: Array) -> tuple[Array, Array]:
+    def delayed_inputs(self, delays: Array) -> tuple[Array, Array]:
         """Return the whole samples of the delays (m, samples), and the inputs around them (3 m, samples).
 
         Before its first sample an input is taken to have had that value, after its last one to keep it.
@@ -144,9 +161,15 @@ class Experiment:
         return self.padded(whole, None), self.padded(around, None)
 
 
-def experiment(
-    record: Record, inputs: tuple[str, ...], outputs: tuple[str, ...], *, lead: ArrayLike, segment: int, complete: bool
-) -> Experiment:
+def sampled_data(
+    record: Record,
+    inputs: tuple[str, ...],
+    outputs: tuple[str, ...],
+    *,
+    lead: ArrayLike,
+    segment_length: int,
+    complete: bool,
+) -> SampledData:
     """Cut a record into stretches and these into segments.
 
     The first `lead` (m,) seconds of a stretch give the delayed inputs their past and are not compared, see `gapless`.
@@ -165,11 +188,12 @@ def experiment(
             "every sample is missing."
         )
     stretches = gapless(record, inputs, outputs, lead=lead, complete=complete)
-    resting = bool(inputs) and all(_is_constant(record[name]) for name in inputs)
-    if resting and not any(noise_ratio([s.outputs[k] for s in stretches]).smooth for k in range(len(outputs))):
+    constant = bool(inputs) and all(_is_constant(record[name]) for name in inputs)
+    if constant and not any(noise_ratio([s.outputs[k] for s in stretches]).smooth for k in range(len(outputs))):
         raise ValueError(
-            f"the inputs of the record never move ({names}): nothing can be estimated from it, since "
-            f"{_listed(outputs)} moves no more than noise does."
+            f"the inputs of the record never change ({names}) and {_listed(outputs)} "
+            f"{'is' if len(outputs) == 1 else 'are'} indistinguishable from noise: "
+            "nothing can be estimated from it."
         )
     usable = tuple(s for s in stretches if np.isfinite(s.outputs).any() and len(s) > 2)
     if not usable:
@@ -181,11 +205,11 @@ def experiment(
         )
     if all(_is_constant(record[name]) for name in outputs):
         raise ValueError(
-            f"the outputs of the record never move ({', '.join(outputs)}): nothing can be estimated from it."
+            f"the outputs of the record never change ({', '.join(outputs)}): nothing can be estimated from it."
         )
     there = np.any([np.isfinite(record[name]) for name in outputs], axis=0)
     masked = sum(int(there[s.first : s.first + s.masked].sum()) for s in stretches)
-    return Experiment(usable, outputs, segment, masked, resting)
+    return SampledData(usable, outputs, segment_length, masked, constant)
 
 
 def gapless(
@@ -209,7 +233,7 @@ def gapless(
         y = np.array([piece[name] for name in outputs]).reshape(len(outputs), len(piece))
         y = np.where(np.all(np.isfinite(y), axis=0), y, np.nan) if complete else y
         whole = np.all(np.isfinite(u), axis=0)
-        ends = (np.diff(whole.astype(int)) != 0) | (np.diff(piece.time) > LOST * record.step)
+        ends = (np.diff(whole.astype(int)) != 0) | (np.diff(piece.time) > MISSING * record.step)
         for rows in np.split(np.arange(len(piece)), np.flatnonzero(ends) + 1):
             if whole[rows[0]] and rows.size > 1:
                 stretches.append(_stretch(piece.time[rows], u[:, rows], y[:, rows], before + int(rows[0]), leads))
@@ -218,7 +242,7 @@ def gapless(
 
 
 def _listed(names: tuple[str, ...]) -> str:
-    return names[0] if len(names) == 1 else f"none of {', '.join(names)}"
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _called(record: Record) -> str:
@@ -252,7 +276,7 @@ def _rests(values: Array) -> bool:
     runs = np.diff(np.flatnonzero(np.diff(values)), prepend=-1)
     # Commands at a lower rate, or of random length, are constant for some samples in the middle of their movement too.
     # One that returns to where it began had rested there; of a single step, nobody can tell.
-    few = runs.size < 2 or (runs.size <= SOME and values[0] == values[-1])
+    few = runs.size < 2 or (runs.size <= FEW_HOLDS and values[0] == values[-1])
     return few or bool(runs[0] > LONGER * sorted(runs[1:])[len(runs) // 2 - 1])
 
 

@@ -12,7 +12,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.initial_states import FirstStates
+from greybox.compiled.initial_states import InitialStates
+from greybox.compiled.strategies import Strategies
 from greybox.compiled.transcription.method import Transcription
 from greybox.compiled.vectorized import Columns
 from greybox.formulation.problem import Problem
@@ -30,16 +31,13 @@ EVERY = 5  # every n-th sample serves for the poles: an eigenvalue problem each,
 SHORTEST_SEGMENT = 5
 LONGEST_SEGMENT = 10
 SEGMENT_GROWTH = 2.0  # an unstable mode may grow by exp(2), sevenfold, over a segment
-# Error over a longest segment, relative to the spread of a state, with which the search may begin: the substeps are
-# judged once more at its end, against the standard errors (`greybox.solve.discretization_error`).
-TOLERANCE = 1e-4
 
 
 def substeps_and_segment(
     problem: Problem,
     method: Transcription,
     system: Dynamics,
-    initial_states: FirstStates,
+    initial_states: InitialStates,
     samples: tuple[Array, Array],
     known_initial: Callable[[Array], Array],
 ) -> tuple[int, int]:
@@ -56,11 +54,13 @@ def substeps_and_segment(
         Of the declared parameters to the known initial states (n,), NaN where unknown.
     """
     step = problem.data.step  # type: ignore[union-attr]
-    integrator = method.integrator
+    integrator = method.scheme
     if integrator.substeps is not None and method.segment is not None:
         return integrator.substeps, method.segment
 
-    judge = _AccuracyJudge.of(system, integrator) if integrator.substeps is None and system.states else None
+    strategies = method.strategies
+    chooses = integrator.substeps is None and strategies.accurate_substeps and system.states
+    judge = _AccuracyJudge.of(system, integrator, strategies) if chooses else None
     outputs, inputs = samples
     stable: list[int] = []
     accurate: list[int] = []
@@ -103,9 +103,11 @@ class _AccuracyJudge:
 
     one_step: Columns
     order: int
+    tolerance: float
+    samples: int
 
     @classmethod
-    def of(cls, system: Dynamics, integrator: Integrator) -> "_AccuracyJudge":
+    def of(cls, system: Dynamics, integrator: Integrator, strategies: Strategies) -> "_AccuracyJudge":
         """Compile the step as a function of x, u and (p, h)."""
         x = ca.SX.sym("x", len(system.states))
         u = ca.SX.sym("u", len(system.inputs))
@@ -114,7 +116,7 @@ class _AccuracyJudge:
         held = ca.SX(len(system.inputs), 1)
         after = integrator.advance(system, x, u, held, p, h)
         step = ca.Function("advance", [x, u, ca.vertcat(p, h)], [after], {"cse": True})
-        return cls(Columns(step, shared=(2,)), integrator.order)
+        return cls(Columns(step, shared=(2,)), integrator.order, strategies.local_accuracy, strategies.local_span)
 
     def substeps(self, count: int, states: Array, inputs: Array, p: Array, step: float) -> int:
         """Return the substeps that make the error over a longest segment small, from `count` that are stable."""
@@ -133,12 +135,12 @@ class _AccuracyJudge:
         spread = np.abs(fine - fine.mean(axis=1, keepdims=True)).mean(axis=1)
         moved = np.abs(fine - states[:, finite]).max(axis=1)
         error = relative_change(fine - coarse, spread + moved)
-        return accurate_substeps(count, error, TOLERANCE, self.order)
+        return accurate_substeps(count, error, self.tolerance, self.order)
 
     def _after_segment(self, count: int, states: Array, inputs: Array, p: Array, step: float) -> Array:
         x = states
         constants = np.append(p, step / count)
-        for _ in range(LONGEST_SEGMENT * count):
+        for _ in range(self.samples * count):
             (x,) = self.one_step(x, inputs, constants)
         return x
 

@@ -1,48 +1,24 @@
 """How well the data determine the estimate: covariance right for the criterion, and combinations left undetermined."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.compiled_problem import Nlp, Scaling
-from greybox.compiled.record_part import RecordPart
-from greybox.estimate.record_information import information
-from greybox.formulation.frequency_criteria import Criterion
+from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.part import Information, Trajectory
 from greybox.formulation.held_estimate import HeldEstimate
-from greybox.formulation.problem import Problem
-from greybox.solve.gauss_newton.driver import Profile
+
+Array = NDArray[np.float64]
 
 DEAD = 1e-7  # singular value of the unit-column Jacobian below which a combination is not determined at all
 BLIND = 1e-5  # share of an invisible direction from which a quantity has no standard error
 ROUNDING = 1e-12  # what the data see of a change of a parameter as large as itself, below which it is none
 COLLINEAR = 20.0  # collinearity index from which a combination is suspect, see `Combination`
 LOOSE = 0.5  # relative standard error from which a suspect combination is reported
-
-
-@dataclass(frozen=True, eq=False)
-class PartJacobian:
-    """A part with the Jacobian (rows, k) of its residuals to all values, or a triangular factor of it.
-
-    Attributes
-    ----------
-    numbers : int
-        Real numbers in the data, less those that nuisance unknowns use up.
-    spread : function of a correction
-        Returns bread (a factor on JᵀJ) and meat (k, k), for noise larger by the correction; see `Criterion.spread`.
-    noise : float
-        Standard deviation of one component of the relative error; NaN for a record.
-    """
-
-    part: Problem
-    jacobian: NDArray[np.float64]
-    numbers: int
-    spread: Callable[[float], tuple[float, NDArray[np.float64]]]
-    noise: float
 
 
 @dataclass(frozen=True)
@@ -95,43 +71,43 @@ class Accuracy:
     """
 
     names: tuple[str, ...]
-    covariance: NDArray[np.float64]
-    blind: NDArray[np.float64]
-    size: NDArray[np.float64]
+    covariance: Array
+    blind: Array
+    size: Array
     dof: float
-    shares: tuple[tuple[NDArray[np.float64], float], ...]
+    shares: tuple[tuple[Array, float], ...]
     combinations: tuple[Combination, ...]
     at_bound: tuple[str, ...]
     active: tuple[str, ...]
-    noise: NDArray[np.float64]
-    white: NDArray[np.float64] | None = None
+    noise: Array
+    white: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class _Share:
     """What one part tells of the unknowns: bread (p, k) against all values, meat (p, p), weighted Jacobian (n, p)."""
 
-    bread: NDArray[np.float64]
-    meat: NDArray[np.float64]
-    jacobian: NDArray[np.float64]
+    bread: Array
+    meat: Array
+    jacobian: Array
     dof: float
 
 
-def assess(nlp: Nlp, x: NDArray[np.float64], profile: Profile | None = None) -> Accuracy:
-    """Return the accuracy of the estimate `x` (p,); with records, `profile` has their states there.
+def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -> Accuracy:
+    """Return the accuracy of the estimate `x` (p,); parts with nodes need their best `trajectories` there.
 
     The covariance is that of an M-estimator under the noise condition of each part's criterion; parameters at a bound
     are taken as fixed there, and active constraints hold. Fixed values that come from an earlier fit widen it:
     C + S Σ Sᵀ with S the derivative of the estimate with respect to them.
     """
     p, k = len(nlp.free), len(nlp.names)
-    parts = [*part_jacobians(nlp, x), *_record_jacobians(nlp, x, profile)]
+    parts = informations(nlp, x, trajectories)
     shares = [_share(part, p=p, correction=1.0, dof=math.inf) for part in parts]
     jacobian = np.vstack([share.jacobian for share in shares])
     at_bound = _at_bound(nlp, x)
     active, holding = _active_constraints(nlp, x)
     length = np.linalg.norm(jacobian, axis=0)
-    length[length * np.abs(1 / _solver_slope(nlp.scaling, x)) < ROUNDING] = 0
+    length[length * np.abs(1 / nlp.scaling.slope(x)) < ROUNDING] = 0
     jacobian = jacobian * (length > 0)
     # In units in which every column of the Jacobian has length one, ranks can be judged.
     size = np.where(np.isfinite(length) & (length > 0), 1 / np.where(length > 0, length, 1.0), 1.0)
@@ -165,12 +141,23 @@ def assess(nlp: Nlp, x: NDArray[np.float64], profile: Profile | None = None) -> 
         combinations=combinations,
         at_bound=at_bound,
         active=holding,
-        noise=np.array([{id(p.part): p.noise for p in parts}[id(part)] for part in nlp.problem.parts]),
+        noise=np.array([part.relative_noise for part in parts]),
         white=inverse,
     )
 
 
-def degrees(accuracy: Accuracy, gradient: NDArray[np.float64]) -> NDArray[np.float64]:
+def informations(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -> list[Information]:
+    """Return what every part says about all values at the unknowns `x` (p,), see `Part.information`."""
+    values = nlp.all_values(x)
+    uncertain = tuple(
+        k for k, name in enumerate(nlp.names) if k >= len(nlp.free) and name in nlp.problem.held_estimates
+    )
+    slope = nlp.scaling.slope(x)
+    each = zip(nlp.parts, trajectories or [None] * len(nlp.parts), strict=True)
+    return [part.information(nlp.names, values, uncertain, trajectory, slope) for part, trajectory in each]
+
+
+def degrees(accuracy: Accuracy, gradient: Array) -> Array:
     """Return the degrees of freedom of quantities from their gradient (m, k): (m,).
 
     A variance Σ vᵢ whose parts have νᵢ degrees of freedom has (Σ vᵢ)² / Σ (vᵢ²/νᵢ).
@@ -183,7 +170,7 @@ def degrees(accuracy: Accuracy, gradient: NDArray[np.float64]) -> NDArray[np.flo
     return np.where(spread > 0, v.sum(axis=0) ** 2 / np.where(spread > 0, spread, 1.0), math.inf)
 
 
-def propagate(accuracy: Accuracy, gradient: NDArray[np.float64]) -> NDArray[np.float64]:
+def propagate(accuracy: Accuracy, gradient: Array) -> Array:
     """Return the standard errors of quantities from their gradient (m, k) with respect to all values: (m,).
 
     NaN for a quantity that depends on a direction about which the data say nothing.
@@ -195,9 +182,9 @@ def propagate(accuracy: Accuracy, gradient: NDArray[np.float64]) -> NDArray[np.f
 
 
 def _corrected(
-    parts: Sequence[PartJacobian],
+    parts: Sequence[Information],
     shares: Sequence[_Share],
-    basis: NDArray[np.float64],
+    basis: Array,
 ) -> list[_Share]:
     """Scale the noise of every part for the parameters that it pays: pᵢ = tr(B⁻¹ Bᵢ) of the p in all.
 
@@ -209,12 +196,17 @@ def _corrected(
     numbers = [part.numbers for part in parts]
     left = [max(n - q, 0.5) for n, q in zip(numbers, paid, strict=True)]
     return [
-        _share(part, p=p, correction=math.sqrt(max(n, m) / m), dof=math.inf if part.part.criterion.known_noise else m)
+        _share(
+            part,
+            p=p,
+            correction=math.sqrt(max(n, m) / m),
+            dof=math.inf if part.part.problem.criterion.known_noise else m,
+        )
         for part, n, m in zip(parts, numbers, left, strict=True)
     ]
 
 
-def _inverse(shares: Sequence[_Share], basis: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _inverse(shares: Sequence[_Share], basis: Array) -> tuple[Array, Array]:
     """Return B⁻¹ (p, p) within `basis` (p, r), and the derivative (k, k) of all values to the constants."""
     bread = sum((share.bread for share in shares), np.zeros_like(shares[0].bread))
     p, k = bread.shape
@@ -226,8 +218,8 @@ def _inverse(shares: Sequence[_Share], basis: NDArray[np.float64]) -> tuple[NDAr
 
 
 def _contributions(
-    nlp: Nlp, shares: Sequence[_Share], inverse: NDArray[np.float64], slope: NDArray[np.float64]
-) -> tuple[tuple[tuple[NDArray[np.float64], float], ...], NDArray[np.bool_]]:
+    nlp: Nlp, shares: Sequence[_Share], inverse: Array, slope: Array
+) -> tuple[tuple[tuple[Array, float], ...], NDArray[np.bool_]]:
     """Return B⁻¹ Mᵢ B⁻¹ of every part and S Σ Sᵀ of every earlier fit; and which constants (k,) have no error."""
     p, k = len(nlp.free), len(nlp.names)
     result = []
@@ -242,9 +234,7 @@ def _contributions(
     return tuple(result), unknown
 
 
-def _directions(
-    jacobian: NDArray[np.float64], active: NDArray[np.float64], bounded: Sequence[int]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _directions(jacobian: Array, active: Array, bounded: Sequence[int]) -> tuple[Array, Array]:
     """Split the space of the unknowns (p,) into what the data see, and what they do not or a bound closes.
 
     Directions closed by an active constraint are in neither: the constraint determines them.
@@ -260,74 +250,7 @@ def _directions(
     return basis @ rows[:rank].T, np.hstack([basis @ rows[rank:].T, np.eye(p)[:, list(bounded)]])
 
 
-def part_jacobians(nlp: Nlp, x: NDArray[np.float64]) -> list[PartJacobian]:
-    """Return what every frequency response tells of all values."""
-    if not nlp.responding:
-        return []
-    values = nlp.all_values(x)
-    symbols: Any = ca.SX.sym("x", len(values)) if nlp.responses.is_a("SXFunction") else ca.MX.sym("x", len(values))
-    derivative = ca.Function("derivative", [symbols], [ca.jacobian(nlp.responses(symbols), symbols)])
-    stacked = np.asarray(ca.DM(derivative(values)))
-    half = len(stacked) // 2
-    responses = nlp.split(nlp.response_rows(x[None])[0])
-    sensitivities = nlp.split(stacked[:half] + 1j * stacked[half:])
-    return [
-        _of_response(part, response, sensitivity)
-        for part, response, sensitivity in zip(nlp.responding, responses, sensitivities, strict=True)
-    ]
-
-
-def _of_response(part: Problem, response: NDArray[np.complex128], sensitivity: NDArray[np.complex128]) -> PartJacobian:
-    criterion, data = part.criterion, part.response
-    assert isinstance(criterion, Criterion)
-    jacobian = criterion.jacobian(response, sensitivity, data)
-
-    def spread(correction: float) -> tuple[float, NDArray[np.float64]]:
-        bread, meat = criterion.spread(response, data, correction)
-        return bread, jacobian.T @ (meat[:, None] * jacobian)
-
-    there = data.response != 0
-    errors = np.abs(response[there] / data.response[there] - 1)
-    noise = float(errors.mean()) * math.sqrt(2 / math.pi) if errors.size else math.nan
-    return PartJacobian(part, jacobian, len(jacobian), spread, noise)
-
-
-def _record_jacobians(nlp: Nlp, x: NDArray[np.float64], profile: Profile | None) -> list[PartJacobian]:
-    """Return what every record tells of all values; of constants, only of those that an earlier fit gives."""
-    if profile is None:
-        return []
-    columns = [k for k, name in enumerate(nlp.names) if k < len(nlp.free) or name in nlp.problem.held_estimates]
-    values, result = nlp.all_values(x), []
-    for k, record in enumerate(nlp.records):
-        if len(columns) > len(nlp.free):
-            point = ca.SX.sym("x", len(columns))
-            named: dict[str, Any] = dict(zip(nlp.names, values.tolist(), strict=True))
-            named |= {nlp.names[c]: point[i] for i, c in enumerate(columns)}
-            again = RecordPart(record.part, named, point, record.method)
-            record = again.refined(record.substeps // again.substeps)  # noqa: PLW2901
-            place, slope = record.place(values[columns]), np.ones(len(columns))
-        else:
-            place, slope = profile.places[k], _solver_slope(nlp.scaling, x)
-        found = information(record, profile.paths[k], place)
-        jacobian = np.zeros((len(found.jacobian), len(values)))
-        jacobian[:, columns] = found.jacobian * slope
-        meat = np.zeros((len(values), len(values)))
-        meat[np.ix_(columns, columns)] = found.meat * slope * slope[:, None]
-        spread = _record_spread(meat)
-        result.append(PartJacobian(record.part, jacobian, found.numbers, spread, math.nan))
-    return result
-
-
-def _record_spread(meat: NDArray[np.float64]) -> Callable[[float], tuple[float, NDArray[np.float64]]]:
-    return lambda correction: (1.0, meat * correction**2)
-
-
-def _solver_slope(scaling: Scaling, x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return dz/dx (p,) of the solver's variables."""
-    return 1 / np.where(scaling.logarithmic, x, scaling.factor)
-
-
-def _share(part: PartJacobian, *, p: int, correction: float, dof: float) -> _Share:
+def _share(part: Information, *, p: int, correction: float, dof: float) -> _Share:
     """Return what a part tells of the `p` unknowns, its noise scaled by `correction`."""
     scale, meat = part.spread(correction)
     free, weight = part.jacobian[:, :p], part.part.weight
@@ -339,13 +262,13 @@ def _share(part: PartJacobian, *, p: int, correction: float, dof: float) -> _Sha
     )
 
 
-def _at_bound(nlp: Nlp, x: NDArray[np.float64]) -> tuple[str, ...]:
+def _at_bound(nlp: Nlp, x: Array) -> tuple[str, ...]:
     z, low, high = (nlp.scaling.to_solver(v) for v in (x, nlp.lower, nlp.upper))
     tolerance = 1e-7 * np.maximum(1.0, np.abs(z))  # in units of the start box
     return tuple(n for n, hit in zip(nlp.free, (z - low < tolerance) | (high - z < tolerance), strict=True) if hit)
 
 
-def _active_constraints(nlp: Nlp, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+def _active_constraints(nlp: Nlp, x: Array) -> tuple[Array, tuple[str, ...]]:
     """Return the gradients (a, p) and the names of the constraints that hold with equality."""
     p = len(nlp.free)
     if not nlp.limits:
@@ -360,7 +283,7 @@ def _active_constraints(nlp: Nlp, x: NDArray[np.float64]) -> tuple[NDArray[np.fl
 
 
 def _combinations(
-    unit: NDArray[np.float64], active: NDArray[np.float64], names: tuple[str, ...], at_bound: Sequence[str]
+    unit: Array, active: Array, names: tuple[str, ...], at_bound: Sequence[str]
 ) -> tuple[Combination, ...]:
     """Return the suspect combinations of a Jacobian with unit columns (2N, p)."""
     dead = [k for k in range(len(names)) if not (unit[:, k].any() or active[:, k].any())]
@@ -379,13 +302,13 @@ def _combinations(
     return tuple(found)
 
 
-def _is_loose(combination: Combination, nlp: Nlp, covariance: NDArray[np.float64], x: NDArray[np.float64]) -> bool:
+def _is_loose(combination: Combination, nlp: Nlp, covariance: Array, x: Array) -> bool:
     places = [nlp.free.index(name) for name in combination.names]
     error = np.sqrt(np.maximum(np.diag(covariance)[places], 0))
     return bool(np.any(~(error < LOOSE * np.abs(x[places]))))
 
 
-def _known_covariances(nlp: Nlp) -> list[tuple[NDArray[np.float64], float]]:
+def _known_covariances(nlp: Nlp) -> list[tuple[Array, float]]:
     """Return the covariance of the constants that come from each earlier fit, embedded in that of all values."""
     names = nlp.names
     sources: dict[int, tuple[HeldEstimate, list[str]]] = {}

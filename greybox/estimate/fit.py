@@ -15,10 +15,15 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from greybox.compiled.compiled_problem import AnyProblem, Nlp, compile_problem
+from greybox.compiled.part import Part, Trajectory
+from greybox.compiled.record_part import RecordPart
+from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.covariance import Accuracy, assess
-from greybox.estimate.diagnostics.general import pade_error, warnings
+from greybox.estimate.diagnostics.delay_approximation import pade_error
+from greybox.estimate.diagnostics.discretization import discretization_warnings
+from greybox.estimate.diagnostics.general import warnings
 from greybox.estimate.diagnostics.harmonics import harmonic_warnings
 from greybox.estimate.diagnostics.not_finite import explained, not_finite_warnings
 from greybox.estimate.diagnostics.records import record_warnings
@@ -31,10 +36,12 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Chained, Listed, Sobol, Starts, as_starts
 from greybox.formulation.sum import Sum
 from greybox.modeling.harmonic_balance import response_of_test
-from greybox.solve.discretization_error import IntegrationError, integration_warnings, well_integrated
+from greybox.solve.discretization_error import DiscretizationError, refine_discretization
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.minima import Multistart
 from greybox.solve.multistart import multistart
+
+Array = NDArray[np.float64]
 
 STARTS, RECORD_STARTS = 200, 20
 CURVE = 2000  # points from which a curve for figures is not refined further
@@ -91,43 +98,45 @@ def fit(
     rule = _rule(starts, seed, nlp)
     points = rule.draw({name: parameters[name] for name in nlp.free})
     movable = not isinstance(rule, Listed)
+    solver = GaussNewton(nlp) if nlp.has_states else None
     if callable(progress) or not progress:
-        search = multistart(nlp, points, solver_options, progress or None, movable)
+        search = multistart(nlp, points, solver_options, progress or None, movable, solver)
     else:
         with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
-            search = multistart(nlp, points, solver_options, lambda done, _: _advance(bar, done), movable)
-    nlp, search, error = well_integrated(nlp, explained(nlp, search))
-    return assemble(nlp, search, seed=rule.seed, starts=str(rule), began=began, error=error)
+            search = multistart(nlp, points, solver_options, lambda done, _: _advance(bar, done), movable, solver)
+    search = explained(nlp, search)
+    error = None
+    if solver is not None:
+        nlp, search, solver, error = refine_discretization(nlp, search, solver)
+    return assemble(nlp, search, solver, seed=rule.seed, starts=str(rule), began=began, error=error)
 
 
 def assemble(
     nlp: Nlp,
     search: Multistart,
+    solver: GaussNewton | None,
     *,
     seed: int | None,
     starts: str,
     began: float,
-    error: IntegrationError | None = None,
+    error: DiscretizationError | None = None,
 ) -> Fit:
     """Turn what a multistart left into the answer; `began` is the clock reading when the work began."""
     problem = nlp.problem
-    best = search.minima[0].estimate if search.minima else np.full(len(nlp.free), np.nan)
-    profile = GaussNewton(nlp).profile(best, search.nodes) if nlp.records and search.minima else None
-    accuracy = assess(nlp, best, profile) if search.minima else _nothing(nlp)
+    found = bool(search.minima)
+    best = search.minima[0].estimate if found else np.full(len(nlp.free), np.nan)
+    trajectories: tuple[Trajectory | None, ...] = (None,) * len(nlp.parts)
+    if found and solver is not None:
+        trajectories = solver.profile(best, search.nodes).trajectories
+    accuracy = assess(nlp, best, trajectories) if found else _nothing(nlp)
     estimate = dict(zip(nlp.names, nlp.all_values(best).tolist(), strict=True))
-    local = [dict(part.local_values(estimate)) for part in problem.parts]
-    errors = [
-        pade_error(part, values) if search.minima and part in nlp.responding else None
-        for part, values in zip(problem.parts, local, strict=True)
-    ]
-    found = nlp.split(nlp.response_rows(best[None])[0]) if nlp.responding else []
-    responses = dict(zip(nlp.responding, found, strict=True))
     lines, names, covariance = quantities(nlp, accuracy, estimate)
     parts = tuple(
-        _response(part, values, responses[part], error) if part in responses else fitted_record(nlp, part, profile)
-        for part, values, error in zip(problem.parts, local, errors, strict=True)
+        _fitted(part, nlp.all_values(best), dict(part.problem.local_values(estimate)), trajectory)
+        for part, trajectory in zip(nlp.parts, trajectories, strict=True)
     )
     records = [part for part in parts if isinstance(part, FittedRecord)]
+    pade_errors = [part.pade_error if isinstance(part, FittedResponse) else None for part in parts]
     return Fit(
         name=problem.name,
         parts=parts,
@@ -136,16 +145,16 @@ def assemble(
         names=names,
         covariance=covariance,
         dof=accuracy.dof,
-        cost=search.minima[0].cost if search.minima else math.nan,
-        costs=_all_costs(nlp, responses),
+        cost=search.minima[0].cost if found else math.nan,
+        costs=_all_costs(nlp, parts),
         runs=search.runs,
         minima=search.minima,
         warnings=(
             *not_finite_warnings(nlp, search),
-            *integration_warnings(nlp, profile, error),
-            *(record_warnings(nlp, records, profile) if search.minima else ()),
-            *(harmonic_warnings(nlp, best, accuracy) if search.minima else ()),
-            *(warnings(nlp, search, accuracy, errors, profile) if search.minima else ()),
+            *(discretization_warnings(nlp, trajectories, error) if found else ()),
+            *(record_warnings(nlp, records, trajectories) if found else ()),
+            *(harmonic_warnings(nlp, best, accuracy) if found else ()),
+            *(warnings(nlp, search, accuracy, pade_errors, trajectories) if found else ()),
         ),
         seed=seed,
         starts=starts,
@@ -161,11 +170,21 @@ def assemble(
     )
 
 
+def _fitted(
+    part: Part, x: Array, values: dict[str, float], trajectory: Trajectory | None
+) -> FittedRecord | FittedResponse:
+    """Return the plain values that the answer keeps of a part, at all values x (k,), by name `values`."""
+    if isinstance(part, RecordPart):
+        return fitted_record(part, trajectory)
+    assert isinstance(part, ResponsePart)
+    return _response(part.problem, values, part.response(x))
+
+
 def _rule(starts: Any, seed: int | None, nlp: Nlp) -> Starts:
     """Return the rule for starts; of a number of them for records, the declared values are the first."""
-    number = starts if starts is not None else RECORD_STARTS if nlp.records else STARTS
+    number = starts if starts is not None else RECORD_STARTS if nlp.has_states else STARTS
     rule = as_starts(number, seed)
-    if not nlp.records or isinstance(number, Starts | Sequence):
+    if not nlp.has_states or isinstance(number, Starts | Sequence):
         return rule
     return Chained((Listed(({},)), Sobol(number - 1, rule.seed or 0))) if number > 1 else Listed(({},))
 
@@ -187,31 +206,29 @@ def _nothing(nlp: Nlp) -> Accuracy:
         (),
         (),
         (),
-        np.full(len(nlp.problem.parts), np.nan),
+        np.full(len(nlp.parts), np.nan),
     )
 
 
-def _response(
-    part: Problem, values: dict[str, float], response: NDArray[np.complex128], error: float | None
-) -> FittedResponse:
-    data = part.data
-    assert isinstance(data, FrequencyResponse)
-    curve = None
+def _response(problem: Problem, values: dict[str, float], response: NDArray[np.complex128]) -> FittedResponse:
+    data = problem.response
+    curve = error = None
     if np.all(np.isfinite(response)):
-        signals = {"input": data.input, "output": data.output, "at": part.at, "delay": part.delay}
+        error = pade_error(problem, values)
+        signals = {"input": data.input, "output": data.output, "at": problem.at, "delay": problem.delay}
         with contextlib.suppress(ValueError):  # an undamped resonance exactly on the grid
             curve = _curve(
-                lambda omega: response_of_test(part.model, values, omega, part.amplitude, data.omega, **signals),
+                lambda omega: response_of_test(problem.model, values, omega, problem.amplitude, data.omega, **signals),
                 data.omega,
             )
     return FittedResponse(
-        **stated(part),
+        **stated(problem),
         data=data,
         response=response,
         curve=curve,
-        at={name: float(value) for name, value in part.at.items()},
+        at={name: float(value) for name, value in problem.at.items()},
         pade_error=error,
-        sine=part.amplitude,
+        sine=problem.amplitude,
     )
 
 
@@ -232,12 +249,12 @@ def _curve(
     return curve
 
 
-def _all_costs(nlp: Nlp, responses: Mapping[Problem, NDArray[np.complex128]]) -> dict[str, float]:
-    if nlp.records:
+def _all_costs(nlp: Nlp, parts: Sequence[FittedRecord | FittedResponse]) -> dict[str, float]:
+    """Return the value of every criterion at the estimate; those in the frequency domain, of responses alone."""
+    if nlp.has_states:
         return {}
+    responses = [part for part in parts if isinstance(part, FittedResponse)]
     return {
-        criterion.name: sum(
-            part.weight * evaluate(criterion, found, part.response) for part, found in responses.items()
-        )
+        criterion.name: sum(part.weight * evaluate(criterion, part.response, part.data) for part in responses)
         for criterion in CRITERIA
     }

@@ -5,15 +5,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.compiled_problem import Nlp
-from greybox.compiled.record_part import Path, Place, RecordPart
+from greybox.compiled.part import Trajectory
+from greybox.compiled.record_part import RecordPart
 from greybox.data.record import Record
 from greybox.estimate.result import FittedRecord
 from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.problem import Problem
 from greybox.modeling.model import equation
 from greybox.modeling.model_reference import reference, source_text
-from greybox.solve.gauss_newton.driver import Profile
 
 
 def criterion_values(criterion: AnyCriterion) -> dict[str, Any]:
@@ -44,14 +43,10 @@ def stated(part: Problem) -> dict[str, Any]:
     }
 
 
-def fitted_record(nlp: Nlp, part: Problem, profile: Profile | None) -> FittedRecord:
-    """Return the record of a problem with the outputs at the states of `profile`; NaN without one."""
-    k = next(i for i, record in enumerate(nlp.records) if record.part is part)
-    record = nlp.records[k]
-    nodes = profile.paths[k].nodes if profile else np.full((record.experiment.segments, record.states), np.nan)
-    outputs = _simulated(record, profile.paths[k], profile.places[k]) if profile else None
-    data = record.record
-    used = [*record.system.inputs, *record.outputs]
+def fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedRecord:
+    """Return the record of a part with the outputs along its best trajectory; NaN without one."""
+    data, model = part.model.record, part.model
+    used = [*part.system.inputs, *part.outputs]
     kept = Record(
         data.time,
         {name: data[name] for name in used},
@@ -60,36 +55,45 @@ def fitted_record(nlp: Nlp, part: Problem, profile: Profile | None) -> FittedRec
         source=data.source,
         checksum=data.checksum,
     )
-    signals = {name: np.full(len(data), np.nan) for name in record.outputs}
-    if outputs is not None:
-        for stretch, values in zip(record.experiment.stretches, record.experiment.unpadded(outputs), strict=True):
-            rows = stretch.first + np.arange(len(stretch))
-            for name, row, measured in zip(record.outputs, values, stretch.outputs, strict=True):
-                left_out = np.isfinite(data[name][rows]) & ~np.isfinite(measured)
-                signals[name][rows] = np.where(left_out, np.nan, row)
-    count = len(record.outputs)
-    noise = record.noise.covariance(profile.paths[k].products) if profile else np.full((count, count), np.nan)
+    count = len(part.outputs)
+    noise = np.full((count, count), np.nan)
+    nodes = np.full((part.data.segments, part.states), np.nan)
+    signals = {name: np.full(len(data), np.nan) for name in part.outputs}
+    if trajectory is not None:
+        noise = part.covariance.covariance(trajectory.products)
+        nodes = trajectory.nodes
+        signals = _simulated(part, trajectory)
     return FittedRecord(
-        **stated(part),
+        **stated(part.problem),
         data=kept,
-        simulated=Record(data.time, signals, units=kept.units, name=part.model.label),
-        outputs=record.outputs,
+        simulated=Record(data.time, signals, units=kept.units, name=part.problem.model.label),
+        outputs=part.outputs,
         noise=noise,
-        initial={name: nodes[record.first, i].copy() for i, name in enumerate(record.system.states)},
-        method=record.words,
-        inputs=record.criterion.inputs,
-        biases=tuple(record.criterion.biases),
-        gains=record.criterion.gains(part.model, record.outputs),
-        nuisances=record.unknown_initial + _noise_unknowns(record),
+        initial={name: nodes[part.data.begins_stretch, i].copy() for i, name in enumerate(part.system.states)},
+        method=part.description,
+        inputs=model.criterion.inputs,
+        biases=tuple(model.criterion.biases),
+        gains=part.gains,
+        nuisances=part.unknown_initial_states + _covariance_unknowns(part),
     )
 
 
-def _noise_unknowns(record: RecordPart) -> int:
-    count = len(record.outputs)
-    if record.noise.known is not None:
+def _simulated(part: RecordPart, trajectory: Trajectory) -> dict[str, NDArray[np.float64]]:
+    """Return the outputs at the times of the record; NaN where none was compared."""
+    data = part.model.record
+    signals = {name: np.full(len(data), np.nan) for name in part.outputs}
+    outputs = part.data.unpadded(part.simulated_outputs(trajectory))
+    for stretch, values in zip(part.data.stretches, outputs, strict=True):
+        rows = stretch.first + np.arange(len(stretch))
+        for name, row, measured in zip(part.outputs, values, stretch.outputs, strict=True):
+            left_out = np.isfinite(data[name][rows]) & ~np.isfinite(measured)
+            signals[name][rows] = np.where(left_out, np.nan, row)
+    return signals
+
+
+def _covariance_unknowns(part: RecordPart) -> int:
+    """Return how many numbers of the residual covariance are estimated."""
+    count = len(part.outputs)
+    if part.covariance.known is not None:
         return 0
-    return count * (count + 1) // 2 if record.noise.full else count
-
-
-def _simulated(record: RecordPart, path: Path, place: Place) -> NDArray[np.float64]:
-    return record.shooting.in_order(record.shooting.outputs(path.states, place.q, place.data))
+    return count * (count + 1) // 2 if part.covariance.full else count

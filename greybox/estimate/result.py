@@ -20,8 +20,8 @@ from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import dynamics
 from greybox.modeling.sine import Sine
 from greybox.simulation.model_at_estimate import Inputs, ModelAtEstimate, criterion_of
-from greybox.solve.ipopt import Run
 from greybox.solve.minima import Minimum, Multistart
+from greybox.solve.outcome import Run
 from greybox.statistics.metrics import fit_percent, rms
 
 # The included criteria in words, by name: `Fit.costs` has names alone.

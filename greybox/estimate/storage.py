@@ -43,8 +43,8 @@ from greybox.estimate.fitted_record import criterion_values
 from greybox.estimate.result import Fit, FittedRecord, FittedResponse, Quantity
 from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
 from greybox.modeling.sine import Sine
-from greybox.solve.ipopt import Run
 from greybox.solve.minima import Minimum
+from greybox.solve.outcome import Run
 
 KIND = "fit"
 LAYOUT = 3

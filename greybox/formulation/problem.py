@@ -177,7 +177,7 @@ class Problem:
         if self.amplitude is None:
             return
         if not isinstance(self.data, FrequencyResponse):
-            raise ValueError("amplitude belongs to a frequency response and the data are none: leave it out.")
+            raise ValueError("amplitude is for frequency responses and the data are a record: leave it out.")
         object.__setattr__(self, "amplitude", as_sine(self.amplitude))
         input, _ = pick_signals(self.model, self.data.input, self.data.output)
         check_sine(self.model, self.amplitude, input, self.data.omega)

@@ -65,8 +65,8 @@ class Sum(Generic[Part]):
                 alike = np.allclose(seen.setdefault(outside, values), values, equal_nan=True)
                 if outside in merged or not alike:
                     raise ValueError(
-                        f"{outside!r} is tied in {part.name!r} and otherwise in another part: tie it alike in both, "
-                        f"or give one another name, rename={{{name!r}: ...}}."
+                        f"{outside!r} is tied in {part.name!r} and free or tied differently in another part: tie it "
+                        f"alike in all, or give one another name, rename={{{name!r}: ...}}."
                     )
 
     @property

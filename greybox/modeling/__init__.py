@@ -8,7 +8,8 @@ written with `functions`. One formula has several readings:
 - `pade_delay` approximates a delay by a rational function or by states.
 - `linear_response` is the frequency response, with `linearization` of an ODE at its operating point (`trim`) and
   `elimination` of the states; `harmonic_balance` is the response to a `sine` of finite amplitude.
-- `realization` turns a model into differential equations, `integrators` step them, and `step_size` is the rule for the
+- `realization` turns a model into differential equations, `integrators` and `implicit_integrators` step them,
+  and `step_size` is the rule for the
   number of their steps.
 
 `model_reference` names a model in a stored result.

@@ -27,17 +27,25 @@ class Integrator(ABC):
         Largest |imaginary part of a pole| · step at which an oscillation is followed closely enough to begin with: at
         0.7 a Runge-Kutta step changes the amplitude by 0.7⁶ / 144 and the phase by 0.7⁵ / 120, which is 0.7 % and 0.013
         rad in a period; whether that matters is judged by the data.
+    implicit : bool
+        True where a step solves equations by iteration, which CasADi expresses by MX alone.
     """
 
     substeps: int | None = None
     order: ClassVar[int]
     reach: ClassVar[float]
     wave: ClassVar[float] = 0.7
+    implicit: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         """Check the number of substeps."""
         if self.substeps is not None and (not isinstance(self.substeps, int) or self.substeps < 1):
             raise ValueError(f"substeps {self.substeps!r} must be a whole number of at least 1, or None to choose.")
+
+    @property
+    def name(self) -> str:
+        """What users call it."""
+        return type(self).__name__
 
     @abstractmethod
     def advance(self, system: Dynamics, x: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
@@ -50,6 +58,7 @@ class RungeKutta(Integrator):
 
     order: ClassVar[int] = 4
     reach: ClassVar[float] = 2.7  # its stability region ends at -2.785 on the real and 2.828 j on the imaginary axis
+    name: ClassVar[str] = "RK4"  # type: ignore[misc]
 
     def advance(self, system: Dynamics, x: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
         """Return x one step later."""
@@ -94,11 +103,12 @@ class Rosenbrock(Integrator):
 
 def step_function(system: Dynamics, integrator: Integrator, substeps: int) -> ca.Function:
     """Return (x, mean, change, p, step) -> x one sample later; `change` (m,) is that of the inputs over the step."""
-    x = ca.SX.sym("x", len(system.states))
-    p = ca.SX.sym("p", len(system.parameters))
-    h = ca.SX.sym("h")
-    mean = ca.SX.sym("mean", len(system.inputs))
-    change = ca.SX.sym("change", len(system.inputs))
+    kind: Any = ca.MX if integrator.implicit else ca.SX
+    x = kind.sym("x", len(system.states))
+    p = kind.sym("p", len(system.parameters))
+    h = kind.sym("h")
+    mean = kind.sym("mean", len(system.inputs))
+    change = kind.sym("change", len(system.inputs))
 
     result: Any = x
     for k in range(substeps if system.states else 0):

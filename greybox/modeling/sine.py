@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from greybox.data.text_table import counted, one_line
 
+# Five times what a strong kink needs, see `Sine`.
+MOST_HARMONICS = 50
+
 
 @dataclass(frozen=True, eq=False)
 class Sine:
@@ -53,8 +56,8 @@ class Sine:
         amplitude.setflags(write=False)
         object.__setattr__(self, "amplitude", amplitude if amplitude.ndim else float(amplitude))
         whole = isinstance(self.harmonics, (int, np.integer)) and not isinstance(self.harmonics, bool)
-        if not whole or not 1 <= self.harmonics <= 50:
-            raise ValueError(f"harmonics {self.harmonics!r} must be a whole number from 1 to 50.")
+        if not whole or not 1 <= self.harmonics <= MOST_HARMONICS:
+            raise ValueError(f"harmonics {self.harmonics!r} must be a whole number from 1 to {MOST_HARMONICS}.")
 
     def __repr__(self) -> str:
         low, high = np.min(self.amplitude), np.max(self.amplitude)

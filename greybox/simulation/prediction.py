@@ -85,7 +85,7 @@ class Prediction:
     def record(self) -> Record:
         """Outputs, their standard errors ``<output>_error`` and states at the data's times, NaN outside the windows.
 
-        A state that bears the name of an output is given once, as the output.
+        A state with the name of an output is given once, as the output.
         """
         signals = {}
         units = {}

@@ -60,7 +60,7 @@ def simulate(
     -------
     Record
         At the times of `record`: the outputs as their sensors show them (biases included), then the states that do not
-        bear the name of an output; NaN where an input is missing. A gap begins a new simulation. With a `Fit` also
+        have the name of an output; NaN where an input is missing. A gap begins a new simulation. With a `Fit` also
         ``<output>_error``: the standard error of an output, from those of the parameters (to first order) and, where
         they are those of the fit, of the initial states; NaN where an unstable model runs too long for that. A
         parameter at its bound is treated as known, as in the standard errors of the fit; an output that depends on a

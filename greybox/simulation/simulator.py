@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.sample_step import SampleStep, sample_step
-from greybox.compiled.sampled_data import Experiment, Stretch
+from greybox.compiled.sampled_data import SampledData, Stretch
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.step_size import (
@@ -100,7 +100,7 @@ class Simulator:
         """
         model = self._model
         count = len(stretch)
-        whole, around = Experiment((stretch,), (), 1).windows(model.delays)
+        whole, around = SampledData((stretch,), (), 1).delayed_inputs(model.delays)
         nothing_measured = np.zeros((2 * len(self._outputs), count))
         data = ca.DM(np.vstack([whole, around, nothing_measured, np.full((1, count), stretch.step)]))
 

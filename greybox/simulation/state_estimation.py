@@ -2,7 +2,7 @@
 
 Each is the maximum a posteriori estimate, by Gauss-Newton steps, under the noise of the outputs and a prior that the
 windows share. The prior's mean and spread of each state are those of all windows (empirical Bayes by expectation and
-maximization), so that a state which a short lead-in hardly shows stays where the record as a whole has it.
+maximization), so that a state on which a short lead-in carries little information stays near its mean over the record.
 Formulas need not be finite everywhere (a root of a level): a window begins with the first of several guesses from which
 its lead-in is finite, or else where the others are on average, and no step leaves the values with finite outputs.
 Source: Jazwinski (1970), Stochastic Processes and Filtering Theory, section 5.3; Dempster, Laird and Rubin (1977),

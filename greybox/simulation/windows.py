@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.sampled_data import Experiment, gapless
+from greybox.compiled.sampled_data import SampledData, gapless
 from greybox.data.record import Record
 
 Array = NDArray[np.float64]
@@ -115,7 +115,7 @@ def sample_data(windows: Windows, inputs: tuple[str, ...], outputs: tuple[str, .
     """
     record = windows.record
     stretches = gapless(record, inputs, outputs, lead=np.maximum(delays, 0.0))
-    whole, around = Experiment(tuple(stretches), outputs, 1).windows(delays)
+    whole, around = SampledData(tuple(stretches), outputs, 1).delayed_inputs(delays)
     column = np.full(len(record), -1)
     column[np.concatenate([s.first + np.arange(len(s)) for s in stretches])] = np.arange(whole.shape[1])
     places = column[windows.rows]

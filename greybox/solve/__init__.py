@@ -1,9 +1,12 @@
 """From starts to minima.
 
-Begin with `multistart`. `ipopt` solves problems of frequency responses, `gauss_newton` those with records,
-`transcribed_program` hands records to IPOPT as one sparse program; `minima` groups the runs.
+Begin with `multistart`. `ipopt` solves problems of frequency responses, `gauss_newton/` those with records, and
+`transcribed_program` hands records to IPOPT as one sparse program; an `outcome` is what one run leaves, `minima` groups
+the runs. `local_search` tries more than the starts, `discretization_error` refines the integration, `cost` evaluates a
+problem at given parameters. `constraints` and `quadratic_program` serve the Gauss-Newton steps.
 """
 
+from greybox.compiled.strategies import Strategies as Strategies
 from greybox.formulation.starts import LatinHypercube as LatinHypercube
 from greybox.formulation.starts import Listed as Listed
 from greybox.formulation.starts import Sobol as Sobol

@@ -1,4 +1,4 @@
-"""Bounds and constraints of a problem in time, and the way back where a point misses them."""
+"""Bounds and constraints of a problem with records, and the way back to them from a point that violates them."""
 
 from dataclasses import dataclass
 
@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from greybox.solve.quadratic_program import solve_small_qp
 
 Array = NDArray[np.float64]
-ROUNDING = 1e-9  # of the terms of a constraint: it counts as kept
+ROUNDING = 1e-9  # of the terms of a constraint: it counts as satisfied
 RESTORATIONS = 20
 
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What the solver's point z (p,) must keep: low <= z <= high, and constraints(z) >= 0.
+    """What the solver's point z (p,) must satisfy: low <= z <= high, and constraints(z) >= 0.
 
     Attributes
     ----------
@@ -32,32 +32,32 @@ class Limits:
         """Return the point within the bounds."""
         return np.clip(z, self.low, self.high)
 
-    def missed(self, z: Array) -> float:
-        """Return by how much all constraints together are missed, beyond rounding."""
+    def violation(self, z: Array) -> float:
+        """Return by how much all constraints together are violated, beyond rounding."""
         value, normal = (found.full() for found in self.constraints(z))
         allowed = ROUNDING * (np.abs(normal) @ np.maximum(np.abs(z), 1.0))
         below = -value.ravel()
         return float(np.where(below > allowed, below, 0.0).sum())
 
-    def around(self, z: Array, still: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
-        """Return normals (n, p) and limits (n,) of a step dz from z: normals · dz >= limits; `still` (p,) do not move.
+    def linearized(self, z: Array, held: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
+        """Return normals (n, p) and limits (n,) of a step dz from z: normals · dz >= limits; `held` (p,) do not move.
 
-        Constraints are linearized, so that a step leads back to one that is missed.
+        Constraints are linearized, so that a step leads back to one that is violated.
         """
         value, normal = (found.full() for found in self.constraints(z))
         low, high = np.minimum(self.low - z, 0.0), np.minimum(z - self.high, 0.0)
-        if still is not None:
-            low, high = np.where(still, 0.0, low), np.where(still, 0.0, high)
+        if held is not None:
+            low, high = np.where(held, 0.0, low), np.where(held, 0.0, high)
         eye = np.eye(len(z))
         rows, limits = np.vstack([eye, -eye, normal]), np.concatenate([low, high, -value.ravel()])
         there = np.isfinite(limits)
         return rows[there], limits[there]
 
     def nearest(self, z: Array) -> Array:
-        """Return the point near z, in the units of the solver, that keeps all limits, as far as one is found."""
+        """Return the point near z, in the units of the solver, that satisfies all limits, as far as one is found."""
         z = self.clipped(z)
         for _ in range(RESTORATIONS):
-            if not self.missed(z) > 0:
+            if not self.violation(z) > 0:
                 break
-            z = self.clipped(z + solve_small_qp(np.eye(len(z)), np.zeros(len(z)), *self.around(z)))
+            z = self.clipped(z + solve_small_qp(np.eye(len(z)), np.zeros(len(z)), *self.linearized(z)))
         return z

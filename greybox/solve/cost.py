@@ -23,8 +23,9 @@ def cost(problem: AnyProblem, values: Mapping[str, float], method: Transcription
     require_known(values, problem.parameters, "parameter", repr(problem.name))
     nlp = compile_problem(problem, method)
     point = np.array([values.get(name, problem.parameters[name].start) for name in nlp.names])
-    if not nlp.records:
-        return float(nlp.weights @ np.asarray(nlp.cost(point)).ravel())
+    if not nlp.has_states:
+        weights = np.array([part.weight for part in nlp.response_parts])
+        return float(weights @ np.asarray(nlp.response_cost(point)).ravel())
     for name, value, stated in zip(nlp.constants, point[len(nlp.free) :], nlp.constant_values, strict=True):
         if value != stated:
             raise ValueError(

@@ -1,37 +1,43 @@
-"""Is the integration accurate enough for the noise? What twice the substeps would do to the estimate.
+"""Is the integration accurate enough for the noise? What twice the steps would do to the estimate.
 
-A fixed-step integrator with too few substeps shifts the parameters without a trace in the residuals: it damps and
-slows oscillations by itself. The shift follows from the gradient that the finer integration has at the estimate,
-in units of the standard errors that white noise gives; what is far below them does not matter.
+A fixed-step integrator with too few steps shifts the parameters without a trace in the residuals: it damps and slows
+oscillations by itself. The shift follows from the gradient that the finer integration has at the estimate, in units of
+the standard errors that white noise gives; what is far below them does not matter. The integrator is that of the method
+which solved the problem: of a collocation, the implicit steps that its polynomials are.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.compiled.record_part import Path, Place, RecordPart
-from greybox.modeling.integrators import Integrator, Rosenbrock
+from greybox.compiled.part import Part, Trajectory
 from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
-from greybox.solve.gauss_newton.driver import GaussNewton, Profile
-from greybox.solve.ipopt import SMOOTHING, Outcome, Run
+from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.minima import Multistart, find_minima
+from greybox.solve.outcome import Outcome, Run
 
 Array = NDArray[np.float64]
-SMALL = 0.1  # of a standard error: a shift that does not matter
-EXACT = 1e-7  # of states and outputs: what finer substeps change is rounding
-RIVAL, RIVALS = 10.0, 3  # minima that may change places with the best: by cost above it, and number
-SAME_END = 0.01  # relative difference of parameters up to which two runs of one minimum have one end
-RANK = 1e-12  # of the largest eigenvalue of the Hessian in units of its diagonal
+
+# Of states and outputs: what finer steps change below this is rounding.
+EXACT = 1e-7
+
+# Minima that are followed to the finer steps, since they may change places with the best: at least a run each.
+RIVALS = 3
+
+# Relative difference of parameters up to which two runs of one minimum have one end, and move together.
+SAME_END = 0.01
+
+# Of the largest eigenvalue of the Hessian in units of its diagonal, below which a direction is not determined.
+RANK = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class IntegrationError:
-    """What half as long substeps would change.
+class DiscretizationError:
+    """What half as long steps would change.
 
     Attributes
     ----------
@@ -39,11 +45,14 @@ class IntegrationError:
         Of the unknowns, in standard errors; or the relative change of these where that is more: at the limit of its
         stability an integrator knows rates that the model does not show.
     order : int
-        The shift falls with this power of the number of substeps.
+        The shift falls with this power of the number of steps.
+    accepted : float
+        Shift that does not matter.
     """
 
     shift: Array
     order: int
+    accepted: float
 
     @property
     def largest(self) -> float:
@@ -51,79 +60,89 @@ class IntegrationError:
         return float(np.abs(self.shift).max(initial=0.0))
 
     @property
+    def matters(self) -> bool:
+        """True when the estimate would move noticeably."""
+        return self.largest > self.accepted
+
+    @property
     def growth(self) -> int:
-        """How many times as many substeps make the shift small, as far as its order tells; at most eight times."""
-        return substep_growth(self.largest, SMALL, self.order)
+        """How many times as many steps make the shift small, as far as its order tells; at most eight times."""
+        return substep_growth(self.largest, self.accepted, self.order)
 
 
-def integration_error(nlp: Nlp, profile: Profile) -> IntegrationError:
-    """Return what twice the substeps would do to the estimate that `profile` belongs to, to first order."""
+def discretization_error(nlp: Nlp, trajectories: Sequence[Trajectory]) -> DiscretizationError:
+    """Return what twice the steps would do to the estimate that the best `trajectories` belong to, to first order."""
     p = len(nlp.free)
-    ways = list(zip(nlp.records, profile.paths, profile.places, strict=True))
-    fine = [part.refined(2, compiled=False) for part, _, _ in ways]
-    finer = [refined.path(path.nodes, place) for refined, (_, path, place) in zip(fine, ways, strict=True)]
-    rounding = [
-        not part.states or _is_rounding(part, path, other) for (part, path, _), other in zip(ways, finer, strict=True)
-    ]
-    hessian = np.zeros((p, p)) if all(rounding) else _of_responses(nlp, profile.z)
-    hessian_fine, change = hessian.copy(), np.zeros(p)
-    for (part, path, place), refined, other, same in zip(ways, fine, finer, rounding, strict=True):
-        if all(rounding):
-            break
-        H, g = _gradient(part, path, place, path)
-        H_fine, g_fine = (H, g) if same else (H, np.full(p, math.inf))
-        if not same and other.finite:
-            H_fine, g_fine = _gradient(refined, other, place, path)
-        weight = part.part.weight
-        hessian, hessian_fine = hessian + weight * H, hessian_fine + weight * H_fine
-        change += weight * (g_fine - g)
-    orders = [part.method.integrator.order for part in nlp.records]
-    shift, widened = _in_errors(hessian, change), _widened(hessian, hessian_fine)
-    return IntegrationError(np.where(widened > np.abs(shift), widened, shift), min(orders, default=1))
+    fine = [part.refined(2, compiled=False) for part in nlp.parts]
+    finer = [refined.trajectory(t.z, t.nodes) for refined, t in zip(fine, trajectories, strict=True)]
+    each = list(zip(nlp.parts, trajectories, fine, finer, strict=True))
+    same = [part is refined or _is_rounding(t, other) for part, t, refined, other in each]
+    hessian, hessian_fine = np.zeros((p, p)), np.zeros((p, p))
+    change = np.zeros(p)
+    if not all(same):
+        for (part, trajectory, refined, other), is_same in zip(each, same, strict=True):
+            weight = part.residual_weight(trajectory)
+            H, g = _quadratic_model(part, trajectory, weight)
+            H_fine, g_fine = H, g if is_same else np.full(p, math.inf)
+            if not is_same and other.finite:
+                H_fine, g_fine = _quadratic_model(refined, other, weight)
+            hessian += part.weight * H
+            hessian_fine += part.weight * H_fine
+            change += part.weight * (g_fine - g)
+    shift, widened = _in_standard_errors(hessian, change), _widened(hessian, hessian_fine)
+    shift = np.where(widened > np.abs(shift), widened, shift)
+    return DiscretizationError(shift, nlp.method.scheme.order, nlp.strategies.negligible_shift)
 
 
-def well_integrated(nlp: Nlp, search: Multistart) -> tuple[Nlp, Multistart, IntegrationError | None]:
-    """Refine the substeps until that does not matter, and follow the best minima; what the method fixes stays.
+def refine_discretization(
+    nlp: Nlp, search: Multistart, solver: GaussNewton
+) -> tuple[Nlp, Multistart, GaussNewton, DiscretizationError | None]:
+    """Refine the steps until that does not matter, and follow the best minima; what the method fixes stays.
 
     Returns the error that is left too, where it was looked at.
     """
     error = None
-    while search.minima and nlp.records and all(part.method.integrator.substeps is None for part in nlp.records):
-        error = integration_error(nlp, GaussNewton(nlp).profile(search.minima[0].estimate, search.nodes))
-        if error.largest <= SMALL or max(part.substeps for part in nlp.records) >= MOST_SUBSTEPS:
+    while search.minima and nlp.strategies.refined_substeps and nlp.method.scheme.substeps is None:
+        best = solver.profile(search.minima[0].estimate, search.nodes)
+        error = discretization_error(nlp, best.trajectories)
+        if not error.matters or max(part.substeps for part in nlp.record_parts) >= MOST_SUBSTEPS:
             break
-        finer = replace(nlp, records=tuple(part.refined(error.growth) for part in nlp.records))
-        followed = _followed(finer, search)
+        finer = replace(nlp, parts=tuple(part.refined(error.growth) for part in nlp.parts))
+        finer_solver = GaussNewton(finer)
+        followed = _followed(finer, search, finer_solver)
         if followed is None:
             break
-        nlp, search = finer, followed
-    return nlp, search, error
+        nlp, search, solver = finer, followed, finer_solver
+    return nlp, search, solver, error
 
 
-def _followed(nlp: Nlp, search: Multistart) -> Multistart | None:
+def _followed(nlp: Nlp, search: Multistart, solver: GaussNewton) -> Multistart | None:
     """Return the search with its best minima, as far as they are rivals, moved to those of `nlp`; None if none is.
 
     The runs that ended there move with them, so that runs and minima tell the same costs. What is no rival stays.
     """
-    solver, limit = GaussNewton(nlp), search.minima[0].cost + RIVAL
+    limit = search.minima[0].cost + nlp.strategies.rival_cost
     ends: dict[int, Outcome] = {}
-    count, least = 0, math.inf
-    for m in search.minima:
-        if not ((count < RIVALS and m.cost <= limit) or m.cost < least < math.inf):
+    count = 0
+    least = math.inf
+    for minimum in search.minima:
+        is_rival = count < RIVALS and minimum.cost <= limit
+        if not (is_rival or minimum.cost < least < math.inf):
             break
-        ends |= _ends(nlp, solver, [search.runs[k] for k in m.runs])
-        count, least = count + 1, min((end.cost for end in ends.values() if end.converged), default=math.inf)
+        ends |= _ends(nlp, solver, [search.runs[k] for k in minimum.runs])
+        count += 1
+        least = min((end.cost for end in ends.values() if end.converged), default=math.inf)
     if math.isinf(least):
         return None
     runs = tuple(_moved(run, ends[run.index]) if run.index in ends else run for run in search.runs)
-    traces = [ends[run.index].trace if run.index in ends else None for run in runs]
-    minima = (*find_minima(nlp, [run for run in runs if run.index in ends], traces), *search.minima[count:])
+    signatures = [ends[run.index].signature if run.index in ends else None for run in runs]
+    minima = (*find_minima(nlp, [run for run in runs if run.index in ends], signatures), *search.minima[count:])
     minima = tuple(sorted(minima, key=lambda m: m.cost))
     return replace(search, runs=runs, minima=minima, nodes=ends[minima[0].runs[0]].nodes)
 
 
 def _ends(nlp: Nlp, solver: GaussNewton, runs: Sequence[Run]) -> dict[int, Outcome]:
-    """Return where the runs of one minimum end with the substeps of `nlp`; those of one end move together."""
+    """Return where the runs of one minimum end with the steps of `nlp`; those of one end move together."""
     found: list[tuple[Array, Outcome]] = []
     ends = {}
     for run in runs:
@@ -142,72 +161,34 @@ def _moved(run: Run, end: Outcome) -> Run:
     return replace(run, estimate=end.estimate, cost=cost, converged=converged, status=end.status)
 
 
-def integration_warnings(nlp: Nlp, profile: Profile | None, error: IntegrationError | None = None) -> Iterator[str]:
-    """Say so where the integration is not accurate enough for the noise."""
-    if profile is None or not nlp.records:
-        return
-    error = error or integration_error(nlp, profile)
-    if error.largest > SMALL:
-        name = nlp.free[int(np.argmax(np.abs(error.shift)))]
-        count = max(part.substeps for part in nlp.records)
-        by = f"{error.largest:.2g} standard errors" if math.isfinite(error.largest) else "more than the model bears"
-        yield (
-            f"the integration is too coarse: {2 * count} substeps a sample instead of {count} would change {name}, or "
-            f"its error, by {by}; {_cure(nlp.records[0].method.integrator, count, error.growth)}."
-        )
+def _quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
+    """Return Hessian and gradient by the unknowns along a trajectory with gaps, the residuals times `weight`."""
+    linearization = part.linearize(trajectory, weight)
+    condensed = part.condense(linearization, trajectory, np.zeros(trajectory.nodes.shape[1]))
+    return condensed.hessian, condensed.gradient
 
 
-def _cure(integrator: Integrator, count: int, growth: int) -> str:
-    """Say what to integrate with: many more explicit steps are the second choice, being the slower one."""
-    finer = f"{type(integrator).__name__}(substeps={growth * count})"
-    if isinstance(integrator, Rosenbrock):
-        return (
-            f"use method=MultipleShooting(integrator={finer}), or RungeKutta() in its place if the model is not stiff"
-        )
-    if count >= MOST_SUBSTEPS:
-        return (
-            "if the model is stiff, with time constants far below a sample, use "
-            f"method=MultipleShooting(integrator=Rosenbrock()), otherwise {finer} in its place"
-        )
-    return f"use method=MultipleShooting(integrator={finer}), or Rosenbrock() in its place if the model is stiff"
-
-
-def _gradient(part: RecordPart, path: Path, place: Place, best: Path) -> tuple[Array, Array]:
-    """Return Hessian and gradient by the unknowns along a path with gaps, weighted by the noise of the best path."""
-    blocks = part.linearize(path, place, part.noise.weight(best.products))
-    reduced = part.reduce(blocks, place, path.gaps, np.zeros(part.states))
-    return reduced.hessian, reduced.gradient
-
-
-def _of_responses(nlp: Nlp, at: Array) -> Array:
-    """Return the Hessian (p, p) of the cost of frequency responses."""
-    z, s, f = (nlp.expressions[name] for name in "xpf")
-    found = ca.Function("hessian", [z, s], [ca.hessian(f, z)[0]])(at, SMOOTHING).full()
-    values, vectors = np.linalg.eigh((found + found.T) / 2)
-    return (vectors * np.abs(values)) @ vectors.T
-
-
-def _is_rounding(part: RecordPart, path: Path, finer: Path) -> bool:
-    size = np.abs(path.states).max(axis=1, initial=0.0)
-    moved = np.abs(finer.end - path.end).max(axis=0, initial=0.0)
+def _is_rounding(trajectory: Trajectory, finer: Trajectory) -> bool:
+    size = np.abs(trajectory.nodes).max(axis=0, initial=0.0)
+    moved = np.abs(finer.ends - trajectory.ends).max(axis=0, initial=0.0)
     return bool(np.all(moved <= EXACT * size))
 
 
-def _in_errors(hessian: Array, change: Array) -> Array:
-    """Return the Newton step -H⁻¹ g in units of its standard errors, in the directions that the data see."""
+def _in_standard_errors(hessian: Array, change: Array) -> Array:
+    """Return the Newton step -H⁻¹ g in units of its standard errors, in the directions that the data determine."""
     if not np.all(np.isfinite(change)):
         return np.full(len(change), math.inf)
     size = np.sqrt(np.maximum(np.diag(hessian), 0.0))
     unit = 1 / np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(hessian * unit * unit[:, None])
-    seen = values > RANK * values.max(initial=0.0)
-    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
+    determined = values > RANK * values.max(initial=0.0)
+    inverse = (vectors[:, determined] / values[determined]) @ vectors[:, determined].T
     errors = np.sqrt(np.maximum(np.diag(inverse), 0.0))
     return -(inverse @ (change * unit)) / np.where(errors > 0, errors, 1.0)
 
 
 def _widened(coarse: Array, fine: Array) -> Array:
-    """Return the relative change of the errors of every unknown alone, others known, (p,); 0 where nothing is seen."""
+    """Return the relative change of the errors of every unknown alone, others known, (p,); 0 where nothing is known."""
     a, b = (np.maximum(np.diag(H), 0.0) for H in (coarse, fine))
-    seen = a > 0
-    return np.where(seen, np.abs(np.sqrt(b / np.where(seen, a, 1.0)) - 1), 0.0)
+    known = a > 0
+    return np.where(known, np.abs(np.sqrt(b / np.where(known, a, 1.0)) - 1), 0.0)

@@ -1,9 +1,7 @@
-"""One IPOPT run."""
+"""IPOPT on a problem of frequency responses alone: one sparse program in the parameters."""
 
-import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -12,82 +10,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.data.text_table import counted, one_line
+from greybox.compiled.response_part import SMOOTHING
+from greybox.solve.outcome import Outcome
 
 CONVERGED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 INVALID = "Invalid_Number_Detected"
-SMOOTHING = 1e-8  # under the root of |e|²; 1e-14 takes about twice the time and moves the cost by 6e-5 at most
-POLISH = (1e-10, 1e-11, 1e-12, 1e-13)  # of the last runs, one from the other; a kink allows no less at once
 
-_QUIET = {"print_level": 0, "sb": "yes", "max_iter": 500}
+# Smoothings of the last runs, each begun at the end of the one before: at the kink of a zero residual IPOPT stalls when
+# the smoothing falls to the last one at once.
+POLISH = (1e-10, 1e-11, 1e-12, 1e-13)
 
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """The outcome of one start.
-
-    Attributes
-    ----------
-    index : int
-        Number of the start.
-    start, estimate : (p,) arrays
-        Where the run began and ended, in the order of the free parameters.
-    cost : float
-        The criterion without smoothing, at the end.
-    status : str
-        What IPOPT returned.
-    converged : bool
-        True when IPOPT reports a solution and the cost is finite.
-    iterations : int
-    seconds : float
-    reason : str
-        Why it did not converge, as far as the model tells: where its response is not finite.
-    """
-
-    index: int
-    start: NDArray[np.float64]
-    estimate: NDArray[np.float64]
-    cost: float
-    status: str
-    converged: bool
-    iterations: int
-    seconds: float
-    reason: str = ""
-
-    def __repr__(self) -> str:
-        return one_line(
-            self, f"{self.index}", self.status, f"cost {self.cost:.6g}", counted(self.iterations, "iteration")
-        )
+# The fits of the paper take some 30 iterations; what takes 500 does not converge.
+QUIET = {"print_level": 0, "sb": "yes", "max_iter": 500}
 
 
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """What a solver leaves of one run; IPOPT's cost is evaluated later, without smoothing and for all runs at once.
-
-    `trace` (t,) tells runs in time apart: simulated outputs in units of the spread of the measured ones; `nodes` are
-    the states at the beginning of every segment, (s, n) for each record.
-    """
-
-    estimate: NDArray[np.float64]
-    status: str
-    iterations: int
-    seconds: float
-    converged: bool
-    cost: float = math.nan
-    trace: NDArray[np.float64] | None = None
-    nodes: tuple[NDArray[np.float64], ...] | None = None
-
-
-class Solver:
+class IpoptSolver:
     """IPOPT on one compiled problem, built once: the criterion that locates the minimum, if any, then its own."""
 
     def __init__(
-        self, nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({}), like: "Solver | None" = None
+        self, nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({}), like: "IpoptSolver | None" = None
     ) -> None:
         """Build the solver; one `like` it lends its derivatives."""
         self._nlp = nlp
         self._options = options
-        statements = [e for e in (nlp.first, nlp.expressions) if e is not None]
+        statements = [e for e in (nlp.locating, nlp.expressions) if e is not None]
         known = [_derivatives(stage) for stage in like._stages] if like else [{} for _ in statements]
         self._stages = [checked_nlpsol(e, options, given) for e, given in zip(statements, known, strict=True)]
         scale = nlp.scaling.to_solver
@@ -98,9 +44,9 @@ class Solver:
             "ubg": np.full(nlp.constraint.numel_out(), np.inf),
         }
 
-    def polishing(self) -> "Solver":
+    def polishing(self) -> "IpoptSolver":
         """Return a solver for the last runs, which takes the little that a kink leaves to gain for a solution."""
-        return Solver(self._nlp, {"acceptable_tol": 1e-4, "acceptable_iter": 3, **self._options}, like=self)
+        return IpoptSolver(self._nlp, {"acceptable_tol": 1e-4, "acceptable_iter": 3, **self._options}, like=self)
 
     def run(self, start: NDArray[np.float64], smoothing: float = SMOOTHING) -> Outcome:
         """Solve from `start` (p,)."""
@@ -133,7 +79,7 @@ def checked_nlpsol(
     ValueError
         For an option that IPOPT does not take.
     """
-    settings = {**_settings({**_QUIET, **options}), **derivatives}
+    settings = {**_settings({**QUIET, **options}), **derivatives}
     try:
         return ca.nlpsol("ipopt", "ipopt", dict(expressions), settings)
     except RuntimeError:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.data.text_table import counted, one_line
-from greybox.solve.ipopt import Run
+from greybox.solve.outcome import Run
 
 SAME_COST = 1e-4  # relative; the smoothing moves costs by up to 6e-5
 SAME_LIKELIHOOD = 1e-2  # of negative log-likelihoods: a tenth of a standard error is 5e-3
@@ -76,23 +76,23 @@ class Multistart:
 
 
 def find_minima(
-    nlp: Nlp, runs: Sequence[Run], traces: Sequence[NDArray[np.float64] | None] = ()
+    nlp: Nlp, runs: Sequence[Run], signatures: Sequence[NDArray[np.float64] | None] = ()
 ) -> tuple[Minimum, ...]:
     """Group the converged runs by cost and model response, best first.
 
     Two runs are at one minimum when their costs and their responses agree, whatever the parameters. Runs in time bring
-    their responses as `traces`, in the order of `runs`.
+    their responses as `signatures`, in the order of `runs`.
     """
     order = sorted((run for run in runs if run.converged), key=lambda run: run.cost)
     if not order:
         return ()
-    if nlp.records:
-        responses = np.array([traces[run.index] for run in order])
+    if nlp.has_states:
+        responses = np.array([signatures[run.index] for run in order])
     else:
         responses = nlp.response_rows(np.array([run.estimate for run in order]))
     costs = np.array([run.cost for run in order])
     # What is simulated in time comes in units of the signals' spread.
-    floor = 1.0 if nlp.records else 1e-12 * np.abs(responses).max() + 1e-150
+    floor = 1.0 if nlp.has_states else 1e-12 * np.abs(responses).max() + 1e-150
     ungrouped = np.ones(len(order), dtype=bool)
     minima = []
     while ungrouped.any():
@@ -111,9 +111,9 @@ def find_minima(
 
 def same_cost(nlp: Nlp, cost: float) -> float:
     """Return the difference of two costs up to which they count as the same."""
-    if nlp.records:
+    if nlp.has_states:
         return SAME_LIKELIHOOD + 1e-7 * abs(cost)
-    return SAME_COST * max(cost, 1e-3 * sum(len(part.data) for part in nlp.responding))
+    return SAME_COST * max(cost, 1e-3 * sum(len(part.problem.response) for part in nlp.response_parts))
 
 
 def _variants(nlp: Nlp, members: Sequence[Run]) -> int:

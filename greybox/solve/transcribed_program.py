@@ -1,7 +1,8 @@
 """Records as one sparse nonlinear program for IPOPT: any transcription, the exact Hessian, and a second opinion.
 
-Where the noise is estimated, IPOPT minimizes weighted squares and the weights follow from the last residuals, until
-both agree (relaxation); this is the minimum of the likelihood. Whole samples of estimated delays are treated alike.
+Where the residual covariance is estimated, IPOPT minimizes weighted squares and the weights follow from the last
+residuals, until both agree (relaxation); this is the minimum of the likelihood. Whole samples of estimated delays are
+treated alike.
 """
 
 import math
@@ -16,128 +17,141 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.record_part import RecordPart
-from greybox.compiled.transcription.method import Transcribed, Transcription
+from greybox.compiled.response_part import SMOOTHING
+from greybox.compiled.transcription.method import Transcribed
 from greybox.solve.gauss_newton.driver import GaussNewton
-from greybox.solve.ipopt import CONVERGED, SMOOTHING, Outcome, checked_nlpsol
+from greybox.solve.gauss_newton.iterate import Iterate
+from greybox.solve.ipopt import CONVERGED, checked_nlpsol
+from greybox.solve.outcome import Outcome
 
 Array = NDArray[np.float64]
+
+# Relaxations, each an IPOPT run from the end of the last. They converge linearly; what takes a hundred does not.
 RELAXATIONS = 100
-SAME = 1e-9  # relative change of the cost between relaxations that ends them
+
+# Relative change of the cost from one relaxation to the next that ends them: a tenth of a standard error changes it by
+# 0.005, and costs are rarely above 1e5.
+SAME = 1e-9
 
 
-class WholeProblem:
-    """IPOPT on one compiled problem that has records, built once."""
+class TranscribedProgram:
+    """IPOPT on one compiled problem that has records, built once for all starts."""
 
-    def __init__(self, nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({})) -> None:
-        """Transcribe all records as the method of the problem says."""
-        self._nlp, self._records = nlp, nlp.records
-        self._first = GaussNewton(nlp)
-        method: Transcription = self._records[0].method
+    def __init__(self, nlp: Nlp, gauss_newton: GaussNewton, options: Mapping[str, Any] = MappingProxyType({})) -> None:
+        """Transcribe all records as their method says; `gauss_newton` gives states to begin with."""
+        self._nlp = nlp
+        self._gauss_newton = gauss_newton
+        self._records = nlp.record_parts
         z = ca.MX.sym("z", len(nlp.free))
-        places = [part.locate(z) for part in self._records]
-        self._data = [ca.MX.sym("data", part.step.width, part.experiment.measured.shape[1]) for part in self._records]
+        placed = [part.model.locate(z)[0] for part in self._records]
+        self._rows = [ca.MX.sym("rows", part.step.width, part.data.samples) for part in self._records]
         self._weights = [ca.MX.sym("W", len(part.outputs), len(part.outputs)) for part in self._records]
         self._transcribed: list[Transcribed] = [
-            method.transcribe(part.step, part.experiment, q, data)
-            for part, (q, _, _), data in zip(self._records, places, self._data, strict=True)
+            part.transcribe(q, rows) for part, q, rows in zip(self._records, placed, self._rows, strict=True)
         ]
-        parameters = ca.vertcat(*map(ca.vec, (*self._weights, *self._data)))
+        parameters = ca.vertcat(*map(ca.vec, (*self._weights, *self._rows)))
         unknowns = ca.vertcat(z, *[t.unknowns for t in self._transcribed])
-        errors = [
-            math.sqrt(part.part.weight) * ca.vec(weight @ t.residuals)
-            for part, weight, t in zip(self._records, self._weights, self._transcribed, strict=True)
-        ]
-        known = [
-            self._known(part, t, q) for part, t, (q, _, _) in zip(self._records, self._transcribed, places, strict=True)
-        ]
-        rest = ca.Function("rest", [nlp.expressions["x"], nlp.expressions["p"]], [nlp.expressions["f"]])(z, SMOOTHING)
-        limits = ca.Function("limits", [nlp.expressions["x"]], [nlp.expressions["g"]])(z)
-        equations = ca.vertcat(*[t.equations for t in self._transcribed], *known)
+
+        each = list(zip(self._records, self._weights, self._transcribed, placed, strict=True))
+        errors = [math.sqrt(part.weight) * ca.vec(weight @ t.residuals) for part, weight, t, _ in each]
         error = ca.vertcat(*errors)
-        statement = {
-            "x": unknowns,
-            "p": parameters,
-            "f": ca.sumsqr(error) / 2 + rest,
-            "g": ca.vertcat(equations, limits),
-        }
-        approximate = method.hessian == "gauss-newton"
-        extra = _gauss_newton(unknowns, parameters, error, rest, statement["g"]) if approximate else {}
-        self._solver = checked_nlpsol(statement, options, extra)
+        known = [_known_states(part, t, q) for part, _, t, q in each]
+        equations = ca.vertcat(*[t.equations for t in self._transcribed], *known)
+        expressions = nlp.expressions
+        responses = ca.Function("f", [expressions["x"], expressions["p"]], [expressions["f"]])(z, SMOOTHING)
+        limits = ca.Function("g", [expressions["x"]], [expressions["g"]])(z)
+        constraints = ca.vertcat(equations, limits)
+        statement = {"x": unknowns, "p": parameters, "f": ca.sumsqr(error) / 2 + responses, "g": constraints}
+
+        approximate = all(part.model.method.hessian == "gauss-newton" for part in self._records)
+        hessian = _gauss_newton_hessian(unknowns, parameters, error, responses, constraints) if approximate else {}
+        self._solver = checked_nlpsol(statement, options, hessian)
         products = [t.residuals @ t.residuals.T for t in self._transcribed]
         self._products = ca.Function("products", [unknowns, parameters], products)
-        free = np.full(unknowns.numel() - z.numel(), np.inf)
+
+        unbounded = np.full(unknowns.numel() - z.numel(), np.inf)
         low, high = nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper)
         self._bounds = {
-            "lbx": np.concatenate([low, -free]),
-            "ubx": np.concatenate([high, free]),
-            "lbg": np.zeros(equations.numel() + limits.numel()),
+            "lbx": np.concatenate([low, -unbounded]),
+            "ubx": np.concatenate([high, unbounded]),
+            "lbg": np.zeros(constraints.numel()),
             "ubg": np.concatenate([np.zeros(equations.numel()), np.full(limits.numel(), np.inf)]),
         }
 
-    def begins(self, start: Array) -> bool:
+    def is_finite_at(self, start: Array) -> bool:
         """Tell whether the model is finite at the parameters `start` (p,), near the data."""
-        return self._first.begins(start)
+        return self._gauss_newton.is_finite_at(start)
 
     def run(self, start: Array) -> Outcome:
         """Solve from the parameters `start` (p,)."""
         began = time.perf_counter()
         scaling, p = self._nlp.scaling, len(start)
         z = np.clip(scaling.to_solver(start), self._bounds["lbx"][:p], self._bounds["ubx"][:p])
-        states, weights = self._first.smoothed(z)
-        if states is None:
+        first = self._gauss_newton.smoothed(z)
+        if first is None:
             return Outcome(start, "not finite at the start", 0, time.perf_counter() - began, False, math.inf)
-        w: Any = np.concatenate([z, *(t.start(s) for t, s in zip(self._transcribed, states, strict=True))])
+
         status, iterations, last, cost = "", 0, math.inf, math.inf
+        w: Any = np.concatenate([z, *self._initial_unknowns(first)])
+        settings = self._nlp.strategies
+        weights = [part.initial_weight(settings.assumed_error) for part in self._records]
         for _ in range(RELAXATIONS):
-            placed = self._placed(w[:p])
-            data = [ca.DM(part.shooting.in_order(d)) for part, d in zip(self._records, placed, strict=True)]
-            parameters = ca.vertcat(*map(ca.vec, (*map(ca.DM, weights), *data)))
+            placed = [part.place(w[:p]).data for part in self._records]
+            rows = [ca.DM(part.segments.in_order(data)) for part, data in zip(self._records, placed, strict=True)]
+            parameters = ca.vertcat(*map(ca.vec, (*map(ca.DM, weights), *rows)))
             w = self._solver(x0=w, p=parameters, **self._bounds)["x"].full().ravel()
             stats = self._solver.stats()
             status, iterations = stats["return_status"], iterations + int(stats["iter_count"])
-            products = [value.full() for value in self._as_list(self._products(w, parameters))]
+            products = [value.full() for value in _as_list(self._products(w, parameters))]
             cost = self._cost(w[:p], products)
             # The data are the same object as long as no delay has passed a whole sample.
-            same = all(a is b for a, b in zip(placed, self._placed(w[:p]), strict=True))
+            later = [part.place(w[:p]).data for part in self._records]
+            same = all(a is b for a, b in zip(placed, later, strict=True))
             settled = abs(cost - last) <= SAME * max(1.0, abs(cost)) and same
             if settled or status not in CONVERGED or not math.isfinite(cost):
                 break
             last = cost
-            weights = [part.noise.weight(s) for part, s in zip(self._records, products, strict=True)]
+            weights = [part.covariance.weight(s) for part, s in zip(self._records, products, strict=True)]
         else:
             status = "relaxations exceeded"
+
         estimate = np.clip(scaling.to_parameters(w[:p]), self._nlp.lower, self._nlp.upper)
         converged = status in CONVERGED and math.isfinite(cost)
-        trace = self._first.trace(estimate) if converged else None
-        converged = converged and trace is not None
-        return Outcome(estimate, status, iterations, time.perf_counter() - began, converged, cost, trace)
+        signature = self._gauss_newton.signature(estimate) if converged else None
+        converged = converged and signature is not None
+        return Outcome(estimate, status, iterations, time.perf_counter() - began, converged, cost, signature)
 
-    def _placed(self, z: Array) -> list[Array]:
-        """Return the data of every record, inputs placed for the delays at z."""
-        return [part.place(z).data for part in self._records]
+    def _initial_unknowns(self, iterate: Iterate) -> list[Array]:
+        """Return the unknowns of every record for the states along an iterate."""
+        trajectories = [t for part, t in zip(self._nlp.parts, iterate.trajectories, strict=True) if part.has_states]
+        each = zip(self._transcribed, self._records, trajectories, strict=True)
+        return [t.start(part.segments.in_order(trajectory.detail.states)) for t, part, trajectory in each]
 
     def _cost(self, z: Array, products: list[Array]) -> float:
-        costs = [part.part.weight * part.noise.cost(s) for part, s in zip(self._records, products, strict=True)]
+        costs = [part.weight * part.covariance.cost(s) for part, s in zip(self._records, products, strict=True)]
         return sum(costs) + float(self._nlp.costs(self._nlp.scaling.to_parameters(z)[None])[0])
 
-    def _as_list(self, found: Any) -> list[ca.DM]:
-        return list(found) if isinstance(found, (tuple, list)) else [found]
 
-    @staticmethod
-    def _known(part: RecordPart, transcribed: Transcribed, q: ca.MX) -> ca.MX:
-        """Return known states at the first sample of the record less what they must be."""
-        count = int(part.begins.sum())
-        rows = np.flatnonzero(part.known_states).tolist()
-        if not rows:
-            return ca.MX(0, 1)  # no rows of a single one would be taken as a row without columns
-        wanted, _ = part.initial(q)
-        return ca.vec(transcribed.initial[rows, :count] - ca.repmat(wanted[rows], 1, count))
+def _as_list(found: Any) -> list[ca.DM]:
+    return list(found) if isinstance(found, (tuple, list)) else [found]
 
 
-def _gauss_newton(unknowns: ca.MX, parameters: ca.MX, error: ca.MX, rest: ca.MX, g: ca.MX) -> dict[str, ca.Function]:
+def _known_states(part: RecordPart, transcribed: Transcribed, q: ca.MX) -> ca.MX:
+    """Return known states at the first sample of the record less what they must be."""
+    count = int(part.data.begins_record.sum())
+    rows = np.flatnonzero(part.model.known_states).tolist()
+    if not rows:
+        return ca.MX(0, 1)  # no rows of a single one would be taken as a row without columns
+    wanted, _ = part.model.initial(q)
+    return ca.vec(transcribed.initial[rows, :count] - ca.repmat(wanted[rows], 1, count))
+
+
+def _gauss_newton_hessian(
+    unknowns: ca.MX, parameters: ca.MX, error: ca.MX, rest: ca.MX, constraints: ca.MX
+) -> dict[str, ca.Function]:
     """Return the Hessian of the Lagrangian without the curvature of residuals and equations, as IPOPT's."""
     jacobian = ca.jacobian(error, unknowns)
-    scale, multipliers = ca.MX.sym("scale"), ca.MX.sym("multipliers", g.numel())
+    scale, multipliers = ca.MX.sym("scale"), ca.MX.sym("multipliers", constraints.numel())
     hessian = scale * (jacobian.T @ jacobian + ca.hessian(rest, unknowns)[0])
     function = ca.Function("hessian", [unknowns, parameters, scale, multipliers], [ca.triu(hessian)])
     return {"hess_lag": function}

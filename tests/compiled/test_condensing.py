@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from greybox.compiled.condensing import _solver, solve_chain
+from greybox.compiled.condensing import _solver, solve_continuity
 
 
 def made(s, n, r, coupled, seed=0, definite=True):
@@ -20,7 +20,7 @@ def made(s, n, r, coupled, seed=0, definite=True):
     }
 
 
-def dense(hessian, transition, coupled, stationarity, continuity, soft):
+def dense(hessian, transition, coupled, stationarity, continuity, variance):
     """The system of the docstring, written out."""
     s, n, r = stationarity.shape
     matrix, right = np.zeros((2 * s * n, 2 * s * n)), np.zeros((2 * s * n, r))
@@ -32,7 +32,7 @@ def dense(hessian, transition, coupled, stationarity, continuity, soft):
         if coupled[j]:
             matrix[x[j], f[j]], matrix[f[j], x[j]] = transition[j].T, transition[j]
             matrix[x[j + 1], f[j]], matrix[f[j], x[j + 1]] = -np.eye(n), -np.eye(n)
-            matrix[f[j], f[j]] = -np.diag(soft)
+            matrix[f[j], f[j]] = -np.diag(variance)
             right[f[j]] = continuity[j]
         else:
             matrix[f[j], f[j]] = np.eye(n)
@@ -43,19 +43,21 @@ def dense(hessian, transition, coupled, stationarity, continuity, soft):
 CUTS = {"one": [0], "two": [1, 0], "chain": [1] * 11 + [0], "pieces": [1, 1, 0, 0, 1, 0, 1, 1, 1, 0], "loose": [0] * 6}
 
 
-@pytest.mark.parametrize("soft", [0.0, 0.7])
+@pytest.mark.parametrize("variance", [0.0, 0.7])
 @pytest.mark.parametrize("cut", CUTS)
 @pytest.mark.parametrize(("n", "r"), [(1, 1), (3, 1), (4, 6)])
-def test_it_is_the_dense_solution(cut, n, r, soft):
+def test_it_is_the_dense_solution(cut, n, r, variance):
     system = made(len(CUTS[cut]), n, r, CUTS[cut], seed=n + r)
-    soft = soft * np.arange(1, n + 1.0)
-    for found, wanted in zip(solve_chain(**system, soft=soft), dense(**system, soft=soft), strict=True):
+    variance = variance * np.arange(1, n + 1.0)
+    for found, wanted in zip(
+        solve_continuity(**system, variance=variance), dense(**system, variance=variance), strict=True
+    ):
         assert_allclose(found, wanted, rtol=1e-8, atol=1e-10)
 
 
 def test_exact_continuity_holds_and_uncoupled_segments_have_no_multiplier():
     system = made(10, 3, 2, CUTS["pieces"])
-    x, force = solve_chain(**system, soft=np.zeros(3))
+    x, force = solve_continuity(**system, variance=np.zeros(3))
     on = np.flatnonzero(system["coupled"])
     gaps = system["transition"][on] @ x[on] - x[on + 1] - system["continuity"][on]
     assert_allclose(gaps, 0, atol=1e-10)
@@ -65,7 +67,9 @@ def test_exact_continuity_holds_and_uncoupled_segments_have_no_multiplier():
 def test_data_at_the_end_alone_determine_the_states_before():
     system = made(8, 2, 1, [1] * 7 + [0], definite=False)
     system["hessian"][-1] = np.eye(2)
-    for found, wanted in zip(solve_chain(**system, soft=np.zeros(2)), dense(**system, soft=np.zeros(2)), strict=True):
+    for found, wanted in zip(
+        solve_continuity(**system, variance=np.zeros(2)), dense(**system, variance=np.zeros(2)), strict=True
+    ):
         assert_allclose(found, wanted, rtol=1e-6, atol=1e-8)
 
 
@@ -73,7 +77,7 @@ def test_data_at_the_end_alone_determine_the_states_before():
 def test_states_of_very_different_size(size):
     """Scaling a state by `size` scales its solution back."""
     system = made(12, 3, 2, CUTS["chain"])
-    plain, _ = solve_chain(**system, soft=np.zeros(3))
+    plain, _ = solve_continuity(**system, variance=np.zeros(3))
     scale = np.array([1.0, size, 1 / size])
     scaled = {
         "hessian": system["hessian"] / scale / scale[:, None],
@@ -82,7 +86,7 @@ def test_states_of_very_different_size(size):
         "stationarity": system["stationarity"] / scale[:, None],
         "continuity": system["continuity"] * scale[:, None],
     }
-    found, _ = solve_chain(**scaled, soft=np.zeros(3))
+    found, _ = solve_continuity(**scaled, variance=np.zeros(3))
     assert_allclose(found / scale[:, None], plain, rtol=1e-6, atol=1e-8 * np.abs(plain).max())
 
 
@@ -93,10 +97,10 @@ def test_work_grows_with_the_number_of_segments_not_with_its_square():
 
 def test_a_singular_system_says_so():
     system = made(3, 2, 1, [1, 1, 0], definite=False)
-    with pytest.raises(np.linalg.LinAlgError, match="do not determine"):
-        solve_chain(**system, soft=np.zeros(2))
+    with pytest.raises(np.linalg.LinAlgError, match="not determined"):
+        solve_continuity(**system, variance=np.zeros(2))
 
 
 def test_no_states():
-    x, force = solve_chain(**made(5, 0, 3, [1, 1, 1, 1, 0]), soft=np.zeros(0))
+    x, force = solve_continuity(**made(5, 0, 3, [1, 1, 1, 1, 0]), variance=np.zeros(0))
     assert x.shape == force.shape == (5, 0, 3)

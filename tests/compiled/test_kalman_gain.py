@@ -7,7 +7,7 @@ from spring_lag_tilt import SPRING, TILT, FullTilt, Spring, assert_true, fit, st
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.compiled.kalman_gain import steady_gain
+from greybox.compiled.kalman_gain import steady_state_gain
 from greybox.models.controller import AttitudeController
 from greybox.models.tilt import NonlinearTilt
 
@@ -54,11 +54,11 @@ def test_the_steady_gain_solves_the_equation_of_riccati(growth):
         process = 10.0 ** random.uniform(-8, 2, size=4)
         P = solve_discrete_are(F.T, C.T, np.diag(process), np.eye(outputs))
         K = P @ C.T @ np.linalg.inv(C @ P @ C.T + np.eye(outputs))
-        assert_allclose(steady_gain(F, C, process), K, rtol=1e-6, atol=1e-9)
+        assert_allclose(steady_state_gain(F, C, process), K, rtol=1e-6, atol=1e-9)
 
 
-def test_what_no_output_shows_has_no_steady_gain():
-    assert np.isnan(steady_gain(np.diag([0.5, 1.2]), np.array([[1.0, 0.0]]), np.ones(2))).all()
+def test_what_no_output_shows_has_no_steady_state_gain():
+    assert np.isnan(steady_state_gain(np.diag([0.5, 1.2]), np.array([[1.0, 0.0]]), np.ones(2))).all()
 
 
 # --- the states -------------------------------------------------------------------------------------------------------
@@ -73,16 +73,16 @@ def spring_flight(n=1234, seed=0, **wind):
 def test_a_predictor_follows_every_stretch_as_segments_that_join_do():
     whole = spring_flight()
     gaps = whole.with_signals(F=np.where(np.isin(np.arange(1234), (7, 400)), np.nan, whole["F"]))
-    part = compile_problem(gb.Problem(Spring(), gaps, RULE)).records[0]
+    nlp = compile_problem(gb.Problem(Spring(), gaps, RULE))
+    (part,) = nlp.parts
     values = SPRING | {"K_x_x": 0.3, "K_x_v": 0.05, "K_v_x": 0.5, "K_v_v": 0.6}
-    q = np.array([values.get(name, 0.0) for name in part.part.declared])
-    place = part.place(np.zeros(7))
-    place = type(place)(q, place.slope, place.data, place.initial, place.initial_slope)
-    followed = part.followed(np.random.default_rng(0).normal(size=(part.experiment.segments, 2)), place)
-    joined = part.path(followed.nodes, place)
+    z = nlp.scaling.to_solver(np.array([values[name] for name in nlp.free]))
+    nodes = np.random.default_rng(0).normal(size=(part.data.segments, 2))
+    followed = part.trajectory(z, nodes, simulated=True)
+    joined = part.trajectory(z, followed.nodes)
     assert np.abs(joined.gaps).max() < 1e-12
-    assert_allclose(followed.states, joined.states, atol=1e-12)
-    assert_allclose(followed.end, joined.end, atol=1e-12)
+    assert_allclose(followed.detail.states, joined.detail.states, atol=1e-12)
+    assert_allclose(followed.ends, joined.ends, atol=1e-12)
     assert_allclose(followed.products, joined.products, rtol=1e-10)
 
 

@@ -7,7 +7,7 @@ from scipy.optimize import minimize
 from scipy.stats import multivariate_normal, norm
 
 import greybox as gb
-from greybox.compiled.residual_covariance import noise_of
+from greybox.compiled.residual_covariance import residual_covariance_of
 
 RANDOM = np.random.default_rng(0)
 RESIDUALS = np.array([[1.0, 0.0, 0.0], [0.6, 0.5, 0.0], [0.0, -0.1, 2e-3]]) @ RANDOM.normal(size=(3, 400))
@@ -18,7 +18,7 @@ SIGMA = {"a": 0.8, "b": 0.5, "c": 0.02}
 def made(noise, residuals=RESIDUALS):
     """The noise of outputs that are their own residuals, and the products of these."""
     there = np.nan_to_num(residuals)
-    return noise_of(gb.OutputError(noise=noise), NAMES, residuals), there @ there.T
+    return residual_covariance_of(gb.OutputError(noise=noise), NAMES, residuals), there @ there.T
 
 
 def holed(seed=1):

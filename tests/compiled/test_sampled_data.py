@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
 import greybox as gb
-from greybox.compiled.sampled_data import Experiment, Stretch, experiment, gapless, input_over_step
+from greybox.compiled.sampled_data import SampledData, Stretch, gapless, input_over_step, sampled_data
 
 STEP = 0.02
 RANDOM = np.random.default_rng(0)
@@ -18,8 +18,8 @@ def record(n=60, outputs=("y",), step=STEP, start=3.0, **signals):
     return gb.Record(time, given, name="made")
 
 
-def cut(data, *, inputs=("u",), outputs=("y",), lead=0.0, segment=7, complete=False):
-    return experiment(data, inputs, outputs, lead=lead, segment=segment, complete=complete)
+def cut(data, *, inputs=("u",), outputs=("y",), lead=0.0, segment_length=7, complete=False):
+    return sampled_data(data, inputs, outputs, lead=lead, segment_length=segment_length, complete=complete)
 
 
 def measured_input(u, held):
@@ -37,7 +37,7 @@ DELAYS = [0.0, 0.25, 0.999999, 1.0, 1.5, 3.0, 4.75]
 def test_moments_of_the_delayed_input(delay, held):
     data = record(30)
     made = cut(data)
-    whole, windows = made.windows(np.array([delay * STEP]))
+    whole, windows = made.delayed_inputs(np.array([delay * STEP]))
     u = measured_input(data["u"], held)
     for k in range(29):
         mean, change, now = input_over_step(windows[:, k], delay - whole[0, k], held)
@@ -58,7 +58,7 @@ def test_moments_and_their_slope_are_continuous_where_a_whole_sample_is_passed()
     made = cut(data)
 
     def moments(delay):
-        whole, windows = made.windows(np.array([delay * STEP]))
+        whole, windows = made.delayed_inputs(np.array([delay * STEP]))
         return np.array([input_over_step(windows[:, k], delay - whole[0, k], False)[:2] for k in range(28)])
 
     for delay in (1.0, 2.0, 5.0):
@@ -70,7 +70,7 @@ def test_moments_and_their_slope_are_continuous_where_a_whole_sample_is_passed()
 
 def test_a_delay_beyond_the_record_keeps_the_first_value():
     data = record(20)
-    whole, windows = cut(data).windows(np.array([50 * STEP]))
+    whole, windows = cut(data).delayed_inputs(np.array([50 * STEP]))
     assert_allclose(windows[:, :20], data["u"][0])
     assert np.all(np.abs(whole) <= 20)
 
@@ -78,13 +78,13 @@ def test_a_delay_beyond_the_record_keeps_the_first_value():
 def test_the_steps_of_the_whole_record_come_back():
     data = record(60)
     made = cut(data)
-    assert made.counts == [9]
+    assert made.segment_counts == [9]
     assert made.segments == 9
     assert made.measured.shape == (1, 63)
     assert_allclose(made.measured[0, :60], data["y"])
     assert np.isnan(made.measured[0, 60:]).all()
     assert_allclose(made.steps, STEP)
-    assert made.first.tolist() == [True] + 8 * [False]
+    assert made.begins_stretch.tolist() == [True] + 8 * [False]
     assert made.coupled.tolist() == 8 * [True] + [False]
     (back,) = made.unpadded(made.measured)
     assert_allclose(back[0], data["y"])
@@ -97,10 +97,10 @@ def test_gaps_and_missing_inputs_end_a_stretch():
     time = data.time.copy()
     time[45:] += 1.0
     data = gb.Record(time, data.signals)
-    made = cut(data, segment=10)
+    made = cut(data, segment_length=10)
     assert [s.first for s in made.stretches] == [0, 21, 45]
     assert [len(s) for s in made.stretches] == [20, 24, 15]
-    assert made.first.tolist() == [True, False, True, False, False, True, False]
+    assert made.begins_stretch.tolist() == [True, False, True, False, False, True, False]
     assert made.coupled.tolist() == [True, False, True, True, False, True, False]
     for stretch in made.stretches:
         assert_allclose(stretch.outputs[0], data["y"][stretch.first :][: len(stretch)])
@@ -182,34 +182,34 @@ def test_after_a_gap_the_past_is_unknown_again():
 def test_no_inputs():
     data = record(60)
     made = cut(data, inputs=())
-    whole, windows = made.windows(np.zeros(0))
+    whole, windows = made.delayed_inputs(np.zeros(0))
     assert whole.shape == windows.shape == (0, 63)
 
 
 def test_a_thinned_experiment_is_a_part_of_the_whole():
     data = record(1000)
-    made = cut(data, segment=10)
-    thin = made.thinned(300)
+    made = cut(data, segment_length=10)
+    thin = made.excerpts(300)
     assert 200 <= sum(len(s) for s in thin.stretches) <= 400
     assert len(thin.stretches) == 5
     assert thin.stretches[0].first == 0
     assert thin.stretches[-1].first + len(thin.stretches[-1]) == 1000
     for stretch in thin.stretches:
         assert_allclose(stretch.outputs[0], data["y"][stretch.first :][: len(stretch)])
-    assert made.thinned(2000) is made
+    assert made.excerpts(2000) is made
 
 
 def test_two_inputs_with_their_own_delays():
     data = record(40, w=np.arange(40.0))
     made = cut(data, inputs=("u", "w"))
-    whole, windows = made.windows(np.array([0.0, 3 * STEP]))
+    whole, windows = made.delayed_inputs(np.array([0.0, 3 * STEP]))
     assert_allclose(whole[:, :40], np.broadcast_to([[0], [3]], (2, 40)))
     assert_allclose(windows[1, :40], data["u"])
     assert_allclose(windows[4, 3:40], np.arange(37.0))
 
 
 def test_filling_up():
-    made = Experiment((Stretch(np.zeros((1, 5)), np.zeros((1, 5)), 0, 0.1),), ("y",), 4)
+    made = SampledData((Stretch(np.zeros((1, 5)), np.zeros((1, 5)), 0, 0.1),), ("y",), 4)
     assert_allclose(made.padded([np.ones((2, 5))], -1.0), np.array([[1, 1, 1, 1, 1, -1, -1, -1]] * 2))
 
 
@@ -225,10 +225,10 @@ def test_small_jitter_counts_as_uniform_and_large_does_not():
 
 
 def test_bad_records():
-    with pytest.raises(ValueError, match=r"never move \(u\): nothing can be estimated"):
+    with pytest.raises(ValueError, match=r"never change \(u\) and y is indistinguishable from noise: nothing can"):
         cut(record(u=np.ones(60), y=RANDOM.normal(size=60)))
-    assert cut(record(u=np.ones(60))).resting
-    assert not cut(record()).resting
+    assert cut(record(u=np.ones(60))).constant_inputs
+    assert not cut(record()).constant_inputs
     with pytest.raises(ValueError, match="longest delay in the bounds takes 5 s; give a longer record or a smaller"):
         cut(record(), lead=5.0)
     with pytest.raises(ValueError, match="no measured value of y"):

@@ -116,7 +116,7 @@ def test_a_delay_of_another_name_is_told_by_that():
 
 def test_numbers_that_no_fit_saw_are_no_data():
     """Of the 33 samples the bound leaves three, which is as many as there are unknowns."""
-    (text,) = said(fit(Later(), driven(33), starts=[{}], fixed={"T": 0.1}), "leave nothing to judge the errors by")
+    (text,) = said(fit(Later(), driven(33), starts=[{}], fixed={"T": 0.1}), "leave no degrees of freedom")
     assert text.startswith("3 real numbers of data for 2 unknowns and 1 initial state")
 
 
@@ -176,7 +176,7 @@ def test_rest_in_one_of_several_records_is_no_matter():
 
 def test_a_record_in_which_nothing_happens_is_refused():
     still = slid(0.0, 0.0)
-    with pytest.raises(ValueError, match=r"never move \(u\): nothing can be estimated from it, since x moves no more"):
+    with pytest.raises(ValueError, match=r"never change \(u\) and x is indistinguishable from noise: nothing can"):
         fit(Slide(), still)
 
 
@@ -281,7 +281,7 @@ def test_no_branch_is_told_of_where_the_model_has_none():
             return (x.y + 0 * p.mass,)
 
     (text,) = said(fit(Dead(), driven(200), starts=[{}]), "mass is not determined")
-    assert text.endswith("at this estimate at all; fix it.")
+    assert text.endswith("at this estimate; fix it.")
 
 
 # --- residuals that are correlated in time ----------------------------------------------------------------------------

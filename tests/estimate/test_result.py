@@ -6,8 +6,8 @@ from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, Parabola, mea
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.solve.ipopt import Run
 from greybox.solve.minima import Multistart, find_minima
+from greybox.solve.outcome import Run
 
 DATA = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=6)
 GAIN = measured(Parabola(), [0.5, 1.0, 2.0], {"x": 1.0, "slope": 0.0})

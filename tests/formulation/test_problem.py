@@ -267,7 +267,7 @@ class FarAway(LagLagDelay):
         ({}, {"model": FarAway()}, r"the bounds of 'T1', \(0\.001, 10\) and \(20, 40\), do not overlap.*rename"),
         ({}, {"fixed": {"T1": 1.0}}, "'T1' is fixed in one part and free in the other: fix or free it in both"),
         ({"fixed": {"T1": 2.0}}, {"fixed": {"T1": 1.0}}, "'T1' is fixed at 2 in one part and at 1 in the other"),
-        ({}, {"tied": {"T1": lambda p: p.T2}}, "'T1' is tied in 'made' and otherwise in another part"),
+        ({}, {"tied": {"T1": lambda p: p.T2}}, "'T1' is tied in 'made' and free or tied differently in another part"),
         ({"tied": {"T1": lambda p: 2 * p.T2}}, {"tied": {"T1": lambda p: p.T2}}, "'T1' is tied in 'made'"),
         ({"tied": {"T1": lambda p: p.T2}}, {"tied": {"T1": lambda p: 0.01 / p.T2}}, "'T1' is tied in 'made'"),
     ],

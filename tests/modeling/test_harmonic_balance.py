@@ -368,7 +368,7 @@ def test_a_transfer_function_has_no_amplitude():
 
 def test_a_record_has_no_amplitude():
     record = gb.Record(np.arange(5) / 10, {"u": np.zeros(5), "theta": np.zeros(5)})
-    with pytest.raises(ValueError, match="amplitude belongs to a frequency response"):
+    with pytest.raises(ValueError, match="amplitude is for frequency responses"):
         gb.Problem(NonlinearTilt(), record, amplitude={"theta": 0.1})
 
 

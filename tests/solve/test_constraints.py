@@ -84,4 +84,4 @@ def test_the_nearest_point_keeps_bounds_and_constraints():
     )
     assert limits.nearest(np.array([2.0, 2.0])) == pytest.approx([0.5, 0.5])
     assert limits.nearest(np.array([0.2, 0.3])) == pytest.approx([0.2, 0.3])
-    assert limits.missed(np.array([1.0, 1.0])) == pytest.approx(1.0)
+    assert limits.violation(np.array([1.0, 1.0])) == pytest.approx(1.0)

@@ -58,7 +58,7 @@ def test_runs_and_minima_tell_the_same_when_substeps_were_refined():
     problem = gb.Problem(Swing(), swung(), gb.OutputError(inputs="held"))
     starts = [{"k1": 90, "k2": 20}, {"k1": 20, "k2": 90}, {"k1": 95, "k2": 25, "c": 1.0}]
     fit = gb.fit(problem, starts=starts, progress=False)
-    count = int(fit.records[0].method.split("RungeKutta ")[1].split()[0])
+    count = int(fit.records[0].method.split("RK4, ")[1].split()[0])
     method = gb.MultipleShooting(integrator=gb.RungeKutta(count))
     fixed, coarse = (gb.fit(problem, starts=starts, progress=False, method=m) for m in (method, COARSE))
     assert abs(fixed.cost - coarse.cost) > 0.05  # the refinement did change the cost

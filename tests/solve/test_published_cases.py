@@ -6,7 +6,8 @@ from scipy.integrate import solve_ivp
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.solve.discretization_error import integration_error, integration_warnings, well_integrated
+from greybox.estimate.diagnostics.discretization import discretization_warnings
+from greybox.solve.discretization_error import discretization_error, refine_discretization
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.multistart import multistart
 
@@ -17,10 +18,10 @@ def simulated(derivative, x0, time):
 
 
 def point(problem, **values):
-    """Return the compiled problem, its first record and the record's place at these parameters."""
+    """Return the compiled problem, its first record, and the solver's variables at these parameters."""
     nlp = compile_problem(problem)
     z = nlp.scaling.to_solver(np.array([values[name] for name in nlp.free]))
-    return nlp, nlp.records[0], nlp.records[0].place(z)
+    return nlp, nlp.record_parts[0], z
 
 
 class LotkaVolterra(gb.StateSpace):
@@ -85,11 +86,12 @@ def coarse(record, substeps=None):
 def test_too_few_substeps_are_told_from_their_shift(slow_pendulum):
     nlp, search = coarse(slow_pendulum, substeps=2)
     assert search.converged
-    profile = GaussNewton(nlp).profile(search.minima[0].estimate, search.nodes)
-    assert integration_error(nlp, profile).largest > 1
-    (sentence,) = integration_warnings(nlp, profile)
-    assert "4 substeps a sample instead of 2" in sentence
-    assert well_integrated(nlp, search) == (nlp, search, None)  # what the method fixes stays
+    solver = GaussNewton(nlp)
+    profile = solver.profile(search.minima[0].estimate, search.nodes)
+    assert discretization_error(nlp, profile.trajectories).largest > 1
+    (sentence,) = discretization_warnings(nlp, profile.trajectories)
+    assert "twice the steps per sample (4 instead of 2)" in sentence
+    assert refine_discretization(nlp, search, solver) == (nlp, search, solver, None)  # what the method fixes stays
 
 
 def test_the_shift_is_that_of_a_second_fit(slow_pendulum):
@@ -97,7 +99,7 @@ def test_the_shift_is_that_of_a_second_fit(slow_pendulum):
     for substeps in (40, 80):
         nlp, search = coarse(slow_pendulum, substeps)
         profile = GaussNewton(nlp).profile(search.minima[0].estimate, search.nodes)
-        found.append((search.minima[0].estimate, integration_error(nlp, profile).shift))
+        found.append((search.minima[0].estimate, discretization_error(nlp, profile.trajectories).shift))
     errors = np.array([0.010, 0.00032])  # of k and c at this noise
     assert np.all(np.abs((found[1][0] - found[0][0]) / errors - found[0][1]) < 0.05)
     assert np.abs(found[1][1]).max() < 0.1
@@ -105,16 +107,16 @@ def test_the_shift_is_that_of_a_second_fit(slow_pendulum):
 
 def test_substeps_are_refined_until_the_truth_is_found(slow_pendulum):
     nlp, search = coarse(slow_pendulum)
-    finer, refined, _ = well_integrated(nlp, search)
-    profile = GaussNewton(finer).profile(refined.minima[0].estimate, refined.nodes)
-    assert integration_error(finer, profile).largest <= 0.1
+    finer, refined, solver, _ = refine_discretization(nlp, search, GaussNewton(nlp))
+    profile = solver.profile(refined.minima[0].estimate, refined.nodes)
+    assert discretization_error(finer, profile.trajectories).largest <= 0.1
     assert np.all(np.abs(refined.minima[0].estimate - [39, 0.08]) < 3.5 * np.array([0.010, 0.00032]))
 
 
 def test_an_undamped_oscillation_gets_substeps_by_its_frequency(slow_pendulum):
     # One step of Runge-Kutta is stable up to |pole| · step = 2.7, and here, at 2.5, wrong.
     nlp = compile_problem(gb.Problem(Pendulum(), slow_pendulum))
-    assert nlp.records[0].substeps >= np.sqrt(39) * 0.4 / 0.7
+    assert nlp.record_parts[0].substeps >= np.sqrt(39) * 0.4 / 0.7
 
 
 class Airspeed(gb.StateSpace):
@@ -141,12 +143,12 @@ def test_first_states_lie_where_the_model_is_finite():
     time = 0.1 * np.arange(45)
     speed = 30 + np.sin(time)
     record = gb.Record(time, {"gamma": -0.1 + 0.02 * np.cos(time), "V": speed, "lift": np.full(45, 6.0)})
-    _, part, place = point(gb.Problem(Airspeed(), record), drag=0.001, lift=0.05)
-    nodes = part.first_nodes(place)
-    assert np.allclose(nodes[:, 0], speed[:: part.experiment.segment])  # an output shows it
-    assert np.all(nodes[:, 2] > 0)
-    assert part.path(nodes, place).finite
-    assert not part.path(np.zeros_like(nodes), place).finite
+    _, part, z = point(gb.Problem(Airspeed(), record), drag=0.001, lift=0.05)
+    trajectory = part.initial_trajectory(z)
+    assert np.allclose(trajectory.nodes[:, 0], speed[:: part.data.segment_length])  # an output shows it
+    assert np.all(trajectory.nodes[:, 2] > 0)
+    assert trajectory.finite
+    assert not part.trajectory(z, np.zeros_like(trajectory.nodes)).finite
 
 
 class Bicycle(gb.StateSpace):

@@ -1,4 +1,8 @@
-"""How a problem in time becomes one of optimization: one method a file, interchangeable on one problem."""
+"""How the states of a record become unknowns of an optimization: one method a file, interchangeable on one problem.
+
+`method` says what a transcription is; `multiple_shooting` is the default, `single_shooting` and `collocation` are
+solved by IPOPT.
+"""
 
 from greybox.compiled.transcription.collocation import Collocation as Collocation
 from greybox.compiled.transcription.method import Transcription as Transcription

@@ -1,4 +1,4 @@
-"""Direct collocation: a polynomial between samples, whose slope is the derivative at the collocation points."""
+"""Direct collocation: the stages of an implicit integrator are unknowns, and its equations are constraints."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -7,8 +7,9 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.sample_step import SampleStep
-from greybox.compiled.sampled_data import Experiment
+from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.transcription.method import Transcribed, Transcription
+from greybox.modeling.implicit_integrators import ImplicitIntegrator, Radau
 
 
 @dataclass(frozen=True)
@@ -20,8 +21,8 @@ class Collocation(Transcription):
 
     Parameters
     ----------
-    segment, integrator, hessian
-        See `Transcription`; the integrator serves the first states and the simulated outputs of the answer.
+    segment, hessian
+        See `Transcription`.
     degree : int
         Collocation points a sample, 1 to 9; the order is twice that less one.
     """
@@ -35,44 +36,46 @@ class Collocation(Transcription):
         if not isinstance(self.degree, int) or not 1 <= self.degree <= 9:
             raise ValueError(f"degree {self.degree!r} must be a whole number from 1 to 9.")
 
-    def transcribe(self, step: SampleStep, experiment: Experiment, q: ca.MX, data: Any) -> Transcribed:
-        """Return the states at all samples and collocation points, and the equations of every step."""
-        n, samples = step.function.size1_in(0), experiment.segments * experiment.segment
+    @property
+    def scheme(self) -> ImplicitIntegrator:
+        """Radau IIA, one step per sample: its stages are the collocation points."""
+        return Radau(degree=self.degree)
+
+    def transcribe(self, step: SampleStep, data: SampledData, q: ca.MX, rows: Any) -> Transcribed:
+        """Return the states at all samples and stages, and the equations of every step."""
+        n, samples, stages = step.function.size1_in(0), data.samples, self.scheme.stages
         equations, residuals = self._sample(step)
-        nodes, inside = ca.MX.sym("nodes", n, samples), ca.MX.sym("inside", n * self.degree, samples)
-        found = residuals.map("residuals", "serial", samples, [1], [])(nodes, q, data)
-        errors, end = equations.map("equations", "serial", samples, [2], [])(nodes, inside, q, data)
-        ends = np.cumsum([c * experiment.segment for c in experiment.counts]) - 1
-        linked = np.setdiff1d(np.arange(samples), ends)
+        nodes, inside = ca.MX.sym("nodes", n, samples), ca.MX.sym("inside", n * stages, samples)
+        found = residuals.map("residuals", "serial", samples, [1], [])(nodes, q, rows)
+        errors, end = equations.map("equations", "serial", samples, [2], [])(nodes, inside, q, rows)
+        last = np.cumsum([count * data.segment_length for count in data.segment_counts]) - 1
+        linked = np.setdiff1d(np.arange(samples), last)
         gaps = end[:, linked.tolist()] - nodes[:, (linked + 1).tolist()]
-        first = (np.concatenate([[0], ends[:-1] + 1])).tolist()
+        first = np.concatenate([[0], last[:-1] + 1]).tolist()
         return Transcribed(
             unknowns=ca.vertcat(ca.vec(nodes), ca.vec(inside)),
             residuals=found,
             equations=ca.vertcat(ca.vec(errors), ca.vec(gaps)),
             initial=nodes[:, first],
             start=lambda states: np.concatenate(
-                [states.ravel(order="F"), np.tile(states, (self.degree, 1)).ravel(order="F")]
+                [states.ravel(order="F"), np.tile(states, (stages, 1)).ravel(order="F")]
             ),
         )
 
     def _sample(self, step: SampleStep) -> tuple[ca.Function, ca.Function]:
-        """Return (x, points, q, d) -> collocation errors and end of the step, and (x, q, d) -> residuals."""
-        n = step.function.size1_in(0)
-        x, q, d = (ca.SX.sym(name, step.before.numel_in(k)) for k, name in enumerate("xqd"))
-        points = ca.SX.sym("points", n, self.degree)
-        corrected, mean, change, residual, _ = step.before(x, q, d)
+        """Return (x, stages, q, d) -> equations and end of the step, and (x, q, d) -> residuals."""
+        n, scheme = step.function.size1_in(0), self.scheme
+        x, q, d = (ca.SX.sym(name, step.measurement.numel_in(k)) for k, name in enumerate("xqd"))
+        stages = ca.SX.sym("stages", n, scheme.stages)
+        corrected, mean, change, residual, _ = step.measurement(x, q, d)
         p, h = q[: len(step.system.parameters)], d[d.numel() - 1]
-        tau = ca.collocation_points(self.degree, "radau")
-        C, D, _ = ca.collocation_coeff(tau)
-        polynomial = ca.horzcat(corrected, points)
-        slopes = polynomial @ C
-        errors = [
-            slopes[:, k] - h * step.system.derivative(points[:, k], mean + change * (tau[k] - 0.5), p)
-            for k in range(self.degree)
-        ]
-        end = polynomial @ D
+        equations = scheme.equations(step.system, corrected, stages, mean - change / 2, change / h, p, h)
+        end = scheme.end(corrected, stages)
         return (
-            ca.Function("equations", [x, ca.vec(points), q, d], [ca.vertcat(*errors), end]),
+            ca.Function("equations", [x, ca.vec(stages), q, d], [ca.vec(equations), end]),
             ca.Function("residuals", [x, q, d], [residual]),
         )
+
+    def finer(self, substeps: int) -> str:
+        """Return the option that integrates more accurately: more points per sample."""
+        return f"method=Collocation(degree={min(self.degree + 1, 9)})"

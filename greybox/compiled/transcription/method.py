@@ -1,8 +1,8 @@
-"""What every transcription is: options, and the unknowns and equations that stand for a simulated record."""
+"""What every transcription is: options, the unknowns and equations that stand for a simulated record, and its step."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import casadi as ca
@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.sample_step import SampleStep
-from greybox.compiled.sampled_data import Experiment
-from greybox.modeling.integrators import Integrator, RungeKutta
+from greybox.compiled.sampled_data import SampledData
+from greybox.compiled.strategies import Strategies
+from greybox.data.text_table import counted
+from greybox.modeling.integrators import Integrator
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,29 +45,30 @@ class Transcribed:
 class Transcription(ABC):
     """A way to treat the states of records while parameters are estimated.
 
+    The same solution must follow from two descriptions: `transcribe` gives the unknowns and equations that a solver
+    sees, `scheme` the step from sample to sample that they amount to. Costs, residuals, standard errors and the check
+    of the discretization come from the second.
+
     Parameters
     ----------
     segment : int, optional
         Samples between the nodes of multiple shooting, which every method starts from; by default chosen from the
         growth of the unstable poles, between 5 and 10.
-    integrator : Integrator
-        `RungeKutta()` or, for stiff models, `Rosenbrock()`.
     hessian : "gauss-newton" or "exact"
         Of the problem that IPOPT solves.
     """
 
     segment: int | None = None
-    integrator: Integrator = field(default_factory=RungeKutta)
     hessian: Literal["gauss-newton", "exact"] = "gauss-newton"
     compile: ClassVar[bool] = False
+    strategies: ClassVar[Strategies] = Strategies()
+    """Of the Gauss-Newton solver, which also gives IPOPT its first states."""
     label: ClassVar[str]
 
     def __post_init__(self) -> None:
         """Check the options."""
         if self.segment is not None and (not isinstance(self.segment, int) or self.segment < 1):
             raise ValueError(f"segment {self.segment!r} must be a whole number of samples, at least 1, or None.")
-        if not isinstance(self.integrator, Integrator):
-            raise TypeError(f"integrator is {self.integrator!r:.60}: give RungeKutta() or Rosenbrock().")
         if self.hessian not in ("gauss-newton", "exact"):
             raise ValueError(f"hessian {self.hessian!r} is not known: use 'gauss-newton' or 'exact'.")
 
@@ -74,6 +77,26 @@ class Transcription(ABC):
         """True when IPOPT solves the whole problem."""
         return True
 
+    @property
     @abstractmethod
-    def transcribe(self, step: SampleStep, experiment: Experiment, q: ca.MX, data: Any) -> Transcribed:
-        """Return the record's unknowns and equations for parameters q; `data` (width, samples) as `step` reads them."""
+    def scheme(self) -> Integrator:
+        """The integrator whose steps satisfy the equations."""
+
+    @abstractmethod
+    def transcribe(self, step: SampleStep, data: SampledData, q: ca.MX, rows: Any) -> Transcribed:
+        """Return the record's unknowns and equations for parameters q; `rows` (width, samples) as `step` reads them."""
+
+    def described(self, segment_length: int, substeps: int) -> str:
+        """Return the method in words, with what was chosen."""
+        segments = f"{counted(segment_length, 'sample')} per segment"
+        return f"{self.label}, {segments}, {self.scheme.name}, {counted(substeps, 'step')} per sample"
+
+    def finer(self, substeps: int) -> str:
+        """Return the option that integrates with so many steps per sample, and an alternative, for a warning."""
+        return f"method={type(self).__name__}(integrator={type(self.scheme).__name__}(substeps={substeps}))"
+
+
+def checked_integrator(integrator: Any) -> None:
+    """Raise TypeError for what is no integrator."""
+    if not isinstance(integrator, Integrator):
+        raise TypeError(f"integrator is {integrator!r:.60}: give RungeKutta() or Rosenbrock().")

@@ -1,14 +1,16 @@
 """Multiple shooting: the states at the beginning of short segments are unknowns, continuity is a constraint."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
 from greybox.compiled.sample_step import SampleStep
-from greybox.compiled.sampled_data import Experiment
-from greybox.compiled.transcription.method import Transcribed, Transcription
+from greybox.compiled.sampled_data import SampledData
+from greybox.compiled.strategies import Strategies
+from greybox.compiled.transcription.method import Transcribed, Transcription, checked_integrator
+from greybox.modeling.integrators import Integrator, RungeKutta
 
 
 @dataclass(frozen=True)
@@ -20,44 +22,55 @@ class MultipleShooting(Transcription):
 
     Parameters
     ----------
-    segment, integrator, hessian
+    segment, hessian
         See `Transcription`; the "exact" Hessian goes with IPOPT.
+    integrator : Integrator
+        `RungeKutta()` or, for stiff models, `Rosenbrock()`.
     ipopt : bool
         Solve one sparse problem by IPOPT instead.
     compile : bool
         Translate the linearization to C once and keep it; needs a C compiler.
+    strategies : Strategies
+        Of the Gauss-Newton solver: each can be switched off.
     """
 
+    integrator: Integrator = field(default_factory=RungeKutta)
     ipopt: bool = False
     compile: bool = False  # type: ignore[misc]
+    strategies: Strategies = field(default_factory=Strategies)  # type: ignore[misc]
     label: ClassVar[str] = "multiple shooting"
+
+    def __post_init__(self) -> None:
+        """Check the options."""
+        super().__post_init__()
+        checked_integrator(self.integrator)
+        if not isinstance(self.strategies, Strategies):
+            raise TypeError(f"strategies is {self.strategies!r:.60}: give gb.solve.Strategies(...).")
 
     @property
     def by_ipopt(self) -> bool:
         """True when IPOPT solves the whole problem."""
         return self.ipopt or self.hessian == "exact"
 
-    def transcribe(self, step: SampleStep, experiment: Experiment, q: ca.MX, data: Any) -> Transcribed:
+    @property
+    def scheme(self) -> Integrator:
+        """The integrator."""
+        return self.integrator
+
+    def transcribe(self, step: SampleStep, data: SampledData, q: ca.MX, rows: Any) -> Transcribed:
         """Return the nodes, and the gaps between ends and next nodes."""
-        n, length, s = step.function.size1_in(0), experiment.segment, experiment.segments
-        x, Q = ca.MX.sym("x", n), ca.MX.sym("q", q.numel())
-        d = ca.MX.sym("d", step.width, length)
-        end, residuals = _follow(step, x, Q, d, length)
-        segment = ca.Function("segment", [x, Q, d], [end, residuals]).map("segments", "serial", s, [1], [])
+        n, length, s = step.function.size1_in(0), data.segment_length, data.segments
+        x, Q, D = ca.MX.sym("x", n), ca.MX.sym("q", q.numel()), ca.MX.sym("D", step.width, length)
+        states, errors = step.folded(length)(x, Q, D)
+        one = ca.Function("segment", [x, Q, D], [states[:, length - 1], errors])
         nodes = ca.MX.sym("nodes", n, s)
-        ends, found = segment(nodes, q, data)
-        before = np.flatnonzero(experiment.coupled)
+        ends, residuals = one.map("segments", "serial", s, [1], [])(nodes, q, rows)
+        before = np.flatnonzero(data.coupled)
         gaps = ends[:, before.tolist()] - nodes[:, (before + 1).tolist()]
         return Transcribed(
             unknowns=ca.vec(nodes),
-            residuals=found,
+            residuals=residuals,
             equations=ca.vec(gaps),
-            initial=nodes[:, np.flatnonzero(experiment.first).tolist()],
+            initial=nodes[:, np.flatnonzero(data.begins_stretch).tolist()],
             start=lambda states: states[:, ::length].ravel(order="F"),
         )
-
-
-def _follow(step: SampleStep, x: ca.MX, q: ca.MX, d: ca.MX, length: int) -> tuple[ca.MX, ca.MX]:
-    """Return the end of a segment and its residuals (k, length)."""
-    after, residuals, _ = step.function.mapaccum("segment", length)(x, q, d)
-    return after[:, length - 1], residuals

@@ -1,45 +1,59 @@
 """Single shooting: only the initial states are unknown, everything else is simulated from them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
 from greybox.compiled.sample_step import SampleStep
-from greybox.compiled.sampled_data import Experiment
-from greybox.compiled.transcription.method import Transcribed, Transcription
+from greybox.compiled.sampled_data import SampledData
+from greybox.compiled.transcription.method import Transcribed, Transcription, checked_integrator
+from greybox.modeling.integrators import Integrator, RungeKutta
 
 
 @dataclass(frozen=True)
 class SingleShooting(Transcription):
-    """The whole record simulated from its first sample: few unknowns, but nothing for an unstable plant.
+    """The whole record simulated from its first sample: few unknowns, but not for an unstable plant.
 
     Source: Schittkowski (2002), Numerical Data Fitting in Dynamical Systems, chapter 4.
 
     Parameters
     ----------
-    segment, integrator, hessian
+    segment, hessian
         See `Transcription`.
+    integrator : Integrator
+        `RungeKutta()` or, for stiff models, `Rosenbrock()`.
     """
 
+    integrator: Integrator = field(default_factory=RungeKutta)
     label: ClassVar[str] = "single shooting"
 
-    def transcribe(self, step: SampleStep, experiment: Experiment, q: ca.MX, data: Any) -> Transcribed:
+    def __post_init__(self) -> None:
+        """Check the options."""
+        super().__post_init__()
+        checked_integrator(self.integrator)
+
+    @property
+    def scheme(self) -> Integrator:
+        """The integrator."""
+        return self.integrator
+
+    def transcribe(self, step: SampleStep, data: SampledData, q: ca.MX, rows: Any) -> Transcribed:
         """Return the initial states; there are no equations."""
-        n, counts = step.function.size1_in(0), experiment.counts
-        initial = ca.MX.sym("initial", n, len(counts))
-        residuals, at = [], 0
+        counts = data.segment_counts
+        initial = ca.MX.sym("initial", step.function.size1_in(0), len(counts))
+        residuals = []
+        first = 0
         for k, count in enumerate(counts):
-            size = count * experiment.segment
-            follow = step.function.mapaccum("stretch", size)
-            residuals.append(follow(initial[:, k], q, data[:, at : at + size])[1])
-            at += size
-        first = (np.cumsum([0, *counts[:-1]]) * experiment.segment).tolist()
+            size = count * data.segment_length
+            residuals.append(step.folded(size)(initial[:, k], q, rows[:, first : first + size])[1])
+            first += size
+        starts = (np.cumsum([0, *counts[:-1]]) * data.segment_length).tolist()
         return Transcribed(
             unknowns=ca.vec(initial),
             residuals=ca.horzcat(*residuals),
             equations=ca.MX(0, 1),
             initial=initial,
-            start=lambda states: states[:, first].ravel(order="F"),
+            start=lambda states: states[:, starts].ravel(order="F"),
         )

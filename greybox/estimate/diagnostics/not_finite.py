@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.compiled.record_part import Path, Place, RecordPart
+from greybox.compiled.part import Trajectory
+from greybox.compiled.record_part import RecordPart
 from greybox.modeling.integrators import Rosenbrock
-from greybox.solve.ipopt import INVALID, Run
+from greybox.solve.ipopt import INVALID
 from greybox.solve.minima import Multistart
+from greybox.solve.outcome import Run
 
 Array = NDArray[np.float64]
 STATUS = "not finite at the start"
@@ -56,7 +58,7 @@ def _explained(nlp: Nlp, run: Run) -> Run:
 
 
 def _is_candidate(nlp: Nlp, run: Run) -> bool:
-    return bool(nlp.records) and not run.converged and run.status in (STATUS, INVALID)
+    return nlp.has_states and not run.converged and run.status in (STATUS, INVALID)
 
 
 def _values(nlp: Nlp, start: Array) -> str:
@@ -70,28 +72,30 @@ def _values(nlp: Nlp, start: Array) -> str:
 def _trouble(nlp: Nlp, start: Array) -> Trouble | None:
     """Return what is not finite at the start (p,), of the first record with which it is so."""
     z = nlp.scaling.to_solver(np.clip(start, nlp.lower, nlp.upper))
-    for part in nlp.records:
+    for part in nlp.record_parts:
         with np.errstate(all="ignore"):
-            place = part.place(z)
-            path = part.path(part.first_nodes(place), place)
-            if not path.finite:
-                return _located(part, place, path)
+            trajectory = part.initial_trajectory(z)
+            if not trajectory.finite:
+                return _located(part, trajectory)
     return None
 
 
-def _located(part: RecordPart, place: Place, path: Path) -> Trouble | None:
+def _located(part: RecordPart, trajectory: Trajectory) -> Trouble | None:
     """Look at the states to begin with, at what follows from them, and at the formulas along it."""
-    every, segment = np.arange(part.experiment.segments * part.experiment.segment), part.experiment.segment
-    diverged = not (np.all(np.isfinite(path.states)) and np.all(np.isfinite(path.end)))
-    found = _of_model(part, place, path, every[::segment])
-    return found or (_of_integration(part, place, path) if diverged else _of_model(part, place, path, every))
+    every, segment = np.arange(part.data.samples), part.data.segment_length
+    diverged = not (np.all(np.isfinite(trajectory.detail.states)) and np.all(np.isfinite(trajectory.ends)))
+    found = _of_model(part, trajectory, every[::segment])
+    return found or (_of_integration(part, trajectory) if diverged else _of_model(part, trajectory, every))
 
 
-def _of_model(part: RecordPart, place: Place, path: Path, samples: NDArray[np.integer]) -> Trouble | None:
+def _of_model(part: RecordPart, trajectory: Trajectory, samples: NDArray[np.integer]) -> Trouble | None:
     """Return the derivative or output that is not finite at one of the samples, if one is."""
-    x, data = (part.shooting.in_order(values)[:, samples] for values in (path.states, place.data))
-    _, mean, _, residual, _ = (value.full() for value in part.step.before(x, place.q, data))
-    p = place.q[: len(part.system.parameters)]
+    x, data = (
+        part.segments.in_order(values)[:, samples]
+        for values in (trajectory.detail.states, trajectory.detail.placed.data)
+    )
+    _, mean, _, residual, _ = (value.full() for value in part.step.measurement(x, trajectory.detail.placed.q, data))
+    p = trajectory.detail.placed.q[: len(part.system.parameters)]
     slopes = part.system.derivative(x, mean, p).full() if part.states else np.zeros((0, len(samples)))
     named = [(f"the derivative of {name}", row) for name, row in zip(part.system.states, slopes, strict=True)]
     named += [(f"the output {name}", row) for name, row in zip(part.outputs, residual, strict=True)]
@@ -106,16 +110,16 @@ def _of_model(part: RecordPart, place: Place, path: Path, samples: NDArray[np.in
     return Trouble(what, f"{what} is not finite at {when:.6g} s, where {where}", _elsewhere(part))
 
 
-def _of_integration(part: RecordPart, place: Place, path: Path) -> Trouble:
+def _of_integration(part: RecordPart, trajectory: Trajectory) -> Trouble:
     """Return the states that diverge between the samples, and whether the steps are too long for the model."""
-    within = part.shooting.in_order(path.states).T.reshape(len(path.end), -1, part.states)
-    lost = ~np.isfinite(np.concatenate([within, path.end[:, None]], axis=1))  # of every segment, samples and end
+    within = part.segments.in_order(trajectory.detail.states).T.reshape(len(trajectory.ends), -1, part.states)
+    lost = ~np.isfinite(np.concatenate([within, trajectory.ends[:, None]], axis=1))  # of every segment, samples and end
     segment, sample = (int(k) for k in np.argwhere(lost.any(axis=2))[0])
-    at = segment * part.experiment.segment + sample
+    at = segment * part.data.segment_length + sample
     names = " and ".join(name for name, row in zip(part.system.states, lost[segment, sample], strict=True) if row)
-    step, fastest = float(part.experiment.steps.min()), _fastest_decay(part, place, path)
+    step, fastest = float(part.data.steps.min()), _fastest_decay(part, trajectory)
     why = f"{names} {'are' if ' and ' in names else 'is'} no longer finite at {_time(part, at):.6g} s"
-    integrator = part.method.integrator
+    integrator = part.model.method.scheme
     if fastest * step / part.substeps > integrator.reach and not isinstance(integrator, Rosenbrock):
         return Trouble(
             f"{names}, stiff",
@@ -128,20 +132,20 @@ def _of_integration(part: RecordPart, place: Place, path: Path) -> Trouble:
 
 def _elsewhere(part: RecordPart) -> str:
     known = f", or give known states, initial={{{part.system.states[0]!r}: ...}}" if part.states else ""
-    return f"start elsewhere, or bound the parameters to where {part.part.model.label} has finite values{known}"
+    return f"start elsewhere, or bound the parameters to where {part.problem.model.label} has finite values{known}"
 
 
-def _fastest_decay(part: RecordPart, place: Place, path: Path) -> float:
+def _fastest_decay(part: RecordPart, trajectory: Trajectory) -> float:
     """Return the largest |pole| of those that decay, at the first states, rad/s; 0 where there is none."""
     if not part.states:
         return 0.0
     x, u, p = (ca.SX.sym("v", len(v)) for v in (part.system.states, part.system.inputs, part.system.parameters))
     slope = ca.Function("A", [x, u, p], [ca.densify(ca.jacobian(part.system.derivative(x, u, p), x))])
-    data = part.shooting.in_order(place.data)[:, :: part.experiment.segment]
-    some = np.unique(np.linspace(0, len(path.nodes) - 1, 20).astype(int)).tolist()
-    _, mean, *_ = part.step.before(path.nodes.T[:, some], place.q, data[:, some])
-    q, poles = place.q[: p.numel()], [0.0]
-    for k, nodes in enumerate(path.nodes[some]):
+    data = part.segments.in_order(trajectory.detail.placed.data)[:, :: part.data.segment_length]
+    some = np.unique(np.linspace(0, len(trajectory.nodes) - 1, 20).astype(int)).tolist()
+    _, mean, *_ = part.step.measurement(trajectory.nodes.T[:, some], trajectory.detail.placed.q, data[:, some])
+    q, poles = trajectory.detail.placed.q[: p.numel()], [0.0]
+    for k, nodes in enumerate(trajectory.nodes[some]):
         A = slope(nodes, mean[:, k], q).full()
         if np.all(np.isfinite(A)):
             poles += [abs(pole) for pole in np.linalg.eigvals(A) if pole.real < 0]
@@ -150,7 +154,7 @@ def _fastest_decay(part: RecordPart, place: Place, path: Path) -> float:
 
 def _time(part: RecordPart, column: int) -> float:
     """Return the time of a sample, counted over all segments."""
-    experiment, time = part.experiment, part.record.time
+    experiment, time = part.data, part.model.record.time
     times = [time[None, stretch.first + np.arange(len(stretch))] for stretch in experiment.stretches]
     padded = experiment.padded(times, None)[0]
     return float(padded[min(column, len(padded) - 1)])

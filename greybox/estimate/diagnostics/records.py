@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.compiled.kalman_gain import predictor
+from greybox.compiled.kalman_gain import kalman_gain
+from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.data.text_table import counted
 from greybox.estimate.result import FittedRecord
-from greybox.solve.gauss_newton.driver import Profile
 from greybox.statistics.noise_ratio import noise_ratio
 
 MASKED = 0.05  # share of the samples of a record from which their loss is told
@@ -25,28 +25,30 @@ CERTAIN = 5.0  # standard deviations of the correlation of white residuals, beyo
 HUGE = 1e6  # what is beyond is rounding: there is no noise
 
 
-def record_warnings(nlp: Nlp, records: Sequence[FittedRecord], profile: Profile | None) -> tuple[str, ...]:
-    """Return what a reader should know of the records (in the order of `nlp.records`) of an answer."""
-    pairs = list(zip(nlp.records, records, strict=True))
+def record_warnings(
+    nlp: Nlp, records: Sequence[FittedRecord], trajectories: Sequence[Trajectory | None]
+) -> tuple[str, ...]:
+    """Return what a reader should know of the records (in the order of `nlp.record_parts`) of an answer."""
+    pairs = list(zip(nlp.record_parts, records, strict=True))
     return (
         *(text for part, fitted in pairs for text in _unexplained(part, fitted, alone=len(pairs) == 1)),
         *_colored(pairs),
-        *_bounded(nlp, profile),
+        *_bounded(nlp, trajectories),
         *(text for part, _ in pairs for text in _masked(nlp, part)),
         *_resting(nlp),
-        *_weights([_Residuals.of(part, fitted) for part, fitted in pairs if part.noise.known is None]),
+        *_weights([_Residuals.of(part, fitted) for part, fitted in pairs if part.covariance.known is None]),
     )
 
 
 def _unexplained(part: RecordPart, fitted: FittedRecord, *, alone: bool) -> Iterator[str]:
-    if part.criterion.corrects_states:
+    if part.model.criterion.corrects_states:
         return
     for k, output in enumerate(fitted.outputs):
         percent = fitted.fit_percent(output)
         if not percent < LITTLE:
             continue
         name = output if alone else f"{output} in {fitted.name!r}"
-        found = noise_ratio([stretch.outputs[k] for stretch in part.experiment.stretches])
+        found = noise_ratio([stretch.outputs[k] for stretch in part.data.stretches])
         if found.noisy:
             yield (
                 f"{name} moves no more than noise does from sample to sample, and the model explains almost nothing of "
@@ -65,7 +67,7 @@ def _colored(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
     """Say where residuals are correlated in time more than the criterion bears."""
     measured, predicted = [], []
     for part, fitted in pairs:
-        by_output = not part.criterion.errors_are_white
+        by_output = not part.model.criterion.errors_are_white
         for output in fitted.outputs:
             value, count = _successive(fitted.residual(output))
             if abs(value) > max(COLORED if by_output else GREY, CERTAIN / math.sqrt(max(count, 1))):
@@ -85,12 +87,13 @@ def _colored(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
         )
 
 
-def _bounded(nlp: Nlp, profile: Profile | None) -> Iterator[str]:
+def _bounded(nlp: Nlp, trajectories: Sequence[Trajectory | None]) -> Iterator[str]:
     """Say where a predictor has come to the limit of stability."""
-    for part, path, place in zip(nlp.records, profile.paths, profile.places, strict=True) if profile else ():
-        found = predictor(part)
-        if found is not None and found.is_bounded(path, place):
-            where = "" if len(nlp.records) == 1 else f" of {part.record.name or part.part.name!r}"
+    for part, trajectory in zip(nlp.parts, trajectories, strict=True):
+        gain = kalman_gain(part)
+        if gain is not None and trajectory is not None and gain.is_at_limit(trajectory):
+            name = gain.part.model.record.name or part.problem.name
+            where = "" if len(nlp.record_parts) == 1 else f" of {name!r}"
             yield (
                 f"the predictor{where} ends at the limit of its stability: the data show no noise of a state that it "
                 "corrects, and the errors, which do not know of the limit, are too small; name fewer states in "
@@ -106,29 +109,29 @@ def _successive(error: NDArray[np.float64]) -> tuple[float, int]:
 
 def _masked(nlp: Nlp, part: RecordPart) -> Iterator[str]:
     """Tell of samples that were not compared since a delay that is estimated may reach before the record."""
-    lost, data, system = part.experiment.masked, part.record, part.system
+    lost, data, system = part.data.masked, part.model.record, part.system
     there = int(np.any([np.isfinite(data[name]) for name in part.outputs], axis=0).sum())
     p = ca.SX.sym("p", len(system.parameters))
     delay = system.delay(p)
     locals_ = [name for j, name in enumerate(system.parameters) if ca.depends_on(delay, p[j])]
-    names = [part.part.rename.get(name, name) for name in locals_]
+    names = [part.problem.rename.get(name, name) for name in locals_]
     if lost <= MASKED * there or not any(name in nlp.free or name not in nlp.names for name in names):
         return
-    known = part.part.parameters
+    known = part.problem.parameters
     bounds = [f"{name} (up to {known[name].bounds[1]:g} {known[name].unit})" for name in names if name in known]
     yield (
-        f"{lost} of {counted(there, 'sample')} of {data.name or part.part.name!r} were not compared, since the inputs "
-        f"move at the beginning and before it are not known for as long as the bounds let the delay be: lower the "
-        f"upper bound of {' and '.join(bounds) or ' and '.join(names)}, or begin the record where the inputs rest."
+        f"{lost} of {counted(there, 'sample')} of {data.name or part.problem.name!r} were not compared: the inputs "
+        "move at the beginning, and what they did before, for the largest delay the bounds allow, is not known; lower "
+        f"the upper bound of {' and '.join(bounds) or ' and '.join(names)}, or begin the record where the inputs rest."
     )
 
 
 def _resting(nlp: Nlp) -> Iterator[str]:
     """Say that nothing was excited, where that holds for all data."""
-    if not nlp.records or nlp.responding or not all(part.experiment.resting for part in nlp.records):
+    if not nlp.has_states or nlp.response_parts or not all(p.data.constant_inputs for p in nlp.record_parts):
         return
-    inputs = dict.fromkeys(name for part in nlp.records for name in part.system.inputs)
-    which = "the record" if len(nlp.records) == 1 else "any record"
+    inputs = dict.fromkeys(name for part in nlp.record_parts for name in part.system.inputs)
+    which = "the record" if len(nlp.record_parts) == 1 else "any record"
     yield (
         f"the inputs never move in {which} ({', '.join(inputs)}): only the movement from the initial state tells of "
         "the model."
@@ -150,7 +153,7 @@ class _Residuals:
         return cls(
             fitted.data.name or fitted.name,
             dict(zip(names, deviation, strict=True)),
-            dict(zip(names, part.noise.counts.tolist(), strict=True)),
+            dict(zip(names, part.covariance.counts.tolist(), strict=True)),
         )
 
 

@@ -1,114 +1,92 @@
-"""Gauss-Newton steps for problems in time, alone or together with frequency responses.
-
-Every iteration linearizes all records at their nodes, eliminates the nodes and solves a small quadratic program for the
-parameters, within bounds and constraints. Far from the answer continuity is not demanded but weighted (the nodes stay
-close to the data, so that an unstable or wrong model does not run away), and then more and more until it holds exactly.
-Where Newton steps cannot close what is left, the records are simulated from their first states instead, and predictors,
-which forget them, always are. Of a long record, some stretches lead to the neighborhood of the answer before all of it
-is used.
-"""
+"""The iteration: from a start to a minimum of one compiled problem, see `greybox.solve.gauss_newton`."""
 
 import math
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.compiled.kalman_gain import predictor
-from greybox.compiled.record_part import Path, Place, RecordPart
-from greybox.compiled.sensitivities import Blocks
+from greybox.compiled.part import Part, Trajectory
+from greybox.compiled.strategies import Strategies
 from greybox.solve.constraints import Limits
-from greybox.solve.gauss_newton.evaluation import Points
-from greybox.solve.gauss_newton.iterate import (
-    LAST,
-    SETTLED,
-    SHORT,
-    TIGHTEN,
-    Move,
-    Point,
-    Progress,
-    held_back,
-    largest_multiplier,
-    next_damping,
-    promised,
-)
-from greybox.solve.gauss_newton.predictors import are_stable, best_gains, followed, within
-from greybox.solve.ipopt import SMOOTHING, Outcome
-from greybox.solve.quadratic_program import solve_small_qp
+from greybox.solve.gauss_newton.all_parts import AllParts
+from greybox.solve.gauss_newton.damping import after_failure, next_damping
+from greybox.solve.gauss_newton.homotopy import Progress
+from greybox.solve.gauss_newton.iterate import Iterate, Nodes, Step
+from greybox.solve.gauss_newton.line_search import line_search
+from greybox.solve.gauss_newton.merit import merit_function
+from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
+from greybox.solve.gauss_newton.stability import are_stable, best_gains, simulate_stable
+from greybox.solve.outcome import Outcome
 
 Array = NDArray[np.float64]
-SPREAD = 0.1  # of a signal's spread: the output error assumed until continuity holds
-LOOSE = 3.0  # first standard deviation of continuity, relative to the size of the states
-ITERATIONS = 100
-SHORTEST, SHRINK = 1e-3, 0.4  # step, as a share of the whole, that is tried; and what the next is of the last
-BLOCKED = 1e2  # damping from which steps may be blocked by a jump of the cost
-STUBBORN = 1e6  # damping beyond which nothing is tried any more
-PREDICTING = 0.5  # scale of continuity below which predictors alone are followed
-BRIEF = 0.1  # of a step: where less is taken before, predictors had better be followed at once
-TOLERANCE = 1e-8  # of half a step's length squared, in standard errors, and of the decrease of the cost
-ROUNDING = 1e-9  # of the cost
-STILL = 1e-10  # curvature by which a parameter that changes nothing keeps its value
-UNNOTICED = 0.1  # of the cost
-NEAR = 1.0  # decrease of the cost below which the estimated noise is known to follow the parameters
-LONG = 20000  # samples from which some stretches go before the whole record
-DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")  # trial steps may, and are then shortened
+
+# Trial steps may overflow; they are then shortened.
+DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")
+
+# Iterations of the nodes alone that smooth the states for another solver to begin with.
+SMOOTHING_ITERATIONS = 3
+
+# A step of up to a thousand times the tolerance that no line search can take any more is rounding of the merit.
+ROUNDED = 1e3
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """The best states of every record at given parameters: those of the smallest cost with exact continuity."""
+    """The best nodes of every part at given parameters: those of the smallest cost with exact continuity."""
 
     z: Array
-    places: tuple[Place, ...]
-    paths: tuple[Path, ...]
+    trajectories: tuple[Trajectory, ...]
     cost: float
     converged: bool
 
 
 class GaussNewton:
-    """The solver of one compiled problem that has records."""
+    """The solver of one compiled problem that has records, built once for all starts."""
 
-    def __init__(self, nlp: Nlp, records: tuple[RecordPart, ...] | None = None) -> None:
-        """Build what every run shares; `records` stand in for those of the problem."""
+    def __init__(self, nlp: Nlp, parts: tuple[Part, ...] | None = None) -> None:
+        """Build what every run shares; `parts` stand in for those of the problem."""
         self._nlp = nlp
-        self._records: tuple[RecordPart, ...] = records or nlp.records
-        self._weights = [part.part.weight for part in self._records]
-        self._predictors = [predictor(part) for part in self._records]
-        added = {name for p in self._predictors if p is not None for name in p.names}
-        self._gains = np.array([name in added for name in nlp.free])
-        jumping = {name for part in self._records for name in part.jumping}
-        self._jumping = np.array([name in jumping for name in nlp.free])
-        z, s = nlp.expressions["x"], nlp.expressions["p"]
-        f, g = nlp.expressions["f"], nlp.expressions["g"]
-        self._smooth = ca.Function("f", [z, s], [f])
-        self._curvature = ca.Function("curvature", [z, s], [*reversed(ca.hessian(f, z))])
-        constraints = ca.Function("constraints", [z], [g, ca.densify(ca.jacobian(g, z))])
-        self._limits = Limits(nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper), constraints)
-        self._points = Points(self._records, lambda z, smoothing: float(self._smooth(z, smoothing)), self._limits)
-        samples = sum(part.experiment.measured.shape[1] for part in self._records)
-        thinned = tuple(part.thinned(LONG // 2) for part in self._records) if samples > LONG else None
-        self._coarse = GaussNewton(nlp, thinned) if thinned and records is None else None
+        self._settings: Strategies = nlp.strategies
+        self._limits = _limits(nlp)
+        self._parts = AllParts(parts or nlp.parts, self._limits, self._settings)
+        gains = [gain for gain in self._parts.gains if gain is not None]
+        self._all_predict = len(gains) == sum(part.has_states for part in self._parts.parts)
+        entries = {name for gain in gains for name in gain.names}
+        self._is_gain = np.array([name in entries for name in nlp.free])
+        jumping = {name for part in self._parts.parts for name in part.discontinuous_delays}
+        self._is_discontinuous = np.array([name in jumping for name in nlp.free])
+        self._coarse = self._on_excerpts() if parts is None else None
+
+    def _on_excerpts(self) -> "GaussNewton | None":
+        """Return the solver on excerpts of long records, which lead to the neighborhood of the minimum."""
+        settings = self._settings
+        samples = sum(part.data.samples for part in self._nlp.record_parts)
+        if samples <= settings.long_record or not settings.stretches_first:
+            return None
+        excerpts = {id(part): part.excerpt(settings.long_record // 2) for part in self._nlp.record_parts}
+        return GaussNewton(self._nlp, tuple(excerpts.get(id(part), part) for part in self._nlp.parts))
+
+    # --- runs ---------------------------------------------------------------------------------------------------------
 
     @DIVERGING
-    def run(self, start: Array, iterations: int = ITERATIONS) -> Outcome:
+    def run(self, start: Array, iterations: int | None = None) -> Outcome:
         """Solve from the parameters `start` (p,) in so many `iterations`."""
         began = time.perf_counter()
-        z, before = self._limits.nearest(self._nlp.scaling.to_solver(start)), 0
+        z = self._limits.nearest(self._nlp.scaling.to_solver(start))
+        before = 0
         if self._coarse is not None:
             first = self._coarse.run(start, iterations)
             z, before = self._nlp.scaling.to_solver(first.estimate), first.iterations
-        return self._solved(
-            self._points.near_data(z), Progress(near=self._coarse is not None), iterations, before, began
-        )
+        progress = Progress(self._settings, near_solution=self._coarse is not None)
+        outcome = self._solve(self._parts.from_data(z), progress, iterations)
+        return replace(outcome, iterations=before + outcome.iterations, seconds=time.perf_counter() - began)
 
     @DIVERGING
-    def run_simulated(
-        self, start: Array, nodes: Sequence[Array] | None = None, iterations: int = ITERATIONS
-    ) -> Outcome | None:
+    def run_simulated(self, start: Array, nodes: Nodes | None = None, iterations: int | None = None) -> Outcome | None:
         """Solve from a simulation at the parameters `start` (p,); None where it diverges.
 
         It begins with the first of the `nodes` of every stretch, those that the data show by default. Limits that a
@@ -116,286 +94,272 @@ class GaussNewton:
         """
         began = time.perf_counter()
         z = self._limits.nearest(self._nlp.scaling.to_solver(start))
-        first = self._points.near_data(z) if nodes is None else self._points.at(z, nodes)
-        point = self._points.simulated(*first.origin) if first.finite else first
-        if not self._points.stays(point) or not are_stable(self._predictors, point):
+        first = self._parts.from_data(z) if nodes is None else self._parts.at(z, nodes)
+        iterate = self._parts.simulated(first.z, first.nodes) if first.finite else first
+        if not self._parts.stays_near_data(iterate) or not are_stable(self._parts, iterate):
             return None
-        return self._solved(point, Progress(patience=0, scale=0.0), iterations, 0, began)
+        outcome = self._solve(iterate, Progress.exact(self._settings), iterations)
+        return replace(outcome, seconds=time.perf_counter() - began)
 
-    def _solved(self, point: Point, at: Progress, iterations: int, before: int, began: float) -> Outcome:
-        start = point
+    def _solve(self, iterate: Iterate, progress: Progress, iterations: int | None) -> Outcome:
+        nlp = self._nlp
         try:
-            point, status, last = self._descend(point, at, frozen=False, iterations=iterations)
+            iterate, status, count = self._descend(
+                iterate, progress, iterations or self._settings.max_iterations, states_only=False
+            )
         except np.linalg.LinAlgError:
-            x = self._nlp.scaling.to_parameters(start.z)
-            return Outcome(x, "singular", before, time.perf_counter() - began, False, math.inf)
-        estimate = np.clip(self._nlp.scaling.to_parameters(point.z), self._nlp.lower, self._nlp.upper)
-        cost = self._points.cost(point, 0.0)
-        if status == "converged" and self._limits.missed(point.z) > 0:
-            status = "constraints missed"
-        if status == "converged" and not are_stable(self._predictors, point):
+            return Outcome(nlp.scaling.to_parameters(iterate.z), "singular", 0, 0.0, False, math.inf)
+        estimate = np.clip(nlp.scaling.to_parameters(iterate.z), nlp.lower, nlp.upper)
+        cost = self._parts.cost(iterate, 0.0)
+        if status == "converged" and self._limits.violation(iterate.z) > 0:
+            status = "constraints violated"
+        if status == "converged" and not are_stable(self._parts, iterate):
             status = "unstable predictor"
         converged = status == "converged" and math.isfinite(cost)
-        nodes = tuple(path.nodes for path in point.paths)
-        seconds = time.perf_counter() - began
-        return Outcome(estimate, status, before + last, seconds, converged, cost, self._points.trace(point), nodes)
+        signature, nodes = self._parts.signature(iterate), tuple(iterate.nodes)
+        return Outcome(estimate, status, count, 0.0, converged, cost, signature, nodes)
 
     @DIVERGING
-    def begins(self, start: Array) -> bool:
+    def is_finite_at(self, start: Array) -> bool:
         """Tell whether the model is finite at the parameters `start` (p,), near the data."""
         if self._coarse is not None:
-            return self._coarse.begins(start)
+            return self._coarse.is_finite_at(start)
         z = self._limits.nearest(self._nlp.scaling.to_solver(start))
-        return self._points.near_data(z).finite
+        return self._parts.from_data(z).finite
+
+    # --- at given parameters ------------------------------------------------------------------------------------------
 
     @DIVERGING
-    def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
-        """Return the best states at the parameters x (p,); `nodes`, if given, are known to be the best."""
+    def profile(self, x: Array, nodes: Nodes | None = None) -> Profile:
+        """Return the best nodes at the parameters x (p,); `nodes`, if given, are known to be the best."""
         z = self._nlp.scaling.to_solver(x)
         status = "converged"
         if nodes is not None:
-            point = self._points.at(z, nodes)
+            iterate = self._parts.at(z, nodes)
         else:
+            iterate = self._parts.from_data(z)
             try:
-                point, status, _ = self._descend(self._points.near_data(z), Progress(), frozen=True)
+                iterate, status, _ = self._descend(
+                    iterate, Progress(self._settings), self._settings.max_iterations, states_only=True
+                )
             except np.linalg.LinAlgError:
-                point, status = self._points.at(z, self._rest(math.nan)), "singular"
-        found = status == "converged" and are_stable(self._predictors, point)
-        return Profile(z, point.places, point.paths, self._points.cost(point, 0.0), found)
+                status = "singular"
+        found = status == "converged" and are_stable(self._parts, iterate)
+        return Profile(z, iterate.trajectories, self._parts.cost(iterate, 0.0), found)
+
+    def signature(self, x: Array) -> Array | None:
+        """Return what `Outcome.signature` holds, at the best nodes for x (p,); None where there are none."""
+        found = self.profile(x)
+        return self._parts.signature(Iterate(found.z, found.trajectories)) if found.converged else None
 
     @DIVERGING
-    def smoothed(self, z: Array) -> tuple[list[Array] | None, list[Array]]:
-        """Return states (n, samples) close to the data at z, None where they diverge; and weights to begin with."""
-        point = self._points.near_data(z)
-        assumed = [np.diag(1 / (SPREAD * part.noise.spread)) for part in self._records]
-        at = Progress()
+    def smoothed(self, z: Array) -> Iterate | None:
+        """Return an iterate at z with nodes close to the data and nearly continuous; None where the model diverges."""
+        iterate = self._parts.from_data(z)
+        weights = self._parts.initial_weights()
+        progress = Progress(self._settings)
+        progress.gap_scale = 1.0
+        if not iterate.finite:
+            return None
         try:
-            for k in range(3 if point.finite else 0):
-                blocks = self._points.linearized(point, assumed)
+            for k in range(SMOOTHING_ITERATIONS):
+                linearizations = self._parts.linearize(iterate, weights)
                 if k == 0:
-                    at.begin(point, self._soft(blocks))
-                point = self._points.moved(point, self._move(point, blocks, at, still=True), 1.0)
+                    progress.begin(iterate, self._parts.gap_variances(linearizations))
+                step = self._step(iterate, linearizations, progress, states_only=True)
+                iterate = self._parts.moved(iterate, step, 1.0)
         except np.linalg.LinAlgError:
-            return None, assumed
-        if not point.finite:
-            return None, assumed
-        return [
-            part.shooting.in_order(path.states) for part, path in zip(self._records, point.paths, strict=True)
-        ], assumed
+            return None
+        return iterate if iterate.finite else None
 
     @DIVERGING
-    def flat(self, x: Array, nodes: Sequence[Array], factor: float) -> list[Array]:
+    def flat_directions(self, x: Array, nodes: Nodes, factor: float) -> list[Array]:
         """Return directions (p,) of the solver's variables along which a change by `factor` would not be noticed."""
-        z = self._nlp.scaling.to_solver(x)
-        point = self._points.at(z, nodes)
+        iterate = self._parts.at(self._nlp.scaling.to_solver(x), nodes)
         try:
-            blocks = self._points.linearized(point, self._points.noise_weights(point))
-            at = Progress(patience=0, scale=0.0)
-            at.begin(point, self._soft(blocks))
-            hessian = self._move(point, blocks, at, still=False).hessian
+            linearizations = self._parts.linearize(iterate, self._parts.residual_weights(iterate))
+            progress = Progress.exact(self._settings)
+            progress.begin(iterate, self._parts.gap_variances(linearizations))
+            hessian = self._step(iterate, linearizations, progress, states_only=False).hessian
         except np.linalg.LinAlgError:
             return []
         values, vectors = np.linalg.eigh(hessian)
-        unnoticed = values / np.abs(vectors).max(axis=0) ** 2 * math.log(factor) ** 2 / 2 < UNNOTICED
-        return [v / np.abs(v).max() * math.log(factor) for v in vectors.T[unnoticed]]
+        change = values / np.abs(vectors).max(axis=0) ** 2 * math.log(factor) ** 2 / 2
+        flat = change < self._settings.flat_cost
+        return [v / np.abs(v).max() * math.log(factor) for v in vectors.T[flat]]
 
-    def trace(self, x: Array) -> Array | None:
-        """Return what `Outcome.trace` holds, at the best states for x (p,); None where there are none."""
-        found = self.profile(x)
-        point = Point(self._nlp.scaling.to_solver(x), found.places, found.paths)
-        return self._points.trace(point) if found.converged else None
-
-    def _rest(self, value: float) -> list[Array]:
-        return [np.full((part.experiment.segments, part.states), value) for part in self._records]
+    # --- the iteration ------------------------------------------------------------------------------------------------
 
     def _descend(
-        self, point: Point, at: Progress, frozen: bool, iterations: int = ITERATIONS, again: bool = False
-    ) -> tuple[Point, str, int]:
-        """Iterate from a point; with `frozen` the states alone."""
-        if not point.finite:
-            return point, "not finite at the start", 0
-        assumed = [np.diag(1 / (SPREAD * part.noise.spread)) for part in self._records]
-        blocks = self._points.linearized(point, assumed)
-        at.begin(point, self._soft(blocks))
-        at.least = PREDICTING if all(self._predictors) else at.least
-        end, status, count = self._iterate(point, None if at.exact else blocks, at, assumed, frozen, iterations)
-        if status != "stalled" or frozen or again:
+        self, iterate: Iterate, progress: Progress, iterations: int, *, states_only: bool, restarted: bool = False
+    ) -> tuple[Iterate, str, int]:
+        """Iterate from a start; a stalled run begins once more near the data, with the parameters that it found."""
+        if not iterate.finite:
+            return iterate, "not finite at the start", 0
+        linearizations = self._parts.linearize(iterate, self._parts.initial_weights())
+        progress.begin(iterate, self._parts.gap_variances(linearizations))
+        if self._all_predict and self._settings.early_prediction:
+            progress.last_scale = self._settings.prediction_gap
+        first = None if progress.is_exact else linearizations
+        end, status, count = self._iterate(iterate, first, progress, iterations, states_only=states_only)
+        if status != "stalled" or states_only or restarted or not self._settings.restart_near_data:
             return end, status, count
-        left = iterations - count  # the parameters that were found may do with nodes that are closer to the data
-        later, status, more = self._descend(self._points.near_data(end.z), Progress(), frozen, left, again=True)
+
+        again = self._parts.from_data(end.z)
+        later, status, more = self._descend(
+            again, Progress(self._settings), iterations - count, states_only=False, restarted=True
+        )
         return (later, status, count + more) if status == "converged" else (end, "stalled", count + more)
 
     def _iterate(
-        self,
-        point: Point,
-        blocks: list[Blocks] | None,
-        at: Progress,
-        assumed: Sequence[Array],
-        frozen: bool,
-        iterations: int,
-    ) -> tuple[Point, str, int]:
+        self, iterate: Iterate, linearizations: list | None, progress: Progress, iterations: int, *, states_only: bool
+    ) -> tuple[Iterate, str, int]:
+        settings, parts = self._settings, self._parts
+        initial_weights = parts.initial_weights()
         for iteration in range(iterations):
-            weights = self._points.noise_weights(point) if at.exact else assumed
-            move = self._move(
-                point, blocks or self._points.linearized(point, weights, at.last < NEAR), at, frozen or at.patience > 0
-            )
-            blocks = None
-            merit = self._merit(weights, at)
-            before = merit(point)
-            settled = self._is_settled(point, move, before, at)
-            if settled and move.distance <= TOLERANCE:
-                return point, "converged", iteration
-            trial, length = self._search(point, move, merit, before, at)
-            if trial is None and settled and move.distance <= 1e3 * TOLERANCE:
-                return point, "converged", iteration
-            if trial is None and at.damping <= STUBBORN:
-                at.damping = max(100 * at.damping, 1e-2)
+            weights = parts.residual_weights(iterate) if progress.is_exact else initial_weights
+            if linearizations is None:
+                near = progress.last_decrease < settings.covariance_decrease and settings.covariance_curvature
+                linearizations = parts.linearize(iterate, weights, covariance_curvature=near)
+            alone = states_only or progress.state_iterations > 0
+            step = self._step(iterate, linearizations, progress, states_only=alone)
+            linearizations = None
+
+            merit = merit_function(parts, weights, progress)
+            before = merit(iterate)
+            settled = self._is_settled(iterate, step, before, progress)
+            if settled and step.distance <= settings.tolerance:
+                return iterate, "converged", iteration
+            trial, length = line_search(parts, iterate, step, merit, before, progress)
+            if trial is None and settled and step.distance <= ROUNDED * settings.tolerance:
+                return iterate, "converged", iteration
+            recovered = self._recover(iterate, trial, length, progress)
+            if recovered is not None:
+                iterate = recovered
                 continue
-            if length < SHORT and (simulated := self._simulated(point, at)):
-                point = simulated
-                continue
-            if at.damping >= BLOCKED and self._jumping.any() and at.hold():
-                continue
-            if at.exact and (trial is None or at.damping > STUBBORN):
-                return point, "stalled", iteration
+            if progress.is_exact and (trial is None or progress.damping > settings.largest_damping):
+                return iterate, "stalled", iteration
+
             gained = 0.0 if trial is None else before - merit(trial)
-            point = trial or point
-            at.damping = next_damping(at.damping, length, gained / move.predicted if move.predicted > 0 else 1.0)
-            if not at.exact:
-                point = self._tightened(point, move, at, gained, length, before, frozen)
+            iterate = trial or iterate
+            ratio = gained / step.decrease if step.decrease > 0 else 1.0
+            progress.damping = next_damping(settings, progress.damping, length, ratio)
+            if not progress.is_exact:
+                iterate = self._tighten(iterate, step, progress, gained, length, before, states_only=states_only)
                 continue
-            point = followed(self._predictors, point)
-            if self._has_converged(point, move, at, length):
-                return point, "converged", iteration + 1
-        return point, "iterations exceeded", iterations
+            iterate = self._simulate_predictors(iterate)
+            if self._has_converged(iterate, step, progress, length):
+                return iterate, "converged", iteration + 1
+        return iterate, "iterations exceeded", iterations
 
-    def _is_settled(self, point: Point, move: Move, before: float, at: Progress) -> bool:
+    def _recover(self, iterate: Iterate, trial: Iterate | None, length: float, progress: Progress) -> Iterate | None:
+        """Return where to go on after a line search that made no progress; None where its step stands."""
+        settings = self._settings
+        if trial is None and progress.damping <= settings.largest_damping:
+            progress.damping = after_failure(settings, progress.damping)
+            return iterate
+        if length < settings.short_step:
+            simulated = self._simulate_instead(progress)
+            if simulated is not None:
+                return simulated
+        if self._may_hold_delays(progress) and progress.hold_delays():
+            return iterate
+        return None
+
+    def _step(self, iterate: Iterate, linearizations: list, progress: Progress, *, states_only: bool) -> Step:
+        """Return the step; gains move where continuity is exact, held delays do not move at all."""
+        held = np.zeros(len(iterate.z), dtype=bool)
+        if not progress.is_exact and self._settings.held_gains:
+            held |= self._is_gain
+        if progress.delays_held:
+            held |= self._is_discontinuous
+        return gauss_newton_step(self._parts, iterate, linearizations, progress, held=held, states_only=states_only)
+
+    def _is_settled(self, iterate: Iterate, step: Step, before: float, progress: Progress) -> bool:
         """Tell whether little is left to gain, also by a step that is not damped."""
-        small = max(TOLERANCE, ROUNDING * abs(before))
-        return at.exact and (1 + at.damping) * move.predicted <= small and self._points.is_continuous(point)
+        settings = self._settings
+        small = max(settings.tolerance, settings.cost_rounding * abs(before))
+        little = (1 + progress.damping) * step.decrease <= small
+        return progress.is_exact and little and self._parts.is_continuous(iterate)
 
-    def _tightened(
-        self, point: Point, move: Move, at: Progress, gained: float, length: float, before: float, frozen: bool
-    ) -> Point:
+    def _tighten(
+        self,
+        iterate: Iterate,
+        step: Step,
+        progress: Progress,
+        gained: float,
+        length: float,
+        before: float,
+        *,
+        states_only: bool,
+    ) -> Iterate:
         """Demand more continuity where it is time; gains are chosen once it is exact."""
-        done = move.predicted <= SETTLED * abs(before) or length == 0
-        at.damping = at.damping if length else 0.0
-        at.stepped(point, move.predicted, gained, length, done or (all(self._predictors) and length < BRIEF))
-        if not at.exact:
-            return point
-        return followed(self._predictors, point if frozen else self._with_gains(point, at))
+        settings = self._settings
+        done = step.decrease <= settings.kept_promise * abs(before) or length == 0
+        if self._all_predict and settings.early_prediction:
+            done = done or length < settings.brief_step
+        if not length:
+            progress.damping = 0.0
+        progress.stepped(iterate, step, gained, length, done=done)
+        if not progress.is_exact:
+            return iterate
+        return self._simulate_predictors(iterate if states_only else self._with_gains(iterate, progress))
 
-    def _has_converged(self, point: Point, move: Move, at: Progress, length: float) -> bool:
-        """Tell whether the step to `point` was the last: at worst, the next decrease follows from the last two."""
-        if length < 1 or at.damping:
-            at.last = math.nan
+    def _has_converged(self, iterate: Iterate, step: Step, progress: Progress, length: float) -> bool:
+        """Tell whether the step to `iterate` was the last: at worst, the next decrease follows from the last two."""
+        if length < 1 or progress.damping:
+            progress.last_decrease = math.nan
             return False
-        predicted = max(move.predicted, move.distance)
-        following = predicted**2 / at.last if predicted < at.last < 1 else math.inf
-        at.last = predicted
-        return following <= TOLERANCE and self._points.is_continuous(point)
+        decrease, last = max(step.decrease, step.distance), progress.last_decrease
+        following = decrease**2 / last if decrease < last < 1 else math.inf
+        progress.last_decrease = decrease
+        if not self._settings.extrapolated_convergence:
+            return False
+        return following <= self._settings.tolerance and self._parts.is_continuous(iterate)
 
-    def _soft(self, blocks: Sequence[Blocks]) -> list[Array]:
-        """Return the variances by which states must change to change the outputs of a segment by their spread."""
-        variances = []
-        for part, block in zip(self._records, blocks, strict=True):
-            seen = np.nan_to_num(np.mean(block.corner.diagonal(axis1=1, axis2=2), axis=0))
-            signal = part.experiment.segment * len(part.outputs) / SPREAD**2
-            # A state that no output shows has no such scale: any will do.
-            variances.append(np.where(seen > 1e-200, LOOSE**2 * signal / np.maximum(seen, 1e-200), 1.0))
-        return variances
-
-    def _search(
-        self, point: Point, move: Move, merit: Callable[[Point], float], before: float, at: Progress
-    ) -> tuple[Point | None, float]:
-        """Shorten the step until the merit does not grow (None where no step does), gaps closed where that helps."""
-        length, enough = 1.0, before + ROUNDING * max(1.0, abs(before))
-        while length > SHORTEST:
-            trial = self._points.moved(point, move, length)
-            if merit(trial) <= enough:
-                return trial, length
-            if at.exact:
-                trial = self._points.closed(trial, move, at.force, 0.01 * length * move.predicted)
-                if merit(trial) <= enough:
-                    return trial, length
-            length *= SHRINK
-        return None, 0.0
-
-    def _simulated(self, point: Point, at: Progress) -> Point | None:
+    def _simulate_instead(self, progress: Progress) -> Iterate | None:
         """Return the best simulation where Newton steps do not close the gaps, None where it diverges.
 
-        From here on every trial is simulated from its first nodes: a path that a stable model always has.
+        From here on every trial is simulated from its first nodes: a trajectory that a stable model always has.
         """
-        if at.loose is None or at.start is None:
+        if not self._settings.simulation_fallback or progress.homotopy_end is None or progress.start is None:
             return None
-        best = min((self._points.simulated(*origin) for origin in (at.loose, at.start)), key=self._points.cost)
-        at.loose = None
-        if not self._points.stays(best) or not are_stable(self._predictors, best):
+        origins = (progress.homotopy_end, progress.start)
+        best = min((self._parts.simulated(*origin) for origin in origins), key=self._parts.cost)
+        progress.homotopy_end = None
+        if not self._parts.stays_near_data(best) or not are_stable(self._parts, best):
             return None
-        at.damping, at.last = 0.0, math.nan
-        at.force = [np.zeros_like(f) for f in at.force]
+        progress.damping = 0.0
+        progress.last_decrease = math.nan
+        progress.multipliers = [np.zeros_like(m) for m in progress.multipliers]
         return best
 
-    def _with_gains(self, point: Point, at: Progress) -> Point:
-        """Return the point with gains to begin with; without stable ones, continuity is tightened more slowly."""
-        if not self._gains.any():
-            return point
-        z = best_gains(self._predictors, self._weights, point, at.soft, self._limits.clipped)
-        point = self._points.at(z, [path.nodes for path in point.paths])
-        if at.least == PREDICTING and not are_stable(self._predictors, point):
-            at.scale, at.least = TIGHTEN, LAST  # as without a predictor: the model alone leads to the neighborhood
-        return point
+    def _simulate_predictors(self, iterate: Iterate) -> Iterate:
+        return simulate_stable(self._parts, iterate) if self._settings.simulated_predictors else iterate
 
-    def _move(self, point: Point, blocks: Sequence[Blocks], at: Progress, still: bool) -> Move:
-        """Return the step of nodes and z; with `still` of the nodes alone. Gains move where continuity is exact."""
-        p, soft = len(point.z), at.softness
-        reduced, promise = [], 0.0
-        hessian, gradient = np.zeros((p, p)), np.zeros(p)
-        for k, part in enumerate(self._records):
-            gaps = point.paths[k].gaps
-            r = part.reduce(blocks[k], point.places[k], gaps, soft[k], at.damping)
-            reduced.append(r)
-            hessian, gradient = hessian + self._weights[k] * r.hessian, gradient + self._weights[k] * r.gradient
-            promise += self._weights[k] * promised(blocks[k], r, gaps, soft[k])
-        if still:
-            return at.aimed(Move(blocks, reduced, np.zeros(p), promise, 0.0, hessian))
-        g, H = (value.full() for value in self._curvature(point.z, SMOOTHING))
-        values, vectors = np.linalg.eigh((H + H.T) / 2)
-        hessian, gradient = hessian + (vectors * np.abs(values)) @ vectors.T, gradient + g.ravel()
-        damped = hessian + at.damping * np.diag(np.diag(hessian)) + STILL * np.eye(p)
-        kept = np.zeros(p, dtype=bool) if at.exact else self._gains
-        rows, limits = self._limits.around(point.z, kept | self._jumping if at.held else kept)
-        dz = solve_small_qp(damped, gradient, rows, limits)
-        inside, left = within(self._predictors, point, dz)
-        if len(left):
-            rows, limits = np.vstack([rows, inside]), np.concatenate([limits, left])
-            dz = solve_small_qp(damped, gradient, rows, limits)
-        at.penalty = max(at.penalty, 1.2 * largest_multiplier(damped @ dz + gradient, rows, rows @ dz - limits))
-        half = 0.5 * float(dz @ hessian @ dz)
-        promise += at.penalty * self._limits.missed(point.z) - float(gradient @ dz) - half
-        promise += sum(w * held_back(r, dz) for w, r in zip(self._weights, reduced, strict=True))
-        return at.aimed(Move(blocks, reduced, dz, promise, half, hessian))
+    def _may_hold_delays(self, progress: Progress) -> bool:
+        settings = self._settings
+        blocked = progress.damping >= settings.blocked_damping
+        return settings.held_discontinuous_delays and blocked and bool(self._is_discontinuous.any())
 
-    def _merit(self, weights: Sequence[Array], at: Progress) -> Callable[[Point], float]:
-        """Return what a step must not increase: the cost and the gaps, absolute where continuity is exact."""
-        soft = at.softness
+    def _with_gains(self, iterate: Iterate, progress: Progress) -> Iterate:
+        """Return the iterate with gains to begin with; without stable ones, continuity is tightened more slowly."""
+        if not self._is_gain.any():
+            return iterate
+        settings = self._settings
+        z = iterate.z
+        if settings.riccati_gains:
+            z = best_gains(self._parts, iterate, progress.gap_variance)
+        iterate = self._parts.at(z, iterate.nodes)
+        if progress.last_scale == settings.prediction_gap and not are_stable(self._parts, iterate):
+            # As without a predictor: the model alone leads to the neighborhood.
+            progress.gap_scale = settings.gap_reduction
+            progress.last_scale = settings.last_gap
+        return iterate
 
-        def missed(point: Point) -> float:
-            return at.penalty * self._limits.missed(point.z)
 
-        def exactly(point: Point) -> float:
-            if not point.finite or not are_stable(self._predictors, point, followed=True):
-                return math.inf
-            return self._points.cost(point) + self._points.gap_cost(point, at.force) + missed(point)
-
-        def softly(point: Point) -> float:
-            if not point.finite:
-                return math.inf
-            total = float(self._smooth(point.z, SMOOTHING)) + missed(point)
-            for k, path in enumerate(point.paths):
-                squares = float(np.trace(weights[k] @ path.products @ weights[k].T))
-                squares += float((path.gaps**2 / soft[k]).sum())
-                total += self._weights[k] * squares / 2
-            return total
-
-        return exactly if at.exact else softly
+def _limits(nlp: Nlp) -> Limits:
+    """Return the bounds and constraints in the solver's variables."""
+    z, g = nlp.expressions["x"], nlp.expressions["g"]
+    constraints = ca.Function("constraints", [z], [g, ca.densify(ca.jacobian(g, z))])
+    return Limits(nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper), constraints)

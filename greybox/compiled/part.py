@@ -1,0 +1,252 @@
+"""The interface that every part of a compiled problem answers: a frequency response, or a record.
+
+A solver sees the unknowns of all parts as one vector z (p,), scaled. A record has hidden unknowns besides: the states
+at the beginning of its segments, its *nodes*. They belong to the part, which eliminates them from its linearization
+(condensing), so that a solver adds up Hessians and gradients in z whatever the data are. A frequency response has none:
+all its arrays over nodes are empty.
+
+What asks: the Gauss-Newton driver (`initial_trajectory` to `step_nodes`), IPOPT (`transcribe`), the grouping of minima
+(`signature`), the covariance of the estimate (`information`), the diagnostics (the properties at the end).
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.formulation.problem import Problem
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A part at one point z of the solver, with what follows from its nodes.
+
+    Attributes
+    ----------
+    z : (p,) array
+    nodes : (s, n) array
+        States at the beginning of every segment.
+    ends : (s, n) array
+        States at the end of every segment.
+    gaps : (s, n) array
+        Ends less the next nodes: zero where the trajectory is continuous.
+    products : (k, k) array
+        Sums over all samples of the products of the residuals of two outputs.
+    simulated : bool
+        True where the trajectory was simulated from the first node of every stretch: no other node counts.
+    detail : object
+        What else the part needs to linearize here.
+    """
+
+    z: Array
+    nodes: Array
+    ends: Array
+    gaps: Array
+    products: Array
+    simulated: bool
+    detail: Any = None
+
+    @property
+    def finite(self) -> bool:
+        """True when nothing diverged."""
+        return bool(np.all(np.isfinite(self.gaps)) and np.all(np.isfinite(self.products)))
+
+
+@dataclass(frozen=True, eq=False)
+class Condensed:
+    """The Gauss-Newton system of a part with its nodes eliminated: a quadratic model in dz alone.
+
+    Attributes
+    ----------
+    hessian, gradient : (p, p) and (p,) arrays
+    node_step, node_sensitivity : (s, n) and (s, n, p) arrays
+        The nodes move by node_step + node_sensitivity · dz.
+    multiplier, multiplier_sensitivity : (s, n) and (s, n, p) arrays
+        Lagrange multipliers of the continuity, likewise.
+    damping : (s, n) array
+        Levenberg-Marquardt terms of the nodes: half of them times the squares of their steps is added to the cost.
+    decrease : float
+        Of the merit, predicted for the step of the nodes alone.
+    """
+
+    hessian: Array
+    gradient: Array
+    node_step: Array
+    node_sensitivity: Array
+    multiplier: Array
+    multiplier_sensitivity: Array
+    damping: Array
+    decrease: float
+
+    def nodes_after(self, nodes: Array, dz: Array, length: float) -> Array:
+        """Return the nodes (s, n) after a step dz (p,), of which the share `length` is taken."""
+        return nodes + length * (self.node_step + self.node_sensitivity @ dz)
+
+    def largest_multiplier(self, dz: Array) -> Array:
+        """Return the largest multiplier of the continuity of every state, (n,), after a step dz (p,)."""
+        return np.abs(self.multiplier + self.multiplier_sensitivity @ dz).max(axis=0, initial=0.0)
+
+    def damping_penalty(self, dz: Array) -> float:
+        """Return what damping adds to the cost at a step dz (p,) beyond what it adds at dz = 0."""
+        moved = self.node_step + self.node_sensitivity @ dz
+        return 0.5 * float((self.damping * (moved**2 - self.node_step**2)).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """What a part says about all values x (k,) of a problem, free ones first, for the covariance of the estimate.
+
+    Attributes
+    ----------
+    part : Part
+    jacobian : (rows, k) array
+        Derivatives of the real residuals, or a triangular factor of them.
+    numbers : int
+        Real numbers in the data that count as independent, less those that nuisance unknowns use up.
+    spread : function of a correction
+        Returns `bread` (a factor on JᵀJ) and `meat` (k, k), with the noise larger by the correction: the estimate has
+        the covariance B⁻¹ M B⁻¹ of an M-estimator, see `greybox.formulation.frequency_criteria`.
+    relative_noise : float
+        Standard deviation of one component of the relative error of a frequency response; NaN for a record.
+    """
+
+    part: "Part"
+    jacobian: Array
+    numbers: int
+    spread: Callable[[float], tuple[float, Array]]
+    relative_noise: float
+
+
+class Part(ABC):
+    """One problem of a sum, compiled."""
+
+    problem: Problem
+
+    @property
+    def weight(self) -> float:
+        """The factor on the cost of this part."""
+        return self.problem.weight
+
+    # --- what the Gauss-Newton driver asks ---------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def has_states(self) -> bool:
+        """True when there are hidden unknowns, which IPOPT sees only after transcription."""
+
+    @abstractmethod
+    def initial_trajectory(self, z: Array) -> Trajectory:
+        """Return the trajectory at z (p,) with nodes from the data."""
+
+    @abstractmethod
+    def trajectory(self, z: Array, nodes: Array, *, simulated: bool = False) -> Trajectory:
+        """Return the trajectory at z (p,) from nodes (s, n); `simulated` from the first one of every stretch alone."""
+
+    @abstractmethod
+    def cost(self, trajectory: Trajectory, smoothing: float) -> float:
+        """Return the cost along a trajectory, unweighted; `smoothing` rounds kinks off."""
+
+    @abstractmethod
+    def squared_cost(self, trajectory: Trajectory, weight: Array, smoothing: float) -> float:
+        """Return the cost with a given residual weight (k, k): half the sum of weighted squares, of a record."""
+
+    @abstractmethod
+    def residual_weight(self, trajectory: Trajectory) -> Array:
+        """Return W (k, k) with WᵀW the inverse of the residual covariance along a trajectory."""
+
+    @abstractmethod
+    def initial_weight(self, share: float) -> Array:
+        """Return W (k, k) for residuals of a `share` of each signal's spread."""
+
+    @abstractmethod
+    def linearize(self, trajectory: Trajectory, weight: Array, *, covariance_curvature: bool = False) -> Any:
+        """Linearize along a trajectory, the residuals multiplied by `weight` (k, k).
+
+        With `covariance_curvature` an estimated residual covariance follows the parameters.
+        """
+
+    @abstractmethod
+    def continuity_variance(self, linearization: Any, spread: float) -> Array:
+        """Return variances (n,) by which states must jump to change the outputs of a segment by `spread`.
+
+        In units of the residuals that the linearization was weighted with.
+        """
+
+    @abstractmethod
+    def condense(
+        self, linearization: Any, trajectory: Trajectory, continuity_variance: Array, damping: float = 0.0
+    ) -> Condensed:
+        """Eliminate the nodes; continuity is exact where its variances (n,) are zero."""
+
+    @abstractmethod
+    def close_gaps(self, linearization: Any, trajectory: Trajectory) -> Array:
+        """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
+
+    @abstractmethod
+    def diverged_segments(self, trajectory: Trajectory) -> NDArray[np.bool_]:
+        """Return which segments (s,) leave the domain of the model."""
+
+    @abstractmethod
+    def is_near_data(self, trajectory: Trajectory, factor: float) -> bool:
+        """Tell whether the rms of the residuals of every output is below `factor` times the spread of its signal."""
+
+    @abstractmethod
+    def signature(self, trajectory: Trajectory) -> Array:
+        """Return numbers (m,) by which runs are told apart: simulated outputs in units of the signals' spread."""
+
+    def refined(self, factor: int, *, compiled: bool = True) -> "Part":
+        """Return the part with `factor` times the steps per sample; not `compiled` for a look at it alone."""
+        return self
+
+    # --- what the covariance of the estimate asks --------------------------------------------------------------------
+
+    @abstractmethod
+    def information(
+        self,
+        names: tuple[str, ...],
+        values: Array,
+        uncertain: tuple[int, ...],
+        trajectory: Trajectory | None,
+        dz_dx: Array,
+    ) -> Information:
+        """Return what the data say about all values.
+
+        Parameters
+        ----------
+        names, values : tuple of str, (k,) array
+            Free parameters, then constants, in their own units.
+        uncertain : tuple of int
+            Places of the constants that come from an earlier fit.
+        trajectory : Trajectory or None
+            The best one at these values; not needed by a part without nodes.
+        dz_dx : (p,) array
+            Derivatives of the solver's variables by the free parameters.
+        """
+
+    # --- what the diagnostics ask ------------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def numbers(self) -> int:
+        """How many real numbers of the data are compared."""
+
+    @property
+    def unknown_initial_states(self) -> int:
+        """How many initial states are estimated along."""
+        return 0
+
+    @cached_property
+    def discontinuous_delays(self) -> Mapping[str, tuple[str, str]]:
+        """Delays at whose whole samples the cost jumps, with the held input and the output that it reaches directly."""
+        return {}
+
+    @property
+    def gains(self) -> tuple[tuple[str, str], ...]:
+        """State and output of every estimated entry of a Kalman gain."""
+        return ()

@@ -1,0 +1,48 @@
+"""Whether the integration is accurate enough for the noise."""
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.part import Trajectory
+from greybox.compiled.transcription.method import Transcription
+from greybox.modeling.step_size import MOST_SUBSTEPS
+from greybox.solve.discretization_error import DiscretizationError, discretization_error
+
+
+def discretization_warnings(
+    nlp: Nlp, trajectories: Sequence[Trajectory | None], error: DiscretizationError | None = None
+) -> Iterator[str]:
+    """Say so where twice the steps would move the estimate noticeably."""
+    if not nlp.has_states:
+        return
+    error = error or discretization_error(nlp, [t for t in trajectories if t is not None])
+    if not error.matters:
+        return
+    name = nlp.free[int(np.argmax(np.abs(error.shift)))]
+    count = max(part.substeps for part in nlp.record_parts)
+    by = "beyond all bounds, since the model diverges"
+    if math.isfinite(error.largest):
+        by = f"by {error.largest:.2g} standard errors"
+    yield (
+        f"the integration is too coarse: twice the steps per sample ({2 * count} instead of {count}) would change "
+        f"{name} or its standard error {by}; {_cure(nlp.method, count, error.growth)}."
+    )
+
+
+def _cure(method: Transcription, count: int, growth: int) -> str:
+    """Say what to integrate with: many more explicit steps are the second choice, being the slower one."""
+    finer = method.finer(growth * count)
+    scheme = type(method.scheme).__name__
+    if scheme == "Rosenbrock":
+        return f"use {finer}, or RungeKutta() in its place if the model is not stiff"
+    if scheme == "RungeKutta" and count >= MOST_SUBSTEPS:
+        return (
+            "if the model is stiff, with time constants far below a sample, use "
+            f"method={type(method).__name__}(integrator=Rosenbrock()), otherwise {finer}"
+        )
+    if scheme == "RungeKutta":
+        return f"use {finer}, or Rosenbrock() in its place if the model is stiff"
+    return f"use {finer}"

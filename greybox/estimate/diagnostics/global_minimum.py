@@ -1,0 +1,68 @@
+"""Whether the answer is the global minimum, and the only one."""
+
+from collections.abc import Iterator
+
+from greybox.compiled.compiled_problem import Nlp
+from greybox.estimate.covariance import Accuracy
+from greybox.solve.minima import Multistart
+
+# Share of agreeing starts below which the best minimum is in doubt. On the paper's tables 75 to 100 % of the starts
+# reach it; one that only one start in ten finds may well hide another that none has found.
+FEW_STARTS = 0.1
+
+# Share of runs below which it is worth saying that the others failed: the majority.
+MOST_RUNS = 0.5
+
+# Relative difference of costs below which a second minimum is a rival. A sum of n relative errors is itself uncertain
+# by 0.52 / √n of its size (they are Rayleigh distributed), which is 10 % for 24 points: a tenth of that ranks nothing.
+RIVAL_COST = 0.01
+
+# Difference of negative log-likelihoods below which it is: at 3 the other minimum is twenty times less likely.
+RIVAL_LIKELIHOOD = 3.0
+
+
+def few_agreeing_starts(search: Multistart) -> Iterator[str]:
+    """Say so where few starts reached the best minimum, or most failed."""
+    count = len(search.runs)
+    agreeing = len(search.minima[0].runs)
+    if count == 1:
+        yield "one start only: whether this is the global minimum is not known; use more starts."
+    elif agreeing == 1 or agreeing < FEW_STARTS * count:
+        yield f"only {agreeing} of {count} starts reached the best minimum: a better one may exist; use more starts."
+    if search.converged < MOST_RUNS * count:
+        yield f"only {search.converged} of {count} runs converged ({search.failures})."
+
+
+def rival_minima(nlp: Nlp, search: Multistart) -> Iterator[str]:
+    """Name another minimum that the data hardly tell from the best."""
+    best = search.minima[0]
+    for other in search.minima[1:]:
+        if nlp.has_states and other.cost <= best.cost + RIVAL_LIKELIHOOD:
+            excess = other.cost - best.cost
+            yield f"another minimum with a different response is only exp({excess:.2g}) times less likely."
+            return
+        if not nlp.has_states and 0 < other.cost <= best.cost * (1 + RIVAL_COST):
+            percent = 100 * (other.cost / best.cost - 1)
+            yield f"another minimum costs only {percent:.2g} % more and has a different response."
+            return
+
+
+def several_estimates_of_one_response(search: Multistart, accuracy: Accuracy) -> Iterator[str]:
+    """Say so where clearly different parameters give the best response, such as two lags that swap."""
+    variants = search.minima[0].variants
+    if variants > 1 and not accuracy.combinations:
+        yield (
+            f"at least {variants} clearly different parameter vectors give this same response: "
+            "add an ordering constraint or fix a parameter to choose one of them."
+        )
+
+
+def discontinuous_costs(nlp: Nlp) -> Iterator[str]:
+    """Name delays at whose whole samples the cost is discontinuous, since a held input reaches an output directly."""
+    delays = {name: pair for part in nlp.parts for name, pair in part.discontinuous_delays.items() if name in nlp.free}
+    for name, (input_, output) in delays.items():
+        yield (
+            f"the held input {input_} reaches {output} directly, so the cost is discontinuous where {name} is a whole "
+            f"number of samples: some start must lie in the right sample interval, and the standard error of {name} "
+            "holds within that interval."
+        )

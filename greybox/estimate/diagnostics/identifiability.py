@@ -1,0 +1,90 @@
+"""Which parameters the data determine, and which the answer treats as known."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from greybox.compiled.compiled_problem import Nlp
+from greybox.data.text_table import counted, listed
+from greybox.estimate.covariance import Accuracy
+from greybox.modeling.realization import has_branches
+from greybox.solve.minima import Minimum
+
+
+def not_determined(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
+    """Name the combinations of parameters that the data determine poorly or not at all."""
+    for combination in sorted(accuracy.combinations, key=lambda c: -c.index):
+        names = listed(combination.names)
+        if math.isinf(combination.index) and len(combination.names) == 1:
+            yield (
+                f"{names} is not determined: it does not change the response to these data at this estimate; "
+                f"fix it{_inactive_branch(nlp, combination.names)}."
+            )
+        elif math.isinf(combination.index):
+            yield (
+                f"{names} are not determined: at this estimate the data depend only on a combination of them, so no "
+                f"standard error is given; fix one of them{_inactive_branch(nlp, combination.names)}."
+            )
+        else:
+            yield (
+                f"{names} are poorly identifiable: changes of them nearly compensate one another (collinearity index "
+                f"{combination.index:.0f}); fix one of them, or add data in which their effects differ."
+            )
+
+
+def _inactive_branch(nlp: Nlp, names: tuple[str, ...]) -> str:
+    """Return another cure, where a model of these parameters has branches."""
+    models = [
+        part.model for part in nlp.problem.parts if any(part.outside(declared) in names for declared in part.declared)
+    ]
+    if not any(has_branches(model) for model in models):
+        return ""
+    return (
+        ", unless it acts in a branch or beyond a limit of the model (gb.where, gb.minimum, gb.maximum) that is not "
+        "active at this estimate: then try starts at which it is active"
+    )
+
+
+def held_without_error(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
+    """Name values held from an earlier fit that gives them no standard error."""
+    errors = np.diag(accuracy.covariance)[len(nlp.free) :]
+    held = nlp.problem.held_estimates
+    unknown = [name for name, e in zip(nlp.constants, errors, strict=True) if name in held and np.isnan(e)]
+    if unknown:
+        yield (
+            f"the earlier fit gives {listed(unknown)} no standard error, so none can be given here; "
+            "fix it at a number to treat it as known."
+        )
+
+
+def no_degrees_of_freedom(nlp: Nlp) -> Iterator[str]:
+    """Say so where there are not more numbers than unknowns."""
+    numbers = sum(part.numbers for part in nlp.parts)
+    initial = sum(part.unknown_initial_states for part in nlp.parts)
+    if numbers > len(nlp.free) + initial:
+        return
+    states = f" and {counted(initial, 'initial state')}" if initial else ""
+    leave = "leaves" if numbers == 1 else "leave"
+    yield (
+        f"{counted(numbers, 'real number')} of data for {counted(len(nlp.free), 'unknown')}{states} {leave} no degrees "
+        "of freedom: add data."
+    )
+
+
+def at_bounds(nlp: Nlp, best: Minimum, accuracy: Accuracy) -> Iterator[str]:
+    """Name parameters at their bounds and constraints that hold with equality; both are treated as known."""
+    without_effect = [c.names[0] for c in accuracy.combinations if len(c.names) == 1]
+    for name in accuracy.at_bound:
+        if name in without_effect:
+            continue
+        k = nlp.free.index(name)
+        at_lower = best.estimate[k] - nlp.lower[k] < nlp.upper[k] - best.estimate[k]
+        side = "lower" if at_lower else "upper"
+        bound = nlp.lower[k] if at_lower else nlp.upper[k]
+        yield (
+            f"{name} ended at its {side} bound {bound:g}; the other standard errors treat it as known there: "
+            "widen the bound if the physics allow, or fix the parameter."
+        )
+    for limit in accuracy.active:
+        yield f"{limit} holds with equality: standard errors treat it as known."

@@ -1,0 +1,70 @@
+"""Whether the noise is of the size that was assumed, and small enough for the criterion."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.part import Trajectory
+from greybox.compiled.record_part import RecordPart
+from greybox.estimate.covariance import Accuracy
+from greybox.solve.minima import Minimum
+
+# Relative noise of a component from which the bias of the gain, `gain_bias` times its square, reaches 1 %.
+NOISY = 0.1
+
+# Ratio of the residual variance to the given one that noise alone does not explain: with 10 degrees of freedom
+# chi-square over these lies between 0.4 and 2.5 in 94 % of all cases, with more of them far more often.
+LEAST_VARIANCE_RATIO = 0.4
+LARGEST_VARIANCE_RATIO = 2.5
+
+# The same of standard deviations.
+LEAST_DEVIATION_RATIO = 0.6
+LARGEST_DEVIATION_RATIO = 1.6
+
+
+def biased_gains(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
+    """Say by how much the normalization of a relative criterion biases the gain, where the noise is large."""
+    for part, noise in zip(nlp.problem.parts, accuracy.noise, strict=True):
+        bias = part.criterion.gain_bias * noise**2
+        if bias and noise > NOISY:
+            other = "model" if bias < 0 else "measured"
+            yield (
+                f"the residual of {part.name!r} is {100 * noise:.0f} % rms in each component: if that is noise, the "
+                f"gain is about {100 * abs(bias):.0f} % too {'low' if bias < 0 else 'high'}; "
+                f"compare with normalized='{other}', which errs to the other side."
+            )
+
+
+def unlikely_variances(nlp: Nlp, best: Minimum) -> Iterator[str]:
+    """Say where the given variances of a response are far from those of the residuals."""
+    costs = nlp.part_costs(best.estimate)
+    for response, cost in zip(nlp.response_parts, costs, strict=False):
+        problem = response.problem
+        if not problem.criterion.known_noise:
+            continue
+        ratio = float(cost) / max(len(problem.response) - len(nlp.free) / 2, 0.5)
+        if LEAST_VARIANCE_RATIO <= ratio <= LARGEST_VARIANCE_RATIO:
+            continue
+        meaning = "the variances are too large."
+        if ratio > 1:
+            meaning = (
+                "the model is incomplete or the variances are too small; standard errors use the residual variance."
+            )
+        yield f"the residuals of {problem.name!r} are {ratio:.2g} times what the given variances say: {meaning}"
+
+
+def unlikely_deviations(nlp: Nlp, trajectories: Sequence[Trajectory | None]) -> Iterator[str]:
+    """Say where the given standard deviations of a record's outputs are far from those of the residuals."""
+    for part, trajectory in zip(nlp.parts, trajectories, strict=False):
+        if not isinstance(part, RecordPart) or trajectory is None or part.covariance.known is None:
+            continue
+        deviations = np.sqrt(np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1))
+        for name, given, residual in zip(part.outputs, part.covariance.known, deviations, strict=True):
+            ratio = residual / given
+            if not LEAST_DEVIATION_RATIO <= ratio <= LARGEST_DEVIATION_RATIO:
+                yield (
+                    f"the residual of {name} in {part.problem.name!r} is {ratio:.2g} times the given standard "
+                    "deviation: the model is incomplete or the stated value is wrong; standard errors use the residual "
+                    "variance."
+                )

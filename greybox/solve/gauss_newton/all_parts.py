@@ -1,0 +1,177 @@
+"""All parts of a problem along one iterate: trajectories, cost, and what a step makes of them."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.compiled.kalman_gain import kalman_gain
+from greybox.compiled.part import Part
+from greybox.compiled.response_part import SMOOTHING
+from greybox.compiled.strategies import Strategies
+from greybox.solve.constraints import Limits
+from greybox.solve.gauss_newton.iterate import Iterate, Nodes, Step
+
+Array = NDArray[np.float64]
+
+# Share of a step that nodes keep whose segments diverged, and what is left of it at the next trial: 1/2, 1/8, 1/32 ...
+# of the step, so that four trials span two decades.
+KEPT_SHARE, NEXT_SHARE = 0.5, 0.25
+
+# A second-order correction goes on as long as it halves the penalty of the gaps, and until what is left of it is a
+# hundredth of the predicted decrease, which no decision of the line search depends on.
+CLOSED = 0.01
+
+
+class AllParts:
+    """The parts of one problem, whose costs add, with the Kalman gains of those that have one, limits and settings."""
+
+    def __init__(self, parts: tuple[Part, ...], limits: Limits, settings: Strategies) -> None:
+        """Look for the gains."""
+        self.parts = parts
+        self.weights = [part.weight for part in parts]
+        self.gains = [kalman_gain(part) for part in parts]
+        self.limits = limits
+        self.settings = settings
+
+    # --- iterates -----------------------------------------------------------------------------------------------------
+
+    def at(self, z: Array, nodes: Nodes, like: Iterate | None = None) -> Iterate:
+        """Return the iterate at z with these nodes; simulated where the trajectories of `like` are."""
+        simulated = [t.simulated for t in like.trajectories] if like else [False] * len(nodes)
+        return self._at(z, nodes, simulated)
+
+    def from_data(self, z: Array) -> Iterate:
+        """Return the iterate at z whose nodes come from the data."""
+        return Iterate(z, tuple(part.initial_trajectory(z) for part in self.parts))
+
+    def simulated(self, z: Array, nodes: Nodes) -> Iterate:
+        """Return the iterate at z simulated from the first node of every stretch to its end."""
+        return self._at(z, nodes, [True] * len(nodes))
+
+    def _at(self, z: Array, nodes: Nodes, simulated: Sequence[bool]) -> Iterate:
+        each = zip(self.parts, nodes, simulated, strict=True)
+        return Iterate(z, tuple(part.trajectory(z, n, simulated=is_simulated) for part, n, is_simulated in each))
+
+    def stays_near_data(self, iterate: Iterate) -> bool:
+        """Tell whether the outputs stay where the data are, which those of an unstable simulation do not."""
+        factor = self.settings.lost_simulation
+        return iterate.finite and all(
+            part.is_near_data(trajectory, factor) for part, trajectory in self._pairs(iterate)
+        )
+
+    def is_continuous(self, iterate: Iterate) -> bool:
+        """Tell whether what gaps are left is rounding."""
+        tolerance = self.settings.gap_rounding
+        return all(
+            np.all(np.abs(t.gaps).max(axis=0, initial=0.0) <= tolerance * np.abs(t.nodes).max(axis=0, initial=0.0))
+            for t in iterate.trajectories
+        )
+
+    def signature(self, iterate: Iterate) -> Array:
+        """Return numbers by which runs are told apart, see `Part.signature`."""
+        return np.concatenate([part.signature(trajectory) for part, trajectory in self._pairs(iterate)])
+
+    # --- cost ---------------------------------------------------------------------------------------------------------
+
+    def cost(self, iterate: Iterate, smoothing: float = SMOOTHING) -> float:
+        """Return the cost, infinite where anything diverges."""
+        if not iterate.finite:
+            return math.inf
+        return float(sum(part.weight * part.cost(t, smoothing) for part, t in self._pairs(iterate)))
+
+    def squared_cost(self, iterate: Iterate, residual_weights: Sequence[Array]) -> float:
+        """Return the cost with given residual weights, half the sum of squares; infinite where anything diverges."""
+        if not iterate.finite:
+            return math.inf
+        each = zip(self.parts, iterate.trajectories, residual_weights, strict=True)
+        return float(sum(part.weight * part.squared_cost(t, weight, SMOOTHING) for part, t, weight in each))
+
+    def gap_cost(self, iterate: Iterate, multipliers: Sequence[Array]) -> float:
+        """Return the l1 penalty of the gaps, with multipliers (n,) for every state."""
+        each = zip(self.parts, iterate.trajectories, multipliers, strict=True)
+        return sum(part.weight * float((np.abs(t.gaps) * m).sum()) for part, t, m in each)
+
+    def squared_gap_cost(self, iterate: Iterate, variances: Sequence[Array]) -> float:
+        """Return the quadratic penalty of the gaps, with variances (n,) for every state."""
+        each = zip(self.parts, iterate.trajectories, variances, strict=True)
+        return sum(part.weight * float((t.gaps**2 / variance).sum()) / 2 for part, t, variance in each)
+
+    def residual_weights(self, iterate: Iterate) -> list[Array]:
+        """Return square roots of the inverse covariances that the residuals show."""
+        return [part.residual_weight(trajectory) for part, trajectory in self._pairs(iterate)]
+
+    def initial_weights(self) -> list[Array]:
+        """Return the weights that are assumed as long as continuity is a penalty."""
+        return [part.initial_weight(self.settings.assumed_error) for part in self.parts]
+
+    # --- linearization and steps --------------------------------------------------------------------------------------
+
+    def linearize(self, iterate: Iterate, weights: Sequence[Array], *, covariance_curvature: bool = False) -> list[Any]:
+        """Return the linearization of every part."""
+        each = zip(self.parts, iterate.trajectories, weights, strict=True)
+        return [part.linearize(t, w, covariance_curvature=covariance_curvature) for part, t, w in each]
+
+    def gap_variances(self, linearizations: Sequence[Any]) -> list[Array]:
+        """Return the variances by which states must jump to change the outputs of a segment by their spread."""
+        spread = self.settings.first_gap / self.settings.assumed_error
+        each = zip(self.parts, linearizations, strict=True)
+        return [part.continuity_variance(linearization, spread) for part, linearization in each]
+
+    def moved(self, iterate: Iterate, step: Step, length: float) -> Iterate:
+        """Return the iterate after a step, of which the share `length` is taken."""
+        each = zip(step.condensed, iterate.trajectories, strict=True)
+        nodes = [condensed.nodes_after(t.nodes, step.dz, length) for condensed, t in each]
+        z = self.limits.clipped(iterate.z + length * step.dz) if step.dz.any() else iterate.z
+        moved = self.at(z, nodes, iterate)
+        return self._within_domain(iterate, moved) if self.settings.domain_backtracking else moved
+
+    def _within_domain(self, before: Iterate, after: Iterate) -> Iterate:
+        """Return the iterate with the nodes pulled back from which a segment leaves the domain of the model.
+
+        A root or logarithm of a single node would otherwise cut the steps of all nodes short.
+        """
+        settings = self.settings
+        share = KEPT_SHARE
+        last = math.inf
+        for _ in range(settings.pull_backs):
+            if after.finite or all(t.simulated for t in after.trajectories):
+                break
+            diverged = [part.diverged_segments(t) for part, t in self._pairs(after)]
+            count = sum(int(segments.sum()) for segments in diverged)
+            total = sum(segments.size for segments in diverged)
+            if count > settings.lost_segments * total or count > 0.5 * last:
+                break  # the parameters, or the whole step, are at fault
+            last = count
+            each = zip(diverged, before.trajectories, after.trajectories, strict=True)
+            nodes = [
+                np.where(lost[:, None], old.nodes + share * (new.nodes - old.nodes), new.nodes)
+                for lost, old, new in each
+            ]
+            after = self.at(after.z, nodes, after)
+            share *= NEXT_SHARE
+        return after
+
+    def close_gaps(self, iterate: Iterate, step: Step, multipliers: Sequence[Array], length: float) -> Iterate:
+        """Return the iterate with the gaps closed that curvature has left, by the least changes of the outputs.
+
+        They would cut every step short otherwise (Maratos effect; Nocedal and Wright, Numerical Optimization, 15.5).
+        """
+        enough = CLOSED * length * step.decrease
+        cost = self.gap_cost(iterate, multipliers)
+        for _ in range(self.settings.gap_closings):
+            if not iterate.finite or cost <= enough:
+                break
+            each = zip(self.parts, step.linearizations, iterate.trajectories, strict=True)
+            nodes = [part.close_gaps(linearization, t) for part, linearization, t in each]
+            closer = self.at(iterate.z, nodes, iterate)
+            now = self.gap_cost(closer, multipliers)
+            if not closer.finite or now > 0.5 * cost:
+                break
+            iterate, cost = closer, now
+        return iterate
+
+    def _pairs(self, iterate: Iterate) -> Any:
+        return zip(self.parts, iterate.trajectories, strict=True)

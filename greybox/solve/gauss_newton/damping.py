@@ -1,0 +1,32 @@
+"""Levenberg-Marquardt damping: how much after each step.
+
+Source: Marquardt (1963), SIAM Journal on Applied Mathematics 11; the ratio of actual and predicted decrease decides, as
+in Nocedal and Wright, Numerical Optimization, 2nd ed., section 10.3.
+"""
+
+from greybox.compiled.strategies import Strategies
+
+# Damping below which it is dropped altogether: it would change a step by less than a millionth.
+NEGLIGIBLE = 1e-6
+
+# Share of a step below which the line search has cut it so much that more damping is wanted for the next.
+CUT_SHORT = 0.2
+
+
+def next_damping(settings: Strategies, damping: float, length: float, ratio: float) -> float:
+    """Return the damping after a step of which a share `length` was taken.
+
+    `ratio` is the actual decrease of the merit over the predicted one.
+    """
+    factor = settings.damping_factor
+    if length == 1.0 and ratio < settings.poor_decrease:
+        return max(factor * damping, settings.first_damping)
+    if length == 1.0:
+        return damping / factor if damping > NEGLIGIBLE else 0.0
+    # A shortened step was damped by the line search already: a hundredth of the damping of a poor one is enough.
+    return max(factor * damping, 1e-2 * settings.first_damping) if length < CUT_SHORT else damping
+
+
+def after_failure(settings: Strategies, damping: float) -> float:
+    """Return the damping after a line search that found no decrease at all: two steps of damping at once."""
+    return max(settings.damping_factor**2 * damping, settings.first_damping)

@@ -1,0 +1,161 @@
+"""A record's part against brute force: sensitivities by finite differences, condensing by one dense system."""
+
+import numpy as np
+import pytest
+from evaluation import numeric_jacobian
+from numpy.testing import assert_allclose
+from spring_lag_tilt import HELD, SPRING, Spring, spring
+
+import greybox as gb
+from greybox.compiled.compiled_problem import compile_problem
+
+
+def part_of(record, criterion=HELD, **options):
+    nlp = compile_problem(gb.Problem(Spring(), record, criterion, **options))
+    z = nlp.scaling.to_solver(np.array([SPRING.get(name, 0.035) for name in nlp.free]))
+    return nlp.record_parts[0], z
+
+
+@pytest.fixture(scope="module")
+def made():
+    """A part with a gap, a delay and a bias that are estimated, and a trajectory with gaps between its segments."""
+    record = spring(120)
+    record = record.with_signals(x=np.where(np.arange(120) % 7 == 3, np.nan, record["x"]))
+    record = record.with_signals(F=np.where(np.arange(120) == 61, np.nan, record["F"]))
+    part, z = part_of(record, gb.OutputError(inputs="held", biases=("x",)), free=("d",))
+    nodes = part.initial_trajectory(z).nodes + 0.1 * np.random.default_rng(0).normal(size=(part.data.segments, 2))
+    return part, z, part.trajectory(z, nodes)
+
+
+def residuals(part, z, nodes):
+    return part.residuals(part.trajectory(z, nodes)).ravel()
+
+
+def gaps(part, z, nodes):
+    trajectory = part.trajectory(z, nodes)
+    return trajectory.gaps[part.data.coupled].ravel()
+
+
+def dense(part, z, nodes, function):
+    """Derivatives of a function of the nodes and z by both, nodes first."""
+    by_nodes = numeric_jacobian(lambda v: function(part, z, v.reshape(nodes.shape)), nodes.ravel())
+    by_z = numeric_jacobian(lambda v: function(part, v, nodes), z)
+    return by_nodes, by_z
+
+
+def test_a_continuous_trajectory_is_one_simulation(made):
+    part, z, trajectory = made
+    simulated = part.trajectory(z, trajectory.nodes, simulated=True)
+    again = part.trajectory(z, simulated.nodes)
+    assert np.abs(again.gaps).max() < 1e-12
+    assert_allclose(again.products, simulated.products, rtol=1e-10)
+
+
+def test_gaps_are_ends_less_the_next_nodes_and_none_crosses_a_break(made):
+    part, _, trajectory = made
+    assert (~part.data.coupled).sum() == 2
+    assert_allclose(
+        trajectory.gaps[:-1], np.where(part.data.coupled[:-1, None], trajectory.ends[:-1] - trajectory.nodes[1:], 0)
+    )
+
+
+def test_the_linearization_is_that_of_finite_differences(made):
+    part, z, trajectory = made
+    weight = part.initial_weight(0.1)
+    linear = part.linearize(trajectory, weight)
+    slope = trajectory.detail.placed.slope
+    by_nodes, by_z = dense(part, z, trajectory.nodes, residuals)
+    W = np.kron(weight, np.eye(part.data.samples))
+    e = W @ residuals(part, z, trajectory.nodes)
+    J, Jz = W @ by_nodes, W @ by_z
+    s, n = trajectory.nodes.shape
+    full = J.T @ J
+    for k in range(s):
+        at = slice(k * n, (k + 1) * n)
+        assert_allclose(linear.node_hessian[k], full[at, at], rtol=1e-4, atol=1e-5 * np.abs(full).max())
+        assert_allclose(linear.node_gradient[k], J[:, at].T @ e, rtol=1e-4, atol=1e-5 * np.abs(J.T @ e).max())
+    assert_allclose(
+        slope.T @ linear.parameter_hessian @ slope, Jz.T @ Jz, rtol=1e-4, atol=1e-5 * np.abs(Jz.T @ Jz).max()
+    )
+    assert_allclose(slope.T @ linear.parameter_gradient, Jz.T @ e, rtol=1e-4, atol=1e-5 * np.abs(Jz.T @ e).max())
+
+
+@pytest.mark.parametrize("relaxed", [0.0, 0.3])
+@pytest.mark.parametrize("damping", [0.0, 0.1])
+def test_condensing_is_the_dense_elimination(made, relaxed, damping):
+    """Nodes and multipliers are eliminated as one dense Karush-Kuhn-Tucker system does it."""
+    part, z, trajectory = made
+    weight = part.initial_weight(0.1)
+    variance = relaxed * np.array([1.0, 2.0])
+    linear = part.linearize(trajectory, weight)
+    condensed = part.condense(linear, trajectory, variance, damping)
+
+    by_nodes, by_z = dense(part, z, trajectory.nodes, residuals)
+    A, B = dense(part, z, trajectory.nodes, gaps)
+    W = np.kron(weight, np.eye(part.data.samples))
+    e, g = W @ residuals(part, z, trajectory.nodes), gaps(part, z, trajectory.nodes)
+    J, Jz = W @ by_nodes, W @ by_z
+    nodes, count = J.shape[1], len(g)
+    penalty = np.diag(np.tile(variance, count // 2))
+    H = J.T @ J + np.diag(condensed.damping.ravel())
+    if damping and relaxed:
+        P = np.linalg.inv(penalty)
+        assert_allclose(condensed.damping.ravel(), damping * np.diag(J.T @ J + A.T @ P @ A), rtol=1e-3)
+    else:
+        assert not condensed.damping.any()
+    kkt = np.block([[H, A.T], [A, -penalty]])
+    right = -np.block([[(J.T @ e)[:, None], J.T @ Jz], [g[:, None], B]])
+    solution = np.linalg.lstsq(kkt, right, rcond=None)[0]
+    step, follow = solution[:nodes, 0], solution[:nodes, 1:]
+    multiplier, multiplier_follow = solution[nodes:, 0], solution[nodes:, 1:]
+
+    scale = np.abs(step).max()
+    assert_allclose(condensed.node_step.ravel(), step, atol=1e-4 * scale)
+    assert_allclose(condensed.node_sensitivity.reshape(nodes, -1), follow, rtol=1e-3, atol=1e-4 * np.abs(follow).max())
+    hessian = Jz.T @ Jz + Jz.T @ J @ follow + B.T @ multiplier_follow
+    gradient = Jz.T @ e + Jz.T @ J @ step + B.T @ multiplier
+    assert_allclose(condensed.hessian, hessian, atol=1e-4 * np.abs(hessian).max())
+    assert_allclose(condensed.gradient, gradient, atol=1e-4 * np.abs(gradient).max())
+
+
+def test_gaps_are_closed_by_the_least_change_of_the_outputs(made):
+    part, z, trajectory = made
+    weight = part.initial_weight(0.1)
+    linear = part.linearize(trajectory, weight)
+    closed = part.close_gaps(linear, trajectory)
+    A, _ = dense(part, z, trajectory.nodes, gaps)
+    by_nodes, _ = dense(part, z, trajectory.nodes, residuals)
+    J = np.kron(weight, np.eye(part.data.samples)) @ by_nodes
+    change = (closed - trajectory.nodes).ravel()
+    assert_allclose(A @ change, -gaps(part, z, trajectory.nodes), atol=1e-6)
+    null = np.linalg.svd(A)[2][np.linalg.matrix_rank(A) :]
+    assert np.abs(null @ (J.T @ (J @ change))).max() < 1e-3 * np.abs(J.T @ (J @ change)).max()
+
+
+def test_known_initial_states_follow_their_function_of_the_parameters():
+    criterion = gb.OutputError(inputs="held", initial={"x": lambda p: p.b / p.k, "v": 0.0})
+    part, z = part_of(spring(60), criterion)
+    trajectory = part.initial_trajectory(z)
+    assert_allclose(trajectory.nodes[0], [SPRING["b"] / SPRING["k"], 0.0])
+    weight = part.initial_weight(0.1)
+    simulated = part.trajectory(z, trajectory.nodes, simulated=True)
+    condensed = part.condense(part.linearize(simulated, weight), simulated, np.zeros(2))
+
+    def cost(v):
+        moved = part.trajectory(v, simulated.nodes, simulated=True)
+        return np.array([part.squared_cost(moved, weight, 0.0)])
+
+    slope = numeric_jacobian(cost, z)[0]
+    assert_allclose(condensed.gradient, slope, rtol=1e-5, atol=1e-5 * np.abs(slope).max())
+
+
+def test_an_excerpt_and_a_refinement_are_parts_of_their_own(made):
+    part, z, _ = made
+    excerpt = part.excerpt(40)
+    assert excerpt.data.samples < part.data.samples
+    assert excerpt.substeps == part.substeps
+    finer = part.refined(4)
+    assert finer.substeps == 4 * part.substeps
+    assert part.data.samples == 2 * (part.data.samples // 2)
+    coarse, fine = (p.trajectory(z, p.initial_trajectory(z).nodes).ends for p in (part, finer))
+    assert 0 < np.abs(coarse - fine).max() < 1e-3

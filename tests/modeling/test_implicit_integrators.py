@@ -1,0 +1,74 @@
+"""Implicit steps against exact solutions, and against collocation solved as one program."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import solve_ivp
+from spring_lag_tilt import HELD, SPRING, Spring, fit, spring
+
+import greybox as gb
+from greybox.modeling.implicit_integrators import Radau
+from greybox.modeling.integrators import step_function
+from greybox.modeling.realization import dynamics
+
+
+class Decay(gb.StateSpace):
+    """A stiff nonlinear decay with an input that is linear in time."""
+
+    states, inputs, outputs = ("x",), ("u",), ("x",)
+    a = gb.Parameter(2.0, bounds=(0, 1e6))
+
+    def derivative(self, x, u, p):
+        return (-p.a * (x.x - u.u) ** 3 - x.x,)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+def step(degree, substeps=1):
+    return step_function(dynamics(Decay()), Radau(degree=degree), substeps)
+
+
+def exact(h):
+    rule = lambda t, x: -2.0 * (x - 0.3 - 0.4 * (t / h - 0.5)) ** 3 - x  # noqa: E731
+    return solve_ivp(rule, (0, h), [1.5], rtol=1e-12, atol=1e-13).y[0, -1]
+
+
+@pytest.mark.parametrize(("degree", "order"), [(1, 1), (2, 3), (3, 5)])
+def test_the_error_falls_with_the_order(degree, order):
+    errors = [abs(float(step(degree, n)(1.5, 0.3, 0.4, 2.0, 1.0)) - exact(1.0)) for n in (8, 16)]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.6)
+
+
+def test_its_derivatives_are_exact():
+    x = ca.MX.sym("x")
+    function = step(3)
+    slope = ca.Function("slope", [x], [ca.jacobian(function(x, 0.3, 0.4, 2.0, 0.5), x)])
+    eps = 1e-6
+    difference = (float(function(1.5 + eps, 0.3, 0.4, 2.0, 0.5)) - float(function(1.5 - eps, 0.3, 0.4, 2.0, 0.5))) / (
+        2 * eps
+    )
+    assert float(slope(1.5)) == pytest.approx(difference, rel=1e-7)
+
+
+def test_stages_that_newton_does_not_solve_give_nan():
+    assert np.isnan(float(step(1)(1e200, 0.3, 0.4, 1e6, 1.0)))
+
+
+@pytest.mark.parametrize("degree", [1, 3])
+def test_a_collocation_is_judged_as_it_was_solved(degree):
+    """The cost is that of IPOPT's solution and of `gb.cost` with the same method, not of Runge-Kutta."""
+    method = gb.Collocation(degree=degree)
+    problem = gb.Problem(Spring(), spring(150), HELD)
+    found = fit(problem, [SPRING], method=method)
+    assert found.converged
+    estimate = {name: found.estimate[name] for name in found.free}
+    assert gb.cost(problem, estimate, method) == pytest.approx(found.cost, abs=1e-3)
+    told = [text for text in found.warnings if "integration is too coarse" in text]
+    assert bool(told) == (degree == 1)
+    if told:
+        assert "method=Collocation(degree=2)" in told[0]
+        assert gb.cost(problem, estimate) > found.cost + 10
+    residual = np.concatenate([found.records[0].residual(name) for name in ("x", "v")])
+    assert_allclose(np.sqrt(np.mean(residual[:150] ** 2)), np.sqrt(found.records[0].noise[0, 0]), rtol=1e-6)

@@ -1,0 +1,30 @@
+"""Levenberg-Marquardt damping after good, poor and shortened steps."""
+
+import pytest
+
+from greybox.solve import Strategies
+from greybox.solve.gauss_newton.damping import after_failure, next_damping
+
+SETTINGS = Strategies()
+
+
+@pytest.mark.parametrize(
+    ("damping", "length", "ratio", "after"),
+    [
+        (0.0, 1.0, 0.9, 0.0),  # a good full step needs none
+        (0.1, 1.0, 0.9, 0.01),
+        (1e-7, 1.0, 0.9, 0.0),  # and drops what is negligible
+        (0.0, 1.0, 0.1, 0.01),  # a poor full step asks for some
+        (0.1, 1.0, 0.1, 1.0),
+        (0.0, 0.1, 0.9, 1e-4),  # a step cut short for a little
+        (0.1, 0.1, 0.9, 1.0),
+        (0.1, 0.4, 0.9, 0.1),  # one that was halved keeps it
+    ],
+)
+def test_it_follows_the_step(damping, length, ratio, after):
+    assert next_damping(SETTINGS, damping, length, ratio) == pytest.approx(after)
+
+
+def test_a_failed_line_search_raises_it_by_two_steps():
+    assert after_failure(SETTINGS, 0.0) == SETTINGS.first_damping
+    assert after_failure(SETTINGS, 1.0) == SETTINGS.damping_factor**2

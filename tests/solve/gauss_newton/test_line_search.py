@@ -1,0 +1,54 @@
+"""The line search on a function of one variable, whose iterates are numbers."""
+
+from dataclasses import dataclass, field
+
+import pytest
+
+from greybox.solve import Strategies
+from greybox.solve.gauss_newton.line_search import line_search
+
+
+@dataclass
+class Line:
+    """Stands for all parts: an iterate is a number, a step another one, and gaps are closed by going to `closed`."""
+
+    settings: Strategies = field(default_factory=Strategies)
+    closed: float | None = None
+
+    def moved(self, iterate, step, length):
+        return iterate + length * step
+
+    def close_gaps(self, trial, step, multipliers, length):
+        return trial if self.closed is None else self.closed
+
+
+@dataclass
+class Stage:
+    is_exact: bool = False
+    multipliers: tuple = ()
+
+
+def square(x):
+    return x**2
+
+
+def test_a_step_that_decreases_the_merit_is_taken_whole():
+    assert line_search(Line(), 1.0, -1.5, square, 1.0, Stage()) == (-0.5, 1.0)
+
+
+def test_a_step_that_is_too_long_is_shortened():
+    trial, length = line_search(Line(), 1.0, -10.0, square, 1.0, Stage())
+    reduction = Strategies().step_reduction
+    assert length == pytest.approx(reduction**2)  # -9, -3, -0.6
+    assert square(trial) < 1.0
+
+
+def test_a_step_uphill_is_not_taken():
+    assert line_search(Line(), 1.0, 1.0, square, 1.0, Stage()) == (None, 0.0)
+
+
+def test_closing_the_gaps_may_save_a_whole_step_where_continuity_is_exact():
+    assert line_search(Line(closed=0.5), 1.0, -10.0, square, 1.0, Stage(is_exact=True)) == (0.5, 1.0)
+    off = Line(Strategies(second_order_correction=False), closed=0.5)
+    assert line_search(off, 1.0, -10.0, square, 1.0, Stage(is_exact=True))[1] < 1
+    assert line_search(Line(closed=0.5), 1.0, -10.0, square, 1.0, Stage(is_exact=False))[1] < 1

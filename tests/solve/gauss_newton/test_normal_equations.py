@@ -1,0 +1,97 @@
+"""The step of the parameters against a dense quadratic program, and the merit against its definition."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import minimize
+from spring_lag_tilt import HELD, SPRING, Spring, spring
+
+import greybox as gb
+from greybox.compiled.compiled_problem import compile_problem
+from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.gauss_newton.homotopy import Progress
+from greybox.solve.gauss_newton.merit import merit_function
+from greybox.solve.gauss_newton.normal_equations import gauss_newton_step, largest_multiplier
+
+
+def prepared(values, **options):
+    """The parts of a spring, an iterate with exact continuity, and its linearizations."""
+    nlp = compile_problem(gb.Problem(Spring(), spring(200), HELD, **options))
+    parts = GaussNewton(nlp)._parts
+    z = nlp.scaling.to_solver(np.array([values[name] for name in nlp.free]))
+    start = parts.from_data(z)
+    iterate = parts.at(z, parts.simulated(z, start.nodes).nodes)
+    weights = parts.residual_weights(iterate)
+    linearizations = parts.linearize(iterate, weights)
+    progress = Progress.exact(parts.settings)
+    progress.begin(iterate, parts.gap_variances(linearizations))
+    return nlp, parts, iterate, weights, linearizations, progress
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.5])
+@pytest.mark.parametrize("constraints", [[], [lambda p: 8.0 - p.k]], ids=["free", "constrained"])
+def test_the_step_is_that_of_a_dense_quadratic_program(damping, constraints):
+    nlp, parts, iterate, _, linearizations, progress = prepared({"k": 7.0, "c": 0.9, "b": 3.5}, constraints=constraints)
+    progress.damping = damping
+    held = np.zeros(3, dtype=bool)
+    step = gauss_newton_step(parts, iterate, linearizations, progress, held=held, states_only=False)
+    (system,) = step.condensed
+    damped = system.hessian + damping * np.diag(np.diag(system.hessian))
+    low, high = nlp.scaling.to_solver(nlp.lower) - iterate.z, nlp.scaling.to_solver(nlp.upper) - iterate.z
+    factor = nlp.scaling.factor[nlp.free.index("k")]
+    k = nlp.free.index("k")
+    slack = {"type": "ineq", "fun": lambda dz: 8.0 - factor * (iterate.z[k] + dz[k])}
+    wanted = minimize(
+        lambda dz: (dz @ damped @ dz / 2 + system.gradient @ dz) / 1e4,
+        np.zeros(3),
+        jac=lambda dz: (damped @ dz + system.gradient) / 1e4,
+        bounds=np.array([low, high]).T,
+        constraints=[slack] if constraints else [],
+        method="SLSQP",
+        options={"ftol": 1e-14, "maxiter": 500},
+    )
+    assert_allclose(step.dz, wanted.x, rtol=1e-3, atol=1e-5)
+    if constraints:
+        assert factor * (iterate.z[k] + step.dz[k]) <= 8.0 + 1e-9
+
+
+def test_held_variables_and_nodes_alone_do_not_move():
+    _, parts, iterate, _, linearizations, progress = prepared({"k": 7.0, "c": 0.9, "b": 3.5})
+    held = np.array([True, False, False])
+    step = gauss_newton_step(parts, iterate, linearizations, progress, held=held, states_only=False)
+    assert step.dz[0] == pytest.approx(0, abs=1e-12)
+    assert np.abs(step.dz[1:]).min() > 1e-6
+    alone = gauss_newton_step(parts, iterate, linearizations, progress, held=held, states_only=True)
+    assert not alone.dz.any()
+
+
+def test_a_small_step_decreases_the_merit_as_predicted():
+    """The exact merit is the cost, and a penalty on gaps that a step from a continuous trajectory does not have."""
+    _, parts, iterate, weights, linearizations, progress = prepared({"k": 8.97, "c": 1.2, "b": 4.0})
+    held = np.zeros(3, dtype=bool)
+    step = gauss_newton_step(parts, iterate, linearizations, progress, held=held, states_only=False)
+    merit = merit_function(parts, weights, progress)
+    assert merit(iterate) == pytest.approx(parts.cost(iterate), rel=1e-12)
+    moved = parts.moved(iterate, step, 1.0)
+    assert merit(iterate) - merit(moved) == pytest.approx(step.decrease, rel=0.05)
+    assert merit(moved) > parts.cost(moved)  # curvature leaves gaps
+    closed = parts.close_gaps(moved, step, progress.multipliers, 1.0)
+    gaps = [parts.gap_cost(at, progress.multipliers) for at in (moved, closed)]
+    assert gaps[1] < 0.01 * gaps[0]
+
+
+def test_multipliers_are_those_of_the_active_constraints():
+    normals = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    slack = np.array([0.0, 0.3, 0.0])
+    force = 2.0 * normals[0] + 5.0 * normals[2]
+    assert largest_multiplier(force, normals, slack) == pytest.approx(5.0)
+    assert largest_multiplier(force, normals, np.ones(3)) == 0.0
+
+
+def test_trajectories_of_the_wind_are_told_from_the_truth():
+    nlp, parts, iterate, *_ = prepared(SPRING)
+    assert parts.stays_near_data(iterate)
+    assert parts.is_continuous(iterate)
+    far = parts.at(iterate.z, [nodes + 1.0 for nodes in iterate.nodes])
+    assert not parts.is_continuous(far)
+    assert nlp.has_states
