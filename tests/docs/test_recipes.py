@@ -39,6 +39,18 @@ def test_an_integrator_and_a_rule_for_starts(heun, tmp_path):
     np.testing.assert_allclose(mine["x"], exact["x"], atol=1e-4)
 
 
+def test_a_transcription(heun):
+    fit = gb.fit(recipes.problem(), 2, method=recipes.Trapezoidal(), progress=False)
+    assert fit.converged
+    for name, truth in recipes.TRUTH.items():
+        assert fit.standard_error[name] > 0
+        assert fit.estimate[name] == pytest.approx(truth, rel=0.01)
+    # At 20 Hz its errors exceed the standard errors, and the result says so.
+    assert any("too coarse" in warning and "MultipleShooting" in warning for warning in fit.warnings)
+    assert fit.cost == pytest.approx(gb.cost(recipes.problem(), fit.estimate, method=recipes.Trapezoidal()), rel=1e-7)
+    assert gb.compare(fit, heun).statements
+
+
 def test_a_criterion_for_records(tmp_path):
     fit = gb.fit(recipes.windy(), 3, progress=False)
     near(fit)

@@ -3,10 +3,13 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import casadi as ca
 import numpy as np
 from huber import Huber
 
 import greybox as gb
+from greybox.compiled.transcription.method import Transcribed
+from greybox.modeling.implicit_integrators import ImplicitIntegrator
 
 
 class Spring(gb.StateSpace):
@@ -38,6 +41,65 @@ class Heun(gb.Integrator):
         k1 = system.derivative(x, u, p)
         k2 = system.derivative(x + h * k1, u + slope * h, p)
         return x + h / 2 * (k1 + k2)
+
+
+@dataclass(frozen=True)
+class TrapezoidalRule(ImplicitIntegrator):
+    """The trapezoidal rule: its only stage is the end of the step."""
+
+    substeps: int | None = 1
+    order: ClassVar[int] = 2
+    name: ClassVar[str] = "trapezoidal rule"
+
+    @property
+    def stages(self) -> int:
+        return 1
+
+    def equations(self, system: Any, x: Any, stages: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
+        slopes = system.derivative(x, u, p) + system.derivative(stages, u + slope * h, p)
+        return stages - x - h / 2 * slopes
+
+    def end(self, x: Any, stages: Any) -> Any:
+        return stages
+
+
+@dataclass(frozen=True)
+class Trapezoidal(gb.Transcription):
+    """The states at all samples, joined by the trapezoidal rule, Betts (2010), 2nd ed., section 4.6."""
+
+    label: ClassVar[str] = "trapezoidal collocation"
+
+    @property
+    def scheme(self) -> TrapezoidalRule:
+        return TrapezoidalRule()
+
+    def transcribe(self, step: Any, data: Any, q: Any, rows: Any) -> Transcribed:
+        n = step.function.size1_in(0)
+        x, parameters, row = (ca.SX.sym(name, step.measurement.numel_in(k)) for k, name in enumerate("xqd"))
+        following = ca.SX.sym("following", n)
+        corrected, mean, change, residual, _ = step.measurement(x, parameters, row)
+        p = parameters[: len(step.system.parameters)]
+        h = row[row.numel() - 1]
+        error = self.scheme.equations(step.system, corrected, following, mean - change / 2, change / h, p, h)
+        residuals = ca.Function("residuals", [x, parameters, row], [residual])
+        equations = ca.Function("equations", [x, following, parameters, row], [error])
+
+        nodes = ca.MX.sym("nodes", n, data.samples)
+        last = np.cumsum([count * data.segment_length for count in data.segment_counts]) - 1
+        linked = np.setdiff1d(np.arange(data.samples), last)
+        before = linked.tolist()
+        after = (linked + 1).tolist()
+        joined = equations.map("joined", "serial", len(linked), [2], [])
+        return Transcribed(
+            unknowns=ca.vec(nodes),
+            residuals=residuals.map("all", "serial", data.samples, [1], [])(nodes, q, rows),
+            equations=ca.vec(joined(nodes[:, before], nodes[:, after], q, rows[:, before])),
+            initial=nodes[:, [0, *(last[:-1] + 1).tolist()]],
+            start=lambda states: states.ravel(order="F"),
+        )
+
+    def finer(self, substeps: int) -> str:
+        return "method=MultipleShooting()"
 
 
 @dataclass(frozen=True)
