@@ -189,10 +189,6 @@ class Part(ABC):
         """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
 
     @abstractmethod
-    def diverged_segments(self, trajectory: Trajectory) -> NDArray[np.bool_]:
-        """Return which segments (s,) leave the domain of the model."""
-
-    @abstractmethod
     def is_near_data(self, trajectory: Trajectory, factor: float) -> bool:
         """Tell whether the rms of the residuals of every output is below `factor` times the spread of its signal."""
 

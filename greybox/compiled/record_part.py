@@ -260,13 +260,6 @@ class RecordPart(Part):
         along = trajectory.detail
         return self.segments.in_order(self.segments.outputs(along.states, along.placed.q, along.placed.data))
 
-    def diverged_segments(self, trajectory: Trajectory) -> NDArray[np.bool_]:
-        """Return which segments (s,) leave the domain of the model."""
-        along = trajectory.detail
-        residuals = self.segments.residuals(along.states, along.placed.q, along.placed.data)
-        finite = np.isfinite(residuals).reshape(len(residuals), self.data.segment_length, -1).all(axis=(0, 1))
-        return np.asarray(~(finite & np.isfinite(trajectory.ends).all(axis=1)))
-
     def is_near_data(self, trajectory: Trajectory, factor: float) -> bool:
         """Tell whether the rms of the residuals of every output is below `factor` times the spread of its signal."""
         limit = self.covariance.counts * (factor * self.covariance.spread) ** 2

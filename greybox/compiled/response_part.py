@@ -127,10 +127,6 @@ class ResponsePart(Part):
         """Return no nodes."""
         return NO_NODES
 
-    def diverged_segments(self, trajectory: Trajectory) -> NDArray[np.bool_]:
-        """Return nothing: there are no segments."""
-        return np.zeros(0, dtype=bool)
-
     def is_near_data(self, trajectory: Trajectory, factor: float) -> bool:
         """Return True: a frequency response cannot diverge along the way."""
         return True

@@ -28,16 +28,12 @@ class Strategies:
     """The first iterations move the node states alone, at held parameters."""
     continuity_homotopy: bool = True
     """Continuity is a quadratic penalty first, whose weight grows in stages until it is an exact constraint."""
-    skipped_stages: bool = True
-    """A stage of the homotopy is skipped after a step that decreased the merit function exactly as predicted."""
     damped_parameters: bool = True
     """Levenberg-Marquardt damping of the parameters."""
     damped_states: bool = True
     """Levenberg-Marquardt damping of the node states besides that of the parameters."""
     second_order_correction: bool = True
     """Gaps that curvature leaves after a step are closed before the step is judged (Maratos effect)."""
-    domain_backtracking: bool = True
-    """Nodes whose segments leave the domain of the model are pulled back alone, instead of shortening the step."""
     simulation_fallback: bool = True
     """Records are simulated from their first states where Newton steps do not close the gaps."""
     held_discontinuous_delays: bool = True
@@ -53,8 +49,6 @@ class Strategies:
 
     riccati_gains: bool = True
     """The gain begins with that of the best of several steady-state Kalman filters."""
-    held_gains: bool = True
-    """The gain keeps its start value as long as continuity is a penalty."""
     early_prediction: bool = True
     """A problem of predictors alone leaves the homotopy after its first stage, or at a blocked step."""
     simulated_predictors: bool = True
@@ -64,12 +58,8 @@ class Strategies:
 
     # --- around the starts --------------------------------------------------------------------------------------------
 
-    simulated_first_start: bool = True
-    """The first start also begins with a simulation, so that limits of the model are seen at once."""
     scaled_neighbors: bool = True
     """The best end is left again with every positive parameter a factor smaller and larger."""
-    flat_directions: bool = True
-    """The best end is left again along directions that the data do not determine."""
     simulated_neighbors: bool = True
     """Runs from the neighborhood of the best end begin with a simulation from its initial states."""
     ipopt_fallback: bool = True
@@ -89,8 +79,6 @@ class Strategies:
     """Share of the first standard deviation below which continuity becomes an exact constraint."""
     kept_promise: float = 0.1
     """Relative error of a predicted decrease up to which the next stage begins."""
-    well_kept_promise: float = 0.01
-    """Relative error of a predicted decrease up to which a stage is skipped."""
     state_iterations: int = 3
     """Iterations of the node states alone, at most."""
 
@@ -127,10 +115,6 @@ class Strategies:
 
     # --- constants: rescues -------------------------------------------------------------------------------------------
 
-    lost_segments: float = 0.1
-    """Share of segments outside the domain of the model up to which their nodes are pulled back alone."""
-    pull_backs: int = 4
-    """Trials of pulling nodes back."""
     gap_closings: int = 5
     """Iterations of the second-order correction."""
     lost_simulation: float = 10.0
@@ -170,10 +154,6 @@ class Strategies:
     """Factor by which a parameter is made smaller and larger around the best end."""
     neighbor_iterations: int = 40
     """Iterations of a run from the neighborhood of the best end."""
-    flat_count: int = 3
-    """Directions along which the best end is left, at most."""
-    flat_cost: float = 0.1
-    """Change of the cost below which a direction counts as not determined."""
     ipopt_runs: int = 3
     """Runs that IPOPT continues."""
     ipopt_iterations: int = 150

@@ -1,4 +1,4 @@
-"""What a search on records tries besides its starts: a simulation of the first, and the best end's neighborhood."""
+"""What a search on records tries besides its starts: the neighborhood of the best end."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,32 +10,15 @@ from greybox.solve.outcome import Outcome
 
 Array = NDArray[np.float64]
 
-# How far along a flat direction a run begins, as shares of the change by the neighbor factor: both ends and both
-# halves, since a limit of the model may be reached on the way.
-SHARES = (-1.0, -0.5, 0.5, 1.0)
-
-
-def with_simulated_start(
-    nlp: Nlp, solver: GaussNewton, starts: Array, outcomes: list[Outcome]
-) -> tuple[Array, list[Outcome]]:
-    """Add the run that begins with a simulation of the first start, where its cost is lower than all others."""
-    outcome = solver.run_simulated(starts[0])
-    best = min((other.cost for other in outcomes if other.converged), default=np.inf)
-    if outcome is None or not outcome.converged or outcome.cost >= best - same_cost(nlp, outcome.cost):
-        return starts, outcomes
-    return np.vstack([starts, starts[0]]), [*outcomes, outcome]
-
 
 def with_neighbors(
     nlp: Nlp, solver: GaussNewton, starts: Array, outcomes: list[Outcome]
 ) -> tuple[Array, list[Outcome]]:
     """Add runs from the neighborhood of the best end, as long as they find a lower cost."""
-    settings = nlp.strategies
     converged = [outcome for outcome in outcomes if outcome.converged]
     while converged:
         best = min(converged, key=lambda outcome: outcome.cost)
-        points = _scaled(nlp, best.estimate) if settings.scaled_neighbors else []
-        points += _along_flat_directions(nlp, solver, best) if settings.flat_directions else []
+        points = _scaled(nlp, best.estimate)
         tried = [(point, _run(nlp, solver, point, best)) for point in points]
         better = [(p, o) for p, o in tried if o.converged and o.cost < best.cost - same_cost(nlp, best.cost)]
         if not better:
@@ -66,14 +49,3 @@ def _scaled(nlp: Nlp, best: Array) -> list[Array]:
             point[k] = np.clip(factor * point[k], nlp.lower[k], nlp.upper[k])
             points.append(point)
     return points
-
-
-def _along_flat_directions(nlp: Nlp, solver: GaussNewton, best: Outcome) -> list[Array]:
-    """Return points far along what the data do not determine: a limit of the model may be reached there."""
-    if best.nodes is None:
-        return []
-    settings = nlp.strategies
-    z = nlp.scaling.to_solver(best.estimate)
-    directions = solver.flat_directions(best.estimate, best.nodes, settings.neighbor_factor)[: settings.flat_count]
-    points = [nlp.scaling.to_parameters(z + share * v) for v in directions for share in SHARES]
-    return [np.clip(point, nlp.lower, nlp.upper) for point in points]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from greybox.compiled.compiled_problem import Nlp
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.ipopt import CONVERGED, INVALID, POLISH, IpoptSolver
-from greybox.solve.local_search import with_neighbors, with_simulated_start
+from greybox.solve.local_search import with_neighbors
 from greybox.solve.minima import Minimum, Multistart, find_minima
 from greybox.solve.outcome import Outcome, Run
 from greybox.solve.transcribed_program import TranscribedProgram
@@ -63,11 +63,9 @@ def multistart(
             progress(k + 1, len(starts))
 
     if isinstance(solver, GaussNewton):
-        if len(starts) > 1 and settings.simulated_first_start:
-            starts, outcomes = with_simulated_start(nlp, solver, starts, outcomes)
         if settings.ipopt_fallback and not any(outcome.converged for outcome in outcomes):
             outcomes = _continued_by_ipopt(nlp, solver, outcomes, solver_options)
-        if len(starts) > 1:
+        if len(starts) > 1 and settings.scaled_neighbors:
             starts, outcomes = with_neighbors(nlp, solver, starts, outcomes)
     runs = _as_runs(nlp, starts, outcomes)
     minima = find_minima(nlp, runs, [outcome.signature for outcome in outcomes])

@@ -16,10 +16,6 @@ from greybox.solve.gauss_newton.iterate import Iterate, Nodes, Step
 
 Array = NDArray[np.float64]
 
-# Share of a step that nodes keep whose segments diverged, and what is left of it at the next trial: 1/2, 1/8, 1/32 ...
-# of the step, so that four trials span two decades.
-KEPT_SHARE, NEXT_SHARE = 0.5, 0.25
-
 # A second-order correction goes on as long as it halves the penalty of the gaps, and until what is left of it is a
 # hundredth of the predicted decrease, which no decision of the line search depends on.
 CLOSED = 0.01
@@ -125,34 +121,7 @@ class AllParts:
         each = zip(step.condensed, iterate.trajectories, strict=True)
         nodes = [condensed.nodes_after(t.nodes, step.dz, length) for condensed, t in each]
         z = self.limits.clipped(iterate.z + length * step.dz) if step.dz.any() else iterate.z
-        moved = self.at(z, nodes, iterate)
-        return self._within_domain(iterate, moved) if self.settings.domain_backtracking else moved
-
-    def _within_domain(self, before: Iterate, after: Iterate) -> Iterate:
-        """Return the iterate with the nodes pulled back from which a segment leaves the domain of the model.
-
-        A root or logarithm of a single node would otherwise cut the steps of all nodes short.
-        """
-        settings = self.settings
-        share = KEPT_SHARE
-        last = math.inf
-        for _ in range(settings.pull_backs):
-            if after.finite or all(t.simulated for t in after.trajectories):
-                break
-            diverged = [part.diverged_segments(t) for part, t in self._pairs(after)]
-            count = sum(int(segments.sum()) for segments in diverged)
-            total = sum(segments.size for segments in diverged)
-            if count > settings.lost_segments * total or count > 0.5 * last:
-                break  # the parameters, or the whole step, are at fault
-            last = count
-            each = zip(diverged, before.trajectories, after.trajectories, strict=True)
-            nodes = [
-                np.where(lost[:, None], old.nodes + share * (new.nodes - old.nodes), new.nodes)
-                for lost, old, new in each
-            ]
-            after = self.at(after.z, nodes, after)
-            share *= NEXT_SHARE
-        return after
+        return self.at(z, nodes, iterate)
 
     def close_gaps(self, iterate: Iterate, step: Step, multipliers: Sequence[Array], length: float) -> Iterate:
         """Return the iterate with the gaps closed that curvature has left, by the least changes of the outputs.

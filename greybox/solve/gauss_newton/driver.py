@@ -55,8 +55,7 @@ class GaussNewton:
         self._parts = AllParts(parts or nlp.parts, self._limits, self._settings)
         gains = [gain for gain in self._parts.gains if gain is not None]
         self._all_predict = len(gains) == sum(part.has_states for part in self._parts.parts)
-        entries = {name for gain in gains for name in gain.names}
-        self._is_gain = np.array([name in entries for name in nlp.free])
+        self._has_free_gains = any(name in nlp.free for gain in gains for name in gain.names)
         jumping = {name for part in self._parts.parts for name in part.discontinuous_delays}
         self._is_discontinuous = np.array([name in jumping for name in nlp.free])
         self._coarse = self._on_excerpts() if parts is None else None
@@ -172,22 +171,6 @@ class GaussNewton:
             return None
         return iterate if iterate.finite else None
 
-    @DIVERGING
-    def flat_directions(self, x: Array, nodes: Nodes, factor: float) -> list[Array]:
-        """Return directions (p,) of the solver's variables along which a change by `factor` would not be noticed."""
-        iterate = self._parts.at(self._nlp.scaling.to_solver(x), nodes)
-        try:
-            linearizations = self._parts.linearize(iterate, self._parts.residual_weights(iterate))
-            progress = Progress.exact(self._settings)
-            progress.begin(iterate, self._parts.gap_variances(linearizations))
-            hessian = self._step(iterate, linearizations, progress, states_only=False).hessian
-        except np.linalg.LinAlgError:
-            return []
-        values, vectors = np.linalg.eigh(hessian)
-        change = values / np.abs(vectors).max(axis=0) ** 2 * math.log(factor) ** 2 / 2
-        flat = change < self._settings.flat_cost
-        return [v / np.abs(v).max() * math.log(factor) for v in vectors.T[flat]]
-
     # --- the iteration ------------------------------------------------------------------------------------------------
 
     def _descend(
@@ -267,12 +250,8 @@ class GaussNewton:
         return None
 
     def _step(self, iterate: Iterate, linearizations: list, progress: Progress, *, states_only: bool) -> Step:
-        """Return the step; gains move where continuity is exact, held delays do not move at all."""
-        held = np.zeros(len(iterate.z), dtype=bool)
-        if not progress.is_exact and self._settings.held_gains:
-            held |= self._is_gain
-        if progress.delays_held:
-            held |= self._is_discontinuous
+        """Return the step; delays that are held do not move."""
+        held = self._is_discontinuous & progress.delays_held
         return gauss_newton_step(self._parts, iterate, linearizations, progress, held=held, states_only=states_only)
 
     def _is_settled(self, iterate: Iterate, step: Step, before: float, progress: Progress) -> bool:
@@ -344,7 +323,7 @@ class GaussNewton:
 
     def _with_gains(self, iterate: Iterate, progress: Progress) -> Iterate:
         """Return the iterate with gains to begin with; without stable ones, continuity is tightened more slowly."""
-        if not self._is_gain.any():
+        if not self._has_free_gains:
             return iterate
         settings = self._settings
         z = iterate.z
