@@ -45,7 +45,8 @@ def stated(part: Problem) -> dict[str, Any]:
 
 def fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedRecord:
     """Return the record of a part with the outputs along its best trajectory; NaN without one."""
-    data, model = part.model.record, part.model
+    model = part.model
+    data = model.record
     used = [*part.system.inputs, *part.outputs]
     kept = Record(
         data.time,

@@ -109,10 +109,12 @@ def _write_runs(file: Node, fit: Fit) -> None:
     for column in ("start", "estimate", "cost", "converged", "iterations", "seconds"):
         group[column] = np.array([getattr(run, column) for run in fit.runs])
     _attributes(group, free=json.dumps(fit.free))
-    minimum = np.full(len(fit.runs), -1)
-    for k, found in enumerate(fit.minima):
-        minimum[list(found.runs)] = k
-    group["minimum"] = minimum
+
+    minimum_of_run = np.full(len(fit.runs), -1)
+    for k, minimum in enumerate(fit.minima):
+        minimum_of_run[list(minimum.runs)] = k
+    group["minimum"] = minimum_of_run
+
     minima = file.create_group("minima")
     minima["cost"] = np.array([m.cost for m in fit.minima])
     minima["variants"] = np.array([m.variants for m in fit.minima], dtype=int)
@@ -136,7 +138,8 @@ def _write_fitted_response(group: Node, part: FittedResponse) -> None:
     _attributes(group, pade_error=math.nan if part.pade_error is None else part.pade_error)
     _attributes(group, at=json.dumps(dict(part.at)))
     _attributes(group, sine=None if part.sine is None else json.dumps(part.sine.plain))
-    group["response_alpha"], group["response_beta"] = part.response.real, part.response.imag
+    group["response_alpha"] = part.response.real
+    group["response_beta"] = part.response.imag
     for name, response in (("data", part.data), ("curve", part.curve)):
         if response is not None:
             write_group(group.create_group(name), response)
@@ -166,7 +169,7 @@ def _read(file: Node) -> Fit:
         covariance=file["covariance/values"][()],
         dof=float(attributes["dof"]),
         cost=float(attributes["cost"]),
-        costs={k: math.nan if v is None else v for k, v in json.loads(attributes["costs"]).items()},
+        costs=_read_costs(json.loads(attributes["costs"])),
         runs=runs,
         minima=_read_minima(file, runs),
         warnings=_read_texts(file["warnings"]),
@@ -176,6 +179,12 @@ def _read(file: Node) -> Fit:
         versions=json.loads(attributes["versions"]),
         white=file["covariance/white"][()] if "white" in file["covariance"] else None,
     )
+
+
+def _read_costs(stored: dict[str, float | None]) -> dict[str, float]:
+    """Return the costs by the names of the criteria; layouts 1 and 2 have their descriptions."""
+    names = {criterion.description: criterion.name for criterion in CRITERIA}
+    return {names.get(key, key): math.nan if value is None else value for key, value in stored.items()}
 
 
 def _read_quantities(group: Node) -> tuple[Quantity, ...]:

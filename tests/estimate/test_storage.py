@@ -20,6 +20,7 @@ import greybox as gb
 from greybox.data.record_file import read_record, write_record
 from greybox.data.sealed_files import seal
 from greybox.estimate import storage
+from greybox.formulation.included_criteria import CRITERIA
 from greybox.models.polynomial import Polynomial
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import LinearTilt, Tilt
@@ -167,6 +168,9 @@ def older(layout, criterion):
         part["criterion"] = criterion
         for name in ("criterion_class", "settings", "is_likelihood"):
             del part[name]
+        described = {criterion.name: criterion.description for criterion in CRITERIA}
+        costs = json.loads(file.attrs["costs"])
+        file.attrs["costs"] = json.dumps({described[name]: value for name, value in costs.items()})
         if layout == 1:
             del file["covariance/white"]
 
