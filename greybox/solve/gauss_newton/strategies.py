@@ -1,0 +1,207 @@
+"""The settings of the record solver: every rescue as a switch, every constant that steers it as a number."""
+
+from dataclasses import dataclass, fields
+
+
+@dataclass(frozen=True)
+class Strategies:
+    """What the solver for records may do beyond plain Gauss-Newton steps, and the constants that steer it.
+
+    `MultipleShooting(strategies=Strategies(second_order_correction=False))` switches one off.
+    `benchmarks/ablation.py` measures what each of them buys.
+    """
+
+    # --- before the first iteration -----------------------------------------------------------------------------------
+
+    moved_starts: bool = True
+    """Drawn starts at which the model is not finite move toward one at which it is."""
+    scanned_initial_states: bool = True
+    """Sizes over many decades are tried for unmeasured states where the model is not finite at zero."""
+    accurate_substeps: bool = True
+    """The number of substeps is chosen by the local integration error too, not by the poles alone."""
+    stretches_first: bool = True
+    """A long record is first solved on a few stretches spread over it."""
+
+    # --- within an iteration ------------------------------------------------------------------------------------------
+
+    states_first: bool = True
+    """The first iterations move the node states alone, at held parameters."""
+    continuity_homotopy: bool = True
+    """Continuity is a quadratic penalty first, whose weight grows in stages until it is an exact constraint."""
+    skipped_stages: bool = True
+    """A stage of the homotopy is skipped after a step that decreased the merit function exactly as predicted."""
+    damped_parameters: bool = True
+    """Levenberg-Marquardt damping of the parameters."""
+    damped_states: bool = True
+    """Levenberg-Marquardt damping of the node states besides that of the parameters."""
+    second_order_correction: bool = True
+    """Gaps that curvature leaves after a step are closed before the step is judged (Maratos effect)."""
+    domain_backtracking: bool = True
+    """Nodes whose segments leave the domain of the model are pulled back alone, instead of shortening the step."""
+    simulation_fallback: bool = True
+    """Records are simulated from their first states where Newton steps do not close the gaps."""
+    held_discontinuous_delays: bool = True
+    """Delays at which the cost jumps keep their values once they block the steps of all parameters."""
+    restart_near_data: bool = True
+    """A stalled run begins once more with its parameters and with node states from the data."""
+    covariance_curvature: bool = True
+    """Near the minimum the Hessian accounts for the estimated noise covariance, which follows the parameters."""
+    extrapolated_convergence: bool = True
+    """A run ends when the last two decreases show that the next is negligible, without another iteration."""
+
+    # --- predictors ---------------------------------------------------------------------------------------------------
+
+    riccati_gains: bool = True
+    """The gain begins with that of the best of several steady-state Kalman filters."""
+    held_gains: bool = True
+    """The gain keeps its start value as long as continuity is a penalty."""
+    early_prediction: bool = True
+    """A problem of predictors alone leaves the homotopy after its first stage, or at a blocked step."""
+    simulated_predictors: bool = True
+    """A stable predictor is simulated over whole stretches instead of being cut into segments."""
+    stability_constraints: bool = True
+    """Steps that would make a stable predictor unstable are constrained by its linearized poles."""
+
+    # --- around the starts --------------------------------------------------------------------------------------------
+
+    simulated_first_start: bool = True
+    """The first start also begins with a simulation, so that limits of the model are seen at once."""
+    scaled_neighbors: bool = True
+    """The best end is left again with every positive parameter a factor smaller and larger."""
+    flat_directions: bool = True
+    """The best end is left again along directions that the data do not determine."""
+    simulated_neighbors: bool = True
+    """Runs from the neighborhood of the best end begin with a simulation from its initial states."""
+    ipopt_fallback: bool = True
+    """IPOPT continues from the best ends where no start converged."""
+    refined_substeps: bool = True
+    """Substeps are refined, and the best minima followed, until that shifts the estimate negligibly."""
+
+    # --- constants: the penalty on gaps -------------------------------------------------------------------------------
+
+    assumed_error: float = 0.1
+    """Output error assumed as long as continuity is a penalty, as a share of a signal's standard deviation."""
+    first_gap: float = 3.0
+    """First standard deviation of gaps, in the state change that moves a segment's outputs by the assumed error."""
+    gap_reduction: float = 0.1
+    """Factor on that standard deviation from one stage of the homotopy to the next."""
+    last_gap: float = 2e-4
+    """Share of the first standard deviation below which continuity becomes an exact constraint."""
+    kept_promise: float = 0.1
+    """Relative error of a predicted decrease up to which the next stage begins."""
+    well_kept_promise: float = 0.01
+    """Relative error of a predicted decrease up to which a stage is skipped."""
+    state_iterations: int = 3
+    """Iterations of the node states alone, at most."""
+
+    # --- constants: steps and damping ---------------------------------------------------------------------------------
+
+    max_iterations: int = 100
+    """Iterations of a run."""
+    shortest_step: float = 1e-3
+    """Share of a step below which the line search gives up."""
+    step_reduction: float = 0.4
+    """Factor from one trial of the line search to the next."""
+    short_step: float = 0.05
+    """Share of a step below which a run counts as blocked."""
+    poor_decrease: float = 0.25
+    """Share of the predicted decrease below which the damping grows after a full step."""
+    damping_factor: float = 10.0
+    """Factor by which the damping grows and falls."""
+    first_damping: float = 1e-2
+    """Damping after a poor full step or a failed line search, relative to the diagonal of the Hessian."""
+    blocked_damping: float = 1e2
+    """Damping from which discontinuous delays may be held."""
+    largest_damping: float = 1e6
+    """Damping beyond which a run has stalled."""
+    constraint_penalty: float = 1e3
+    """First penalty on violated constraints in the merit function."""
+    parameter_ridge: float = 1e-10
+    """Curvature added to every scaled parameter, for those that the data do not determine."""
+    state_ridge: float = 1e-10
+    """Curvature added to every node state, relative to its mean curvature."""
+    least_curvature: float = 0.05
+    """Share of the Hessian of a known covariance that an estimated one leaves, at least."""
+    covariance_decrease: float = 1.0
+    """Predicted decrease of the cost below which the Hessian accounts for the estimated covariance."""
+
+    # --- constants: rescues -------------------------------------------------------------------------------------------
+
+    lost_segments: float = 0.1
+    """Share of segments outside the domain of the model up to which their nodes are pulled back alone."""
+    pull_backs: int = 4
+    """Trials of pulling nodes back."""
+    gap_closings: int = 5
+    """Iterations of the second-order correction."""
+    lost_simulation: float = 10.0
+    """Root mean square residual, in standard deviations of a signal, beyond which a simulation is discarded."""
+    long_record: int = 20000
+    """Samples from which some stretches are solved first."""
+
+    # --- constants: convergence ---------------------------------------------------------------------------------------
+
+    tolerance: float = 1e-8
+    """Of half the squared length of a step in standard errors, and of the decrease of the cost."""
+    cost_rounding: float = 1e-9
+    """Relative change of the cost that counts as rounding."""
+    gap_rounding: float = 1e-9
+    """Gap, relative to the largest value of a state, that counts as rounding."""
+
+    # --- constants: predictors ----------------------------------------------------------------------------------------
+
+    prediction_gap: float = 0.5
+    """As `last_gap`, for problems of predictors alone."""
+    brief_step: float = 0.1
+    """Share of a step below which a problem of predictors alone leaves the homotopy."""
+    process_noise: float = 1.0
+    """Largest process noise of the steady-state filters, as a share of the first variance of gaps; 12 decades down."""
+    pole_difference: float = 1e-6
+    """Relative difference by which derivatives of poles are taken."""
+    stability_share: float = 0.9
+    """Share of the way to the stability limit that one step may go."""
+    forgetting: float = 3.0
+    """Time constants of the slowest pole that the longest stretch must hold: the stability limit."""
+    gain_samples: int = 3000
+    """Samples on which the steady-state filters are compared."""
+
+    # --- constants: around the starts ---------------------------------------------------------------------------------
+
+    neighbor_factor: float = 4.0
+    """Factor by which a parameter is made smaller and larger around the best end."""
+    neighbor_iterations: int = 40
+    """Iterations of a run from the neighborhood of the best end."""
+    flat_count: int = 3
+    """Directions along which the best end is left, at most."""
+    flat_cost: float = 0.1
+    """Change of the cost below which a direction counts as not determined."""
+    ipopt_runs: int = 3
+    """Runs that IPOPT continues."""
+    ipopt_iterations: int = 150
+    """Iterations of IPOPT in such a run."""
+
+    # --- constants: discretization and initial states -----------------------------------------------------------------
+
+    looks: int = 100
+    """Samples at which the model is evaluated to choose substeps and segments."""
+    local_accuracy: float = 1e-4
+    """Integration error over `local_span` samples, relative to the spread of a state, for the first substeps."""
+    local_span: int = 10
+    """Samples over which this error is taken."""
+    negligible_shift: float = 0.1
+    """Shift of an estimate by twice the substeps, in standard errors, that is accepted."""
+    rival_cost: float = 10.0
+    """Cost above the best up to which a minimum is followed when substeps are refined."""
+    mean_over_deviation: float = 0.5
+    """Mean over standard deviation from which a measured state begins as measured instead of at zero."""
+    sweeps: int = 2
+    """Sweeps over the unmeasured states, each of which tries all sizes."""
+
+
+def switches() -> tuple[str, ...]:
+    """Return the names of all strategies that can be switched off."""
+    return tuple(f.name for f in fields(Strategies) if isinstance(f.default, bool))
+
+
+def constants() -> tuple[str, ...]:
+    """Return the names of all constants."""
+    return tuple(f.name for f in fields(Strategies) if not isinstance(f.default, bool))
