@@ -18,15 +18,15 @@ The problems were chosen before anything was switched off, from `tests/support/h
   Three free data sets for development and benchmarking in nonlinear system identification), reactor (ignition),
   chain and unseen (unmeasured states), overflow (a limit that no start reaches), too simple (a wrong model, with
   diagonal and full covariance);
-- those of `tests/solve/test_published_cases.py` and the like: Lotka and Volterra, a pendulum with two samples and a half
-  a period, Lorenz (1963), a damped swing whose stiffnesses may swap, direct delay (the cost jumps), a long record;
+- those of `tests/solve/test_published_cases.py` and the like: Lotka and Volterra, a pendulum with two samples and a
+  half a period, Lorenz (1963), a damped swing whose stiffnesses may swap, direct delay (the cost jumps), a long record;
 - flights of the unstable tilt plant: output error in the declared boxes; with gusts that the model does not know of; as
   a predictor with twelve gains; as a predictor at its stability limit; and a spring predictor with an unknown force;
 - stiff: a pole of 1000 1/s sampled at 20 Hz;
 - those known to fail or to mislead: conversion (a spurious fast solution), thrust (initial states hardly seen), tanh
   chain (30 parameters for 12 states originally, here 15 for 6, poorly posed);
-- NIST's Statistical Reference Datasets, https://www.itl.nist.gov/div898/strd/ (public domain, in `benchmarks/data/nist`):
-  Bennett5, MGH10, MGH17, Lanczos1, Lanczos2, Lanczos3.
+- NIST's Statistical Reference Datasets, https://www.itl.nist.gov/div898/strd/ (public domain, in
+  `benchmarks/data/nist`): Bennett5, MGH10, MGH17, Lanczos1, Lanczos2, Lanczos3.
 """
 
 import argparse
@@ -155,6 +155,7 @@ class Setting:
     tag: str = ""
 
     def concerns(self, case: Case) -> bool:
+        """Tell whether the setting may matter there."""
         return self.tag in case.tags.split() if self.tag else True
 
 
@@ -180,12 +181,12 @@ def varied(name: str) -> Iterator[Setting]:
 # --- measuring --------------------------------------------------------------------------------------------------------
 
 
-class TooLong(Exception):
+class TooLongError(Exception):
     """A fit took longer than LIMIT."""
 
 
 def stop(*_: Any) -> None:
-    raise TooLong
+    raise TooLongError
 
 
 def fitted(case: Case, problem: Any, strategies: Strategies, seed: int) -> dict[str, Any]:
@@ -200,9 +201,9 @@ def fitted(case: Case, problem: Any, strategies: Strategies, seed: int) -> dict[
         fit = gb.fit(problem, starts=case.starts, seed=seed, method=method, progress=False)
         runs = [run.cost if run.converged else None for run in fit.runs[: case.starts]]
         cost, iterations = fit.cost, sum(run.iterations for run in fit.runs)
-    except TooLong:
+    except TooLongError:
         failure = "took too long"
-    except Exception as error:  # noqa: BLE001  (a strategy may have prevented it)
+    except Exception as error:  # a strategy may have prevented it
         failure = f"{type(error).__name__}: {error}"[:160]
     finally:
         signal.alarm(0)
@@ -227,6 +228,7 @@ class Results:
                 self.fits[entry["setting"], entry["problem"], entry["seed"]] = entry
 
     def add(self, setting: Setting, name: str, problem: Any, seed: int) -> None:
+        """Fit, unless that is in the file."""
         key = (setting.name, name, seed)
         if key in self.fits:
             return
@@ -272,14 +274,15 @@ def row(results: Results, setting: str, first: int) -> list[str]:
         item[4] += base["seconds"]
         item[5] += entry["seconds"]
         item[6] = entry["failure"] or item[6]
-    pooled = [sum((item[k] for item in problems.values()), []) for k in range(4)]
+    pooled = [[value for item in problems.values() for value in item[k]] for k in range(4)]
     changed = [chance(sum(a > b for a, b in zip(x, y, strict=True)), sum(a < b for a, b in zip(x, y, strict=True)))
                for x, y in ((pooled[0], pooled[1]), (pooled[2], pooled[3]))]  # fmt: skip
     ratio = math.exp(np.mean([math.log(item[5] / item[4]) for item in problems.values()]))
     total = sum(item[5] for item in problems.values()) / sum(item[4] for item in problems.values())
     lines = [
         f"{setting:<46} {share(pooled[0]):>5} {share(pooled[1]):>5} {changed[0]:6.3f}   {share(pooled[2]):>5} "
-        f"{share(pooled[3]):>5} {changed[1]:6.3f}   {ratio:5.2f} {total:5.2f}   {len(pooled[0])} runs, {len(pooled[2])} fits"
+        f"{share(pooled[3]):>5} {changed[1]:6.3f}   {ratio:5.2f} {total:5.2f}   "
+        f"{len(pooled[0])} runs, {len(pooled[2])} fits"
     ]
     for name, (on, off, fits_on, fits_off, seconds_on, seconds_off, failure) in problems.items():
         slower = seconds_off / seconds_on
@@ -307,8 +310,8 @@ def report(results: Results, settings: Sequence[Setting], seeds: Sequence[int]) 
         print(f"  {name:<30} {share(runs):>5} of {len(runs):<3} {share(fits):>5} of {len(fits)}   "
               f"{np.mean([e['seconds'] for e in entries]):7.2f} s   {entries[0]['failure']}")  # fmt: skip
     print(f"  {'all':<30} {share(everything[0]):>5} of {len(everything[0])}, {share(everything[1])} of fits")
-    print("\nruns and fits at the best known minimum: with everything on, with the setting, probability of the change by")
-    print("chance; time of the setting over that with everything on: geometric mean over the problems, of the sums")
+    print("\nRuns and fits at the best known minimum: with everything on, with the setting, probability of the change")
+    print("by chance; time of the setting over that with everything on: geometric mean over the problems, of the sums")
     print(f"{'':<46} {'on':>5} {'off':>5} {'chance':>6}   {'on':>5} {'off':>5} {'chance':>6}   {'time':>5} {'sum':>5}")
     for setting in settings:
         if setting.name != BASE:
