@@ -2,43 +2,13 @@
 
 import numpy as np
 import pytest
+from hard_models import ROTOR, WIND, BlindTilt, pushed, windy_flight
 from numpy.testing import assert_allclose
 from spring_lag_tilt import SPRING, TILT, FullTilt, Spring, assert_true, fit, steps
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.kalman_gain import steady_state_gain
-from greybox.models.controller import AttitudeController
-from greybox.models.tilt import NonlinearTilt
-
-ROTOR = {name: TILT[name] for name in ("T_rotor", "T_delay")}
-RULE = gb.PredictionError(inputs="held")
-
-
-class BlindTilt(NonlinearTilt):
-    """Without the velocity."""
-
-    outputs = ("q", "theta")
-
-    def output(self, x, u, p):
-        return (x.q, x.theta)
-
-
-def flight(seed, wind, seconds):
-    """The unstable plant in its closed loop, disturbed at some states."""
-    clock, waves = np.arange(100 * seconds) / 100, np.geomspace(0.5, 16, 9)
-    phases = np.random.default_rng(5).uniform(0, 2 * np.pi, 9)
-    reference = 0.08 * sum(np.sin(w * clock + f) for w, f in zip(waves, phases, strict=True))
-    return gb.virtual_flight(
-        FullTilt(),
-        TILT,
-        excitation={"reference": reference},
-        controller=AttitudeController(rate=100.0),
-        noise={"v": 0.05, "q": 0.02, "theta": 0.005},
-        process_noise=wind,
-        seed=seed,
-    )
-
 
 # --- the filter -------------------------------------------------------------------------------------------------------
 
@@ -73,7 +43,7 @@ def spring_flight(n=1234, seed=0, **wind):
 def test_a_predictor_follows_every_stretch_as_segments_that_join_do():
     whole = spring_flight()
     gaps = whole.with_signals(F=np.where(np.isin(np.arange(1234), (7, 400)), np.nan, whole["F"]))
-    nlp = compile_problem(gb.Problem(Spring(), gaps, RULE))
+    nlp = compile_problem(gb.Problem(Spring(), gaps, WIND))
     (part,) = nlp.parts
     values = SPRING | {"K_x_x": 0.3, "K_x_v": 0.05, "K_v_x": 0.5, "K_v_v": 0.6}
     z = nlp.scaling.to_solver(np.array([values[name] for name in nlp.free]))
@@ -90,7 +60,7 @@ def test_a_predictor_follows_every_stretch_as_segments_that_join_do():
 
 
 def test_all_starts_end_in_one_minimum_with_all_gains_free():
-    problem = gb.Problem(FullTilt(), flight(2, {"q": 2.0}, 40), RULE, fixed=ROTOR)
+    problem = gb.Problem(FullTilt(), windy_flight(2, {"q": 2.0}, 40), WIND, fixed=ROTOR)
     found = fit(problem, starts=8)
     assert len([name for name in found.free if name.startswith("K_")]) == 12
     assert (found.agreeing, found.converged) == (8, True)
@@ -99,41 +69,23 @@ def test_all_starts_end_in_one_minimum_with_all_gains_free():
 
 def test_a_likelihood_that_grows_toward_the_limit_of_stability_is_no_stall():
     """The velocity is not measured and hardly disturbed: its pole would leave the unit circle."""
-    problem = gb.Problem(BlindTilt(), flight(3, {"q": 0.3}, 60), RULE, fixed=ROTOR)
+    problem = gb.Problem(BlindTilt(), windy_flight(3, {"q": 0.3}, 60), WIND, fixed=ROTOR)
     found = fit(problem, starts=2)
     assert [run.status for run in found.runs] == ["converged", "converged"]
     assert found.agreeing == 2
     assert_true(found, {name: value for name, value in TILT.items() if name not in ROTOR})
 
 
-class Pushed(gb.StateSpace):
-    """The spring under a constant force that nobody knows and nothing changes."""
-
-    states, outputs, inputs = ("x", "v", "w"), ("x", "v"), ("F",)
-    k = gb.Parameter(6.0, bounds=(0.1, 100))
-    c = gb.Parameter(0.8, bounds=(-5, 20))
-    b = gb.Parameter(1.5, bounds=(-50, 50))
-
-    def derivative(self, x, u, p):
-        return (x.v, -p.k * x.x - p.c * x.v + p.b * u.F + x.w, 0)
-
-    def output(self, x, u, p):
-        return (x.x, x.v)
-
-
 def test_what_innovations_do_not_drive_need_not_be_forgotten():
-    truth, n = {name: SPRING[name] for name in ("k", "c", "b")}, 3000
-    options = {"rate": 20.0, "noise": {"x": 0.02, "v": 0.06}, "process_noise": {"v": 1.0}, "initial": {"w": 2.0}}
-    data = gb.virtual_flight(Pushed(), truth, excitation={"F": steps(n, 4)}, **options)
-    found = fit(gb.Problem(Pushed(), data, gb.PredictionError(corrected=("x", "v"), inputs="held")))
-    assert_true(found, truth)
+    found = fit(pushed())
+    assert_true(found, {name: SPRING[name] for name in ("k", "c", "b")})
     assert abs(found.records[0].initial["w"][0] - 2.0) < 1.0
 
 
 def test_a_fit_of_prediction_errors_takes_as_few_iterations_as_one_of_output_errors():
-    data = flight(0, {"v": 0.5, "q": 0.5}, 60)
+    data = windy_flight(0, {"v": 0.5, "q": 0.5}, 60)
     output, prediction = (
         sum(run.iterations for run in fit(gb.Problem(FullTilt(), data, rule, fixed=ROTOR), starts=3).runs)
-        for rule in (gb.OutputError(inputs="held"), RULE)
+        for rule in (gb.OutputError(inputs="held"), WIND)
     )
     assert prediction <= 1.5 * output

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from hard_models import Direct, direct
 from numpy.testing import assert_allclose
 from scipy.linalg import expm
 from scipy.optimize import minimize
@@ -75,20 +76,6 @@ def test_a_free_delay_is_found_to_a_tenth_of_a_sample(samples, held):
     assert_allclose([found.estimate["K"], found.estimate["T"]], [3, 0.2], rtol=0.02)
     # A held input has a kink in the delay at whole samples, on both sides of which there may be a minimum.
     assert found.agreeing >= (1 if held and samples % 1 == 0 else 3)
-
-
-class Direct(Lag):
-    """Half of the input reaches the output directly."""
-
-    def response(self, s, p):
-        return (p.K / (p.T * s + 1) + 1) * gb.exp(-s * p.d)
-
-
-def direct(samples, seed):
-    """The lag of a held input and its input, which a sample sees as it was just before if the delay is a fraction."""
-    data = lag(samples * 0.05, True, noise=0.01, seed=seed)
-    late = np.clip(np.arange(len(data)) - int(np.ceil(samples - 1e-9)), 0, None)
-    return data.with_signals(y=data["y"] + data["u"][late])
 
 
 @pytest.mark.parametrize("samples", [0.0, 0.3, 1.5, 2.0])

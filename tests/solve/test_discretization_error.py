@@ -2,11 +2,9 @@
 
 import re
 
-import numpy as np
 import pytest
+from hard_models import Swing, stiff_lag, swung
 from numpy.testing import assert_allclose
-from scipy.linalg import expm
-from stiff_lag import StiffLag
 
 import greybox as gb
 
@@ -15,42 +13,9 @@ COARSE = gb.MultipleShooting(integrator=gb.RungeKutta(1))
 
 def test_a_rate_at_the_limit_of_stability_is_not_believed():
     """The data hold nothing of k; Runge-Kutta steps of 2.78 / k would determine it to 0.2 %, whatever their length."""
-    random, n, step = np.random.default_rng(0), 300, 0.05
-    u = np.repeat(random.normal(size=n // 10), 10)
-    y, decay = np.zeros(n), np.exp(-2.0 * step)
-    for i in range(n - 1):
-        y[i + 1] = decay * y[i] + 1.5 * (1 - decay) * u[i]
-    record = gb.Record(np.arange(n) * step, {"u": u, "y": y + 0.1 * random.normal(size=n)})
-    fit = gb.fit(gb.Problem(StiffLag(), record, gb.OutputError(inputs="held")), starts=1)
+    fit = gb.fit(stiff_lag(), starts=1)
     believed = fit.standard_error["k"] < 0.05 * fit.estimate["k"]
     assert not believed or any("integration is too coarse" in warning for warning in fit.warnings)
-
-
-class Swing(gb.StateSpace):
-    """An oscillation whose two stiffnesses may swap: one minimum, two parameter vectors."""
-
-    states, inputs, outputs = ("x", "v"), ("u",), ("x",)
-    k1 = gb.Parameter(90.0, bounds=(10, 200), unit="1/s²")
-    k2 = gb.Parameter(20.0, bounds=(10, 200), unit="1/s²")
-    c = gb.Parameter(0.5, bounds=(0, 20), unit="1/s")
-
-    def derivative(self, x, u, p):
-        return (x.v, -(p.k1 + p.k2) * x.x - p.c * x.v + p.k1 * p.k2 / 20 * u.u)
-
-    def output(self, x, u, p):
-        return (x.x,)
-
-
-def swung(k=(80.0, 30.0), c=0.4, n=400, step=0.05, noise=1e-4):
-    """The exact solution of an oscillation under a held input, sampled."""
-    random = np.random.default_rng(0)
-    u = np.repeat(random.normal(size=n // 10), 10)
-    matrix = np.array([[0, 1, 0], [-(k[0] + k[1]), -c, k[0] * k[1] / 20], [0, 0, 0]])
-    transition = expm(matrix * step)
-    x = np.zeros((n, 2))
-    for i in range(n - 1):
-        x[i + 1] = transition[:2] @ [*x[i], u[i]]
-    return gb.Record(np.arange(n) * step, {"u": u, "x": x[:, 0] + noise * random.normal(size=n)})
 
 
 def test_runs_and_minima_tell_the_same_when_substeps_were_refined():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from hard_models import LOTKA_VOLTERRA, Pendulum, free_motion, lotka_volterra, slow_pendulum
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
@@ -12,11 +12,6 @@ from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.multistart import multistart
 
 
-def simulated(derivative, x0, time):
-    """Return states (n, samples) by SciPy, which shares nothing with the code under test."""
-    return solve_ivp(derivative, (time[0], time[-1]), x0, t_eval=time, rtol=1e-10, atol=1e-12, max_step=0.1).y
-
-
 def point(problem, **values):
     """Return the compiled problem, its first record, and the solver's variables at these parameters."""
     nlp = compile_problem(problem)
@@ -24,56 +19,16 @@ def point(problem, **values):
     return nlp, nlp.record_parts[0], z
 
 
-class LotkaVolterra(gb.StateSpace):
-    """Hares and lynxes, sampled once a year; no input."""
-
-    states = outputs = ("H", "L")
-    inputs = ()
-    a = gb.Parameter(0.5, bounds=(0.05, 5), scale="log")
-    b = gb.Parameter(0.02, bounds=(0.001, 0.2), scale="log")
-    c = gb.Parameter(0.5, bounds=(0.05, 5), scale="log")
-    d = gb.Parameter(0.02, bounds=(0.001, 0.2), scale="log")
-
-    def derivative(self, x, u, p):
-        return (p.a * x.H - p.b * x.H * x.L, p.d * x.H * x.L - p.c * x.L)
-
-    def output(self, x, u, p):
-        return (x.H, x.L)
-
-
 def test_a_model_without_inputs_sampled_sparsely():
-    true = {"a": 0.55, "b": 0.028, "c": 0.84, "d": 0.026}
-    time = np.arange(21.0)
-    x = simulated(lambda t, x: [0.55 * x[0] - 0.028 * x[0] * x[1], 0.026 * x[0] * x[1] - 0.84 * x[1]], [33, 6], time)
-    x = x + 2 * np.random.default_rng(0).standard_normal(x.shape)
-    fit = gb.fit(gb.Problem(LotkaVolterra(), gb.Record(time, {"H": x[0], "L": x[1]})), starts=5, progress=False)
+    fit = gb.fit(lotka_volterra(), starts=5, progress=False)
     assert fit.converged
-    for name, value in true.items():
+    for name, value in LOTKA_VOLTERRA.items():
         assert abs(fit.estimate[name] - value) < 3.5 * fit.standard_error[name]
 
 
-class Pendulum(gb.StateSpace):
-    """A pendulum swinging freely with large amplitude."""
-
-    states = ("theta", "q")
-    inputs = ()
-    outputs = ("theta",)
-    k = gb.Parameter(39.0, bounds=(35, 45), unit="1/s²")
-    c = gb.Parameter(0.1, bounds=(0, 2), unit="1/s")
-
-    def derivative(self, x, u, p):
-        return (x.q, -p.k * gb.sin(x.theta) - p.c * x.q)
-
-    def output(self, x, u, p):
-        return (x.theta,)
-
-
 @pytest.fixture(scope="module")
-def slow_pendulum():
-    """Two samples and a half a period: four standard steps of Runge-Kutta damp more than the pendulum itself."""
-    time = 0.4 * np.arange(60)
-    x = simulated(lambda t, x: [x[1], -39 * np.sin(x[0]) - 0.08 * x[1]], [1.2, 0], time)
-    return gb.Record(time, {"theta": x[0] + 0.01 * np.random.default_rng(0).standard_normal(60)})
+def pendulum():
+    return slow_pendulum().data
 
 
 def coarse(record, substeps=None):
@@ -83,8 +38,8 @@ def coarse(record, substeps=None):
     return nlp, multistart(nlp, np.array([[39.0, 0.1]]))
 
 
-def test_too_few_substeps_are_told_from_their_shift(slow_pendulum):
-    nlp, search = coarse(slow_pendulum, substeps=2)
+def test_too_few_substeps_are_told_from_their_shift(pendulum):
+    nlp, search = coarse(pendulum, substeps=2)
     assert search.converged
     solver = GaussNewton(nlp)
     profile = solver.profile(search.minima[0].estimate, search.nodes)
@@ -94,10 +49,10 @@ def test_too_few_substeps_are_told_from_their_shift(slow_pendulum):
     assert refine_discretization(nlp, search, solver) == (nlp, search, solver, None)  # what the method fixes stays
 
 
-def test_the_shift_is_that_of_a_second_fit(slow_pendulum):
+def test_the_shift_is_that_of_a_second_fit(pendulum):
     found = []
     for substeps in (40, 80):
-        nlp, search = coarse(slow_pendulum, substeps)
+        nlp, search = coarse(pendulum, substeps)
         profile = GaussNewton(nlp).profile(search.minima[0].estimate, search.nodes)
         found.append((search.minima[0].estimate, discretization_error(nlp, profile.trajectories).shift))
     errors = np.array([0.010, 0.00032])  # of k and c at this noise
@@ -105,17 +60,17 @@ def test_the_shift_is_that_of_a_second_fit(slow_pendulum):
     assert np.abs(found[1][1]).max() < 0.1
 
 
-def test_substeps_are_refined_until_the_truth_is_found(slow_pendulum):
-    nlp, search = coarse(slow_pendulum)
+def test_substeps_are_refined_until_the_truth_is_found(pendulum):
+    nlp, search = coarse(pendulum)
     finer, refined, solver, _ = refine_discretization(nlp, search, GaussNewton(nlp))
     profile = solver.profile(refined.minima[0].estimate, refined.nodes)
     assert discretization_error(finer, profile.trajectories).largest <= 0.1
     assert np.all(np.abs(refined.minima[0].estimate - [39, 0.08]) < 3.5 * np.array([0.010, 0.00032]))
 
 
-def test_an_undamped_oscillation_gets_substeps_by_its_frequency(slow_pendulum):
+def test_an_undamped_oscillation_gets_substeps_by_its_frequency(pendulum):
     # One step of Runge-Kutta is stable up to |pole| · step = 2.7, and here, at 2.5, wrong.
-    nlp = compile_problem(gb.Problem(Pendulum(), slow_pendulum))
+    nlp = compile_problem(gb.Problem(Pendulum(), pendulum))
     assert nlp.record_parts[0].substeps >= np.sqrt(39) * 0.4 / 0.7
 
 
@@ -174,7 +129,7 @@ def test_a_last_segment_is_not_filled_up_with_inputs_of_zero():
         front, rear = 0.05 * np.sin(3 * t) - (x[0] + 1.2 * x[1]) / 20, -(x[0] - 1.5 * x[1]) / 20
         return [60 * (front + rear) - 20 * x[1], 60 * (front - 1.1 * rear)]
 
-    x = simulated(derivative, [0, 0], time)
+    x = free_motion(derivative, [0, 0], time)
     noisy = x[1] + 0.002 * np.random.default_rng(0).standard_normal(203)
     record = gb.Record(time, {"speed": np.full(203, 20.0), "steer": 0.05 * np.sin(3 * time), "r": noisy})
     fit = gb.fit(gb.Problem(Bicycle(), record), starts=3, progress=False)

@@ -1,4 +1,4 @@
-"""Problems of records that were hard to solve at some time, with the truth or the certified values where there are some.
+"""Problems of records that were hard to solve at some time, with the truth where there is one.
 
 Every function returns a problem; what the solver does to it is held by tests and measured by `benchmarks/ablation.py`.
 """
@@ -292,7 +292,8 @@ def slow_pendulum():
     """Two samples and a half a period: four standard steps of Runge-Kutta damp more than the pendulum itself."""
     time = 0.4 * np.arange(60)
     x = free_motion(lambda t, x: [x[1], -39 * np.sin(x[0]) - 0.08 * x[1]], [1.2, 0], time)
-    return gb.Problem(Pendulum(), gb.Record(time, {"theta": x[0] + 0.01 * np.random.default_rng(0).standard_normal(60)}))
+    theta = x[0] + 0.01 * np.random.default_rng(0).standard_normal(60)
+    return gb.Problem(Pendulum(), gb.Record(time, {"theta": theta}))
 
 
 class Lorenz(gb.StateSpace):
