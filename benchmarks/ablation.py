@@ -55,7 +55,7 @@ import hard_models as hard  # noqa: E402
 import numpy as np  # noqa: E402
 
 import greybox as gb  # noqa: E402
-from greybox.solve.gauss_newton.strategies import Strategies, constants, switches  # noqa: E402
+from greybox.compiled.strategies import Strategies, constants, switches  # noqa: E402
 
 LIMIT = 40  # s of one fit
 BASE, ALL = "everything on", "everything off"
