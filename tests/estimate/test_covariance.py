@@ -219,7 +219,7 @@ def test_a_product_has_an_error_where_its_factors_have_none():
     assert math.isnan(fit.standard_error["K1"])
     assert math.isnan(fit.standard_error["K2"])
     assert math.isnan(fit.standard_error["quotient"])
-    assert any("K1" in w and "K2" in w and "only a combination" in w for w in fit.warnings)
+    assert any("K1" in w and "K2" in w and "combination" in w for w in fit.warnings)
     assert_allclose(fit.derived["K"], whole.estimate["K"], rtol=1e-5)
     same_errors(fit, whole, ["K", "T1", "T2", "T"], 0.02)
 
