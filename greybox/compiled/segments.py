@@ -85,6 +85,7 @@ class Segments:
         self.n = step.function.size1_in(0)
         self.k = step.function.size1_out(1)
         self._ordered: tuple[Array, Array] | None = None
+        self._arrays: tuple[Array, Array, Array] | None = None
         self._compiled = None
         if compile_linearization:
             self._compiled = CompiledLinearization(step.function, active.tolist(), count, length)
@@ -119,6 +120,9 @@ class Segments:
 
     def _slopes(self, x: Any, q: Any, *results: Any) -> list[Any]:
         active = self.active.tolist()
+        if isinstance(x, ca.SX):  # whose entries are symbols: derivatives by the others need not be formed
+            free = ca.vertcat(x, q[active])
+            return [ca.densify(ca.jacobian(r, free)) for r in results]
         return [ca.densify(ca.horzcat(ca.jacobian(r, x), ca.jacobian(r, q)[:, active])) for r in results]
 
     @cached_property
@@ -289,7 +293,7 @@ class Segments:
     def sensitivities(self, states: Array, q: Array, data: Array, batch: slice) -> tuple[Array, Array, Array]:
         """Return derivatives of the ends (c, n, v) and residuals (c, length, k, v), and the residuals (c, length, k).
 
-        Of the c segments of a `batch`, by node and active parameters.
+        Of the c segments of a `batch`, by node and active parameters. The second array is overwritten by the next call.
         """
         length = self.length
         count = len(range(self.count)[batch])
@@ -304,7 +308,7 @@ class Segments:
     def output_sensitivities(self, states: Array, q: Array, data: Array) -> Array:
         """Return the derivatives of the simulated outputs at all samples, (s, length, k, v), measured or not."""
         A, C = self._output_derivatives(states, q, data)
-        return self._propagated(A, C, self.count)[1]
+        return self._propagated(A, C, self.count)[1].copy()
 
     def _propagated(self, A: Array, C: Array, count: int) -> tuple[Array, Array]:
         """Carry the derivatives of every sample through the segments: of ends (count, n, v), of rows (c, length, k, v).
@@ -314,16 +318,28 @@ class Segments:
         """
         n, k, length = self.n, self.k, self.length
         v = n + len(self.active)
-        A = np.ascontiguousarray(A.reshape(v, n, length, count).transpose(2, 3, 1, 0))
-        C = np.ascontiguousarray(C.reshape(v, k, length, count).transpose(3, 2, 1, 0))
+        transitions, rows, J = self._workspace(count)
+        transitions[:] = A.reshape(v, n, length, count).transpose(2, 3, 1, 0)
+        rows[:] = C.reshape(v, k, length, count).transpose(3, 2, 1, 0)
         S = np.tile(np.eye(n, v), (count, 1, 1))
-        J = np.empty((count, length, k, v))
         for i in range(length):
-            np.matmul(C[:, i, :, :n], S, out=J[:, i])
-            S = A[i, :, :, :n] @ S
-            S[:, :, n:] += A[i, :, :, n:]
-        J[..., n:] += C[..., n:]
+            np.matmul(rows[:, i, :, :n], S, out=J[:, i])
+            S = transitions[i, :, :, :n] @ S
+            S[:, :, n:] += transitions[i, :, :, n:]
+        J[..., n:] += rows[..., n:]
         return S, J
+
+    def _workspace(self, count: int) -> tuple[Array, Array, Array]:
+        """Return arrays for the derivatives of so many segments, the same as the last time for as many.
+
+        Memory that is asked for anew at every iteration costs more than the arithmetic in it: its pages are zeroed by
+        the system each time.
+        """
+        if self._arrays is None or len(self._arrays[1]) != count:
+            v = self.n + len(self.active)
+            rows = (count, self.length, self.k, v)
+            self._arrays = (np.empty((self.length, count, self.n, v)), np.empty(rows), np.empty(rows))
+        return self._arrays
 
     def mean_transition(self, states: Array, q: Array, data: Array) -> tuple[Array, Array]:
         """Return the mean derivatives of the next state (n, n) and of the outputs (k, n) by the state."""

@@ -28,6 +28,8 @@ class Strategies:
     """The first iterations move the node states alone, at held parameters."""
     continuity_homotopy: bool = True
     """Continuity is a quadratic penalty first, whose weight grows in stages until it is an exact constraint."""
+    skipped_stages: bool = True
+    """A stage of the homotopy is skipped after a step that decreased the merit function exactly as predicted."""
     damped_parameters: bool = True
     """Levenberg-Marquardt damping of the parameters."""
     damped_states: bool = True
@@ -79,6 +81,8 @@ class Strategies:
     """Share of the first standard deviation below which continuity becomes an exact constraint."""
     kept_promise: float = 0.1
     """Relative error of a predicted decrease up to which the next stage begins."""
+    well_kept_promise: float = 0.01
+    """Relative error of a predicted decrease up to which a stage is skipped."""
     state_iterations: int = 3
     """Iterations of the node states alone, at most."""
 

@@ -131,7 +131,8 @@ class Progress:
             if self.near_solution and not self.state_iterations:
                 self.gap_scale = 0.0
         elif ready:
-            scale = self.gap_scale * settings.gap_reduction
+            skips = error <= settings.well_kept_promise and settings.skipped_stages
+            scale = self.gap_scale * settings.gap_reduction ** (2 if skips else 1)
             self.gap_scale = scale if scale > self.last_scale else 0.0
         if self.is_exact:
             self.homotopy_end = (iterate.z, iterate.nodes)

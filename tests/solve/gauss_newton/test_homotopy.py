@@ -30,18 +30,19 @@ def test_the_nodes_move_alone_until_a_step_is_as_predicted_or_their_iterations_a
     assert (progress.state_iterations, progress.gap_scale) == (0, 1.0)
 
 
-def test_a_well_predicted_step_begins_the_next_stage():
+def test_a_well_predicted_step_begins_the_next_stage_and_a_very_well_predicted_one_skips_it():
     progress = begun(states_first=False)
     stepped(progress, 1.0, 0.5)
     assert progress.gap_scale == 1.0
     stepped(progress, 1.0, 0.95)
     assert progress.gap_scale == pytest.approx(0.1)
     assert progress.continuity_variance[0] == pytest.approx(4.0 * 0.01)
+    stepped(progress, 1.0, 1.0)
+    assert progress.gap_scale == pytest.approx(0.001)
     stepped(progress, 1.0, 0.5, length=0.4)  # a shortened step is no prediction
-    assert progress.gap_scale == pytest.approx(0.1)
+    assert progress.gap_scale == pytest.approx(0.001)
     assert progress.homotopy_end is None
-    for _ in range(3):  # nothing is left to gain
-        stepped(progress, 1.0, 0.5, done=True)
+    stepped(progress, 1.0, 0.5, done=True)  # nothing is left to gain
     assert progress.is_exact
     assert progress.homotopy_end is not None
 
