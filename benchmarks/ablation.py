@@ -116,7 +116,7 @@ CASES = {
 
 # Settings that are consulted on some problems alone: the others would be fitted alike.
 ALONE = {
-    "predictor": """riccati_gains held_gains early_prediction simulated_predictors stability_constraints prediction_gap
+    "predictor": """riccati_gains early_prediction simulated_predictors stability_constraints prediction_gap
         brief_step process_noise pole_difference stability_share forgetting gain_samples""".split(),
     "jumping": ["held_discontinuous_delays", "blocked_damping"],
     "long": ["stretches_first"],
@@ -131,8 +131,6 @@ TRIED: dict[str, tuple[float, float]] = {
     "poor_decrease": (0.025, 0.9),
     "damping_factor": (2.0, 100.0),
     "state_iterations": (1, 30),
-    "lost_segments": (0.01, 1.0),
-    "pull_backs": (1, 40),
     "gap_closings": (1, 50),
     "prediction_gap": (0.05, 0.99),
     "brief_step": (0.01, 0.99),
@@ -141,7 +139,6 @@ TRIED: dict[str, tuple[float, float]] = {
     "stability_share": (0.09, 0.99),
     "least_curvature": (0.005, 0.5),
     "neighbor_factor": (1.5, 40.0),
-    "flat_count": (1, 30),
     "ipopt_runs": (1, 30),
     "sweeps": (1, 20),
     "local_span": (1, 100),

@@ -27,8 +27,8 @@ NAMESPACES = {
     "formulation": "Criterion MagnitudePhase MaximumLikelihood OutputError PredictionError Problem RelativeError "
     "SquaredRelativeError Starts Sum TimeCriterion several",
     "logs": "find_segments horizontal_velocity negative prepare read",
-    "modeling": "Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace TransferFunction "
-    "feedback frequency_response harmonic_response linearize rational",
+    "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "
+    "TransferFunction feedback frequency_response harmonic_response linearize rational",
     "plotting": "bode nyquist plot recording starts time_history traces",
     "regression": "EquationError equation_error levy order_path",
     "simulation": "Prediction predict simulate",

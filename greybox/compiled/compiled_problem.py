@@ -184,8 +184,9 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
             problem=part,
             objective=ca.Function("objective", [z, smoothing], [kind(cost)]),
             model_response=ca.Function("response", [x], [ca.vertcat(response.re, response.im)]),
+            scaled_response=ca.Function("response", [z], [kind(ca.vertcat(scaled_response.re, scaled_response.im))]),
         )
-        for part, cost, response in zip(responding, own_cost, responses, strict=True)
+        for part, cost, response, scaled_response in zip(responding, own_cost, responses, scaled, strict=True)
     }
     point = ca.SX.sym("z", len(free))
     named = dict(zip((*free, *constants), [*scaling.expressions(point), *constant_values], strict=True))

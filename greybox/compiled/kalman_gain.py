@@ -55,7 +55,7 @@ class KalmanGain:
     def limit(self) -> float:
         """The largest magnitude of a pole: what is left of an initial state fades over the longest stretch.
 
-        A predictor beyond would look into the future through its free initial states. Where a mode is hardly driven
+        A predictor beyond would use its free initial states to fit later samples. Where a mode is hardly driven
         by noise, the likelihood grows toward the unit circle and has no maximum within, as for the unit root of a
         moving average: Sargan and Bhargava (1983), Econometrica 51(3).
         """

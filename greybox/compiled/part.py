@@ -5,8 +5,10 @@ at the beginning of its segments, its *nodes*. They belong to the part, which el
 (condensing), so that a solver adds up Hessians and gradients in z whatever the data are. A frequency response has none:
 all its arrays over nodes are empty.
 
-What asks: the Gauss-Newton driver (`initial_trajectory` to `step_nodes`), IPOPT (`transcribe`), the grouping of minima
-(`signature`), the covariance of the estimate (`information`), the diagnostics (the properties at the end).
+What asks: the Gauss-Newton driver (`initial_trajectory` to `close_gaps`), the grouping of minima (`signature`), the
+check of the discretization (`refined`), the covariance of the estimate (`information`), the diagnostics (the properties
+at the end). IPOPT takes the expressions of frequency responses from the compiled problem, and those of records from
+their transcription.
 """
 
 from abc import ABC, abstractmethod
@@ -37,7 +39,7 @@ class Trajectory:
     gaps : (s, n) array
         Ends less the next nodes: zero where the trajectory is continuous.
     products : (k, k) array
-        Sums over all samples of the products of the residuals of two outputs.
+        Sums over all samples of the products of the residuals of two outputs; of a frequency response its cost.
     simulated : bool
         True where the trajectory was simulated from the first node of every stretch: no other node counts.
     detail : object
@@ -194,7 +196,10 @@ class Part(ABC):
 
     @abstractmethod
     def signature(self, trajectory: Trajectory) -> Array:
-        """Return numbers (m,) by which runs are told apart: simulated outputs in units of the signals' spread."""
+        """Return numbers (m,) by which runs are told apart: the model's outputs in units of the measured ones.
+
+        Of a record simulated outputs over the signals' spread, of a frequency response P/|P̂|.
+        """
 
     def refined(self, factor: int, *, compiled: bool = True) -> "Part":
         """Return the part with `factor` times the steps per sample; not `compiled` for a look at it alone."""

@@ -13,8 +13,7 @@ Array = NDArray[np.float64]
 # Of the largest eigenvalue in units in which every parameter has curvature one: below is rounding.
 RANK = 1e-12
 
-# Degrees of freedom that correlation leaves, at least: with fewer, Student's t has no finite fourth moment, and an
-# interval says nothing.
+# Degrees of freedom that correlation leaves, at least: twice as many as Student's t needs for a finite variance.
 FEWEST = 4
 
 

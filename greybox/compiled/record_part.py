@@ -296,9 +296,7 @@ class RecordPart(Part):
         """Linearize along a trajectory, known initial states eliminated."""
         moments = covariance_curvature and self.covariance.known is None and len(self.outputs) > 1
         placed = trajectory.detail.placed
-        result = self.segments.linearize(
-            trajectory.detail.states, trajectory.ends, placed.q, weight, placed.data, moments=moments
-        )
+        result = self.segments.linearize(trajectory.detail.states, placed.q, weight, placed.data, moments=moments)
         if result.moments is not None:
             result = self._with_covariance(result)
         return self._without_known_states(result, placed) if self.model.known_states.any() else result
@@ -343,7 +341,6 @@ class RecordPart(Part):
             node_gradient[k, known] = 0
             transition[k, :, known] = 0
         return Linearization(
-            end=b.end,
             transition=transition,
             parameter_sensitivity=sensitivity,
             node_hessian=node_hessian,
@@ -478,6 +475,9 @@ class RecordPart(Part):
         weight = part.covariance.weight(trajectory.products)
         triangle, white, weighted = part._jacobian(trajectory, weight)
         factor, score = 1.0, white
+        if part.covariance.known is not None:  # what was given is not what the residuals show
+            variance = np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1)
+            score = np.einsum("k,kpt,kqt->pq", variance, weighted, weighted)
         if not self.model.criterion.errors_are_white:
             residuals = self.data.unpadded(part.residuals(trajectory))
             score = colored_information(self.data.unpadded(weighted), residuals)

@@ -73,7 +73,7 @@ class ResidualCovariance:
 
 
 def followed_by_covariance(hessian: Array, right: Array, least: float) -> Array:
-    """Return -H⁻¹ right, with no less than the share `least` of the stiffness one, at which nothing would be eased."""
+    """Return -H⁻¹ right, with eigenvalues of H no smaller than `least`; H is one where the covariance is known."""
     values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
     return -(vectors / np.maximum(values, least)) @ vectors.T @ right
 

@@ -21,6 +21,9 @@ NO_NODES = np.zeros((0, 0))
 # moves the cost by 6e-5 at most.
 SMOOTHING = 1e-8
 
+# Of the largest measured magnitude: points below, which may be zero, tell no two runs apart.
+LEAST_MAGNITUDE = 1e-12
+
 
 @dataclass(frozen=True, eq=False)
 class ResponsePart(Part):
@@ -33,11 +36,14 @@ class ResponsePart(Part):
         (z, smoothing) -> cost, unweighted.
     model_response : casadi.Function
         (all values x) -> real and imaginary parts of the model's response, stacked (2 n,).
+    scaled_response : casadi.Function
+        (z) -> the same.
     """
 
     problem: Problem
     objective: ca.Function
     model_response: ca.Function
+    scaled_response: ca.Function
 
     @property
     def criterion(self) -> Criterion:
@@ -84,8 +90,9 @@ class ResponsePart(Part):
         return self.trajectory(z, NO_NODES)
 
     def trajectory(self, z: Array, nodes: Array, *, simulated: bool = False) -> Trajectory:
-        """Return the point z, without nodes."""
-        return Trajectory(z, NO_NODES, NO_NODES, NO_NODES, NO_NODES, simulated=True)
+        """Return the point z, without nodes; not finite where the cost is not."""
+        cost = np.array([[float(self.objective(z, SMOOTHING))]])
+        return Trajectory(z, NO_NODES, NO_NODES, NO_NODES, cost, simulated=True)
 
     def cost(self, trajectory: Trajectory, smoothing: float) -> float:
         """Return the cost."""
@@ -132,8 +139,10 @@ class ResponsePart(Part):
         return True
 
     def signature(self, trajectory: Trajectory) -> Array:
-        """Return nothing: responses are told apart for all runs at once, see `greybox.solve.minima`."""
-        return np.zeros(0)
+        """Return real and imaginary parts of the model's response over the magnitude of the measured one, (2 n,)."""
+        size = np.abs(self.problem.response.response)
+        size = np.maximum(size, LEAST_MAGNITUDE * size.max() + 1e-150)
+        return np.asarray(self.scaled_response(trajectory.z)).ravel() / np.tile(size, 2)
 
     # --- for the covariance of the estimate ---------------------------------------------------------------------------
 

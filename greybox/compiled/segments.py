@@ -27,12 +27,12 @@ Array = NDArray[np.float64]
 # batch is no faster.
 BATCH = 20_000
 
-# Samples per segment and segment from which segments are simulated one after the other: a call of a CasADi function for
-# one column more costs 0.9 µs, a call from Python 12 µs.
+# Ratio of a segment's samples to the number of segments from which they are simulated one after the other: a call from
+# Python costs 12 µs, which s segments share, and a column in CasADi's own loop 0.9 µs.
 LONG = 10
 
-# Samples that make the mean transition of a record, evenly over it: its poles then move by less than the limits that
-# they are held against.
+# Samples that make the mean transition of a record, evenly over it: an evaluation of them costs a twelfth of one of
+# 6000.
 MEAN_SAMPLES = 500
 
 
@@ -42,8 +42,8 @@ class Linearization:
 
     Attributes
     ----------
-    end, transition, parameter_sensitivity : (s, n), (s, n, n) and (s, n, q) arrays
-        Ends of the segments and their derivatives by node and parameters.
+    transition, parameter_sensitivity : (s, n, n) and (s, n, q) arrays
+        Derivatives of the ends of the segments by node and parameters.
     node_hessian, cross_hessian, node_gradient : (s, n, n), (s, n, q) and (s, n) arrays
         JᵀJ of the node with itself and with the parameters, and Jᵀe, of every segment.
     parameter_hessian, parameter_gradient : (q, q) and (q,) arrays
@@ -52,7 +52,6 @@ class Linearization:
         Sums over samples of e_a · de_b by every node and by the parameters, where they were asked for.
     """
 
-    end: Array
     transition: Array
     parameter_sensitivity: Array
     node_hessian: Array
@@ -121,7 +120,7 @@ class Segments:
     def _slopes(self, x: Any, q: Any, *results: Any) -> list[Any]:
         active = self.active.tolist()
         if isinstance(x, ca.SX):  # whose entries are symbols: derivatives by the others need not be formed
-            free = ca.vertcat(x, q[active])
+            free = ca.vertcat(x, *(q[i] for i in active))  # q[[]] of one parameter adds a row
             return [ca.densify(ca.jacobian(r, free)) for r in results]
         return [ca.densify(ca.horzcat(ca.jacobian(r, x), ca.jacobian(r, q)[:, active])) for r in results]
 
@@ -215,15 +214,13 @@ class Segments:
 
     # --- linearization ------------------------------------------------------------------------------------------------
 
-    def linearize(
-        self, states: Array, end: Array, q: Array, weight: Array, data: Array, *, moments: bool = False
-    ) -> Linearization:
+    def linearize(self, states: Array, q: Array, weight: Array, data: Array, *, moments: bool = False) -> Linearization:
         """Linearize along the states, the residuals multiplied by `weight`, a square root of the inverse covariance."""
         if self._compiled is not None and not moments:
             found = self._linearize_in_c(states, q, weight, data)
             if found is not None:
                 return found
-        s, n = len(end), self.n
+        s, n = self.count, self.n
         v = n + len(self.active)
         transition = np.empty((s, n, v))
         node_hessian = np.empty((s, n, n))
@@ -254,7 +251,6 @@ class Segments:
             parameter_gradient += g[:, n:].sum(axis=0)
 
         return Linearization(
-            end=end,
             transition=transition[:, :, :n],
             parameter_sensitivity=transition[:, :, n:],
             node_hessian=node_hessian,
@@ -271,7 +267,7 @@ class Segments:
         n, s = self.n, self.count
         v = n + len(self.active)
         nodes = states[:, :s].T
-        end, slopes, products, gradient = self._compiled(nodes, q, weight, self.rows(data))
+        _, slopes, products, gradient = self._compiled(nodes, q, weight, self.rows(data))
         if not (math.isfinite(slopes.sum()) and math.isfinite(products.sum())):
             return None
 
@@ -280,7 +276,6 @@ class Segments:
         place[np.triu_indices(v)] = np.arange(v * (v + 1) // 2)
         place = np.maximum(place, place.T)
         return Linearization(
-            end=end,
             transition=transition[:, :, :n],
             parameter_sensitivity=transition[:, :, n:],
             node_hessian=products[:, place[:n, :n]],

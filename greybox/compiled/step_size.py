@@ -7,6 +7,7 @@ at the declared parameters and at others drawn from the start boxes, since the s
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -109,13 +110,16 @@ class _AccuracyJudge:
     @classmethod
     def of(cls, system: Dynamics, integrator: Integrator, strategies: Strategies) -> "_AccuracyJudge":
         """Compile the step as a function of x, u and (p, h)."""
-        x = ca.SX.sym("x", len(system.states))
-        u = ca.SX.sym("u", len(system.inputs))
-        p = ca.SX.sym("p", len(system.parameters))
-        h = ca.SX.sym("h")
-        held = ca.SX(len(system.inputs), 1)
+        kind: Any = ca.MX if integrator.implicit else ca.SX
+        x = kind.sym("x", len(system.states))
+        u = kind.sym("u", len(system.inputs))
+        p = kind.sym("p", len(system.parameters))
+        h = kind.sym("h")
+        held = kind(len(system.inputs), 1)
         after = integrator.advance(system, x, u, held, p, h)
-        step = ca.Function("advance", [x, u, ca.vertcat(p, h)], [after], {"cse": True})
+        constants = kind.sym("constants", len(system.parameters) + 1)
+        named = [x, u, constants[:-1], constants[-1]]
+        step = ca.Function("advance", [x, u, constants], [ca.Function("one", [x, u, p, h], [after])(*named)])
         return cls(Columns(step, shared=(2,)), integrator.order, strategies.local_accuracy, strategies.local_span)
 
     def substeps(self, count: int, states: Array, inputs: Array, p: Array, step: float) -> int:

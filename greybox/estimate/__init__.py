@@ -1,7 +1,8 @@
 """The answer and how far it can be believed.
 
 Begin with `fit`, then `result`, which holds `Fit` and what it prints. `quantities` makes the lines of the answer,
-`fitted_record` the plain values that it keeps of a record. `covariance` holds the standard errors of every criterion,
-`record_information` what the samples of a record tell of the parameters where residuals are correlated in time. The
-folder `diagnostics` holds the warnings, and `storage` writes and reads fits.
+`fitted_record` the plain values that it keeps of a record. `covariance` holds the standard errors of every criterion:
+bread and meat of the sandwich are the `spread` of each criterion in `greybox.formulation.frequency_criteria`, and for
+records `greybox.compiled.record_information`. The folder `diagnostics` holds the warnings, and `storage` writes and
+reads fits.
 """

@@ -64,9 +64,9 @@ def fit(
     starts : int, Starts, or list
         A number of Sobol points, a rule such as `LatinHypercube(200)`, or a list of ``{name: value}``; by default 200
         Sobol points; where data are records, the declared values and 19 Sobol points. Drawn points at which a model of
-        records is not finite move toward the first at which it is. Of several starts on records, the first is also
-        begun with a simulation, and the best end left once more with every positive parameter four times larger and
-        smaller and along what the data do not determine; what ends better is a run of its own.
+        records is not finite move toward the first at which it is. Of several starts on records, the search goes on
+        from the best end with every parameter whose lower bound is above zero made four times larger and smaller; a
+        lower cost is reported as an extra run.
     seed : int, optional
         Of the Sobol points, 0 by default; a rule has its own. More starts of one seed begin with the same points.
     method : MultipleShooting, SingleShooting or Collocation, optional

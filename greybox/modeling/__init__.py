@@ -8,14 +8,14 @@ written with `functions`. One formula has several readings:
 - `pade_delay` approximates a delay by a rational function or by states.
 - `linear_response` is the frequency response, with `linearization` of an ODE at its operating point (`trim`) and
   `elimination` of the states; `harmonic_balance` is the response to a `sine` of finite amplitude.
-- `realization` turns a model into differential equations, `integrators` and `implicit_integrators` step them,
-  and `step_size` is the rule for the
-  number of their steps.
+- `realization` turns a model into differential equations, `integrators` and `implicit_integrators` step
+  them, and `step_size` is the rule for the number of their steps.
 
 `model_reference` names a model in a stored result.
 """
 
 from greybox.modeling.harmonic_balance import harmonic_response as harmonic_response
+from greybox.modeling.implicit_integrators import ImplicitIntegrator as ImplicitIntegrator
 from greybox.modeling.integrators import Integrator as Integrator
 from greybox.modeling.integrators import Rosenbrock as Rosenbrock
 from greybox.modeling.integrators import RungeKutta as RungeKutta

@@ -13,9 +13,14 @@ import casadi as ca
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.realization import Dynamics
 
-# Largest residual of the stage equations, relative to the size of the state, with which a step counts as solved:
-# Newton's method converges quadratically to about 1e-12, and standard errors are no smaller than 1e-6 of a state.
+# Largest residual of the stage equations, relative to the largest state, with which a step counts as solved: far above
+# the rounding in which Newton's method ends, and far below what an integrator of any order leaves.
 SOLVED = 1e-9
+
+# Of Newton's method: what it may leave of the equations, and iterations, of which a step that is short enough needs
+# three or four.
+TOLERANCE = 1e-13
+ITERATIONS = 30
 
 
 @dataclass(frozen=True)
@@ -46,7 +51,7 @@ class ImplicitIntegrator(Integrator):
         stages = ca.SX.sym("stages", n, self.stages)
         start, at, ramp, parameters, span = symbols
         equations = ca.vec(self.equations(system, start, stages, at, ramp, parameters, span))
-        options = {"error_on_fail": False, "abstol": 1e-13, "max_iter": 30}
+        options = {"error_on_fail": False, "abstol": TOLERANCE, "max_iter": ITERATIONS}
         known = ca.vertcat(*symbols)
         statement = {"x": ca.vec(stages), "p": known, "g": equations}
         newton = ca.rootfinder("stages", "newton", statement, options)

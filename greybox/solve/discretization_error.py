@@ -42,8 +42,8 @@ class DiscretizationError:
     Attributes
     ----------
     shift : (p,) array
-        Of the unknowns, in standard errors; or the relative change of these where that is more: at the limit of its
-        stability an integrator knows rates that the model does not show.
+        Of the unknowns, in standard errors; or the relative change of these where that is more: at its stability limit
+        an integrator's outputs depend on fast poles that those of the model do not show.
     order : int
         The shift falls with this power of the number of steps.
     accepted : float

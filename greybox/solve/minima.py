@@ -80,8 +80,8 @@ def find_minima(
 ) -> tuple[Minimum, ...]:
     """Group the converged runs by cost and model response, best first.
 
-    Two runs are at one minimum when their costs and their responses agree, whatever the parameters. Runs in time bring
-    their responses as `signatures`, in the order of `runs`.
+    Two runs are at one minimum when their costs and their responses agree, whatever the parameters. Where there are
+    records, each run brings its `signatures` (`Part.signature`), in the order of `runs`.
     """
     order = sorted((run for run in runs if run.converged), key=lambda run: run.cost)
     if not order:

@@ -109,7 +109,14 @@ def _continued_by_ipopt(
     if not best or sum(part.data.samples * len(part.outputs) for part in nlp.record_parts) > TRANSCRIBED_SIZE:
         return outcomes
     ipopt = TranscribedProgram(nlp, solver, {"max_iter": settings.ipopt_iterations, **options})
-    return [ipopt.run(o.estimate) if k in best else o for k, o in enumerate(outcomes)]
+    return [_continued(ipopt, o) if k in best else o for k, o in enumerate(outcomes)]
+
+
+def _continued(ipopt: TranscribedProgram, before: Outcome) -> Outcome:
+    """Return where IPOPT ends from the end of a run, or that run where IPOPT does not converge either."""
+    after = ipopt.run(before.estimate)
+    spent = {"iterations": before.iterations + after.iterations, "seconds": before.seconds + after.seconds}
+    return replace(after if after.converged else before, **spent)
 
 
 def _as_runs(nlp: Nlp, starts: Array, outcomes: list[Outcome]) -> tuple[Run, ...]:

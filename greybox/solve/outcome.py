@@ -11,6 +11,9 @@ from greybox.data.text_table import counted, one_line
 Array = NDArray[np.float64]
 
 
+NOT_FINITE = "not finite at the start"  # status of a run that could not begin
+
+
 @dataclass(frozen=True, eq=False)
 class Run:
     """The outcome of one start.

@@ -22,11 +22,11 @@ from greybox.compiled.transcription.method import Transcribed
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.iterate import Iterate
 from greybox.solve.ipopt import CONVERGED, checked_nlpsol
-from greybox.solve.outcome import Outcome
+from greybox.solve.outcome import NOT_FINITE, Outcome
 
 Array = NDArray[np.float64]
 
-# Relaxations, each an IPOPT run from the end of the last. They converge linearly; what takes a hundred does not.
+# Relaxations, each an IPOPT run from the end of the last. They converge linearly; a useful rate needs far fewer.
 RELAXATIONS = 100
 
 # Relative change of the cost from one relaxation to the next that ends them: a tenth of a standard error changes it by
@@ -89,7 +89,7 @@ class TranscribedProgram:
         z = np.clip(scaling.to_solver(start), self._bounds["lbx"][:p], self._bounds["ubx"][:p])
         first = self._gauss_newton.smoothed(z)
         if first is None:
-            return Outcome(start, "not finite at the start", 0, time.perf_counter() - began, False, math.inf)
+            return Outcome(start, NOT_FINITE, 0, time.perf_counter() - began, False, math.inf)
 
         status, iterations, last, cost = "", 0, math.inf, math.inf
         w: Any = np.concatenate([z, *self._initial_unknowns(first)])
@@ -118,7 +118,8 @@ class TranscribedProgram:
         estimate = np.clip(scaling.to_parameters(w[:p]), self._nlp.lower, self._nlp.upper)
         converged = status in CONVERGED and math.isfinite(cost)
         signature = self._gauss_newton.signature(estimate) if converged else None
-        converged = converged and signature is not None
+        if converged and signature is None:
+            status, converged = "no continuous states at the estimate", False
         return Outcome(estimate, status, iterations, time.perf_counter() - began, converged, cost, signature)
 
     def _initial_unknowns(self, iterate: Iterate) -> list[Array]:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.spectral.uniform_stretches import UniformStretch, uniform_stretches
-from greybox.spectral.welch import HZ, PERIODS, Estimate, estimates, response_at, transforms
+from greybox.spectral.welch import HZ, PERIODS, WindowedPoint, estimates, response_at, transforms
 
 Array = NDArray[np.float64]
 
@@ -157,11 +157,11 @@ def _excited_frequencies(stretches: Sequence[UniformStretch], lengths: Sequence[
     return np.geomspace(fine[first], fine[last], points)
 
 
-def _combined(estimates: Sequence[Estimate]) -> Estimate:
+def _combined(estimates: Sequence[WindowedPoint]) -> WindowedPoint:
     """Weight the window lengths at one frequency by their random errors."""
     known = [e for e in estimates if math.isfinite(e.variance)]
     if not known:
-        return Estimate()
+        return WindowedPoint()
     response = np.array([e.response for e in known])
     error = np.sqrt([e.variance for e in known]) / np.abs(response)
     weight = (error / error.min()) ** -SHARPNESS
@@ -170,4 +170,4 @@ def _combined(estimates: Sequence[Estimate]) -> Estimate:
     deviation = float(weight @ np.sqrt([e.variance for e in known]))
     dof = float(weight @ [e.dof for e in known])
     coherence = float(weight @ [e.coherence for e in known])
-    return Estimate(complex(weight @ response), deviation**2, dof, coherence)
+    return WindowedPoint(complex(weight @ response), deviation**2, dof, coherence)

@@ -45,7 +45,7 @@ PHASE_DRIFT = 0.05
 RESOLUTION = 5e-4
 
 
-class Estimate(NamedTuple):
+class SinePoint(NamedTuple):
     """One point of the response with its variance and degrees of freedom, and the standard error of the control."""
 
     response: complex
@@ -203,12 +203,12 @@ def _frequency_error(t: Array, r: Array, omega: float) -> float:
     return float(np.angle(second / first) / half) if abs(first) > 0 else 0.0
 
 
-def _by_lines(t: Array, amplitudes: Complex, residual: Array, omega: float, origin: float, q: int) -> Estimate:
+def _by_lines(t: Array, amplitudes: Complex, residual: Array, omega: float, origin: float, q: int) -> SinePoint:
     """Estimate with the lines beside `omega`, all of one phase at both ends of the window: leakage is smooth in m."""
     u, y = amplitudes[:2] * np.exp(1j * omega * (t[0] - origin))
     if q == 1 or u == 0:
         control_noise = float(np.sqrt(4 * np.mean(residual[0] ** 2) / t.size))  # of white noise of that variance
-        return Estimate(complex(y / u) if u else 0j, math.nan, 0.0, control_noise)
+        return SinePoint(complex(y / u) if u else 0j, math.nan, 0.0, control_noise)
 
     # Up to a quarter of ω on either side, where noise and leakage still are what they are at ω.
     count = 1 if q == 2 else min(max(2, int(q / 4 + 0.5)), LINES)
@@ -227,22 +227,22 @@ def _by_lines(t: Array, amplitudes: Complex, residual: Array, omega: float, orig
     noise = np.sum(np.abs(scatter) ** 2) / free
     variance = noise * (1 + np.sum(at_omega**2)) / abs(u) ** 2
     control_noise = float(np.sqrt(np.mean(np.abs(lines[0]) ** 2)))
-    return Estimate(complex(response), float(variance), 2.0 * free, control_noise)
+    return SinePoint(complex(response), float(variance), 2.0 * free, control_noise)
 
 
-def _by_periods(t: Array, x: Array, amplitudes: Complex, omega: float, origin: float, q: int) -> Estimate:
+def _by_periods(t: Array, x: Array, amplitudes: Complex, omega: float, origin: float, q: int) -> SinePoint:
     """Estimate as printed, from the amplitudes over the whole window, with the scatter of the periods."""
     u, y = amplitudes[:2]
     response = complex(y / u) if u else 0j
     if q == 1:
-        return Estimate(response, math.nan, 0.0, 0.0)
+        return SinePoint(response, math.nan, 0.0, 0.0)
     step = float(np.median(np.diff(t)))
     period = np.clip(((t - t[-1] - step / 2) * omega / (2 * math.pi) + q).astype(int), 0, q - 1)
     each = np.stack([quadrature(t[period == k], x[:, period == k], omega, origin) for k in range(q)], axis=-1)
     error = each[1] - response * each[0]
     variance = np.sum(np.abs(error - error.mean()) ** 2) / (q - 1) / q / abs(u) ** 2 if u else math.nan
     control_noise = np.sqrt(np.sum(np.abs(each[0] - each[0].mean()) ** 2) / (q - 1) / q)
-    return Estimate(response, float(variance), 2.0 * (q - 1), float(control_noise))
+    return SinePoint(response, float(variance), 2.0 * (q - 1), float(control_noise))
 
 
 def _saturation(u: Array, limits: tuple[float, float] | None) -> float:

@@ -46,7 +46,7 @@ LEAST_DOF = 3
 WORST_CONDITION = 1e6
 
 
-class Estimate(NamedTuple):
+class WindowedPoint(NamedTuple):
     """One frequency, one window length; NaN where there are too few windows."""
 
     response: complex = complex("nan")
@@ -126,13 +126,13 @@ def transforms(
     return Transforms(u, y, r, regressors, instruments, correlation, 1 + len(conditioned))
 
 
-def estimates(spectra: Transforms, radians: Array) -> list[Estimate]:
+def estimates(spectra: Transforms, radians: Array) -> list[WindowedPoint]:
     """Return one estimate per frequency; none where the window, `radians` long, holds too few periods."""
     enough = radians >= PERIODS * HZ * (1 - 1e-9)
-    return [estimate(spectra, k) if good else Estimate() for k, good in enumerate(enough)]
+    return [estimate(spectra, k) if good else WindowedPoint() for k, good in enumerate(enough)]
 
 
-def estimate(spectra: Transforms, k: int) -> Estimate:
+def estimate(spectra: Transforms, k: int) -> WindowedPoint:
     """Solve instrumentsᴴ (Y - regressors P) = 0 at the frequency of column k; P̂ belongs to the first regressor.
 
     A periodic input in steady state has no leakage: where its terms are not independent they are left out.
@@ -143,7 +143,7 @@ def estimate(spectra: Transforms, k: int) -> Estimate:
         x = x[:, : spectra.inputs]
         z = z[:, : spectra.inputs]
         if not _solvable(z, x):
-            return Estimate()
+            return WindowedPoint()
 
     y = spectra.y[:, k]
     c = spectra.correlation
@@ -151,18 +151,18 @@ def estimate(spectra: Transforms, k: int) -> Estimate:
     trace, trace_of_square = _traces(c, x, solution.conj().T.astype(complex))
     dof = 2 * trace**2 / trace_of_square
     if trace < 1e-9 * c.trace() or dof < LEAST_DOF:  # a trace of rounding errors: as many unknowns as windows
-        return Estimate()
+        return WindowedPoint()
 
     noise = np.sum(np.abs(y - x @ (solution @ y)) ** 2) / trace
     variance = noise * (solution[0] @ c @ solution[0].conj()).real
     response = complex(solution[0] @ y)
     rounding = (4 * EPS * abs(response)) ** 2  # noise-free data have no smaller variance than their rounding errors
-    return Estimate(response, max(variance, rounding), dof, _coherence(x, z, y))
+    return WindowedPoint(response, max(variance, rounding), dof, _coherence(x, z, y))
 
 
 def response_at(
     omega: Array,
-    estimates: Sequence[Estimate],
+    estimates: Sequence[WindowedPoint],
     names: tuple[str, str, str],
     stretches: Sequence[UniformStretch],
 ) -> FrequencyResponse:

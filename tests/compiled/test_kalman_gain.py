@@ -67,6 +67,19 @@ def test_all_starts_end_in_one_minimum_with_all_gains_free():
     assert_true(found, {name: value for name, value in TILT.items() if name not in ROTOR})
 
 
+def test_standard_errors_of_a_predictor_use_the_residuals_not_the_deviations_that_were_given():
+    flown = spring_flight()
+
+    def found(factor):
+        noise = {"x": 0.02 * factor, "v": 0.06 * factor}
+        return fit(gb.Problem(Spring(), flown, gb.PredictionError(noise=noise)), starts=1)
+
+    right, tripled = found(1.0), found(3.0)
+    for name, error in right.standard_error.items():
+        assert tripled.estimate[name] == pytest.approx(right.estimate[name], abs=0.01 * error)
+        assert tripled.standard_error[name] == pytest.approx(error, rel=0.01)
+
+
 def test_a_likelihood_that_grows_toward_the_limit_of_stability_is_no_stall():
     """The velocity is not measured and hardly disturbed: its pole would leave the unit circle."""
     problem = gb.Problem(BlindTilt(), windy_flight(3, {"q": 0.3}, 60), WIND, fixed=ROTOR)

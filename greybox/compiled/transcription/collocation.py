@@ -11,6 +11,9 @@ from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.transcription.method import Transcribed, Transcription
 from greybox.modeling.implicit_integrators import ImplicitIntegrator, Radau
 
+# What CasADi tabulates.
+MOST_POINTS = 9
+
 
 @dataclass(frozen=True)
 class Collocation(Transcription):
@@ -33,8 +36,8 @@ class Collocation(Transcription):
     def __post_init__(self) -> None:
         """Check the options."""
         super().__post_init__()
-        if not isinstance(self.degree, int) or not 1 <= self.degree <= 9:
-            raise ValueError(f"degree {self.degree!r} must be a whole number from 1 to 9.")
+        if not isinstance(self.degree, int) or not 1 <= self.degree <= MOST_POINTS:
+            raise ValueError(f"degree {self.degree!r} must be a whole number from 1 to {MOST_POINTS}.")
 
     @property
     def scheme(self) -> ImplicitIntegrator:
@@ -77,5 +80,7 @@ class Collocation(Transcription):
         )
 
     def finer(self, substeps: int) -> str:
-        """Return the option that integrates more accurately: more points per sample."""
-        return f"method=Collocation(degree={min(self.degree + 1, 9)})"
+        """Return the option that integrates more accurately: more points per sample, or several steps."""
+        if self.degree == MOST_POINTS:
+            return "method=MultipleShooting(), which takes several steps per sample"
+        return self._option(degree=self.degree + 1)

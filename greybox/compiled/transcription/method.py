@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Literal
 
 import casadi as ca
@@ -92,8 +92,18 @@ class Transcription(ABC):
         return f"{self.label}, {segments}, {self.scheme.name}, {counted(substeps, 'step')} per sample"
 
     def finer(self, substeps: int) -> str:
-        """Return the option that integrates with so many steps per sample, and an alternative, for a warning."""
-        return f"method={type(self).__name__}(integrator={type(self.scheme).__name__}(substeps={substeps}))"
+        """Return the option of `fit` that integrates with so many steps per sample, for a warning."""
+        return self._option(integrator=replace(self.scheme, substeps=substeps))
+
+    def _option(self, **changes: Any) -> str:
+        """Return the option of `fit` with these changes and all else that was chosen, strategies left out."""
+        changed = replace(self, **changes)
+        usual = type(self)()
+        chosen = (f.name for f in fields(self) if f.name != "strategies")
+        shown = (
+            f"{k}={getattr(changed, k)!r}" for k in chosen if k in changes or getattr(self, k) != getattr(usual, k)
+        )
+        return f"method={type(self).__name__}({', '.join(shown)})"
 
 
 def checked_integrator(integrator: Any) -> None:

@@ -23,7 +23,7 @@ def discretization_warnings(
         return
     name = nlp.free[int(np.argmax(np.abs(error.shift)))]
     count = max(part.substeps for part in nlp.record_parts)
-    by = "beyond all bounds, since the model diverges"
+    by = "without limit, since the model diverges"
     if math.isfinite(error.largest):
         by = f"by {error.largest:.2g} standard errors"
     yield (

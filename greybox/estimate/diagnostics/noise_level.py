@@ -39,7 +39,7 @@ def biased_gains(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
 def unlikely_variances(nlp: Nlp, best: Minimum) -> Iterator[str]:
     """Say where the given variances of a response are far from those of the residuals."""
     costs = nlp.part_costs(best.estimate)
-    for response, cost in zip(nlp.response_parts, costs, strict=False):
+    for response, cost in zip(nlp.response_parts, costs, strict=True):
         problem = response.problem
         if not problem.criterion.known_noise:
             continue
@@ -56,7 +56,7 @@ def unlikely_variances(nlp: Nlp, best: Minimum) -> Iterator[str]:
 
 def unlikely_deviations(nlp: Nlp, trajectories: Sequence[Trajectory | None]) -> Iterator[str]:
     """Say where the given standard deviations of a record's outputs are far from those of the residuals."""
-    for part, trajectory in zip(nlp.parts, trajectories, strict=False):
+    for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         if not isinstance(part, RecordPart) or trajectory is None or part.covariance.known is None:
             continue
         deviations = np.sqrt(np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1))

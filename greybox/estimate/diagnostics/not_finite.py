@@ -13,10 +13,9 @@ from greybox.compiled.record_part import RecordPart
 from greybox.modeling.integrators import Rosenbrock
 from greybox.solve.ipopt import INVALID
 from greybox.solve.minima import Multistart
-from greybox.solve.outcome import Run
+from greybox.solve.outcome import NOT_FINITE, Run
 
 Array = NDArray[np.float64]
-STATUS = "not finite at the start"
 NAMED = 4  # values of parameters in a sentence
 FEW = 0.5  # share of converged runs below which a sentence is due
 
@@ -58,7 +57,7 @@ def _explained(nlp: Nlp, run: Run) -> Run:
 
 
 def _is_candidate(nlp: Nlp, run: Run) -> bool:
-    return nlp.has_states and not run.converged and run.status in (STATUS, INVALID)
+    return nlp.has_states and not run.converged and run.status in (NOT_FINITE, INVALID)
 
 
 def _values(nlp: Nlp, start: Array) -> str:

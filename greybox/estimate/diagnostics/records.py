@@ -1,4 +1,4 @@
-"""Warnings about records: samples that no fit saw, movements that tell little, and models that explain little."""
+"""Warnings about records: samples that were not compared, uninformative signals, residuals that are not white."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -17,8 +17,8 @@ from greybox.estimate.result import FittedRecord
 from greybox.statistics.noise_ratio import noise_ratio
 
 MASKED = 0.05  # share of the samples of a record from which their loss is told
-LITTLE = 10.0  # fit in percent below which a model explains almost nothing
-SHARE = 0.5  # of the fit that noise allows, from which a model explains what it can
+LITTLE = 10.0  # fit in percent below which a model reproduces almost nothing
+SHARE = 0.5  # of the fit that noise allows, from which a model reproduces what it can
 FACTOR = 5.0  # between standard deviations of one output in several records
 COLORED, GREY = 0.9, 0.2  # correlation of successive residuals of output and prediction error that is told
 CERTAIN = 5.0  # standard deviations of the correlation of white residuals, beyond which there is one
@@ -51,20 +51,19 @@ def _unexplained(part: RecordPart, fitted: FittedRecord, *, alone: bool) -> Iter
         found = noise_ratio([stretch.outputs[k] for stretch in part.data.stretches])
         if found.noisy:
             yield (
-                f"{name} moves no more than noise does from sample to sample, and the model explains almost nothing of "
-                f"it (fit {percent:.1f} %): it tells hardly anything of the parameters; excite it more, or leave it "
-                "out."
+                f"{name} is indistinguishable from noise, and the model reproduces almost none of its variation (fit "
+                f"{percent:.1f} %): it carries little information on the parameters; excite it more, or leave it out."
             )
         elif percent < SHARE * found.attainable_fit_percent:
             yield (
-                f"the model explains almost nothing of {name} (fit {percent:.1f} %), where its noise from sample to "
-                f"sample would allow about {found.attainable_fit_percent:.0f} %: try other starts, narrower boxes for "
-                "them, or another structure."
+                f"the model reproduces almost none of the variation of {name} (fit {percent:.1f} %), where its noise "
+                f"from sample to sample would allow about {found.attainable_fit_percent:.0f} %: try other starts, "
+                "narrower boxes for them, or another structure."
             )
 
 
 def _colored(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
-    """Say where residuals are correlated in time more than the criterion bears."""
+    """Say where residuals are correlated in time more than the standard errors of the criterion account for."""
     measured, predicted = [], []
     for part, fitted in pairs:
         by_output = not part.model.criterion.errors_are_white
@@ -75,29 +74,29 @@ def _colored(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
                 (measured if by_output else predicted).append(f"{value:.3g} for {output}{where}")
     if measured:
         yield (
-            f"the residuals are correlated from one sample to the next ({', '.join(measured)}), as a disturbance of "
-            "the states leaves them: where the inputs answer to it, as in a closed loop, the estimate is biased beyond "
-            "its errors; compare with criterion=PredictionError()."
+            f"the residuals are correlated from one sample to the next ({', '.join(measured)}), as process noise such "
+            "as gusts would cause: if feedback responds to it, the estimate is biased beyond its standard errors; "
+            "compare with criterion=PredictionError()."
         )
     if predicted:
         yield (
             f"the prediction errors are not white ({', '.join(predicted)} from one sample to the next): the signals "
-            "were low-passed, a state that the noise reaches is not corrected, or the model misses something; the "
-            "errors, which take them to be white, are then not right."
+            "were low-passed, a state that the noise reaches is not corrected, or the model is incomplete; the "
+            "standard errors, which assume white prediction errors, are then wrong."
         )
 
 
 def _bounded(nlp: Nlp, trajectories: Sequence[Trajectory | None]) -> Iterator[str]:
-    """Say where a predictor has come to the limit of stability."""
+    """Say where a Kalman gain has reached the stability limit."""
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         gain = kalman_gain(part)
         if gain is not None and trajectory is not None and gain.is_at_limit(trajectory):
             name = gain.part.model.record.name or part.problem.name
             where = "" if len(nlp.record_parts) == 1 else f" of {name!r}"
             yield (
-                f"the predictor{where} ends at the limit of its stability: the data show no noise of a state that it "
-                "corrects, and the errors, which do not know of the limit, are too small; name fewer states in "
-                "PredictionError(corrected=...), or compare with OutputError()."
+                f"the Kalman gain{where} reached the stability limit: the data show no process noise in a state that "
+                "it corrects, and the standard errors, which do not account for the limit, are too small; name fewer "
+                "states in PredictionError(corrected=...), or compare with OutputError()."
             )
 
 
@@ -108,7 +107,7 @@ def _successive(error: NDArray[np.float64]) -> tuple[float, int]:
 
 
 def _masked(nlp: Nlp, part: RecordPart) -> Iterator[str]:
-    """Tell of samples that were not compared since a delay that is estimated may reach before the record."""
+    """Name samples that were not compared since a delay that is estimated may reach before the record."""
     lost, data, system = part.data.masked, part.model.record, part.system
     there = int(np.any([np.isfinite(data[name]) for name in part.outputs], axis=0).sum())
     p = ca.SX.sym("p", len(system.parameters))
@@ -132,10 +131,7 @@ def _resting(nlp: Nlp) -> Iterator[str]:
         return
     inputs = dict.fromkeys(name for part in nlp.record_parts for name in part.system.inputs)
     which = "the record" if len(nlp.record_parts) == 1 else "any record"
-    yield (
-        f"the inputs never move in {which} ({', '.join(inputs)}): only the movement from the initial state tells of "
-        "the model."
-    )
+    yield (f"the inputs never change in {which} ({', '.join(inputs)}): only the free response is informative.")
 
 
 @dataclass(frozen=True)

@@ -7,29 +7,27 @@ diverge, whatever the parameters. (Bock 1983; Bock, Kostina and Schlöder 2007, 
 
 **One iteration** (`driver`), top to bottom:
 
-1. *Linearize* all parts along the iterate (`all_parts`; `greybox.compiled.segments`): sensitivities of every segment by
-   its node and the parameters, and the Gauss-Newton Hessian of the residuals. Their weights are the inverse residual
+1. *Linearize* all parts along the iterate (`all_parts`; `greybox.compiled.segments`): sensitivities of every segment
+   by its node and the parameters, and the Gauss-Newton Hessian of the residuals. Their weights are the inverse residual
    covariance, re-estimated from the last residuals; near the end its change with the parameters enters the Hessian
    (`greybox.compiled.residual_covariance`), so that convergence is quadratic.
 2. *Condense* (`greybox.compiled.condensing`): nodes and multipliers of continuity are eliminated by one sparse
    factorization, linear in the number of segments. A small quadratic model in z is left for each part; they add up.
 3. *Step* (`normal_equations`): a quadratic program in z with bounds, linearized constraints, Levenberg-Marquardt
-damping
-   (`damping`), and the limit of stability of Kalman gains (`stability`).
-4. *Line search* (`line_search`) on a merit function (`merit`): the cost and an exact l1 penalty of the gaps. A trial
-that
-   fails is tried again with its gaps closed (second-order correction against the Maratos effect; Nocedal and Wright,
-   Numerical Optimization, 2nd ed., section 15.5).
-5. *Converged* when the predicted decrease is negligible, the step is small in standard errors, and gaps are rounding.
+   damping (`damping`), and the stability limit of Kalman gains (`stability`).
+4. *Line search* (`line_search`) on a merit function (`merit`): the cost and exact l1 penalties of the gaps and of
+   violated constraints. A trial that fails is tried again with its gaps closed (second-order correction against the
+   Maratos effect; Nocedal and Wright, Numerical Optimization, 2nd ed., section 15.5).
+5. *Converged* when gaps are rounding and the predicted decrease is negligible, with a step that is small in standard
+   errors; when the last two decreases show that the next one will be; or when a negligible step finds no decrease.
 
 **Far from the minimum** continuity is a penalty on the gaps instead, with a standard deviation that shrinks in stages
 to zero (`homotopy`); the first iterations move the nodes alone. Long records are first solved on excerpts.
 
-**Where Newton steps fail**: nodes that leave the model's domain are pulled back alone; where gaps do not close, the
-records are simulated from their first nodes from then on; delays at which the cost jumps are held; a stalled run begins
-once more near the data. Each is a strategy that can be switched off, see `greybox.compiled.strategies`, which also says
-what each buys by `benchmarks/ablation.py`. What a whole search tries besides its starts is in
-`greybox.solve.local_search` and `greybox.solve.multistart`.
+**Where Newton steps fail**: where gaps do not close, the records are simulated from their first nodes from then on;
+delays at which the cost jumps are held; a stalled run begins once more near the data. Each is a strategy that can be
+switched off, see `greybox.compiled.strategies`, which also says what each buys by `benchmarks/ablation.py`. What a
+whole search tries besides its starts is in `greybox.solve.local_search` and `greybox.solve.multistart`.
 
 **Kalman gains** (`PredictionError`) begin with those of steady Kalman filters once continuity is exact; stable
 predictors forget their initial state and are simulated over whole stretches (`stability`,

@@ -79,9 +79,7 @@ class AllParts:
         return float(sum(part.weight * part.cost(t, smoothing) for part, t in self._pairs(iterate)))
 
     def squared_cost(self, iterate: Iterate, residual_weights: Sequence[Array]) -> float:
-        """Return the cost with given residual weights, half the sum of squares; infinite where anything diverges."""
-        if not iterate.finite:
-            return math.inf
+        """Return the cost with given residual weights, half the sum of squares, of an iterate that is finite."""
         each = zip(self.parts, iterate.trajectories, residual_weights, strict=True)
         return float(sum(part.weight * part.squared_cost(t, weight, SMOOTHING) for part, t, weight in each))
 
@@ -111,7 +109,7 @@ class AllParts:
         return [part.linearize(t, w, covariance_curvature=covariance_curvature) for part, t, w in each]
 
     def gap_variances(self, linearizations: Sequence[Any]) -> list[Array]:
-        """Return the variances by which states must jump to change the outputs of a segment by their spread."""
+        """Return the variances of gaps at the first stage, in which nodes may follow the data freely."""
         spread = self.settings.first_gap / self.settings.assumed_error
         each = zip(self.parts, linearizations, strict=True)
         return [part.continuity_variance(linearization, spread) for part, linearization in each]

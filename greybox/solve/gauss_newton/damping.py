@@ -6,7 +6,8 @@ in Nocedal and Wright, Numerical Optimization, 2nd ed., section 10.3.
 
 from greybox.compiled.strategies import Strategies
 
-# Damping below which it is dropped altogether: it would change a step by less than a millionth.
+# Damping, relative to the diagonal of the Hessian, below which it is dropped: what it adds there is far below what
+# Gauss-Newton leaves out.
 NEGLIGIBLE = 1e-6
 
 # Share of a step below which the line search has cut it so much that more damping is wanted for the next.

@@ -20,7 +20,7 @@ from greybox.solve.gauss_newton.line_search import line_search
 from greybox.solve.gauss_newton.merit import merit_function
 from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
 from greybox.solve.gauss_newton.stability import are_stable, best_gains, simulate_stable
-from greybox.solve.outcome import Outcome
+from greybox.solve.outcome import NOT_FINITE, Outcome
 
 Array = NDArray[np.float64]
 
@@ -178,7 +178,7 @@ class GaussNewton:
     ) -> tuple[Iterate, str, int]:
         """Iterate from a start; a stalled run begins once more near the data, with the parameters that it found."""
         if not iterate.finite:
-            return iterate, "not finite at the start", 0
+            return iterate, NOT_FINITE, 0
         linearizations = self._parts.linearize(iterate, self._parts.initial_weights())
         progress.begin(iterate, self._parts.gap_variances(linearizations))
         if self._all_predict and self._settings.early_prediction:
@@ -279,7 +279,7 @@ class GaussNewton:
             done = done or length < settings.brief_step
         if not length:
             progress.damping = 0.0
-        progress.stepped(iterate, step, gained, length, done=done)
+        progress.advance(iterate, step, gained, length, done=done)
         if not progress.is_exact:
             return iterate
         return self._simulate_predictors(iterate if states_only else self._with_gains(iterate, progress))

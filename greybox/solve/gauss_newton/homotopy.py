@@ -46,7 +46,7 @@ class Progress:
     damping : float
         Levenberg-Marquardt damping, relative to the diagonal of the Hessian.
     last_decrease : float
-        Predicted by the last full undamped step; NaN without.
+        Predicted by the last full undamped step, or half its squared length where that is more; NaN without.
     delays_held : bool
         True where delays at which the cost jumps keep their values: the cost is least at the jump.
     start, homotopy_end : z and nodes, or None
@@ -101,8 +101,8 @@ class Progress:
         self.gap_variance = gap_variance
         self.multipliers = [np.zeros_like(variance) for variance in gap_variance]
 
-    def takes(self, step: Step) -> Step:
-        """Take over the multipliers of a step, which gaps must cost at least; returns the step."""
+    def update_multipliers(self, step: Step) -> Step:
+        """Raise the penalties on gaps above the multipliers of a step; returns the step."""
         if self.is_exact:
             now = [condensed.largest_multiplier(step.dz) for condensed in step.condensed]
             self.multipliers = [np.maximum(m, EXACTNESS * n) for m, n in zip(self.multipliers, now, strict=True)]
@@ -117,7 +117,7 @@ class Progress:
         self.last_decrease = math.nan
         return True
 
-    def stepped(self, iterate: Iterate, step: Step, gained: float, length: float, *, done: bool) -> None:
+    def advance(self, iterate: Iterate, step: Step, gained: float, length: float, *, done: bool) -> None:
         """Go on to `iterate` after a share `length` of a step that `gained` so much of the merit.
 
         The next stage begins where the step decreased the merit as predicted, or where there is nothing left to gain.

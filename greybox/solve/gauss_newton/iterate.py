@@ -49,8 +49,6 @@ class Step:
         Of the merit, as predicted.
     distance : float
         Half the squared length of the step: in standard errors, where the cost is a likelihood.
-    hessian : (p, p) array
-        Of the cost, without damping.
     """
 
     linearizations: Sequence[Any]
@@ -58,4 +56,3 @@ class Step:
     dz: Array
     decrease: float
     distance: float
-    hessian: Array

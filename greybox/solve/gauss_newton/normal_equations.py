@@ -47,7 +47,7 @@ def gauss_newton_step(
         gradient += weight * system.gradient
         decrease += weight * system.decrease
     if states_only:
-        return progress.takes(Step(linearizations, condensed, np.zeros(p), decrease, 0.0, hessian))
+        return progress.update_multipliers(Step(linearizations, condensed, np.zeros(p), decrease, 0.0))
 
     damping = progress.damping * np.diag(np.diag(hessian)) if settings.damped_parameters else 0.0
     damped = hessian + damping + settings.parameter_ridge * np.eye(p)
@@ -65,7 +65,7 @@ def gauss_newton_step(
     distance = 0.5 * float(dz @ hessian @ dz)
     decrease += progress.constraint_penalty * parts.limits.violation(iterate.z) - float(gradient @ dz) - distance
     decrease += sum(w * system.damping_penalty(dz) for w, system in zip(parts.weights, condensed, strict=True))
-    return progress.takes(Step(linearizations, condensed, dz, decrease, distance, hessian))
+    return progress.update_multipliers(Step(linearizations, condensed, dz, decrease, distance))
 
 
 def largest_multiplier(force: Array, normals: Array, slack: Array) -> float:

@@ -12,7 +12,7 @@ HERE = SimpleNamespace(z=np.zeros(1), nodes=[np.zeros((1, 1))])
 
 
 def stepped(progress, predicted, gained, length=1.0, done=False):
-    progress.stepped(HERE, SimpleNamespace(decrease=predicted), gained, length, done=done)
+    progress.advance(HERE, SimpleNamespace(decrease=predicted), gained, length, done=done)
 
 
 def begun(**settings):
@@ -60,8 +60,8 @@ def test_multipliers_only_grow():
         condensed = SimpleNamespace(largest_multiplier=lambda dz: np.array(values))
         return SimpleNamespace(condensed=[condensed], dz=np.zeros(1))
 
-    progress.takes(step([1.0, 2.0]))
-    progress.takes(step([3.0, 0.5]))
+    progress.update_multipliers(step([1.0, 2.0]))
+    progress.update_multipliers(step([3.0, 0.5]))
     assert np.all(progress.multipliers[0] > [3.0, 2.0])
 
 
