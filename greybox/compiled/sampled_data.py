@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.record import Record
+from greybox.data.text_table import listed
 from greybox.statistics.noise_ratio import noise_ratio
 
 Array = NDArray[np.float64]
@@ -191,7 +192,7 @@ def sampled_data(
     constant = bool(inputs) and all(_is_constant(record[name]) for name in inputs)
     if constant and not any(noise_ratio([s.outputs[k] for s in stretches]).smooth for k in range(len(outputs))):
         raise ValueError(
-            f"the inputs of the record never change ({names}) and {_listed(outputs)} "
+            f"the inputs of the record never change ({names}) and {listed(outputs)} "
             f"{'is' if len(outputs) == 1 else 'are'} indistinguishable from noise: "
             "nothing can be estimated from it."
         )
@@ -239,10 +240,6 @@ def gapless(
                 stretches.append(_stretch(piece.time[rows], u[:, rows], y[:, rows], before + int(rows[0]), leads))
         before += len(piece)
     return stretches
-
-
-def _listed(names: tuple[str, ...]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _called(record: Record) -> str:

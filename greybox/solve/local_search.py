@@ -31,7 +31,7 @@ def with_neighbors(
 def _run(nlp: Nlp, solver: GaussNewton, point: Array, best: Outcome) -> Outcome:
     settings = nlp.strategies
     simulated = None
-    if settings.simulated_neighbors:
+    if settings.simulated_neighbors and best.nodes is not None:
         simulated = solver.run_simulated(point, best.nodes, settings.neighbor_iterations)
     return simulated or solver.run(point, settings.neighbor_iterations)
 

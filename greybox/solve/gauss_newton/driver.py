@@ -85,15 +85,15 @@ class GaussNewton:
         return replace(outcome, iterations=before + outcome.iterations, seconds=time.perf_counter() - began)
 
     @DIVERGING
-    def run_simulated(self, start: Array, nodes: Nodes | None = None, iterations: int | None = None) -> Outcome | None:
+    def run_simulated(self, start: Array, nodes: Nodes, iterations: int) -> Outcome | None:
         """Solve from a simulation at the parameters `start` (p,); None where it diverges.
 
-        It begins with the first of the `nodes` of every stretch, those that the data show by default. Limits that a
-        model reaches at times, and nodes close to the data would hide, are so seen at once.
+        It begins with the first of the `nodes` of every stretch. Limits that a model reaches at times, and nodes close
+        to the data would hide, are so seen at once.
         """
         began = time.perf_counter()
         z = self._limits.nearest(self._nlp.scaling.to_solver(start))
-        first = self._parts.from_data(z) if nodes is None else self._parts.at(z, nodes)
+        first = self._parts.at(z, nodes)
         iterate = self._parts.simulated(first.z, first.nodes) if first.finite else first
         if not self._parts.stays_near_data(iterate) or not are_stable(self._parts, iterate):
             return None
