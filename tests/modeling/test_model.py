@@ -4,6 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
+from gain_and_lag import Gain, Lag
 
 import greybox as gb
 from greybox.modeling.model import Names, equation, merge, merged_parameters
@@ -13,24 +14,6 @@ from greybox.models.tilt import LinearTilt, Tilt
 from greybox.models.yaw import YawAngle, YawRate
 
 OMEGA = np.geomspace(0.3, 40, 12)
-
-
-class Gain(gb.TransferFunction):
-    r"""A number, (0.0)."""
-
-    k = gb.Parameter(2.0, bounds=(0, 10))
-
-    def response(self, s, p):
-        return p.k
-
-
-class Lag(Gain):
-    """A gain with a time constant."""
-
-    T = gb.Parameter(0.5, bounds=(0, 5), unit="s")
-
-    def response(self, s, p):
-        return super().response(s, p) / (p.T * s + 1)
 
 
 def test_names_are_attributes_and_mapping():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from evaluation import compiled_response
+from gain_and_lag import Gain, Lag
 from numpy.testing import assert_allclose
 
 import greybox as gb
@@ -11,24 +12,6 @@ from greybox.models.tilt import LinearTilt, Tilt
 from greybox.models.yaw import YawRate
 
 OMEGA = np.geomspace(0.3, 40, 12)
-
-
-class Gain(gb.TransferFunction):
-    r"""A number, (0.0)."""
-
-    k = gb.Parameter(2.0, bounds=(0, 10))
-
-    def response(self, s, p):
-        return p.k
-
-
-class Lag(Gain):
-    """A gain with a time constant."""
-
-    T = gb.Parameter(0.5, bounds=(0, 5), unit="s")
-
-    def response(self, s, p):
-        return super().response(s, p) / (p.T * s + 1)
 
 
 def response(model, values=None, **options):
