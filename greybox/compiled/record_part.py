@@ -475,14 +475,14 @@ class RecordPart(Part):
         weight = part.covariance.weight(trajectory.products)
         triangle, white, weighted = part._jacobian(trajectory, weight)
         factor, score = 1.0, white
-        if part.covariance.known is not None:  # what was given is not what the residuals show
-            variance = np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1)
-            score = np.einsum("k,kpt,kqt->pq", variance, weighted, weighted)
         if not self.model.criterion.errors_are_white:
             residuals = self.data.unpadded(part.residuals(trajectory))
             score = colored_information(self.data.unpadded(weighted), residuals)
             scaled = weight @ trajectory.products @ weight.T / np.maximum(self.covariance.counts, 1)
             factor = correlation_factor(white * np.trace(scaled) / len(self.outputs), score)
+        elif part.covariance.known is not None:  # what was given is not what the residuals show
+            variance = np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1)
+            score = np.einsum("k,kpt,kqt->pq", variance, weighted, weighted)
         initial = self.unknown_initial_states
         independent = independent_numbers(self.numbers, initial, len(white), factor)
         score = score * independent / (independent - initial)

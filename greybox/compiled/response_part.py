@@ -96,6 +96,8 @@ class ResponsePart(Part):
 
     def cost(self, trajectory: Trajectory, smoothing: float) -> float:
         """Return the cost."""
+        if smoothing == SMOOTHING:
+            return float(trajectory.products[0, 0])
         return float(self.objective(trajectory.z, smoothing))
 
     def squared_cost(self, trajectory: Trajectory, weight: Array, smoothing: float) -> float:
