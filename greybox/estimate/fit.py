@@ -152,7 +152,7 @@ def assemble(
         warnings=(
             *not_finite_warnings(nlp, search),
             *(discretization_warnings(nlp, trajectories, error) if found else ()),
-            *(record_warnings(nlp, records, trajectories) if found else ()),
+            *(record_warnings(nlp, records, trajectories, accuracy) if found else ()),
             *(harmonic_warnings(nlp, best, accuracy) if found else ()),
             *(warnings(nlp, search, accuracy, pade_errors, trajectories) if found else ()),
         ),

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.kalman_gain import kalman_gain
 from greybox.compiled.part import Trajectory
+from greybox.compiled.record_information import FEWEST_TIMES
 from greybox.compiled.record_part import RecordPart
 from greybox.data.text_table import counted
+from greybox.estimate.covariance import Accuracy
 from greybox.estimate.result import FittedRecord
 from greybox.statistics.noise_ratio import noise_ratio
 
@@ -26,11 +28,12 @@ HUGE = 1e6  # what is beyond is rounding: there is no noise
 
 
 def record_warnings(
-    nlp: Nlp, records: Sequence[FittedRecord], trajectories: Sequence[Trajectory | None]
+    nlp: Nlp, records: Sequence[FittedRecord], trajectories: Sequence[Trajectory | None], accuracy: Accuracy
 ) -> tuple[str, ...]:
     """Return what a reader should know of the records (in the order of `nlp.record_parts`) of an answer."""
     pairs = list(zip(nlp.record_parts, records, strict=True))
     return (
+        *_short(nlp, accuracy),
         *(text for part, fitted in pairs for text in _unexplained(part, fitted, alone=len(pairs) == 1)),
         *_colored(pairs),
         *_bounded(nlp, trajectories),
@@ -38,6 +41,22 @@ def record_warnings(
         *_resting(nlp),
         *_weights([_Residuals.of(part, fitted) for part, fitted in pairs if part.covariance.known is None]),
     )
+
+
+def _short(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
+    """Name records that are too short for the correlation of their errors to be known."""
+    for part, found in zip(nlp.parts, accuracy.correlation, strict=False):
+        if not isinstance(part, RecordPart) or found is None or found.is_long_enough:
+            continue
+        slowest = int(np.argmax(found.correlation_times))
+        time = float(found.correlation_times[slowest])
+        where = "" if len(nlp.parts) == 1 else f" in {part.model.record.name or part.problem.name!r}"
+        yield (
+            f"the residuals of {part.outputs[slowest]}{where} stay correlated for about {time:.2g} s, and the longest "
+            f"stretch without a gap lasts only {found.duration / time:.2g} times as long, less than "
+            f"{FEWEST_TIMES:g}: how large slow errors are cannot be known from it, so the standard errors are rough "
+            f"({counted(max(round(found.dof), 1), 'degree of', 'degrees of')} freedom); use a longer record."
+        )
 
 
 def _unexplained(part: RecordPart, fitted: FittedRecord, *, alone: bool) -> Iterator[str]:
