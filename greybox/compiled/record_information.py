@@ -59,7 +59,7 @@ def colored_errors(
     initial_states : int
         Fitted along.
     """
-    noise = np.linalg.inv(weight.T @ weight)
+    noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)
     found = colored_information(weighted, residuals, inverse, noise)
     numbers = sum(int(np.count_nonzero(e)) for e in residuals)
 
@@ -75,7 +75,8 @@ def colored_errors(
     if not found.corrected:
         meat = meat * (left + paid) / left
     dof = 1 / (1 / left + found.uncertainty / 2)
-    times = max(len(e[0]) for e in residuals) / max(float(found.correlation_times.max()), 1.0)
+    slowest = float(found.correlation_times.max())
+    times = max(e.shape[1] for e in residuals) / slowest if slowest > 0 else math.inf
     if times < FEWEST_TIMES:
         dof = min(dof, max(times / TIMES_PER_DOF, 1.0))
     return RecordErrors(meat, dof, found.correlation_times, times >= FEWEST_TIMES)

@@ -510,9 +510,7 @@ class RecordPart(Part):
 
         longest = max(self.data.stretches, key=len)
         by_output = not self.model.criterion.errors_are_white
-        return Information(
-            self, jacobian, self.numbers - initial, spread, math.nan, colored if by_output else None
-        )
+        return Information(self, jacobian, self.numbers - initial, spread, math.nan, colored if by_output else None)
 
     def _jacobian(self, trajectory: Trajectory, weight: Array) -> tuple[Array, Array, Array]:
         """Return a triangular factor (p, p) of the Jacobian of the weighted residuals, JᵀJ, and WᵀJ (k, p, samples)."""

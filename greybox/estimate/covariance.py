@@ -193,8 +193,9 @@ def _corrected(
 ) -> tuple[list[_Share], tuple[ColoredErrors | None, ...], float]:
     """Scale the noise of every part for the parameters that it pays: pᵢ = tr(B⁻¹ Bᵢ) of the p in all.
 
-    2nᵢ residuals then have 2nᵢ - pᵢ degrees of freedom, as if the part had been fitted alone with pᵢ parameters. Records
-    whose errors are correlated in time have their own; these, and the degrees of freedom of all parts, are returned too.
+    2nᵢ residuals then have 2nᵢ - pᵢ degrees of freedom, as if the part had been fitted alone with pᵢ parameters.
+    Records whose errors are correlated in time have their own. Returns these, and the degrees of freedom of all parts,
+    too.
     """
     inverse, _ = _inverse(shares, basis)
     p = len(inverse)

@@ -1,6 +1,6 @@
 """Statistics of residuals and signals, independent of any model.
 
 `residual_spectrum` is what standard errors in time use where residuals are correlated; `residual_autocorrelation` makes
-a series white; `noise_ratio` tells a smooth signal from noise; `metrics` holds fit percent, variance accounted for, Theil's coefficient and tests of
-whiteness.
+a series white; `noise_ratio` tells a smooth signal from noise; `metrics` holds fit percent, variance accounted for,
+Theil's coefficient and tests of whiteness.
 """

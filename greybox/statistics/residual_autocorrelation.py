@@ -30,11 +30,11 @@ def levinson(r: Array) -> list[tuple[Array, float]]:
     recursion of Levinson and Durbin, so that all are stable; up to the order at which the series is predictable.
     Source: Box, Jenkins, Reinsel, Ljung, Time Series Analysis, 5th ed., appendix A3.2.
     """
-    a = np.ones(1)
+    a: Array = np.ones(1)
     variance = float(r[0])
-    found = [(a, variance)]
+    found: list[tuple[Array, float]] = [(a, variance)]
     for k in range(1, len(r)):
-        reflection = -(a @ r[k:0:-1]) / variance
+        reflection = -float(a @ r[k:0:-1]) / variance
         a = np.append(a, 0.0)
         a = a + reflection * a[::-1]
         variance *= 1 - reflection**2

@@ -62,8 +62,9 @@ NEARLY_ALL = 0.95
 # constant.
 WITHIN = 1 - math.exp(-1)
 
-# Rounding, in units of an output's variance; an output without errors has it as its noise.
+# Rounding, in units of an output's variance.
 ROUNDING = 1e-9
+TINY = 1e-300
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +78,7 @@ class ColoredInformation:
     taken : float
         tr(B⁻¹ meat): the sum of squares, in units of the given noise, that the parameters take from the errors.
     uncertainty : float
-        Relative variance of `taken`.
+        Variance of the logarithm of `taken`, over the spectra that the residuals may have.
     correlation_times : (k,) array
         Of the errors of every output, samples: the lag within which 63 % of their absolute autocorrelations lie, which
         is the time constant of an exponential decay.
@@ -111,19 +112,21 @@ def colored_information(
     Source of the sandwich: Morelli and Klein (1997), Accuracy of aerodynamic model parameters estimated from flight
     test data, Journal of Guidance, Control, and Dynamics 20(1).
     """
-    problem = _Sandwich.of(weighted, residuals, inverse, noise)
+    there = np.any([e.any(axis=1) for e in residuals], axis=0)
+    if not there.any():
+        nothing = np.zeros(there.size)
+        return ColoredInformation(np.zeros_like(inverse), 0.0, 0.0, nothing, corrected=True)
+    problem = _Sandwich.of(
+        [J[there] for J in weighted], [e[there] for e in residuals], inverse, noise[np.ix_(there, there)]
+    )
     corrected = sum(e.shape[1] for e in residuals) <= LONGEST_CORRECTED
     mixture = problem.mixture(problem.periodogram)
     for _ in range(CORRECTIONS if corrected else 0):
         mixture = problem.mixture(problem.periodogram + problem.taken_power(mixture.density))
     meat = problem.meat(mixture.density)
-    return ColoredInformation(
-        meat=meat,
-        taken=float(np.sum(inverse * meat)),
-        uncertainty=mixture.uncertainty,
-        correlation_times=problem.grid.correlation_times(mixture.typical),
-        corrected=corrected,
-    )
+    times = np.zeros(there.size)
+    times[there] = problem.grid.correlation_times(mixture.typical)
+    return ColoredInformation(meat, float(np.sum(inverse * meat)), mixture.uncertainty, times, corrected)
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,17 +226,15 @@ class _Sandwich:
 
     @classmethod
     def of(cls, weighted: Sequence[Array], residuals: Sequence[Array], inverse: Array, noise: Array) -> "_Sandwich":
-        k, p = weighted[0].shape[:2]
+        k = len(weighted[0])
         grid = _Grid.of(max(e.shape[1] for e in residuals))
         counts = np.maximum(sum(np.count_nonzero(e, axis=1) for e in residuals), 1)
-        deviation = np.sqrt(sum((e**2).sum(axis=1) for e in residuals) / counts)
-        size = np.where(deviation > 0, deviation, 1.0)
+        size = np.sqrt(sum((e**2).sum(axis=1) for e in residuals) / counts)
         periodogram = np.zeros((k, k, len(grid.weight)), dtype=complex)
         for e in residuals:
             spectrum = np.fft.rfft(e / size[:, None], grid.size)
             periodogram += spectrum[:, None] * spectrum.conj() / np.sqrt(counts * counts[:, None])[:, :, None]
-        # A ridge for outputs that are combinations of others, and noise for those that have none.
-        periodogram += np.diag(np.where(deviation > 0, ROUNDING, 1.0))[:, :, None]
+        periodogram += ROUNDING * np.eye(k)[:, :, None]  # a ridge for outputs that are combinations of others
 
         values, vectors = np.linalg.eigh((inverse + inverse.T) / 2)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -255,22 +256,19 @@ class _Sandwich:
         banded = self.grid.banded(periodogram)
 
         alone = [self._one_output(i, lags[:, i, i], banded[i, i].real) for i in range(k)]
-        density = np.zeros(banded.shape, dtype=complex)
+        density: NDArray = np.zeros(banded.shape, dtype=complex)
         typical = np.array([one.typical for one in alone])
         for i, one in enumerate(alone):
             density[i, i] = one.density
         taken = sum(one.taken for one in alone)
-        variance = sum(one.variance for one in alone)
+        uncertainty = sum(one.uncertainty * one.taken**2 for one in alone) / max(taken**2, TINY)
         if k > 1:
             together = self._together(lags)
             weight = 1 / (1 + math.exp(min(max((together.score - sum(one.score for one in alone)) / 2, -50), 50)))
             density = (1 - weight) * density + weight * together.density
             typical = (1 - weight) * typical + weight * np.log(np.einsum("iib->ib", together.density).real)
-            mean = (1 - weight) * taken + weight * together.taken
-            variance = (1 - weight) * (variance + (taken - mean) ** 2)
-            variance += weight * (together.variance + (together.taken - mean) ** 2)
-            taken = mean
-        uncertainty = variance / max(taken**2, 1e-300)
+            apart = math.log(max(together.taken, TINY) / max(taken, TINY))
+            uncertainty = (1 - weight) * (uncertainty + weight * apart**2) + weight * together.uncertainty
         return _Mixture(self._unmasked(density), np.exp(typical), float(uncertainty))
 
     def _one_output(self, i: int, r: Array, banded: Array) -> "_Evidence":
@@ -309,9 +307,11 @@ class _Sandwich:
         weight = weight[kept] / weight[kept].sum()
         every = np.concatenate(spectra)[kept]
         taken = grid.mean(every * power)
-        mean = float(weight @ taken)
-        spread = (taken - mean) ** 2 + np.repeat(within, lengths)[kept] * taken**2
-        return _Evidence(weight @ every, weight @ np.log(every), evidence, mean, float(weight @ spread))
+        logarithm = np.log(np.maximum(taken, TINY))
+        spread = (logarithm - weight @ logarithm) ** 2 + np.repeat(within, lengths)[kept]
+        return _Evidence(
+            weight @ every, weight @ np.log(every), evidence, float(weight @ taken), float(weight @ spread)
+        )
 
     def _together(self, lags: Array) -> "_Evidence":
         """Return the vector autoregression of all outputs of the order that AICc chooses, from lags (l, k, k)."""
@@ -330,8 +330,7 @@ class _Sandwich:
         response = np.linalg.inv(np.eye(k) + np.einsum("jkl,jb->bkl", a, phase))
         density = (response @ innovation @ response.conj().transpose(0, 2, 1)).transpose(1, 2, 0)
         taken = self._taken(density)
-        variance = 2 * (len(a) + 1) / n * taken**2
-        return _Evidence(density, np.zeros(0), score, taken, variance)
+        return _Evidence(density, np.zeros(0), score, taken, 2 * (len(a) + 1) / n)
 
     def _taken(self, density: Complex) -> float:
         return float(self.grid.mean(np.einsum("ijb,ijb->b", self.power, density).real))
@@ -400,13 +399,13 @@ class _Sandwich:
 
 @dataclass(frozen=True, eq=False)
 class _Evidence:
-    """An average within one family: its spectrum and mean logarithm, -2 log of its evidence, tr(B⁻¹ M), its variance."""
+    """An average of spectra and its mean logarithm, -2 log of its evidence, tr(B⁻¹ M), and the variance of its log."""
 
     density: NDArray
     typical: Array
     score: float
     taken: float
-    variance: float
+    uncertainty: float
 
 
 def _aicc(unknowns: float, n: float) -> float:
