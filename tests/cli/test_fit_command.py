@@ -89,6 +89,9 @@ def test_a_stored_result_of_a_users_model_loads_without_it(capsys, own, tmp_path
     assert "time constant" in done.stdout
     assert "MISSING the model Lag of the module" in done.stdout
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert "MISSING the model Lag of the module" in done.stdout
+    command = [sys.executable, "-c", code.replace("'own.h5'", f"'own.h5', models=['{name}']")]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
     assert "MISSING" not in done.stdout
 
 

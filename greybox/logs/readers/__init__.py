@@ -11,9 +11,8 @@ Formats
 Shared by several
     `messages` (messages of one type, and the records made of them), `time_stamps` (clock restarts, impossible and
     repeated stamps), `table_columns` (units in headings, the time column), `ardupilot_metadata` (vehicle, firmware,
-    parameters, modes, arming).
-Libraries that a damaged file can crash
-    `subprocess_reader` runs them in a subprocess, whose script is `subprocess_main`.
+    parameters, modes, arming), `named_arrays` (records of the groups in HDF5, MATLAB and PX4 files, which
+    `greybox.data.subprocess_reader` reads in a subprocess).
 """
 
 from collections.abc import Callable, Collection
