@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from greybox.data.record import Recording
+from greybox.data.text_table import printable
 
 HEAD = 4096  # bytes by which a format is recognized
 HDF5 = b"\x89HDF\r\n\x1a\n"  # at byte 0, 512, 1024, 2048 ... (a MATLAB 7.3 file has it at 512)
@@ -109,7 +110,11 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     """
     path = Path(path)
     wanted = (messages,) if isinstance(messages, str) else messages
-    return import_module(f"greybox.logs.readers.{_format(path).module}").read(path, wanted)
+    reader = import_module(f"greybox.logs.readers.{_format(path).module}")
+    try:
+        return reader.read(path, wanted)
+    except ValueError as refused:
+        raise ValueError(printable(str(refused))) from None  # it may quote the file
 
 
 def _format(path: Path) -> Format:
