@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.part import Part
-from greybox.compiled.record_part import RecordPart, compile_record
+from greybox.compiled.record_part import compile_record
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.scaling import Scaling, scaling_of
 from greybox.compiled.strategies import Strategies
@@ -61,6 +61,8 @@ class Nlp:
         (all values) -> the cost without smoothing of every frequency response, unweighted, stacked.
     responses : casadi.Function
         (all values) -> real and imaginary parts of all frequency responses, stacked: (2 N,).
+    magnitudes : (N,) array
+        Of the measured responses, above zero.
     """
 
     problem: AnyProblem
@@ -78,6 +80,7 @@ class Nlp:
     limits: tuple[str, ...]
     response_cost: ca.Function
     responses: ca.Function
+    magnitudes: Array
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -94,45 +97,31 @@ class Nlp:
         """True when IPOPT solves the records as one sparse program."""
         return self.method.by_ipopt
 
-    @property
-    def has_states(self) -> bool:
-        """True when a part has hidden unknowns."""
-        return any(part.has_states for part in self.parts)
-
-    @property
-    def record_parts(self) -> tuple[RecordPart, ...]:
-        """The parts whose data are records."""
-        return tuple(part for part in self.parts if isinstance(part, RecordPart))
-
-    @property
-    def response_parts(self) -> tuple[ResponsePart, ...]:
-        """The parts whose data are frequency responses."""
-        return tuple(part for part in self.parts if isinstance(part, ResponsePart))
-
     def all_values(self, x: Array) -> Array:
         """Append the constants to unknowns x (..., p)."""
         x = np.asarray(x, dtype=float)
         constants = np.broadcast_to(self.constant_values, (*x.shape[:-1], len(self.constants)))
         return np.concatenate([x, constants], axis=-1)
 
-    # --- all frequency responses at many points at once ---------------------------------------------------------------
+    # --- frequency responses alone, many points at once ---------------------------------------------------------------
 
-    def part_costs(self, x: Array) -> Array:
-        """Return the cost without smoothing of every frequency response, unweighted, at x (p,): (parts,)."""
-        return np.asarray(self.response_cost(self.all_values(x))).ravel()
+    def cost(self, values: Array) -> float:
+        """Return the cost without smoothing of the frequency responses at all values (k,)."""
+        return float(self._weights @ np.asarray(self.response_cost(values)).ravel())
 
     def costs(self, x: Array) -> Array:
         """Return the cost without smoothing of the frequency responses, for every row of x (r, p): (r,)."""
         if not len(x):
             return np.zeros(0)
-        weights = np.array([part.weight for part in self.response_parts])
-        return weights @ np.asarray(self.response_cost(self.all_values(x).T))
+        return self._weights @ np.asarray(self.response_cost(self.all_values(x).T))
 
-    def response_rows(self, x: Array) -> NDArray[np.complex128]:
-        """Return all frequency responses, stacked, for every row of x (r, p): (r, N)."""
-        values = np.asarray(self.responses(self.all_values(x).T)).T
-        half = values.shape[1] // 2
-        return values[:, :half] + 1j * values[:, half:]
+    @property
+    def _weights(self) -> Array:
+        return np.array([part.weight for part in self.parts if not part.has_states])
+
+    def signatures(self, x: Array) -> Array:
+        """Return the signatures (r, 2 N) of the frequency responses for every row of x (r, p), see `Part.signature`."""
+        return (np.asarray(self.responses(self.all_values(x).T)) / np.tile(self.magnitudes, 2)[:, None]).T
 
 
 def compile_problem(problem: AnyProblem, method: Transcription | None = None) -> Nlp:
@@ -212,6 +201,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         responses=ca.Function(
             "responses", [x], [ca.vertcat(kind(0, 1), *[r.re for r in responses], *[r.im for r in responses])]
         ),
+        magnitudes=np.concatenate([np.zeros(0), *[part.magnitude for part in compiled_responses.values()]]),
     )
 
 

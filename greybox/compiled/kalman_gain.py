@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,8 +160,9 @@ class KalmanGain:
 
 def kalman_gain(part: Part) -> KalmanGain | None:
     """Return the gain of a part; None where its criterion has none."""
-    if not part.gains or not isinstance(part, RecordPart):
+    if not part.gains:
         return None
+    part = cast(RecordPart, part)  # whose states the gain corrects
     names = [f"K_{state}_{output}" for state, output in part.gains]
     declared = list(part.problem.declared)
     return KalmanGain(

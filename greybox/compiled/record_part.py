@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.condensing import solve_continuity
 from greybox.compiled.initial_states import InitialStates, at_samples
-from greybox.compiled.part import Condensed, Information, Part, Trajectory
+from greybox.compiled.part import Condensed, Information, Part, Program, Trajectory
 from greybox.compiled.record_information import correlation_factor, independent_numbers
 from greybox.compiled.residual_covariance import (
     ResidualCovariance,
@@ -26,7 +26,7 @@ from greybox.compiled.sampled_data import SampledData, sampled_data
 from greybox.compiled.segments import Linearization, Segments
 from greybox.compiled.step_size import substeps_and_segment
 from greybox.compiled.strategies import Strategies
-from greybox.compiled.transcription.method import Transcribed, Transcription
+from greybox.compiled.transcription.method import Transcription
 from greybox.data.record import Record
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import TimeCriterion
@@ -126,7 +126,7 @@ class RecordPart(Part):
         self.problem = model.problem
         self.model = model
         self.data = data
-        self.substeps = substeps
+        self._substeps = substeps
         self.step = step or model.step(model.method.scheme, substeps)
         self.segments = Segments(self.step, data.segments, data.segment_length, model.active, compile_linearization)
         self._measured = self.segments.columns(_measured_rows(data))
@@ -152,6 +152,16 @@ class RecordPart(Part):
     def has_states(self) -> bool:
         """A record has nodes."""
         return True
+
+    @property
+    def samples(self) -> int:
+        """All that are simulated, padding of segments included."""
+        return self.data.samples
+
+    @property
+    def substeps(self) -> int:
+        """Steps of the integrator in a sample."""
+        return self._substeps
 
     @property
     def numbers(self) -> int:
@@ -443,9 +453,9 @@ class RecordPart(Part):
 
     # --- for IPOPT and for the covariance of the estimate -------------------------------------------------------------
 
-    def transcribe(self, q: Any, data: Any) -> Transcribed:
-        """Return the record's unknowns and equations for CasADi expressions of parameters and data."""
-        return self.model.method.transcribe(self.step, self.data, q, data)
+    def program(self, z: ca.MX) -> "RecordProgram":
+        """Return the record as its method transcribes it, at z (p,)."""
+        return RecordProgram(self, z)
 
     def information(
         self,
@@ -520,6 +530,58 @@ class RecordPart(Part):
             white += rows.T @ rows
             weighted[batch] = weight.T @ root
         return triangle, white, np.moveaxis(weighted.reshape(s * length, k, p), 0, -1)
+
+
+class RecordProgram(Program):
+    """A record transcribed: states as unknowns, weighted residuals, continuity and known initial states as equations.
+
+    Its parameters are the square root of the inverse residual covariance (k, k), then the data (width, samples), both
+    column by column.
+    """
+
+    def __init__(self, part: RecordPart, z: ca.MX) -> None:
+        """Transcribe the record."""
+        self._part = part
+        q = part.model.locate(z)[0]
+        weight = ca.MX.sym("W", len(part.outputs), len(part.outputs))
+        data = ca.MX.sym("data", part.step.width, part.data.samples)
+        self._transcribed = part.model.method.transcribe(part.step, part.data, q, data)
+        residuals = self._transcribed.residuals
+        self.unknowns = self._transcribed.unknowns
+        self.parameters = ca.vertcat(ca.vec(weight), ca.vec(data))
+        self.error = ca.vec(weight @ residuals)
+        self.cost = ca.MX(0.0)
+        self.equations = ca.vertcat(self._transcribed.equations, self._known_states(q))
+        self._products = ca.Function("products", [z, self.unknowns, self.parameters], [residuals @ residuals.T])
+
+    def _known_states(self, q: ca.MX) -> ca.MX:
+        """Return known states at the first sample of the record less what they must be."""
+        part = self._part
+        count = int(part.data.begins_record.sum())
+        rows = np.flatnonzero(part.model.known_states).tolist()
+        if not rows:
+            return ca.MX(0, 1)  # no rows of a single one would be taken as a row without columns
+        wanted, _ = part.model.initial(q)
+        return ca.vec(self._transcribed.initial[rows, :count] - ca.repmat(wanted[rows], 1, count))
+
+    def initial_unknowns(self, trajectory: Trajectory) -> Array:
+        """Return the unknowns for the states along a trajectory."""
+        return self._transcribed.start(self._part.segments.in_order(trajectory.detail.states))
+
+    def initial_parameters(self, z: Array, share: float) -> Array:
+        """Return weights for residuals of a `share` of each signal's spread, and the data at z (p,)."""
+        return self._joined(self._part.initial_weight(share), self._part.place(z).data)
+
+    def outcome(self, z: Array, unknowns: Array, w: Array) -> tuple[float, Array, bool]:
+        """Return the cost of the residuals, the weights and data that follow, and whether the data stayed."""
+        covariance = self._part.covariance
+        products = self._products(z, unknowns, w).full()
+        following = self._joined(covariance.weight(products), self._part.place(z).data)
+        size = len(self._part.outputs) ** 2
+        return covariance.cost(products), following, np.array_equal(following[size:], w[size:])
+
+    def _joined(self, weight: Array, data: Array) -> Array:
+        return np.concatenate([weight.ravel(order="F"), self._part.segments.in_order(data).ravel(order="F")])
 
 
 def _measured_rows(data: SampledData) -> Array:

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.part import Condensed, Information, Part, Trajectory
+from greybox.compiled.part import Condensed, Information, Part, Program, Trajectory
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.problem import Problem
 
@@ -142,11 +142,19 @@ class ResponsePart(Part):
 
     def signature(self, trajectory: Trajectory) -> Array:
         """Return real and imaginary parts of the model's response over the magnitude of the measured one, (2 n,)."""
-        size = np.abs(self.problem.response.response)
-        size = np.maximum(size, LEAST_MAGNITUDE * size.max() + 1e-150)
-        return np.asarray(self.scaled_response(trajectory.z)).ravel() / np.tile(size, 2)
+        return np.asarray(self.scaled_response(trajectory.z)).ravel() / np.tile(self.magnitude, 2)
 
-    # --- for the covariance of the estimate ---------------------------------------------------------------------------
+    @cached_property
+    def magnitude(self) -> Array:
+        """The magnitude of the measured response (n,), above zero."""
+        size = np.abs(self.problem.response.response)
+        return np.maximum(size, LEAST_MAGNITUDE * size.max() + 1e-150)
+
+    # --- for IPOPT and for the covariance of the estimate -------------------------------------------------------------
+
+    def program(self, z: ca.MX) -> "ResponseProgram":
+        """Return the cost at z (p,): there is nothing hidden."""
+        return ResponseProgram(self, z)
 
     def information(
         self,
@@ -170,6 +178,28 @@ class ResponsePart(Part):
         # Of isotropic normal errors of deviation s in each component, the mean magnitude is s sqrt(π/2).
         noise = float(errors.mean()) * math.sqrt(2 / math.pi) if errors.size else math.nan
         return Information(self, jacobian, len(jacobian), spread, noise)
+
+
+class ResponseProgram(Program):
+    """The smoothed cost of a frequency response."""
+
+    def __init__(self, part: ResponsePart, z: ca.MX) -> None:
+        """Evaluate the cost at z (p,)."""
+        self._part = part
+        self.unknowns = self.parameters = self.error = self.equations = ca.MX(0, 1)
+        self.cost = part.objective(z, SMOOTHING)
+
+    def initial_unknowns(self, trajectory: Trajectory) -> Array:
+        """Return nothing: there are no states."""
+        return np.zeros(0)
+
+    def initial_parameters(self, z: Array, share: float) -> Array:
+        """Return nothing: the criterion weighs the residuals."""
+        return np.zeros(0)
+
+    def outcome(self, z: Array, unknowns: Array, w: Array) -> tuple[float, Array, bool]:
+        """Return the cost without smoothing: nothing follows from it."""
+        return float(self._part.objective(z, 0.0)), w, True
 
 
 def _symbol(function: ca.Function, k: int = 0) -> Any:
