@@ -1,7 +1,7 @@
 """The compiled problem: its parts and constraints as functions of the solver's variables, built once for all starts."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,10 +48,9 @@ class Nlp:
         Of the records.
     parts : tuple of Part
         In the order of the problem's.
-    expressions : dict
-        ``x, p, f, g`` as `casadi.nlpsol` takes them, f of the frequency responses alone; p is the smoothing of the
-        cost.
-    locating : dict or None
+    program : casadi.Function
+        (z, smoothing) -> the cost of the frequency responses, and what must be >= 0.
+    locating : casadi.Function or None
         The same with the criteria that locate the minimum, where they differ.
     constraint : casadi.Function
         (all values) -> what must be >= 0, stacked.
@@ -74,13 +73,17 @@ class Nlp:
     scaling: Scaling
     method: Transcription
     parts: tuple[Part, ...]
-    expressions: Mapping[str, Any]
-    locating: Mapping[str, Any] | None
+    program: ca.Function
+    locating: ca.Function | None
     constraint: ca.Function
     limits: tuple[str, ...]
     response_cost: ca.Function
     responses: ca.Function
     magnitudes: Array
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the problem, with the user's classes, where it was compiled: solvers need the rest alone."""
+        return {name: value for name, value in vars(self).items() if name != "problem"}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -160,13 +163,13 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
 
     z, smoothing = kind.sym("z", len(free)), kind.sym("smoothing")
     scaled, scaled_limits = trace([*scaling.expressions(z), *constant_values])
-    statement = {"x": z, "p": smoothing, "g": ca.vertcat(kind(0, 1), *scaled_limits.values())}
+    scaled_limit = ca.vertcat(kind(0, 1), *scaled_limits.values())
     own_cost = _costs(responding, scaled, smoothing, _criterion)
     total = _weighted(responding, own_cost)
     locating = None
     if any(_criterion(part).locator is not None for part in responding):
         located = _costs(responding, scaled, smoothing, lambda part: _criterion(part).locator or _criterion(part))
-        locating = statement | {"f": kind(_weighted(responding, located))}
+        locating = ca.Function("locating", [z, smoothing], [kind(_weighted(responding, located)), scaled_limit])
 
     compiled_responses = {
         part: ResponsePart(
@@ -193,7 +196,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
             compiled_responses[part] if part in compiled_responses else compile_record(part, named, point, method)
             for part in problem.parts
         ),
-        expressions=statement | {"f": kind(total)},
+        program=ca.Function("program", [z, smoothing], [kind(total), scaled_limit]),
         locating=locating,
         constraint=ca.Function("constraint", [x], [ca.vertcat(kind(0, 1), *limits.values())]),
         limits=tuple(limits),

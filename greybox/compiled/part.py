@@ -163,31 +163,36 @@ class Program(ABC):
 
 
 class Part(ABC):
-    """One problem of a sum, compiled."""
+    """One problem of a sum, compiled.
 
-    problem: Problem
+    Solvers need no more than its functions and these facts, and only they travel when a part is pickled: `problem`,
+    with the user's classes, stays where it was compiled.
+
+    Attributes
+    ----------
+    problem : Problem
+    name : str
+    weight : float
+        The factor on the cost of this part.
+    is_likelihood : bool
+        True when the cost is a negative log-likelihood.
+    is_smoothed : bool
+        True when the cost has kinks, which a solver rounds off while it is at work.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        """Keep the problem, and the facts that outlive it."""
+        self.problem = problem
+        self.name = problem.name
+        self.weight = float(problem.weight)
+        self.is_likelihood = problem.criterion.is_likelihood
+        self.is_smoothed = problem.criterion.smoothed
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the problem behind."""
+        return {name: value for name, value in vars(self).items() if name != "problem"}
 
     # --- facts --------------------------------------------------------------------------------------------------------
-
-    @property
-    def name(self) -> str:
-        """The name of the problem."""
-        return self.problem.name
-
-    @property
-    def weight(self) -> float:
-        """The factor on the cost of this part."""
-        return self.problem.weight
-
-    @property
-    def is_likelihood(self) -> bool:
-        """True when the cost is a negative log-likelihood."""
-        return self.problem.criterion.is_likelihood
-
-    @property
-    def is_smoothed(self) -> bool:
-        """True when the cost has kinks, which a solver rounds off while it is at work."""
-        return self.problem.criterion.smoothed
 
     @property
     def samples(self) -> int:

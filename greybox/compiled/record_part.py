@@ -75,8 +75,16 @@ class Along:
 class RecordModel:
     """What a record and its model are, whatever the cut into segments and the substeps.
 
+    Problem, record and criterion stay where they were compiled when this is pickled: solvers need the rest alone.
+
     Attributes
     ----------
+    parameters, outside_names : tuple of str
+        The declared parameters, by the model's names and the problem's.
+    gains : tuple of (str, str)
+        State and output of every estimated entry of the Kalman gain.
+    holds_inputs : bool
+        True when inputs are constant from sample to sample.
     active : (q,) array
         Places of the estimated parameters among the declared ones.
     locate : casadi.Function
@@ -92,11 +100,20 @@ class RecordModel:
     method: Transcription
     system: Dynamics
     outputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+    outside_names: tuple[str, ...]
+    gains: tuple[tuple[str, str], ...]
+    holds_inputs: bool
     active: NDArray[np.integer]
     locate: ca.Function
     initial: ca.Function
     known_states: NDArray[np.bool_]
     initial_states: InitialStates
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave behind what may be of the user's classes."""
+        left = ("problem", "record", "criterion")
+        return {name: value for name, value in vars(self).items() if name not in left}
 
     @property
     def strategies(self) -> Strategies:
@@ -105,9 +122,7 @@ class RecordModel:
 
     def step(self, integrator: Integrator, substeps: int) -> SampleStep:
         """Compile one sample."""
-        return sample_step(
-            self.system, self.criterion, self.outputs, tuple(self.problem.declared), integrator, substeps
-        )
+        return sample_step(self.system, self.criterion, self.outputs, self.parameters, integrator, substeps)
 
 
 class RecordPart(Part):
@@ -123,7 +138,7 @@ class RecordPart(Part):
         compile_linearization: bool = False,
     ) -> None:
         """Build the functions; `step`, if given, has the same substeps."""
-        self.problem = model.problem
+        super().__init__(model.problem)
         self.model = model
         self.data = data
         self._substeps = substeps
@@ -177,14 +192,14 @@ class RecordPart(Part):
     @property
     def gains(self) -> tuple[tuple[str, str], ...]:
         """State and output of every estimated entry of the Kalman gain."""
-        return self.model.criterion.gains(self.problem.model, self.outputs)
+        return self.model.gains
 
     @cached_property
     def discontinuous_delays(self) -> Mapping[str, tuple[str, str]]:
         """Delays at whose whole samples the cost jumps: a held input reaches an output directly."""
-        system, rename = self.system, self.problem.rename
+        system = self.system
         result: dict[str, tuple[str, str]] = {}
-        if self.model.criterion.inputs != "held" or not system.delayed:
+        if not self.model.holds_inputs or not system.delayed:
             return result
         x, u, p = (ca.SX.sym("v", len(v)) for v in (system.states, system.inputs, system.parameters))
         feedthrough = ca.jacobian(system.output(x, u, p), u)
@@ -192,8 +207,8 @@ class RecordPart(Part):
         for i, j in itertools.product(range(u.numel()), range(p.numel())):
             reached = [n for k, n in enumerate(system.outputs) if feedthrough.has_nz(k, i) and n in self.outputs]
             if reached and ca.depends_on(delay[i], p[j]):
-                name = system.parameters[j]
-                result[rename.get(name, name)] = (system.inputs[i], reached[0])
+                name = self.model.outside_names[self.model.parameters.index(system.parameters[j])]
+                result[name] = (system.inputs[i], reached[0])
         return result
 
     @property
@@ -652,6 +667,10 @@ def record_model(problem: Problem, expressions: Mapping[str, Any], z: ca.SX, met
         method=method,
         system=system,
         outputs=outputs,
+        parameters=tuple(problem.declared),
+        outside_names=tuple(problem.outside(name) for name in problem.declared),
+        gains=problem.criterion.gains(problem.model, outputs),
+        holds_inputs=problem.criterion.inputs == "held",
         active=np.array(active, dtype=int),
         locate=locate,
         initial=ca.Function("initial", [symbol], [initial, by_active]),

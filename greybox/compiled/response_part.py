@@ -1,7 +1,6 @@
 """A frequency response with its model, compiled: no nodes, a cost with exact derivatives, and its real residuals."""
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -25,13 +24,15 @@ SMOOTHING = 1e-8
 LEAST_MAGNITUDE = 1e-12
 
 
-@dataclass(frozen=True, eq=False)
 class ResponsePart(Part):
     """One frequency response of a problem.
 
     Attributes
     ----------
-    problem : Problem
+    criterion : Criterion
+    data : FrequencyResponse
+    magnitude : (n,) array
+        Of the measured response, above zero.
     objective : casadi.Function
         (z, smoothing) -> cost, unweighted.
     model_response : casadi.Function
@@ -40,16 +41,23 @@ class ResponsePart(Part):
         (z) -> the same.
     """
 
-    problem: Problem
-    objective: ca.Function
-    model_response: ca.Function
-    scaled_response: ca.Function
+    def __init__(
+        self, problem: Problem, objective: ca.Function, model_response: ca.Function, scaled_response: ca.Function
+    ) -> None:
+        """Keep the functions."""
+        super().__init__(problem)
+        assert isinstance(problem.criterion, Criterion)
+        self.criterion = problem.criterion
+        self.data = problem.response
+        self.objective = objective
+        self.model_response = model_response
+        self.scaled_response = scaled_response
+        size = np.abs(self.data.response)
+        self.magnitude = np.maximum(size, LEAST_MAGNITUDE * size.max() + 1e-150)
 
-    @property
-    def criterion(self) -> Criterion:
-        """The rule."""
-        assert isinstance(self.problem.criterion, Criterion)
-        return self.problem.criterion
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the criterion behind too: its cost is compiled."""
+        return {name: value for name, value in super().__getstate__().items() if name != "criterion"}
 
     @property
     def has_states(self) -> bool:
@@ -59,7 +67,7 @@ class ResponsePart(Part):
     @property
     def numbers(self) -> int:
         """Two for every frequency."""
-        return self.problem.numbers
+        return 2 * len(self.data)
 
     def response(self, values: Array) -> Complexes:
         """Return the model's response (n,) at all values x (k,)."""
@@ -144,12 +152,6 @@ class ResponsePart(Part):
         """Return real and imaginary parts of the model's response over the magnitude of the measured one, (2 n,)."""
         return np.asarray(self.scaled_response(trajectory.z)).ravel() / np.tile(self.magnitude, 2)
 
-    @cached_property
-    def magnitude(self) -> Array:
-        """The magnitude of the measured response (n,), above zero."""
-        size = np.abs(self.problem.response.response)
-        return np.maximum(size, LEAST_MAGNITUDE * size.max() + 1e-150)
-
     # --- for IPOPT and for the covariance of the estimate -------------------------------------------------------------
 
     def program(self, z: ca.MX) -> "ResponseProgram":
@@ -165,7 +167,7 @@ class ResponsePart(Part):
         dz_dx: Array,
     ) -> Information:
         """Return what the response says about the values (k,): the Jacobian and the spread of its criterion."""
-        criterion, data = self.criterion, self.problem.response
+        criterion, data = self.criterion, self.data
         response = self.response(values)
         jacobian = criterion.jacobian(response, self.sensitivity(values), data)
 

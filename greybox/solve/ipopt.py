@@ -46,7 +46,7 @@ class IpoptSolver(LocalSolver):
         """Build the solver; one `like` it lends its derivatives."""
         self._nlp = nlp
         self._options = options
-        statements = [e for e in (nlp.locating, nlp.expressions) if e is not None]
+        statements = [_statement(program) for program in (nlp.locating, nlp.program) if program is not None]
         known = [_derivatives(stage) for stage in like._stages] if like else [{} for _ in statements]
         self._stages = [checked_nlpsol(e, options, given) for e, given in zip(statements, known, strict=True)]
         scale = nlp.scaling.to_solver
@@ -106,6 +106,14 @@ class IpoptSolver(LocalSolver):
                 break
             best = replace(best, cost=cost, estimate=outcome.estimate)
         return best
+
+
+def _statement(program: ca.Function) -> dict[str, Any]:
+    """Return ``x, p, f, g`` as `casadi.nlpsol` takes them, for a function (x, p) -> f, g."""
+    kind: Any = ca.SX if program.is_a("SXFunction") else ca.MX
+    x, p = (kind.sym(name, program.numel_in(k)) for k, name in enumerate("xp"))
+    f, g = program(x, p)
+    return {"x": x, "p": p, "f": f, "g": g}
 
 
 def _derivatives(solver: ca.Function) -> dict[str, ca.Function]:

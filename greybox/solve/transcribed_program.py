@@ -50,7 +50,7 @@ class TranscribedProgram(LocalSolver):
         for weight, program in each:
             rest += weight * program.cost
         equations = ca.vertcat(*[program.equations for program in self._programs])
-        limits = ca.Function("g", [nlp.expressions["x"]], [nlp.expressions["g"]])(z)
+        _, limits = nlp.program(z, 0.0)
         constraints = ca.vertcat(equations, limits)
         statement = {"x": unknowns, "p": parameters, "f": ca.sumsqr(error) / 2 + rest, "g": constraints}
 

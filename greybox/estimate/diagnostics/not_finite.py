@@ -93,7 +93,7 @@ def _(part: ResponsePart, z: Array) -> Trouble | None:
     lost = ~(np.isfinite(re) & np.isfinite(im))
     if not lost.any():
         return None
-    omega = part.problem.response.omega[int(np.argmax(lost))]
+    omega = part.data.omega[int(np.argmax(lost))]
     return Trouble(f"no finite response at {'any frequency' if lost.all() else f'omega = {omega:g} rad/s'}")
 
 

@@ -3,6 +3,7 @@
 import math
 import time
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -346,6 +347,8 @@ class GaussNewton(LocalSolver):
 
 def _limits(nlp: Nlp) -> Limits:
     """Return the bounds and constraints in the solver's variables."""
-    z, g = nlp.expressions["x"], nlp.expressions["g"]
+    kind: Any = ca.SX if nlp.program.is_a("SXFunction") else ca.MX
+    z = kind.sym("z", len(nlp.free))
+    _, g = nlp.program(z, 0.0)
     constraints = ca.Function("constraints", [z], [g, ca.densify(ca.jacobian(g, z))])
     return Limits(nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper), constraints)
