@@ -141,6 +141,7 @@ def nested_test_at(place: Nesting, small: Fit, large: Fit, labels: tuple[str, st
     H = (place.directions @ _null_space(place.directions[rows]))[inside]
     C = H.T @ np.nan_to_num(covariance[np.ix_(inside, inside)]) @ H
     unknown = np.isnan(np.diag(covariance)) & np.any(place.directions != 0, axis=1)
+    unknown[rows] = False
     if unknown.any() or not large.dof > 0 or (H.size and not np.all(np.linalg.eigvalsh(C) > 0)):
         lost = [name for name, gone in zip(large.free, unknown, strict=True) if gone] or place.terms
         raise ValueError(f"the data do not determine {listed(list(lost))} of {labels[1]}: nothing can be tested.")

@@ -192,8 +192,11 @@ def _require_same_assumptions(small: Fit, large: Fit, labels: tuple[str, str]) -
             raise NotNestedError(f"{both} have different criteria")
         if a.delay != b.delay:
             raise NotNestedError(f"{both} evaluate delays differently")
-        responses = isinstance(a, FittedResponse) and isinstance(b, FittedResponse)
-        if responses and (dict(a.at), a.sine) != (dict(b.at), b.sine):
+        if (
+            isinstance(a, FittedResponse)
+            and isinstance(b, FittedResponse)
+            and (dict(a.at), a.sine) != (dict(b.at), b.sine)
+        ):
             raise NotNestedError(f"{both} have different operating points")
         if isinstance(a, FittedRecord) and isinstance(b, FittedRecord):
             if a.inputs != b.inputs:
