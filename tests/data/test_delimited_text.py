@@ -108,5 +108,5 @@ def test_digits_with_underscores_are_no_numbers(tmp_path):
 
 def test_utf_16_is_refused_with_the_cure(tmp_path):
     for read in (gb.read, gb.read_response):
-        with pytest.raises(ValueError, match="is not a CSV text file .* UTF-16 .*: save it as UTF-8"):
+        with pytest.raises(ValueError, match=r"is not a CSV text file .* UTF-16 .*: save it as UTF-8"):
             read(saved(tmp_path, "t,x\n0,1\n1,2\n", "utf-16"))
