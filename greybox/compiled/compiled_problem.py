@@ -177,12 +177,13 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     total = _weighted(responding, own_cost)
     point = ca.SX.sym("z", len(free))
     named = dict(zip((*free, *constants), [*scaling.expressions(point), *constant_values], strict=True))
-    hessians = [
-        _composed_hessian(problem, responding, mapped, named, point, choose) if mapped else None
-        for choose in (_locator, _criterion)
-    ]
-    locating = None
+
+    def hessian(choose: Callable[[Problem], Criterion]) -> ca.Function | None:
+        return _composed_hessian(problem, responding, mapped, named, point, choose) if mapped else None
+
+    locating, locating_hessian = None, None
     if any(_criterion(part).locator is not None for part in responding):
+        locating_hessian = hessian(_locator)
         located = _costs(responding, scaled, smoothing, _locator)
         locating = ca.Function("locating", [z, smoothing], [kind(_weighted(responding, located)), scaled_limit])
 
@@ -211,8 +212,8 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         ),
         program=ca.Function("program", [z, smoothing], [kind(total), scaled_limit]),
         locating=locating,
-        locating_hessian=hessians[0],
-        program_hessian=hessians[1],
+        locating_hessian=locating_hessian,
+        program_hessian=hessian(_criterion),
         constraint=ca.Function("constraint", [x], [ca.vertcat(kind(0, 1), *limits.values())]),
         limits=tuple(limits),
         response_cost=ca.Function("cost", [x], [ca.vertcat(kind(0, 1), *costs)]),
