@@ -7,9 +7,11 @@ from typing import Any
 
 from greybox.cli.options import add_common_options, nonnegative, positive
 from greybox.cli.output import FAILED, USABLE, Answer, all_finite, finite, require_figure, require_writable, save_figure
+from greybox.cli.startup import INTERRUPTED
 from greybox.cli.stated_problem import add_problem_options, stated_problem
-from greybox.estimate.fit import fit
+from greybox.estimate.fit import Interrupted, fit
 from greybox.estimate.result import Fit, FittedRecord
+from greybox.solve.interruption import Response, responding, take_interrupt
 
 
 def add_command(commands: Any) -> None:
@@ -33,20 +35,37 @@ def run(options: argparse.Namespace) -> Answer:
     for name in ("starts", "seed"):
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)
-    result = fit(problem, **settings)
+    interrupted = False
+    try:
+        result = fit(problem, **settings)
+    except Interrupted as stopped:
+        if stopped.fit is None:
+            raise
+        result, interrupted = stopped.fit, True
 
     notes = []
     if options.out is not None:
-        from greybox.estimate.storage import save  # noqa: PLC0415  (imports h5py)
+        with responding(Response.FINISH):
+            from greybox.estimate.storage import save  # noqa: PLC0415  (imports h5py)
 
-        save(result, options.out)
-        notes.append(f"saved {options.out}")
-    notes += save_figure(options.plot, lambda: _figure(result))
+            save(result, options.out)
+            notes.append(f"saved {options.out}")
+        interrupted = take_interrupt() or interrupted
+    try:
+        notes += save_figure(None if interrupted else options.plot, lambda: _figure(result))
+    except KeyboardInterrupt:
+        interrupted = True
+    if interrupted and options.plot is not None:
+        notes.append(f"{options.plot} is not drawn")
 
     answer = _as_json(result)
+    status = USABLE if result.converged else FAILED
     if not result.converged:
         answer["error"] = ": ".join([result.status, *result.warnings[:1]]).rstrip(".") + "."
-    return answer, "\n".join([str(result), *notes]), USABLE if result.converged else FAILED
+    if interrupted:
+        answer["error"] = "interrupted."
+        status = INTERRUPTED
+    return answer, "\n".join([str(result), *notes]), status
 
 
 def _figure(result: Fit) -> Any:

@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import io
 import json
 import re
 import sys
@@ -9,11 +10,14 @@ import traceback
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from greybox.cli import fit_command, inspect_command, list_command, response_command
 from greybox.cli.options import UsageError
-from greybox.cli.output import BAD_INPUT, FAILED
+from greybox.cli.output import BAD_INPUT, FAILED, USABLE, Answer
+from greybox.cli.startup import INTERRUPTED
+from greybox.cli.terminal import has_all_characters, write
+from greybox.solve.interruption import Response, listening, responding, take_interrupt
 
 COMMANDS = (list_command, inspect_command, response_command, fit_command)
 
@@ -24,41 +28,57 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit status: 0 a usable answer, 1 a run that failed, 2 bad input."""
+    """Run the command line and return its exit status.
+
+    0 a usable answer, 1 a run that failed, 2 bad usage or bad input, 130 interrupted by Ctrl-C.
+    """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     as_json = "--json" in arguments
 
     try:
-        options = _parser().parse_args(arguments)
+        with listening():
+            answer = _answer(arguments, as_json)
+            with responding(Response.FINISH):
+                status = _tell(*answer, as_json)
+            return INTERRUPTED if take_interrupt() else status
+    except KeyboardInterrupt:
+        return _tell({"error": "interrupted."}, "", INTERRUPTED, as_json)
+
+
+def _answer(arguments: Sequence[str], as_json: bool) -> Answer:
+    """Run the command; an error is an answer too."""
+    try:
+        with contextlib.redirect_stdout(io.StringIO()) as help_or_version:
+            options = _parser().parse_args(arguments)
     except UsageError as error:
-        return _complain(str(error), BAD_INPUT, as_json)
+        return {"error": str(error)}, "", BAD_INPUT
+    except SystemExit:
+        return {}, help_or_version.getvalue().rstrip("\n"), USABLE
     try:
         # With --json, whatever a user's own file prints must not reach standard output.
         with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
-            result, text, status = options.command(options)
+            return options.command(options)
     except SystemExit:
-        return _complain("a file of your own called sys.exit: remove that call.", BAD_INPUT, as_json)
-    except KeyboardInterrupt:
-        return _complain("interrupted.", FAILED, as_json)
+        return {"error": "a file of your own called sys.exit: remove that call."}, "", BAD_INPUT
     except Exception as error:
+        if take_interrupt():  # which caused it
+            raise KeyboardInterrupt from error
         if "--debug" in arguments:
             traceback.print_exc()
-        return _complain(*_explain(error, arguments), as_json=as_json)
+        sentence, status = _explain(error, arguments)
+        return {"error": sentence}, "", status
 
+
+def _tell(result: dict[str, Any], text: str, status: int, as_json: bool) -> int:
+    """Write an answer, and return the exit status."""
     if "error" in result:
-        print(f"greybox: {result['error']}", file=sys.stderr)
-    with contextlib.suppress(BrokenPipeError):  # `greybox list | head`
-        print(json.dumps(result, allow_nan=False, ensure_ascii=False) if as_json else text, flush=True)
-        return status
-    sys.stdout = None  # type: ignore[assignment]
-    return status
-
-
-def _complain(sentence: str, status: int, as_json: bool) -> int:
-    print(f"greybox: {sentence}", file=sys.stderr)
-    if as_json:
-        print(json.dumps({"error": sentence}, ensure_ascii=False))
-    return status
+        write(f"greybox: {result['error']}", sys.stderr)
+    if as_json and result:
+        text = json.dumps(result, allow_nan=False, ensure_ascii=not has_all_characters(sys.stdout))
+    trouble = write(text, sys.stdout) if text else ""
+    if trouble:
+        write(f"greybox: cannot write to standard output: {trouble}.", sys.stderr)
+    return FAILED if trouble and status == USABLE else status
 
 
 def _parser() -> argparse.ArgumentParser:

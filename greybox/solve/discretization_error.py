@@ -17,6 +17,7 @@ from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Part, Trajectory
 from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
 from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.interruption import stop_requested
 from greybox.solve.minima import Multistart, find_minima
 from greybox.solve.outcome import Outcome, Run
 
@@ -103,6 +104,8 @@ def refine_discretization(
     """
     error = None
     while search.minima and nlp.strategies.refined_substeps and nlp.method.scheme.substeps is None:
+        if stop_requested():
+            break
         best = solver.profile(search.minima[0].estimate, search.nodes)
         error = discretization_error(nlp, best.trajectories)
         if not error.matters or max(part.substeps for part in nlp.record_parts) >= MOST_SUBSTEPS:

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.interruption import Response, responding, stop_requested
 from greybox.solve.ipopt import CONVERGED, INVALID, POLISH, IpoptSolver
 from greybox.solve.local_search import with_neighbors
 from greybox.solve.minima import Minimum, Multistart, find_minima
@@ -48,21 +49,28 @@ def multistart(
     """Run the solver from every row of `starts` (r, p), group the runs into minima, and polish the best.
 
     Starts that are `movable` go to where a model of records is finite; `gauss_newton` is the solver of these, if it was
-    built before. Every run is kept. A run that fails is a result
-    with its status; it is never ranked before one that converged.
+    built before. Every run is kept. A run that fails is a result with its status; it is never ranked before one that
+    converged. When a stop is requested (`greybox.solve.interruption`) the run at hand is the last.
     """
     began = time.perf_counter()
     solver = _solver(nlp, solver_options, gauss_newton)
     settings = nlp.strategies
     if movable and settings.moved_starts and not isinstance(solver, IpoptSolver):
-        starts = _moved_to_finite(nlp, solver, starts)
+        points: Iterable[Array] = _moved_to_finite(nlp, solver, starts)
+    else:
+        points = starts
+    tried: list[Array] = []
     outcomes = []
-    for k, start in enumerate(starts):
+    for start in points:
+        if stop_requested():
+            break
+        tried.append(start)
         outcomes.append(solver.run(start))
         if progress is not None:
-            progress(k + 1, len(starts))
+            progress(len(tried), len(starts))
 
-    if isinstance(solver, GaussNewton):
+    starts = np.reshape(tried, (len(tried), len(nlp.free)))
+    if isinstance(solver, GaussNewton) and not stop_requested():
         if settings.ipopt_fallback and not any(outcome.converged for outcome in outcomes):
             outcomes = _continued_by_ipopt(nlp, solver, outcomes, solver_options)
         if len(starts) > 1 and settings.scaled_neighbors:
@@ -82,21 +90,26 @@ def _solver(nlp: Nlp, options: Mapping[str, Any], gauss_newton: GaussNewton | No
     return TranscribedProgram(nlp, gauss_newton, options) if nlp.by_ipopt else gauss_newton
 
 
-def _moved_to_finite(nlp: Nlp, solver: GaussNewton | TranscribedProgram, starts: Array) -> Array:
-    """Move starts at which the model is not finite toward the first at which it is, until it is there too."""
-    finite = [solver.is_finite_at(start) for start in starts]
-    if not any(finite):
-        return starts
-    starts = starts.copy()
-    home = nlp.scaling.to_solver(starts[finite.index(True)])
-    for k in np.flatnonzero(np.logical_not(finite)):
-        away = nlp.scaling.to_solver(starts[k]) - home
-        for share in SHARES:
-            point = np.clip(nlp.scaling.to_parameters(home + share * away), nlp.lower, nlp.upper)
-            if solver.is_finite_at(point):
-                starts[k] = point
-                break
-    return starts
+def _moved_to_finite(nlp: Nlp, solver: GaussNewton | TranscribedProgram, starts: Array) -> Iterator[Array]:
+    """Give the starts, those at which the model is not finite moved toward the first at which it is.
+
+    One after the other, as the runs need them: of many starts the first run does not wait for the last.
+    """
+    first = next((k for k, start in enumerate(starts) if stop_requested() or solver.is_finite_at(start)), None)
+    if first is None:
+        yield from starts
+        return
+    home = nlp.scaling.to_solver(starts[first])
+    for k, start in enumerate(starts):
+        is_finite = k == first or (k > first and solver.is_finite_at(start))
+        yield start if is_finite else _toward(nlp, solver, start, home)
+
+
+def _toward(nlp: Nlp, solver: GaussNewton | TranscribedProgram, start: Array, home: Array) -> Array:
+    """Return the farthest point from `home`, in the solver's variables, toward a start at which the model is finite."""
+    away = nlp.scaling.to_solver(start) - home
+    points = (np.clip(nlp.scaling.to_parameters(home + share * away), nlp.lower, nlp.upper) for share in SHARES)
+    return next((point for point in points if solver.is_finite_at(point)), start)
 
 
 def _continued_by_ipopt(
@@ -157,10 +170,14 @@ def _reasons(nlp: Nlp, starts: Array, outcomes: list[Outcome]) -> list[str]:
 
 
 def _polished(nlp: Nlp, solver: IpoptSolver, minima: tuple[Minimum, ...]) -> tuple[Minimum, ...]:
-    """Return the minima, those close to the best solved with ever less smoothing, best first."""
+    """Return the minima, those close to the best solved with ever less smoothing, best first.
+
+    After Ctrl-C that is done for the best alone, which is the answer.
+    """
     last = solver.polishing()
-    close = [m.cost <= (1 + CLOSE) * minima[0].cost for m in minima]
-    polished = [_polish(nlp, last, m) if near else m for m, near in zip(minima, close, strict=True)]
+    close = minima[:1] if stop_requested() else [m for m in minima if m.cost <= (1 + CLOSE) * minima[0].cost]
+    with responding(Response.FINISH):
+        polished = [*(_polish(nlp, last, m) for m in close), *minima[len(close) :]]
     return tuple(sorted(polished, key=lambda m: m.cost))
 
 

@@ -21,8 +21,9 @@ from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.transcription.method import Transcribed
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.iterate import Iterate
-from greybox.solve.ipopt import CONVERGED, checked_nlpsol
-from greybox.solve.outcome import NOT_FINITE, Outcome
+from greybox.solve.interruption import stop_requested
+from greybox.solve.ipopt import CONVERGED, STOPPED, StopCheck, checked_nlpsol
+from greybox.solve.outcome import INTERRUPTED, NOT_FINITE, Outcome
 
 Array = NDArray[np.float64]
 
@@ -65,7 +66,8 @@ class TranscribedProgram:
 
         approximate = all(part.model.method.hessian == "gauss-newton" for part in self._records)
         hessian = _gauss_newton_hessian(unknowns, parameters, error, responses, constraints) if approximate else {}
-        self._solver = checked_nlpsol(statement, options, hessian)
+        self._stop_check = StopCheck(statement)
+        self._solver = checked_nlpsol(statement, options, hessian, self._stop_check)
         products = [t.residuals @ t.residuals.T for t in self._transcribed]
         self._products = ca.Function("products", [unknowns, parameters], products)
 
@@ -114,12 +116,14 @@ class TranscribedProgram:
             weights = [part.covariance.weight(s) for part, s in zip(self._records, products, strict=True)]
         else:
             status = "relaxations exceeded"
+        if status == STOPPED:
+            status = INTERRUPTED
 
         estimate = np.clip(scaling.to_parameters(w[:p]), self._nlp.lower, self._nlp.upper)
         converged = status in CONVERGED and math.isfinite(cost)
         signature = self._gauss_newton.signature(estimate) if converged else None
         if converged and signature is None:
-            status, converged = "no continuous states at the estimate", False
+            status, converged = INTERRUPTED if stop_requested() else "no continuous states at the estimate", False
         return Outcome(estimate, status, iterations, time.perf_counter() - began, converged, cost, signature)
 
     def _initial_unknowns(self, iterate: Iterate) -> list[Array]:
