@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 
 from greybox.cli import fit_command, inspect_command, list_command, response_command
 from greybox.cli.options import UsageError
-from greybox.cli.output import BAD_INPUT, FAILED, USABLE, Answer
+from greybox.cli.output import BAD_INPUT, FAILED, NO_WORKING_DIRECTORY, USABLE, Answer, has_working_directory
 from greybox.cli.startup import INTERRUPTED
 from greybox.cli.terminal import has_all_characters, write
 from greybox.solve.interruption import Response, listening, responding, take_interrupt
@@ -47,8 +47,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _answer(arguments: Sequence[str], as_json: bool) -> Answer:
     """Run the command; an error is an answer too."""
+    help_or_version = io.StringIO()
     try:
-        with contextlib.redirect_stdout(io.StringIO()) as help_or_version:
+        with contextlib.redirect_stdout(help_or_version):
             options = _parser().parse_args(arguments)
     except UsageError as error:
         return {"error": str(error)}, "", BAD_INPUT
@@ -98,17 +99,27 @@ def _explain(error: Exception, arguments: Sequence[str]) -> tuple[str, int]:
         return sentence, BAD_INPUT
 
     # The files of the user, by their full path, as they were written on the command line.
-    users = {Path(m[1]).resolve(): m[1] for word in arguments if (m := re.match(r"(.+\.py)(?:$|[:(])", word))}
-    if isinstance(error, SyntaxError) and error.filename and Path(error.filename).resolve() in users:
-        return f"{users[Path(error.filename).resolve()]}, line {error.lineno}: {error.msg}.", BAD_INPUT
+    users = {_full_path(m[1]): m[1] for word in arguments if (m := re.match(r"(.+\.py)(?:$|[:(])", word))}
+    if isinstance(error, SyntaxError) and error.filename and _full_path(error.filename) in users:
+        return f"{users[_full_path(error.filename)]}, line {error.lineno}: {error.msg}.", BAD_INPUT
 
     causes = [error, *([error.__cause__] if error.__cause__ else [])]
     frames = [frame for cause in causes for frame in traceback.extract_tb(cause.__traceback__)]
-    last = next((frame for frame in reversed(frames) if Path(frame.filename).resolve() in users), None)
+    last = next((frame for frame in reversed(frames) if _full_path(frame.filename) in users), None)
     if last is not None:
-        place = f"{users[Path(last.filename).resolve()]}, line {last.lineno}"
+        place = f"{users[_full_path(last.filename)]}, line {last.lineno}"
         return f"{place}: {type(error).__name__}: {sentence}", BAD_INPUT
 
+    if isinstance(error, FileNotFoundError) and not has_working_directory():
+        return NO_WORKING_DIRECTORY, BAD_INPUT
     if isinstance(error, (ValueError, TypeError, LookupError, OSError)):
         return sentence, BAD_INPUT
     return f"internal error, {type(error).__name__}: {sentence}; run again with --debug and report it.", FAILED
+
+
+def _full_path(path: str) -> Path:
+    """Return the path from the root, or as it is where there is no working directory."""
+    try:
+        return Path(path).resolve()
+    except FileNotFoundError:
+        return Path(path)

@@ -39,18 +39,18 @@ class StopCheck(ca.Callback):
         """Return the number of results of a solver, of which this is told at every iteration."""
         return ca.nlpsol_n_out()
 
-    def get_sparsity_in(self, k: int) -> ca.Sparsity:
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
         """Return the shape of one of them."""
-        return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(k)], 1)
+        return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)], 1)
 
     def has_eval_buffer(self) -> bool:
         """Take memory as it is: with matrices made of it, an iteration would take a tenth longer."""
         return True
 
-    def eval_buffer(self, _arguments: Any, results: Any) -> int:
+    def eval_buffer(self, arg: Any, res: Any) -> int:
         """Answer whether to stop, 1 or 0."""
-        if results[0] is not None:
-            np.frombuffer(results[0])[0] = float(stop_requested())
+        if res[0] is not None:
+            np.frombuffer(res[0])[0] = float(stop_requested())
         return 0
 
 
