@@ -17,14 +17,29 @@ from greybox.cli.options import UsageError
 from greybox.cli.output import BAD_INPUT, FAILED, NO_WORKING_DIRECTORY, USABLE, Answer, has_working_directory
 from greybox.cli.startup import INTERRUPTED
 from greybox.cli.terminal import has_all_characters, write
+from greybox.data.text_table import alternatives, nearest
 from greybox.solve.interruption import Response, listening, responding, take_interrupt
 
 COMMANDS = (list_command, inspect_command, response_command, fit_command)
 
 
 class _Parser(argparse.ArgumentParser):
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:  # type: ignore[override]
+        """Refuse what is not known where it is known what was possible: in the command's own parser."""
+        found, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            near = nearest(unknown[0].partition("=")[0], self._option_string_actions)
+            hint = f", did you mean {near}?" if near and unknown[0].startswith("-") else ""
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
+        return found, unknown
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            choices = alternatives(value, action.choices)
+            raise argparse.ArgumentError(action, f"there is no {value!r}; there are {choices}")
+
     def error(self, message: str) -> NoReturn:
-        raise UsageError(f"{message}; see {self.prog} --help.")
+        raise UsageError(f"{message.rstrip('.')}{' See' if message.endswith('?') else '; see'} {self.prog} --help.")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
