@@ -14,6 +14,7 @@ from greybox.compiled.compiled_problem import AnyProblem
 from greybox.data.response_file import HDF5
 from greybox.estimate.fit import Interrupted, fit
 from greybox.estimate.result import Fit, FittedRecord
+from greybox.estimate.storage import save
 from greybox.solve.interruption import Response, responding, take_interrupt
 
 
@@ -42,28 +43,27 @@ def run(options: argparse.Namespace) -> Answer:
             settings[name] = getattr(options, name)
     result, interrupted = _fitted(problem, settings)
 
-    notes = []
-    if options.out is not None:
-        with responding(Response.FINISH):
-            from greybox.estimate.storage import save  # noqa: PLC0415  (imports h5py)
-
-            save(result, options.out)
-            notes.append(f"saved {options.out}")
-        interrupted = take_interrupt() or interrupted
-    try:
-        notes += save_figure(None if interrupted else options.plot, lambda: _figure(result))
-    except KeyboardInterrupt:
-        interrupted = True
-    if interrupted and options.plot is not None:
-        notes.append(f"{options.plot} is not drawn")
-
     answer = _as_json(result)
     status = USABLE if result.converged else FAILED
     if not result.converged:
         answer["error"] = ": ".join([result.status, *result.warnings[:1]]).rstrip(".") + "."
+    notes = []
+    try:
+        if options.out is not None:
+            with responding(Response.FINISH):
+                save(result, options.out)
+            notes.append(f"saved {options.out}")
+        interrupted = take_interrupt() or interrupted
+        notes += save_figure(None if interrupted else options.plot, lambda: _figure(result))
+    except OSError as error:  # a full disk does not take the answer away
+        answer["error"] = str(error)
+        status = FAILED
+    except KeyboardInterrupt:
+        interrupted = True
     if interrupted:
         answer["error"] = "interrupted."
         status = INTERRUPTED
+        notes += [f"{options.plot} is not drawn"] if options.plot is not None else []
     return answer, "\n".join([str(result), *notes]), status
 
 
