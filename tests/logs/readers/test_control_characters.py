@@ -10,7 +10,7 @@ from synthetic_logs import Log
 from greybox.cli.main import main
 from greybox.logs.readers import read
 
-ESCAPES = "\x1b]0;PWN\x07\x1b[2J\x1b[31m\x9b8m\u202e"
+ESCAPES = "\x1b]0:PWN\x07\x1b[2J\x1b[31m\x9b8m\u202e"
 
 
 def dataflash(path):
