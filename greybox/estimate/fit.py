@@ -25,6 +25,7 @@ from greybox.estimate.diagnostics.delay_approximation import pade_error
 from greybox.estimate.diagnostics.discretization import discretization_warnings
 from greybox.estimate.diagnostics.general import warnings
 from greybox.estimate.diagnostics.harmonics import harmonic_warnings
+from greybox.estimate.diagnostics.intersample import intersample_warnings
 from greybox.estimate.diagnostics.not_finite import explained, not_finite_warnings
 from greybox.estimate.diagnostics.records import record_warnings
 from greybox.estimate.fitted_record import fitted_record, stated
@@ -153,6 +154,7 @@ def assemble(
             *not_finite_warnings(nlp, search),
             *(discretization_warnings(nlp, trajectories, error) if found else ()),
             *(record_warnings(nlp, records, trajectories) if found else ()),
+            *(intersample_warnings(nlp, trajectories, best, accuracy) if found else ()),
             *(harmonic_warnings(nlp, best, accuracy) if found else ()),
             *(warnings(nlp, search, accuracy, pade_errors, trajectories) if found else ()),
         ),

@@ -82,10 +82,10 @@ def discretization_error(nlp: Nlp, trajectories: Sequence[Trajectory]) -> Discre
     if not all(same):
         for (part, trajectory, refined, other), is_same in zip(each, same, strict=True):
             weight = part.residual_weight(trajectory)
-            H, g = _quadratic_model(part, trajectory, weight)
+            H, g = quadratic_model(part, trajectory, weight)
             H_fine, g_fine = H, g if is_same else np.full(p, math.inf)
             if not is_same and other.finite:
-                H_fine, g_fine = _quadratic_model(refined, other, weight)
+                H_fine, g_fine = quadratic_model(refined, other, weight)
             hessian += part.weight * H
             hessian_fine += part.weight * H_fine
             change += part.weight * (g_fine - g)
@@ -161,7 +161,7 @@ def _moved(run: Run, end: Outcome) -> Run:
     return replace(run, estimate=end.estimate, cost=cost, converged=converged, status=end.status)
 
 
-def _quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
+def quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
     """Return Hessian and gradient by the unknowns along a trajectory with gaps, the residuals times `weight`."""
     linearization = part.linearize(trajectory, weight)
     condensed = part.condense(linearization, trajectory, np.zeros(trajectory.nodes.shape[1]))

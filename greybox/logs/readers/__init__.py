@@ -10,8 +10,8 @@ Formats
     `telemetry_metadata`; `ulog` (PX4); `csv_table`; `hdf5`; `matlab`.
 Shared by several
     `messages` (messages of one type, and the records made of them), `time_stamps` (clock restarts, impossible and
-    repeated stamps), `table_columns` (units in headings, the time column), `ardupilot_metadata` (vehicle, firmware,
-    parameters, modes, arming).
+    repeated stamps), `table_columns` (units in headings, the time column), `ardupilot_metadata` (vehicle,
+    firmware, parameters, modes, arming), `controller_outputs` (which signals a controller holds).
 Libraries that a damaged file can crash
     `subprocess_reader` runs them in a subprocess, whose script is `subprocess_main`.
 """

@@ -19,7 +19,9 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     """Read a table with a header line into one record named after the file.
 
     The separator is the first of ``;``, tab and comma that the header contains; with ``;`` or tab the numbers
-    may have a decimal comma. Units stand in the header: ``pitch [deg]`` or ``pitch (deg)``. Lines that start with
+    may have a decimal comma. Units stand in the header: ``pitch [deg]`` or ``pitch (deg)``. So does
+    how a signal runs between its samples, where that is known: ``u [1 held]`` for the output of a controller, which
+    holds it, and ``pitch [deg sampled]`` for samples of what is continuous. Lines that start with
     ``#`` are comments; empty cells, and words such as ``nan``, are missing samples.
 
     The time column is the first named time, t or timestamp (any case, with a unit in brackets or as in ``time_s``,

@@ -11,7 +11,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.record import Recording
+from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.messages import on_one_clock, records
 from greybox.logs.readers.table_columns import table
 
@@ -94,8 +95,16 @@ def _run(arguments: list[str], path: Path) -> bytes:
     return done.stdout
 
 
-def recording(path: Path, found: Contents, messages: Collection[str] | None) -> Recording:
-    """Make a record of every group that has a time, the root named after the file; ValueError if none has."""
+def recording(
+    path: Path,
+    found: Contents,
+    messages: Collection[str] | None,
+    parameters: Mapping[str, float] | None = None,
+) -> Recording:
+    """Make a record of every group that has a time, the root named after the file; ValueError if none has.
+
+    With the `parameters` of a vehicle the groups are known messages of its flight controller.
+    """
     with open(path, "rb") as file:
         checksum = hashlib.file_digest(file, "sha256").hexdigest()
     columns: dict[str, dict[str, NDArray[np.float64]]] = {}
@@ -113,6 +122,7 @@ def recording(path: Path, found: Contents, messages: Collection[str] | None) -> 
             continue
         part, problems = table(name, group, units[name])
         clocked, restarts = on_one_clock([part] if part else [])
+        clocked = clocked if parameters is None else with_holds(clocked, parameters)
         records_of_group, dropped = records(clocked, path.name, checksum)
         made.update(records_of_group)
         findings += [*problems, *restarts, *dropped]
