@@ -154,7 +154,7 @@ def assemble(
             *not_finite_warnings(nlp, search),
             *(discretization_warnings(nlp, trajectories, error) if found else ()),
             *(record_warnings(nlp, records, trajectories) if found else ()),
-            *(intersample_warnings(nlp, trajectories, best, accuracy) if found else ()),
+            *(intersample_warnings(nlp, best, accuracy) if found else ()),
             *(harmonic_warnings(nlp, best, accuracy) if found else ()),
             *(warnings(nlp, search, accuracy, pade_errors, trajectories) if found else ()),
         ),

@@ -253,7 +253,7 @@ def equation_error(
     bias = _bias(data, projection, record, again)
     warnings = [
         *_assumed_inputs(projection, record, inputs, between, parameters, _delays(system), again),
-        *_constant_effects(data, projection, resting),
+        *(() if biases else _constant_effects(data, projection, resting)),
     ]
     said = described_inputs(inputs, system.inputs, record)
     return _result(f"{model.label}, {record.name or 'record'}", data, projection, bias, parameters, warnings, said)

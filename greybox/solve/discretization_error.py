@@ -17,6 +17,7 @@ from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Part, Trajectory
 from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
 from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart, find_minima
 from greybox.solve.outcome import Outcome, Run
 
@@ -82,10 +83,10 @@ def discretization_error(nlp: Nlp, trajectories: Sequence[Trajectory]) -> Discre
     if not all(same):
         for (part, trajectory, refined, other), is_same in zip(each, same, strict=True):
             weight = part.residual_weight(trajectory)
-            H, g = quadratic_model(part, trajectory, weight)
+            H, g = _quadratic_model(part, trajectory, weight)
             H_fine, g_fine = H, g if is_same else np.full(p, math.inf)
             if not is_same and other.finite:
-                H_fine, g_fine = quadratic_model(refined, other, weight)
+                H_fine, g_fine = _quadratic_model(refined, other, weight)
             hessian += part.weight * H
             hessian_fine += part.weight * H_fine
             change += part.weight * (g_fine - g)
@@ -95,17 +96,19 @@ def discretization_error(nlp: Nlp, trajectories: Sequence[Trajectory]) -> Discre
 
 
 def refine_discretization(
-    nlp: Nlp, search: Multistart, solver: GaussNewton
-) -> tuple[Nlp, Multistart, GaussNewton, DiscretizationError | None]:
+    nlp: Nlp, search: Multistart, solver: LocalSolver
+) -> tuple[Nlp, Multistart, LocalSolver, DiscretizationError | None]:
     """Refine the steps until that does not matter, and follow the best minima; what the method fixes stays.
 
     Returns the error that is left too, where it was looked at.
     """
     error = None
+    if not any(part.substeps for part in nlp.parts):
+        return nlp, search, solver, error
     while search.minima and nlp.strategies.refined_substeps and nlp.method.scheme.substeps is None:
         best = solver.profile(search.minima[0].estimate, search.nodes)
         error = discretization_error(nlp, best.trajectories)
-        if not error.matters or max(part.substeps for part in nlp.record_parts) >= MOST_SUBSTEPS:
+        if not error.matters or max(part.substeps for part in nlp.parts) >= MOST_SUBSTEPS:
             break
         finer = replace(nlp, parts=tuple(part.refined(error.growth) for part in nlp.parts))
         finer_solver = GaussNewton(finer)
@@ -161,7 +164,7 @@ def _moved(run: Run, end: Outcome) -> Run:
     return replace(run, estimate=end.estimate, cost=cost, converged=converged, status=end.status)
 
 
-def quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
+def _quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
     """Return Hessian and gradient by the unknowns along a trajectory with gaps, the residuals times `weight`."""
     linearization = part.linearize(trajectory, weight)
     condensed = part.condense(linearization, trajectory, np.zeros(trajectory.nodes.shape[1]))
