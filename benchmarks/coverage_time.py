@@ -4,9 +4,10 @@ python benchmarks/coverage_time.py [--repeats 300] [--flights 60] [--output benc
 
 A mass on a spring driven by held forces is flown again and again with `gb.virtual_flight`, fitted from the truth, and
 counted is how often the Student-t interval of every parameter holds it; beside it the standard deviation of (estimate -
-truth) / standard error, which should be 1. The same for flights of the paper's pitch axis at 100 Hz with its controller,
-as `virtual_flight` returns them and by default criteria: that the control is held is known from the record. Then the tilt plant of the paper in its closed loop, 60 s at 100 Hz: how
-many random starts in the declared boxes end in the best minimum, and how far that is from the truth.
+truth) / standard error, which should be 1. The same for flights of the paper's pitch axis with its controller, as
+`virtual_flight` returns them and by the default criterion: that the control is held is known from the record. Then the
+tilt plant of the paper in its closed loop, 60 s at 100 Hz: how many random starts in the declared boxes end in the best
+minimum, and how far that is from the truth.
 """
 
 import argparse
