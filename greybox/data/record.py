@@ -14,6 +14,9 @@ from greybox.data.text_table import counted, one_line
 # Median steps: a longer one is a gap, across which nothing is interpolated. One lost sample makes a step of two, which
 # is none; the half is for jitter.
 GAP = 2.5
+# Share of the samples at common times that are equal in all common signals, above which two records are of one
+# measurement.
+SAME_MEASUREMENT = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,6 +208,26 @@ class Recording(Mapping[str, Record]):
 
     def __repr__(self) -> str:
         return one_line(self, repr(self.source), counted(len(self), "message"), ", ".join(self.records))
+
+
+def share_samples(a: Record, b: Record) -> bool:
+    """Tell whether two records hold some of the same measured samples.
+
+    Of one file they do where their times overlap outside of gaps; others where they have the same values at the same
+    times, as after `Record.with_signals`.
+    """
+    if a.checksum == b.checksum:
+        return any(
+            one.time[0] <= other.time[-1] and other.time[0] <= one.time[-1] for one in a.pieces for other in b.pieces
+        )
+    _, rows, others = np.intersect1d(a.time, b.time, assume_unique=True, return_indices=True)
+    alike = [
+        np.isclose(a[name][rows], b[name][others], rtol=0.0, atol=0.0, equal_nan=True)
+        for name in a.signals
+        if name in b.signals
+    ]
+    # Of quantized signals a few samples are the same by chance.
+    return bool(alike) and rows.size > 0 and float(np.mean(np.all(alike, axis=0))) > SAME_MEASUREMENT
 
 
 def _read_only(values: ArrayLike, name: str) -> NDArray[np.float64]:
