@@ -59,6 +59,10 @@ class ResponsePart(Part):
         """Leave the criterion behind too: its cost is compiled."""
         return {name: value for name, value in super().__getstate__().items() if name != "criterion"}
 
+    def with_problem(self, problem: Problem) -> "ResponsePart":
+        """Return the part for a problem that differs in its data alone: only the solver's cost is still the old one."""
+        return ResponsePart(problem, self.objective, self.model_response, self.scaled_response)
+
     @property
     def has_states(self) -> bool:
         """A frequency response has no nodes."""
