@@ -102,12 +102,13 @@ def fit(
     points = rule.draw({name: parameters[name] for name in nlp.free})
     movable = not isinstance(rule, Listed)
     if callable(progress) or not progress:
-        search = multistart(nlp, solver, points, solver_options, progress or None, movable)
+        search = multistart(nlp, solver, points, progress or None, movable)
     else:
         with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
-            search = multistart(nlp, solver, points, solver_options, lambda done, _: _advance(bar, done), movable)
+            search = multistart(nlp, solver, points, lambda done, _: _advance(bar, done), movable)
     search = explained(nlp, search)
     nlp, search, solver, error = refine_discretization(nlp, search, solver)
+    search = solver.polished(search)
     return assemble(nlp, search, solver, seed=rule.seed, starts=str(rule), began=began, error=error)
 
 

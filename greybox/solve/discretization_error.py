@@ -111,7 +111,7 @@ def refine_discretization(
         if not error.matters or max(part.substeps for part in nlp.parts) >= MOST_SUBSTEPS:
             break
         finer = replace(nlp, parts=tuple(part.refined(error.growth) for part in nlp.parts))
-        finer_solver = GaussNewton(finer)
+        finer_solver = solver.refined(finer)
         followed = _followed(finer, search, finer_solver)
         if followed is None:
             break

@@ -22,6 +22,7 @@ from greybox.solve.gauss_newton.merit import merit_function
 from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
 from greybox.solve.gauss_newton.stability import are_stable, best_gains, simulate_stable
 from greybox.solve.local_solver import LocalSolver, Profile
+from greybox.solve.minima import Multistart
 from greybox.solve.outcome import NOT_FINITE, Outcome
 
 Array = NDArray[np.float64]
@@ -32,6 +33,15 @@ DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 # Iterations of the nodes alone that smooth the states for another solver to begin with.
 SMOOTHING_ITERATIONS = 3
 
+# Iterations of a run that is continued, at most: valleys such as NIST's Lanczos1 take some 150, Bennett5 about 1400.
+MOST_ITERATIONS = 1000
+
+# Steps that polish the best minimum, at most: those of a model that hardly explains the data shrink by a third only.
+POLISHING = 50
+
+# Half the squared length of a step, in standard errors, that changes none of a parameter's first nine digits.
+EXACT = 1e-18
+
 # A step of up to a thousand times the tolerance that no line search can take any more is rounding of the merit.
 ROUNDED = 1e3
 
@@ -39,10 +49,10 @@ ROUNDED = 1e3
 class GaussNewton(LocalSolver):
     """The solver of one compiled problem whose parts have hidden unknowns, built once for all starts."""
 
-    def __init__(self, nlp: Nlp, parts: tuple[Part, ...] | None = None) -> None:
-        """Build what every run shares; `parts` stand in for those of the problem."""
+    def __init__(self, nlp: Nlp, parts: tuple[Part, ...] | None = None, *, settings: Strategies | None = None) -> None:
+        """Build what every run shares; `parts` and `settings` stand in for those of the problem."""
         self._nlp = nlp
-        self._settings: Strategies = nlp.strategies
+        self._settings: Strategies = settings or nlp.strategies
         self._limits = _limits(nlp)
         self._parts = AllParts(parts or nlp.parts, self._limits, self._settings)
         gains = [gain for gain in self._parts.gains if gain is not None]
@@ -58,7 +68,12 @@ class GaussNewton(LocalSolver):
         samples = sum(part.samples for part in self._nlp.parts)
         if samples <= settings.long_record or not settings.stretches_first:
             return None
-        return GaussNewton(self._nlp, tuple(part.excerpt(settings.long_record // 2) for part in self._nlp.parts))
+        excerpts = tuple(part.excerpt(settings.long_record // 2) for part in self._nlp.parts)
+        return GaussNewton(self._nlp, excerpts, settings=settings)
+
+    def refined(self, nlp: Nlp) -> "GaussNewton":
+        """Return the solver of the same problem with finer steps."""
+        return GaussNewton(nlp, settings=self._settings)
 
     # --- runs ---------------------------------------------------------------------------------------------------------
 
@@ -90,6 +105,68 @@ class GaussNewton(LocalSolver):
             return None
         outcome = self._solve(iterate, Progress.exact(self._settings), iterations)
         return replace(outcome, seconds=time.perf_counter() - began)
+
+    @DIVERGING
+    def continued(self, outcome: Outcome) -> Outcome:
+        """Go on from the end of a run that did not converge, with many more iterations."""
+        if outcome.nodes is None:
+            return outcome
+        began = time.perf_counter()
+        samples = sum(part.samples for part in self._nlp.parts)
+        most = max(min(self._settings.continued_samples // max(samples, 1), MOST_ITERATIONS), 1)
+        iterations = max(most, self._settings.max_iterations)
+        iterate = self._parts.at(self._nlp.scaling.to_solver(outcome.estimate), outcome.nodes)
+        after = self._solve(iterate, Progress.exact(self._settings), iterations)
+        spent = {
+            "iterations": outcome.iterations + after.iterations,
+            "seconds": outcome.seconds + time.perf_counter() - began,
+        }
+        return replace(after if after.converged or after.cost < outcome.cost else outcome, **spent)
+
+    @DIVERGING
+    def polished(self, search: Multistart) -> Multistart:
+        """Return the search with its best minimum moved by undamped steps, as long as they grow shorter.
+
+        They are judged by their length in standard errors: the cost no longer shows them.
+        """
+        if not search.minima or search.nodes is None or not self._settings.polished_minimum:
+            return search
+        best = search.minima[0]
+        iterate = self._parts.at(self._nlp.scaling.to_solver(best.estimate), search.nodes)
+        progress = Progress.exact(self._settings)
+        highest = self._parts.cost(iterate) + self._settings.cost_rounding * max(1.0, abs(best.cost))
+        last, end = math.inf, iterate
+        try:
+            for k in range(POLISHING):
+                weights = self._parts.residual_weights(iterate)
+                linearizations = self._parts.linearize(iterate, weights, covariance_curvature=True)
+                if k == 0:
+                    progress.begin(iterate, self._parts.gap_variances(linearizations))
+                step = self._step(iterate, linearizations, progress, states_only=False)
+                remaining = abs(step.decrease) + step.distance
+                if not remaining < last:
+                    break
+                last, end = remaining, iterate
+                if remaining < EXACT:
+                    break
+                iterate = self._continuous(self._parts.moved(iterate, step, 1.0), step, progress)
+                within = iterate.finite and self._parts.cost(iterate) <= highest
+                if not within or not self._parts.is_continuous(iterate) or not are_stable(self._parts, iterate):
+                    break
+        except np.linalg.LinAlgError:
+            pass
+        estimate = np.clip(self._nlp.scaling.to_parameters(end.z), self._nlp.lower, self._nlp.upper)
+        cost = self._parts.cost(end, 0.0)
+        minimum = replace(best, cost=min(cost, best.cost), estimate=estimate)
+        return replace(search, minima=(minimum, *search.minima[1:]), nodes=tuple(end.nodes))
+
+    def _continuous(self, iterate: Iterate, step: Step, progress: Progress) -> Iterate:
+        """Close what gaps curvature has left, to rounding."""
+        for _ in range(self._settings.gap_closings):
+            if not iterate.finite or self._parts.is_continuous(iterate):
+                break
+            iterate = self._parts.close_gaps(iterate, step, progress.multipliers, 0.0)
+        return iterate
 
     def _solve(self, iterate: Iterate, progress: Progress, iterations: int | None) -> Outcome:
         nlp = self._nlp
@@ -234,7 +311,9 @@ class GaussNewton(LocalSolver):
             gained = 0.0 if trial is None else before - merit(trial)
             iterate = trial or iterate
             ratio = gained / step.decrease if step.decrease > 0 else 1.0
-            progress.damping = next_damping(settings, progress.damping, length, ratio)
+            if length == 1 and progress.damping:
+                progress.full_damping = progress.damping
+            progress.damping = next_damping(settings, progress.damping, length, ratio, progress.full_damping)
             if not progress.is_exact:
                 iterate = self._tighten(iterate, step, progress, gained, length, before, states_only=states_only)
                 continue
