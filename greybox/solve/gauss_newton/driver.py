@@ -42,6 +42,10 @@ POLISHING = 50
 # Half the squared length of a step, in standard errors, that changes none of a parameter's first nine digits.
 EXACT = 1e-18
 
+# Decrease that an undamped step still promises where damped steps have come to rest: half the square of a thirtieth of
+# a standard error.
+CONFIRMED = 5e-4
+
 # A step of up to a thousand times the tolerance that no line search can take any more is rounding of the merit.
 ROUNDED = 1e3
 
@@ -291,11 +295,13 @@ class GaussNewton(LocalSolver):
                 linearizations = parts.linearize(iterate, weights, covariance_curvature=near)
             alone = states_only or progress.state_iterations > 0
             step = self._step(iterate, linearizations, progress, states_only=alone)
-            linearizations = None
+            linearizations_here, linearizations = linearizations, None
 
             merit = merit_function(parts, weights, progress)
             before = merit(iterate)
             settled = self._is_settled(iterate, step, before, progress)
+            if settled and progress.damping:
+                settled = self._is_confirmed(iterate, linearizations_here, progress)
             if settled and step.distance <= settings.tolerance:
                 return iterate, "converged", iteration
             trial, length = line_search(parts, iterate, step, merit, before, progress)
@@ -347,6 +353,15 @@ class GaussNewton(LocalSolver):
         small = max(settings.tolerance, settings.cost_rounding * abs(before))
         little = (1 + progress.damping) * step.decrease <= small
         return progress.is_exact and little and self._parts.is_continuous(iterate)
+
+    def _is_confirmed(self, iterate: Iterate, linearizations: list, progress: Progress) -> bool:
+        """Tell whether what an undamped step would gain is small against the standard errors too."""
+        damping, progress.damping = progress.damping, 0.0
+        multipliers, penalty = list(progress.multipliers), progress.constraint_penalty
+        step = self._step(iterate, linearizations, progress, states_only=False)
+        progress.damping = damping
+        progress.multipliers, progress.constraint_penalty = multipliers, penalty
+        return step.decrease <= CONFIRMED
 
     def _tighten(
         self,
