@@ -121,7 +121,7 @@ ALONE = {
     "jumping": ["held_discontinuous_delays", "blocked_damping"],
     "long": ["stretches_first"],
     "outputs": ["covariance_curvature", "covariance_decrease", "least_curvature"],  # more than one, noise estimated
-    "failing": ["ipopt_fallback", "ipopt_runs", "ipopt_iterations"],  # from all starts of some seed
+    "failing": ["continued_runs", "continued_samples"],  # from all starts of some seed
 }
 
 # What a tenth or ten times the value would make no sense of.
@@ -139,7 +139,6 @@ TRIED: dict[str, tuple[float, float]] = {
     "stability_share": (0.09, 0.99),
     "least_curvature": (0.005, 0.5),
     "neighbor_factor": (1.5, 40.0),
-    "ipopt_runs": (1, 30),
     "sweeps": (1, 20),
     "local_span": (1, 100),
 }

@@ -237,7 +237,7 @@ class Strategies:
     neighbor_iterations: int = 40
     """Iterations of a run from the neighborhood of the best end."""
     continued_samples: int = 3_000_000
-    """Samples times iterations of a run that is continued; at most 1000 iterations, at least those of a run."""
+    """Samples times iterations of a run that is continued; at most 2000 iterations, at least those of a run."""
 
     # --- constants: discretization and initial states -----------------------------------------------------------------
 

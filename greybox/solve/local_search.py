@@ -1,7 +1,7 @@
 """What a search on records tries besides its starts: unfinished runs go on, and the neighborhood of the best is tried.
 
-All of it is decided as the runs end, in the order of the starts. A search that has more starts, and begins with the same
-ones, therefore tries all that a shorter one does, and never ends at a higher cost.
+All of it is decided as the runs end, in the order of the starts. A search that has more starts, and begins with the
+same ones, therefore tries all that a shorter one does, and never ends at a higher cost.
 """
 
 import math

@@ -1,6 +1,6 @@
 """NIST's nonlinear regression problems: static models, data, starts and certified values.
 
-Source: NIST, Statistical Reference Datasets, nonlinear regression, https://www.itl.nist.gov/div898/strd/ (public domain).
+Source: NIST, Statistical Reference Datasets, https://www.itl.nist.gov/div898/strd/ (public domain).
 """
 
 import math
