@@ -31,9 +31,9 @@ RIVALS = 3
 # Relative difference of parameters up to which two runs of one minimum have one end, and move together.
 SAME_END = 0.01
 
-# Shift by twice the steps, in standard errors, of what is no solution of the differential equations: those of true
-# minima that the refinement has left are a tenth, an alias moves by hundreds.
-ALIAS = 3.0
+# Shift by twice the steps, in standard errors, from which an end is no solution of the differential equations where
+# another end is one: refinement has left the best a tenth of this.
+ALIAS = 1.0
 
 # Ends that are looked at, at most: one look takes as long as two iterations.
 JUDGED = 10

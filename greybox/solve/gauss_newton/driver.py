@@ -300,7 +300,7 @@ class GaussNewton(LocalSolver):
 
             merit = merit_function(parts, weights, progress)
             before = merit(iterate)
-            settled = self._is_settled(iterate, step, before, progress)
+            settled = self._is_settled(iterate, step, before, progress, states_only=alone)
             if settled and step.distance <= settings.tolerance:
                 return iterate, "converged", iteration
             trial, length = line_search(parts, iterate, step, merit, before, progress)
@@ -346,20 +346,22 @@ class GaussNewton(LocalSolver):
         held = self._is_discontinuous & progress.delays_held
         return gauss_newton_step(self._parts, iterate, linearizations, progress, held=held, states_only=states_only)
 
-    def _is_settled(self, iterate: Iterate, step: Step, before: float, progress: Progress) -> bool:
+    def _is_settled(
+        self, iterate: Iterate, step: Step, before: float, progress: Progress, *, states_only: bool
+    ) -> bool:
         """Tell whether little is left to gain, also by a step that is not damped."""
         settings = self._settings
         small = max(settings.tolerance, settings.cost_rounding * abs(before))
         little = (1 + progress.damping) * step.decrease <= small
         if not (progress.is_exact and little and self._parts.is_continuous(iterate)):
             return False
-        return not progress.damping or self._is_confirmed(iterate, step, progress)
+        return not progress.damping or self._is_confirmed(iterate, step, progress, states_only=states_only)
 
-    def _is_confirmed(self, iterate: Iterate, damped: Step, progress: Progress) -> bool:
+    def _is_confirmed(self, iterate: Iterate, damped: Step, progress: Progress, *, states_only: bool) -> bool:
         """Tell whether what an undamped step would gain is small against the standard errors."""
         undamped = copy(progress)
         undamped.damping, undamped.multipliers = 0.0, list(progress.multipliers)
-        step = self._step(iterate, list(damped.linearizations), undamped, states_only=False)
+        step = self._step(iterate, list(damped.linearizations), undamped, states_only=states_only)
         return step.decrease <= CONFIRMED
 
     def _tighten(
