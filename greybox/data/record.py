@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from greybox.data.text_table import counted, one_line
+from greybox.data.text_table import counted, one_line, printable
 
 # Median steps: a longer one is a gap, across which nothing is interpolated. One lost sample makes a step of two, which
 # is none; the half is for jitter.
@@ -71,12 +71,14 @@ class Record:
                 f"time does not increase after {time[back[0]]:.6f} s (index {back[0]}): "
                 "sort the samples and remove duplicates."
             )
-        signals = {name: _read_only(values, name) for name, values in self.signals.items()}
+        signals = {_printable(name): _read_only(values, name) for name, values in self.signals.items()}
         for name, values in signals.items():
             if values.size != time.size:
                 raise ValueError(f"time has {time.size} samples but {name} has {values.size}: they must match.")
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "signals", signals)
+        for name in ("name", "source", "units", "findings"):
+            object.__setattr__(self, name, _printable(getattr(self, name)))
         if not self.checksum:
             object.__setattr__(self, "checksum", _digest(time, signals))
 
@@ -171,6 +173,11 @@ class Recording(Mapping[str, Record]):
     metadata: Mapping[str, Any] = field(default_factory=dict, repr=False)
     findings: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Write out control characters in names and texts, which come from a file."""
+        for name in ("records", "source", "metadata", "findings"):
+            object.__setattr__(self, name, _printable(getattr(self, name)))
+
     def __getitem__(self, name: str) -> Record:
         if name in self.records:
             return self.records[name]
@@ -236,6 +243,17 @@ def _read_only(values: ArrayLike, name: str) -> NDArray[np.float64]:
         raise ValueError(f"{name} must be one-dimensional, but has shape {array.shape}.")
     array.setflags(write=False)
     return array
+
+
+def _printable(thing: Any) -> Any:
+    """Return names and texts, in whatever they are, with control characters written out: they come from files."""
+    if isinstance(thing, str):
+        return printable(thing)
+    if isinstance(thing, dict):
+        return {_printable(name): _printable(value) for name, value in thing.items()}
+    if type(thing) in (tuple, list):
+        return type(thing)(_printable(item) for item in thing)
+    return thing
 
 
 def _digest(time: NDArray[np.float64], signals: Mapping[str, NDArray[np.float64]]) -> str:
