@@ -49,8 +49,8 @@ def test_an_unfinished_run_below_the_answer_is_named():
 
 
 def test_the_limits_of_iterations_and_tolerance_are_options():
-    problem = certified("Misra1a").problem
-    start = [certified("Misra1a").starts[0]]
+    problem = certified("ENSO").problem
+    start = [certified("ENSO").starts[0]]
     loose = gb.fit(problem, starts=start, solver_options={"tol": 1e-2}, progress=False)
     tight = gb.fit(problem, starts=start, solver_options={"tol": 1e-10}, progress=False)
     assert loose.runs[0].iterations < tight.runs[0].iterations

@@ -1,9 +1,7 @@
 """Levenberg-Marquardt damping: how much after each step.
 
 Source: Marquardt (1963), SIAM Journal on Applied Mathematics 11; the ratio of actual and predicted decrease decides, as
-in Nocedal and Wright, Numerical Optimization, 2nd ed., section 10.3. After a full step it decides smoothly, so that the
-damping settles where a narrow curved valley wants it: Nielsen (1999), Damping parameter in Marquardt's method, IMM-REP
-1999-05, Technical University of Denmark.
+in Nocedal and Wright, Numerical Optimization, 2nd ed., section 10.3.
 """
 
 from greybox.compiled.strategies import Strategies
@@ -25,8 +23,7 @@ def next_damping(settings: Strategies, damping: float, length: float, ratio: flo
     if length == 1.0 and ratio < settings.poor_decrease:
         return max(factor * damping, settings.first_damping)
     if length == 1.0:
-        falls = damping * max(1 / factor, 1 - (2 * min(ratio, 1.0) - 1) ** 3)
-        return falls if falls > NEGLIGIBLE else 0.0
+        return damping / factor if damping > NEGLIGIBLE else 0.0
     return max(factor * damping, last_full) if length < CUT_SHORT else damping
 
 

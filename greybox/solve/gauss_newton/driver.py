@@ -43,9 +43,8 @@ POLISHING = 50
 # Half the squared length of a step, in standard errors, that changes none of a parameter's first nine digits.
 EXACT = 1e-18
 
-# Decrease that an undamped step still promises where damped steps have come to rest: half the square of a thirtieth of
-# a standard error.
-CONFIRMED = 5e-4
+# Decrease and half squared length of an undamped step from which the best minimum is polished by damped ones first.
+LONG_STEP = 1e-7
 
 # A step of up to a thousand times the tolerance that no line search can take any more is rounding of the merit.
 ROUNDED = 1e3
@@ -132,38 +131,51 @@ class GaussNewton(LocalSolver):
     def polished(self, search: Multistart) -> Multistart:
         """Return the search with its best minimum moved by undamped steps, as long as they grow shorter.
 
-        They are judged by their length in standard errors: the cost no longer shows them.
+        They are judged by their length in standard errors: the cost no longer shows them. In a narrow curved valley,
+        where the first of them is long, damped ones come before.
         """
         if not search.minima or search.nodes is None or not self._settings.polished_minimum:
             return search
         best = search.minima[0]
-        iterate = self._parts.at(self._nlp.scaling.to_solver(best.estimate), search.nodes)
-        progress = Progress.exact(self._settings)
-        highest = self._parts.cost(iterate) + self._settings.cost_rounding * max(1.0, abs(best.cost))
-        last, end = math.inf, iterate
+        start = self._parts.at(self._nlp.scaling.to_solver(best.estimate), search.nodes)
         try:
-            for k in range(POLISHING):
-                weights = self._parts.residual_weights(iterate)
-                linearizations = self._parts.linearize(iterate, weights, covariance_curvature=True)
-                if k == 0:
-                    progress.begin(iterate, self._parts.gap_variances(linearizations))
-                step = self._step(iterate, linearizations, progress, states_only=False)
-                remaining = abs(step.decrease) + step.distance
-                if not remaining < last:
-                    break
-                last, end = remaining, iterate
-                if remaining < EXACT:
-                    break
-                iterate = self._continuous(self._parts.moved(iterate, step, 1.0), step, progress)
-                within = iterate.finite and self._parts.cost(iterate) <= highest
-                if not within or not self._parts.is_continuous(iterate) or not are_stable(self._parts, iterate):
-                    break
+            end, remaining = self._undamped(start)
+            if remaining > LONG_STEP:
+                progress = Progress.exact(self._settings)
+                progress.undamped_decrease = LONG_STEP
+                later, _, _ = self._descend(end, progress, POLISHING, states_only=False, restarted=True)
+                end, _ = self._undamped(later)
         except np.linalg.LinAlgError:
-            pass
-        estimate = np.clip(self._nlp.scaling.to_parameters(end.z), self._nlp.lower, self._nlp.upper)
+            return search
         cost = self._parts.cost(end, 0.0)
+        if not cost <= best.cost + self._settings.cost_rounding * max(1.0, abs(best.cost)):
+            return search
+        estimate = np.clip(self._nlp.scaling.to_parameters(end.z), self._nlp.lower, self._nlp.upper)
         minimum = replace(best, cost=min(cost, best.cost), estimate=estimate)
         return replace(search, minima=(minimum, *search.minima[1:]), nodes=tuple(end.nodes))
+
+    def _undamped(self, iterate: Iterate) -> tuple[Iterate, float]:
+        """Return where undamped steps lead that grow shorter, and the decrease and half squared length of the next."""
+        progress = Progress.exact(self._settings)
+        highest = self._parts.cost(iterate) + self._settings.cost_rounding * max(1.0, abs(self._parts.cost(iterate)))
+        last, end = math.inf, iterate
+        for k in range(POLISHING):
+            weights = self._parts.residual_weights(iterate)
+            linearizations = self._parts.linearize(iterate, weights, covariance_curvature=True)
+            if k == 0:
+                progress.begin(iterate, self._parts.gap_variances(linearizations))
+            step = self._step(iterate, linearizations, progress, states_only=False)
+            remaining = abs(step.decrease) + step.distance
+            if not remaining < last:
+                break
+            last, end = remaining, iterate
+            if remaining < EXACT:
+                break
+            iterate = self._continuous(self._parts.moved(iterate, step, 1.0), step, progress)
+            within = iterate.finite and self._parts.cost(iterate) <= highest
+            if not within or not self._parts.is_continuous(iterate) or not are_stable(self._parts, iterate):
+                break
+        return end, last
 
     def _continuous(self, iterate: Iterate, step: Step, progress: Progress) -> Iterate:
         """Close what gaps curvature has left, to rounding."""
@@ -362,7 +374,7 @@ class GaussNewton(LocalSolver):
         undamped = copy(progress)
         undamped.damping, undamped.multipliers = 0.0, list(progress.multipliers)
         step = self._step(iterate, list(damped.linearizations), undamped, states_only=states_only)
-        return step.decrease <= CONFIRMED
+        return step.decrease <= progress.undamped_decrease
 
     def _tighten(
         self,

@@ -22,6 +22,10 @@ Array = NDArray[np.float64]
 EXACTNESS = 1.2
 
 
+# Half the square of a thirtieth of a standard error.
+UNDAMPED_DECREASE = 5e-4
+
+
 @dataclass(eq=False)
 class Progress:
     """What an iteration hands to the next.
@@ -47,6 +51,8 @@ class Progress:
         Levenberg-Marquardt damping, relative to the diagonal of the Hessian.
     full_damping : float
         That of the last step that was taken in full.
+    undamped_decrease : float
+        Decrease that an undamped step may still promise where damped steps have come to rest.
     last_decrease : float
         Predicted by the last full undamped step, or half its squared length where that is more; NaN without.
     delays_held : bool
@@ -65,6 +71,7 @@ class Progress:
     constraint_penalty: float = math.nan
     damping: float = 0.0
     full_damping: float = math.nan
+    undamped_decrease: float = UNDAMPED_DECREASE
     last_decrease: float = math.nan
     delays_held: bool = False
     start: tuple[Array, Nodes] | None = None

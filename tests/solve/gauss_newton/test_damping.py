@@ -12,9 +12,7 @@ SETTINGS = Strategies()
     ("damping", "length", "ratio", "after"),
     [
         (0.0, 1.0, 0.9, 0.0),  # a good full step needs none
-        (0.1, 1.0, 1.0, 0.01),  # where there is some, it falls tenfold after a step as predicted
-        (0.1, 1.0, 0.75, 0.1 * 7 / 8),  # and little after one that gained three quarters of it
-        (0.1, 1.0, 1.5, 0.01),
+        (0.1, 1.0, 0.9, 0.01),
         (1e-12, 1.0, 1.0, 0.0),  # what is negligible is dropped
         (0.0, 1.0, 0.1, 0.01),  # a poor full step asks for some
         (0.1, 1.0, 0.1, 1.0),
