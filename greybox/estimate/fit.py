@@ -5,6 +5,7 @@ import math
 import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import singledispatch
 from importlib.metadata import version
 from types import MappingProxyType
@@ -21,6 +22,7 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.text_table import counted
 from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.diagnostics.delay_approximation import pade_error
 from greybox.estimate.diagnostics.discretization import discretization_warnings
@@ -38,6 +40,7 @@ from greybox.formulation.starts import Chained, Listed, Sobol, Starts, as_starts
 from greybox.formulation.sum import Sum
 from greybox.modeling.harmonic_balance import response_of_test
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
+from greybox.solve.interruption import Response, listening, responding, take_interrupt
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
 from greybox.solve.multistart import multistart, solver_for
@@ -47,6 +50,25 @@ Array = NDArray[np.float64]
 FittedPart = FittedRecord | FittedResponse
 
 CURVE = 2000  # points from which a curve for figures is not refined further
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C during a fit.
+
+    Attributes
+    ----------
+    fit : Fit or None
+        The best fit so far: of the starts that were done, judged as any other. None if not one had been begun.
+    """
+
+    def __init__(self, fit: Fit | None) -> None:
+        super().__init__(fit)
+        self.fit = fit
+
+    def __str__(self) -> str:
+        if self.fit is None:
+            return "interrupted before the first start"
+        return f"interrupted after {counted(len(self.fit.runs), 'start')}; the best fit so far is in the attribute fit"
 
 
 def fit(
@@ -87,6 +109,8 @@ def fit(
     ------
     ValueError, TypeError
         For bad input, in one sentence.
+    KeyboardInterrupt
+        After Ctrl-C, when the iteration at hand has ended; its attribute ``fit`` is the best fit so far.
     """
     if not isinstance(problem, Problem | Sum):
         raise TypeError(f"problem is {problem!r:.80}: give a Problem(model, data) or a sum of them.")
@@ -94,6 +118,27 @@ def fit(
         raise TypeError(f"solver_options is {solver_options!r:.60}: give IPOPT's options as {{name: value}}.")
     if method is not None and not isinstance(method, Transcription):
         raise TypeError(f"method is {method!r:.60}: give an instance such as MultipleShooting().")
+    try:
+        with listening():
+            answer = _fitted_from(problem, starts, seed, method, solver_options, progress)
+            if answer is None or take_interrupt():
+                raise Interrupted(answer)
+            return answer
+    except Interrupted:
+        raise
+    except KeyboardInterrupt as pressed:
+        raise Interrupted(None) from pressed
+
+
+def _fitted_from(
+    problem: AnyProblem,
+    starts: Any,
+    seed: int | None,
+    method: Transcription | None,
+    solver_options: Mapping[str, Any],
+    progress: bool | Callable[[int, int], None],
+) -> Fit | None:
+    """Return the fit from these starts, or after Ctrl-C from those that were done; None if there are none."""
     began = time.perf_counter()
     nlp = compile_problem(problem, method)
     parameters = problem.parameters
@@ -101,15 +146,24 @@ def fit(
     rule = _rule(starts, seed, solver)
     points = rule.draw({name: parameters[name] for name in nlp.free})
     movable = not isinstance(rule, Listed)
-    if callable(progress) or not progress:
-        search = multistart(nlp, solver, points, progress or None, movable)
-    else:
-        with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
-            search = multistart(nlp, solver, points, lambda done, _: _advance(bar, done), movable)
-    search = explained(nlp, search)
-    nlp, search, solver, error = refine_discretization(nlp, search, solver)
-    search = solver.polished(search)
-    return assemble(nlp, search, solver, seed=rule.seed, starts=str(rule), began=began, error=error)
+    with responding(Response.STOP):
+        if callable(progress) or not progress:
+            search = multistart(nlp, solver, points, progress or None, movable)
+        else:
+            with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
+                search = multistart(nlp, solver, points, lambda done, _: _advance(bar, done), movable)
+        search = explained(nlp, search)
+        nlp, search, solver, error = refine_discretization(nlp, search, solver)
+        search = solver.polished(search)
+    if not search.runs:
+        return None
+    with responding(Response.FINISH):
+        answer = assemble(nlp, search, solver, seed=rule.seed, starts=str(rule), began=began, error=error)
+        done = len(search.runs)
+        if done < len(points):
+            said = f"interrupted after {done} of {counted(len(points), 'start')}: another one may end at a lower cost."
+            answer = replace(answer, warnings=(said, *answer.warnings))
+        return answer
 
 
 def assemble(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Part, Trajectory
 from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
+from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Minimum, Multistart, find_minima
 from greybox.solve.outcome import Outcome, Run
@@ -121,6 +122,8 @@ def refine_discretization(
         return nlp, search, solver, error
     fine = _finer_parts(nlp)
     while nlp.strategies.refined_substeps and nlp.method.scheme.substeps is None:
+        if stop_requested():
+            break
         best = solver.profile(search.minima[0].estimate, search.nodes)
         error = discretization_error(nlp, best.trajectories, fine)
         if not error.matters or max(part.substeps for part in nlp.parts) >= MOST_SUBSTEPS:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import same_cost
 from greybox.solve.outcome import NOT_FINITE, Outcome
@@ -41,7 +42,7 @@ class LocalSearch:
         outcome = self._solver.run(start)
         if not isinstance(self._solver, GaussNewton):
             return outcome
-        if self._nlp.strategies.continued_runs and self._is_unfinished(outcome):
+        if self._nlp.strategies.continued_runs and self._is_unfinished(outcome) and not stop_requested():
             outcome = self._solver.continued(outcome)
         if self._is_best(outcome):
             self._best = outcome
@@ -62,10 +63,10 @@ class LocalSearch:
 
     def _try_neighbors(self, solver: GaussNewton) -> None:
         """Add runs from the neighborhood of the best end, as long as they find a lower cost."""
-        while self._best is not None:
+        while self._best is not None and not stop_requested():
             best = self._best
             points = _scaled(self._nlp, best.estimate)
-            tried = [(point, self._run_near(solver, point, best)) for point in points]
+            tried = [(point, self._run_near(solver, point, best)) for point in points if not stop_requested()]
             better = [(point, outcome) for point, outcome in tried if self._is_best(outcome)]
             if not better:
                 break

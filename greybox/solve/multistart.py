@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.strategies import with_options
 from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.interruption import stop_requested
 from greybox.solve.ipopt import IpoptSolver
 from greybox.solve.local_search import LocalSearch
 from greybox.solve.local_solver import LocalSolver
@@ -54,42 +55,55 @@ def multistart(
 
     Starts that are `movable` go to where a run can begin. Every run is kept; runs from elsewhere, see
     `greybox.solve.local_search`, follow those of the starts. A run that fails is a result with its status; it is never
-    ranked before one that converged.
+    ranked before one that converged. When a stop is requested (`greybox.solve.interruption`) the run at hand is the
+    last.
     """
     began = time.perf_counter()
+    points: Iterable[Array] = starts
     if movable and nlp.strategies.moved_starts:
-        starts = _moved_to_finite(nlp, solver, starts)
+        points = _moved_to_finite(nlp, solver, starts)
     search = LocalSearch(nlp, solver, neighbors=len(starts) > 1)
+    tried: list[Array] = []
     outcomes = []
-    for k, start in enumerate(starts):
+    for start in points:
+        if stop_requested():
+            break
+        tried.append(start)
         outcomes.append(search.run(start))
         if progress is not None:
-            progress(k + 1, len(starts))
-    outcomes = solver.judged([*outcomes, *search.further_outcomes])
-    runs = _as_runs(np.vstack([starts, *search.further_starts]), outcomes)
+            progress(len(tried), len(starts))
+
+    outcomes = [*outcomes, *search.further_outcomes]
+    outcomes = solver.judged(outcomes) if outcomes else []
+    runs = _as_runs([*tried, *search.further_starts], outcomes)
     minima = find_minima(nlp, runs, [outcome.signature for outcome in outcomes])
     nodes = outcomes[minima[0].runs[0]].nodes if minima else None
     return Multistart(runs, minima, time.perf_counter() - began, nodes)
 
 
-def _moved_to_finite(nlp: Nlp, solver: LocalSolver, starts: Array) -> Array:
-    """Move starts at which the model is not finite toward the first at which it is, until it is there too."""
-    finite = [solver.is_finite_at(start) for start in starts]
-    if not any(finite):
-        return starts
-    starts = starts.copy()
-    home = nlp.scaling.to_solver(starts[finite.index(True)])
-    for k in np.flatnonzero(np.logical_not(finite)):
-        away = nlp.scaling.to_solver(starts[k]) - home
-        for share in SHARES:
-            point = np.clip(nlp.scaling.to_parameters(home + share * away), nlp.lower, nlp.upper)
-            if solver.is_finite_at(point):
-                starts[k] = point
-                break
-    return starts
+def _moved_to_finite(nlp: Nlp, solver: LocalSolver, starts: Array) -> Iterator[Array]:
+    """Give the starts, those at which the model is not finite moved toward the first at which it is.
+
+    One after the other, as the runs need them: of many starts the first run does not wait for the last.
+    """
+    first = next((k for k, start in enumerate(starts) if stop_requested() or solver.is_finite_at(start)), None)
+    if first is None:
+        yield from starts
+        return
+    home = nlp.scaling.to_solver(starts[first])
+    for k, start in enumerate(starts):
+        is_finite = k == first or (k > first and solver.is_finite_at(start))
+        yield start if is_finite else _toward(nlp, solver, start, home)
 
 
-def _as_runs(starts: Array, outcomes: list[Outcome]) -> tuple[Run, ...]:
+def _toward(nlp: Nlp, solver: LocalSolver, start: Array, home: Array) -> Array:
+    """Return the farthest point from `home`, in the solver's variables, toward a start at which the model is finite."""
+    away = nlp.scaling.to_solver(start) - home
+    points = (np.clip(nlp.scaling.to_parameters(home + share * away), nlp.lower, nlp.upper) for share in SHARES)
+    return next((point for point in points if solver.is_finite_at(point)), start)
+
+
+def _as_runs(starts: Sequence[Array], outcomes: list[Outcome]) -> tuple[Run, ...]:
     return tuple(
         Run(
             index=k,
