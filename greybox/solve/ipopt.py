@@ -129,7 +129,7 @@ class IpoptSolver(LocalSolver):
         return IpoptSolver(nlp, self._options)
 
     def polished(self, search: Multistart) -> Multistart:
-        """Return the search with the minima close to the best, after Ctrl-C the best, solved with ever less smoothing."""
+        """Return the search with the minima close to the best (after Ctrl-C: the best) solved with less smoothing."""
         minima = search.minima
         if not minima or not any(part.is_smoothed for part in self._nlp.parts):
             return search

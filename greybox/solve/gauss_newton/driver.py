@@ -24,7 +24,7 @@ from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
 from greybox.solve.gauss_newton.stability import are_stable, best_gains, simulate_stable
 from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver, Profile
-from greybox.solve.minima import Multistart
+from greybox.solve.minima import Multistart, same_cost
 from greybox.solve.outcome import INTERRUPTED, NOT_FINITE, Outcome
 
 Array = NDArray[np.float64]
@@ -151,7 +151,9 @@ class GaussNewton(LocalSolver):
         except np.linalg.LinAlgError:
             return search
         cost = self._parts.cost(end, 0.0)
-        if not cost <= best.cost + self._settings.cost_rounding * max(1.0, abs(best.cost)):
+        # What leads to another cost has left the minimum, as where a predictor ends at its stability limit.
+        rounding = self._settings.cost_rounding * max(1.0, abs(best.cost))
+        if not best.cost - same_cost(self._nlp, best.cost) <= cost <= best.cost + rounding:
             return search
         estimate = np.clip(self._nlp.scaling.to_parameters(end.z), self._nlp.lower, self._nlp.upper)
         minimum = replace(best, cost=min(cost, best.cost), estimate=estimate)
