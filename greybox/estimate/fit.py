@@ -206,7 +206,7 @@ def assemble(
             *not_finite_warnings(nlp, search),
             *finding_warnings(nlp),
             *(discretization_warnings(nlp, trajectories, error) if found else ()),
-            *(record_warnings(nlp, parts, trajectories) if found else ()),
+            *(record_warnings(nlp, parts, trajectories, accuracy) if found else ()),
             *(intersample_warnings(nlp, best, accuracy) if found else ()),
             *(harmonic_warnings(nlp, best, accuracy) if found else ()),
             *(warnings(nlp, search, accuracy, pade_errors, trajectories) if found else ()),

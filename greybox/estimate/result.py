@@ -506,7 +506,7 @@ def _error_condition(fit: Fit) -> str:
     conditions = "; ".join(dict.fromkeys(part.condition for part in fit.parts))
     if math.isinf(fit.dof):
         return conditions
-    return f"{conditions}; Student's t with {counted(fit.dof, 'degree of', 'degrees of')} freedom"
+    return f"{conditions}; Student's t with {counted(round(fit.dof), 'degree of', 'degrees of')} freedom"
 
 
 def _other_criteria(fit: Fit) -> list[str]:
