@@ -134,9 +134,15 @@ class Strategies:
     The overflow with 12 starts is found with it alone (cost -1836, -546 without).
     """
     continued_runs: bool = True
-    """A run that ends unfinished at a lower cost than the best so far goes on from its end."""
+    """A run that ends unfinished at a lower cost than the best so far goes on from its end.
+
+    Bennett5 is found with it alone.
+    """
     polished_minimum: bool = True
-    """The best minimum is polished by undamped steps, beyond the tolerance of a run."""
+    """The best minimum is polished by undamped steps, beyond the tolerance of a run.
+
+    Buys digits, not success: of NIST's 27 regressions nine or more are right instead of four to eight.
+    """
     refined_substeps: bool = True
     """Substeps are refined, and the best minima followed, until that shifts the estimate negligibly.
 

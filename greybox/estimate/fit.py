@@ -97,7 +97,8 @@ def fit(
     method : MultipleShooting, SingleShooting or Collocation, optional
         How records are transcribed and solved; `MultipleShooting()` by default.
     solver_options : mapping
-        Options of IPOPT, e.g. ``{"max_iter": 100, "tol": 1e-9}``.
+        ``{"max_iter": 100, "tol": 1e-9}``, and where IPOPT solves all its other options. For records `tol` is that of
+        the decrease of the cost and of half the squared length of a step in standard errors, 1e-8 by default.
     progress : bool or function
         A bar on a terminal for anything longer than two seconds; or a function of finished and all runs.
 
