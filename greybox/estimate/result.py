@@ -214,8 +214,8 @@ class Fit:
     dof : float
         Numbers in the data less the directions of parameter space that they determine. A record counts as its
         equivalent number of independent residuals, less its unknown initial states, whether its noise is given or not,
-        since standard errors use the residual variance. Infinite where all data are frequency responses with given
-        variances (`MaximumLikelihood`).
+        since standard errors use the residual variance; fewer where the spectrum of the residuals is uncertain.
+        Infinite where all data are frequency responses with given variances (`MaximumLikelihood`).
     cost : float
         The criterion minimized, without smoothing; NaN when no start converged.
     costs : mapping of str to float

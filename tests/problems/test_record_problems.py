@@ -95,13 +95,18 @@ def test_a_renamed_parameter_is_one_records_own():
 
 
 def test_degrees_of_freedom_are_those_of_independent_residuals_also_with_noise_given():
-    """Errors follow the residuals, so given variances leave them as uncertain as estimated ones."""
+    """Errors follow the residuals, so given variances leave them as uncertain as estimated ones.
+
+    That the residuals are white is known from 400 of them alone: fewer degrees of freedom, though enough for intervals
+    that are at most 5 % wider.
+    """
     given = gb.OutputError(noise={"x": 0.05, "v": 0.15}, inputs="held")
     found, same = (fit(gb.Problem(Spring(), spring(200), criterion)) for criterion in (HELD, given))
     for one in (found, same):
-        assert one.dof == pytest.approx(2 * 200 - 3 - 2, rel=0.05)
+        assert 25 < one.dof < 2 * 200 - 3 - 2
+    assert found.dof == pytest.approx(same.dof, rel=0.05)
     colored = fit(gb.Problem(Spring(), noisy(1, rho=0.9), given))
-    assert colored.dof < 0.3 * same.dof
+    assert colored.dof < 0.7 * same.dof
     response = measured(StaticLag(), np.geomspace(0.1, 10, 20), noise=0.02)
     variances = replace(response, variance=2 * (0.02 * np.abs(response.response)) ** 2)
     exact = gb.fit(gb.Problem(StaticLag(), variances, gb.MaximumLikelihood()), starts=1, progress=False)
