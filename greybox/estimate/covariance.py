@@ -17,6 +17,9 @@ Array = NDArray[np.float64]
 DEAD = 1e-7  # singular value of the unit-column Jacobian below which a combination is not determined at all
 BLIND = 1e-5  # share of an invisible direction from which a quantity has no standard error
 ROUNDING = 1e-12  # what the data see of a change of a parameter as large as itself, below which it is none
+CLOSE = 0.01  # of a standard error: what is so close to a bound may be held by it
+PUSHED = 0.01  # multiplier of a bound that holds, in standard deviations that the gradient has by the noise
+ROUNDED = 1e-7  # of its size: what the solvers' tolerances leave between a parameter and its bound
 COLLINEAR = 20.0  # collinearity index from which a combination is suspect, see `Combination`
 LOOSE = 0.5  # relative standard error from which a suspect combination is reported
 
@@ -107,7 +110,7 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
     parts = informations(nlp, x, trajectories)
     shares = [_share(part, p=p, correction=1.0, dof=math.inf) for part in parts]
     jacobian = np.vstack([share.jacobian for share in shares])
-    at_bound = _at_bound(nlp, x)
+    at_bound = _at_bound(nlp, x, shares, trajectories)
     active, holding = _active_constraints(nlp, x)
     length = np.linalg.norm(jacobian, axis=0)
     length[length * np.abs(1 / nlp.scaling.slope(x)) < ROUNDING] = 0
@@ -273,10 +276,41 @@ def _share(part: Information, *, p: int, correction: float, dof: float) -> _Shar
     )
 
 
-def _at_bound(nlp: Nlp, x: Array) -> tuple[str, ...]:
-    z, low, high = (nlp.scaling.to_solver(v) for v in (x, nlp.lower, nlp.upper))
-    tolerance = 1e-7 * np.maximum(1.0, np.abs(z))  # in units of the start box
-    return tuple(n for n, hit in zip(nlp.free, (z - low < tolerance) | (high - z < tolerance), strict=True) if hit)
+def _at_bound(
+    nlp: Nlp, x: Array, shares: Sequence[_Share], trajectories: Sequence[Trajectory | None]
+) -> tuple[str, ...]:
+    """Name the parameters that a bound holds.
+
+    How close a solver comes to a bound depends on its tolerances. A parameter is held where it is closer than the data
+    can tell, by the standard error that it would have with all others known, and where its multiplier says that the
+    cost would fall beyond. Within rounding it is held in any case.
+    """
+    distance = np.minimum(np.abs(x - nlp.lower), np.abs(x - nlp.upper))
+    bound = np.where(np.abs(x - nlp.lower) <= np.abs(x - nlp.upper), nlp.lower, nlp.upper)
+    size = np.maximum(np.abs(x), np.where(np.isfinite(bound), np.abs(bound), 0.0))
+    held = distance <= ROUNDED * size
+
+    p = len(x)
+    curvature = sum((np.diag(share.bread[:, :p]) for share in shares), np.zeros(p))
+    spread = sum((np.diag(share.meat) for share in shares), np.zeros(p))
+    known = np.isfinite(curvature) & (curvature > 0) & np.isfinite(spread)
+    error = np.sqrt(np.where(known, spread, 0.0)) / np.where(known, curvature, 1.0)
+    close = (distance <= CLOSE * error) & ~held
+    if close.any() and trajectories and all(t is not None for t in trajectories):
+        outward = np.where(bound == nlp.lower, 1.0, -1.0) * _gradient(nlp, x, trajectories)
+        held |= close & (outward > PUSHED * np.sqrt(np.where(known, spread, 0.0)))
+    return tuple(name for name, is_held in zip(nlp.free, held, strict=True) if is_held)
+
+
+def _gradient(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None]) -> Array:
+    """Return the derivatives (p,) of the cost by the unknowns along the best trajectories."""
+    total = np.zeros(len(x))
+    for part, trajectory in zip(nlp.parts, trajectories, strict=True):
+        assert trajectory is not None
+        linearization = part.linearize(trajectory, part.residual_weight(trajectory))
+        exact = np.zeros(trajectory.nodes.shape[1])
+        total += part.weight * part.condense(linearization, trajectory, exact).gradient
+    return total * nlp.scaling.slope(x)
 
 
 def _active_constraints(nlp: Nlp, x: Array) -> tuple[Array, tuple[str, ...]]:

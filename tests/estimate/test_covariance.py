@@ -245,6 +245,39 @@ def test_a_parameter_at_its_bound_counts_as_fixed_there():
     same_errors(free, fixed, ["K", "T1", "T2", "ratio"], 0.02)
 
 
+@pytest.mark.parametrize("high", [1e2, 2e7, 1e12])
+def test_a_wide_box_puts_no_parameter_at_its_bound(high):
+    class Wide(gb.TransferFunction):
+        input, output = "u", "y"
+        K = gb.Parameter(1.0, bounds=(0.1, high))
+        T = gb.Parameter(1.0, bounds=(0.1, high))
+
+        def response(self, s, p):
+            return p.K / (p.T * s + 1)
+
+    time = np.arange(400) * 0.1
+    u = np.sign(np.sin(0.5 * time))
+    flown = gb.simulate(Wide(), {"K": 1.48, "T": 2.0}, gb.Record(time, {"u": u}), inputs="held")
+    noisy = flown["y"] + 0.02 * np.random.default_rng(1).normal(size=400)
+    problem = gb.Problem(Wide(), gb.Record(time, {"u": u, "y": noisy}), gb.OutputError(inputs="held"))
+    fit = gb.fit(problem, starts=[{}], progress=False)
+    assert fit.estimate["K"] == pytest.approx(1.48, rel=0.05)
+    assert not any(q.at_bound for q in fit.quantities)
+    assert all(0 < error < 0.1 for error in fit.standard_error.values())
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-12, 2e-5])
+def test_a_parameter_that_a_solver_leaves_just_off_its_bound_is_at_it(off):
+    free, fixed = at_bound()
+    nlp = compile_problem(gb.Problem(Lags(), free.parts[0].data))
+    x = np.array([free.estimate[name] for name in nlp.free])
+    x[nlp.free.index("T")] = off * 0.05  # of the delay's upper bound
+    accuracy = assess(nlp, x, [part.initial_trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts])
+    assert accuracy.at_bound == ("T",)
+    k = nlp.free.index("K")
+    assert np.sqrt(accuracy.covariance[k, k]) == pytest.approx(fixed.standard_error["K"], rel=0.02)
+
+
 def constrained():
     """The fit with an active constraint, and the equivalent one with a tie."""
     data = measured(Lags(), OMEGA, LAGS, 0.02)
