@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.modeling.complex_arithmetic import Complex
+from greybox.modeling.formula_structure import has_switches, interval_mean, separated
 from greybox.modeling.functions import exp
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model, pick_signals
@@ -38,6 +39,12 @@ TOLERANCE = 1e-8  # of the balance, relative to the size of the harmonics: Newto
 SINGULAR = 1e-9  # singular value of the balance, rows scaled to one, that is rounding: it leaves a direction open
 DETERMINED = 1e-7  # part of a condition in the open directions from which it determines one, above rounding
 TINY = 1e-300  # instead of a division by zero
+# Samples over one period where a formula switches, see `formula_structure`: enough for 1e-7 of a relay, 2e-5 of a saturation.
+SWITCHED_POINTS = 65
+WIDENINGS = 12  # of the width, in steps of two, from one that is most of a period
+# Harmonics up to which the balance is a graph of scalars: three times as fast, but its size grows with their cube.
+MOST_SCALARS = 9
+WIDTH = 0.05  # of a switch whose argument rests there
 
 
 def harmonic_response(
@@ -116,13 +123,14 @@ def harmonic_function(
     assert isinstance(model, StateSpace)
     trim = trim_function(model, at or {})
     amplitudes = sine.amplitudes(omega)
-    orbit = _Orbit.of(model, sine, input, output, pade)
+    balance = Balance.of(model, sine, sine.harmonics, input, output, pade)
     point = np.concatenate([np.asarray(part).ravel() for part in trim([q.start for q in model.parameters.values()])])
-    chosen = _mean_conditions(orbit, point, omega, amplitudes)
+    chosen = _mean_conditions(balance, point, omega, amplitudes)
 
     p = ca.MX.sym("p", len(model.parameters))
     columns = ca.repmat(ca.vertcat(p, *trim(p)), 1, omega.size)
-    parts = _balanced(orbit, chosen, ca.vertcat(columns, ca.DM(omega).T, ca.DM(amplitudes).T))
+    widths = ca.DM.ones(1, omega.size) * WIDTH
+    parts = _Solver.of(balance, chosen).responses(ca.vertcat(columns, ca.DM(omega).T, ca.DM(amplitudes).T, widths))
     return ca.Function("response", [p], [parts[0, :].T, parts[1, :].T])
 
 
@@ -141,68 +149,82 @@ def check_sine(model: Model, sine: Sine, input: str, omega: NDArray[np.float64])
 
 
 @dataclass(frozen=True, eq=False)
-class _Orbit:
+class Balance:
     """The balance at one frequency, in unknown harmonics per amplitude.
 
     `unknown` (k,) are mean, cosine and sine coefficients of the states and the driven input and the means of the other
-    inputs, about the operating point, divided by the amplitude; `given` holds parameters, operating point, omega and
-    amplitude; `balance` must vanish; of the conditions `means` on the means as many must vanish as the ODE leaves
-    open; `response` is real and imaginary part.
+    inputs, about the operating point, divided by the amplitude; `given` holds parameters, operating point, omega,
+    amplitude and the `WIDTH` of switches; `balance` must vanish; of the conditions `means` on the means as many must
+    vanish as the ODE leaves open; `response` is real and imaginary part; `coefficients` (signals, 2h + 1) are those of
+    states and inputs in their own units.
     """
 
     model: StateSpace
     sine: Sine
     input: str
-    unknown: ca.SX
-    given: ca.SX
-    balance: ca.SX
-    means: ca.SX
-    response: ca.SX
+    harmonics: int
+    unknown: Any
+    given: Any
+    balance: Any
+    means: Any
+    response: Any
+    coefficients: Any
+    switches: bool
 
     @classmethod
-    def of(cls, model: StateSpace, sine: Sine, input: str, output: str, pade: int | None) -> "_Orbit":
+    def of(cls, model: StateSpace, sine: Sine, harmonics: int, input: str, output: str, pade: int | None) -> "Balance":
         """Write down the balance."""
+        kind: Any = ca.SX if harmonics <= MOST_SCALARS else ca.MX
         n = len(model.states)
         names = (*model.states, *model.inputs)
-        p = ca.SX.sym("p", len(model.parameters))
-        z = ca.SX.sym("z", len(names))
-        point = ca.SX.sym("point", len(names))
-        omega = ca.SX.sym("omega")
-        amplitude = ca.SX.sym("amplitude")
-        rates = traced_derivative(model, z, p)
-        read = traced_output(model, z, p)
+        symbols = ca.SX.sym("z", len(names))
+        parameters = ca.SX.sym("p", len(model.parameters))
+        rates = traced_derivative(model, symbols, parameters)
+        read = traced_output(model, symbols, parameters)
+        wanted = [model.output_names.index(name) for name in (output, sine.signal) if name in model.output_names]
+        formulas = ca.vertcat(rates, *[read[k] for k in wanted])
+        at_point = ca.Function("read", [symbols, parameters], [read[wanted[-1]]])
+
+        p = kind.sym("p", len(model.parameters))
+        point = kind.sym("point", len(names))
+        omega = kind.sym("omega")
+        amplitude = kind.sym("amplitude")
+        width = kind.sym("width")
 
         driven = n + model.input_names.index(input)
-        held = _position(model, sine.signal, read, z)
-        unknown, per_amplitude = _unknown_series([*range(n), driven], len(names), 2 * sine.harmonics + 1, held)
-        series = amplitude * per_amplitude
-        series[:, 0] += point
-        outputs = _harmonics(read, z, series, sine.harmonics)
+        held = _position(model, sine.signal, read, symbols)
+        places, constant = _places([*range(n), driven], len(names), 2 * harmonics + 1, held)
+        unknown = kind.sym("harmonics", places.size2())
+        per_amplitude = ca.reshape(places @ unknown + constant, 2 * harmonics + 1, len(names)).T
+        first_column = ca.DM(ca.Sparsity.unit(2 * harmonics + 1, 0)).T
+        series = amplitude * per_amplitude + point @ first_column
+        found = _harmonics(formulas, symbols, parameters, series, p, width, harmonics)
 
-        balance = [ca.vec((_derivative(series[:n, :], omega) - _harmonics(rates, z, series, sine.harmonics)).T)]
+        derivative = _derivative(harmonics)
+        balance = [ca.vec((omega * series[:n, :] @ derivative - found[:n, :]).T)]
         means = [per_amplitude[k, 0] for k in (*range(n, len(names)), *range(n))]
         if held is None:
-            k = model.output_names.index(sine.signal)
-            moving = outputs[k, :]
-            moving[0] -= ca.substitute(read[k], z, point)
-            moving[1] -= amplitude
-            balance.append(moving[1:].T)
+            moving = found[-1, :] - (at_point(point, p) @ first_column)
+            balance.append(moving[1:].T - amplitude * ca.DM([1, *[0] * (2 * harmonics - 1)]))
             means.insert(0, moving[0] / amplitude)
         else:
             means.insert(0, per_amplitude[held, 0])
 
-        delay = p[list(model.parameters).index(model.delays[input])] if input in model.delays else ca.SX(0)
-        first = _first(outputs[model.output_names.index(output), :]) / _first(series[driven, :])
-        first = first * exp(-Complex(ca.SX(0), omega, pade) * delay)
+        delay = p[list(model.parameters).index(model.delays[input])] if input in model.delays else kind(0)
+        first = _first(found[n, :]) / _first(series[driven, :])
+        first = first * exp(-Complex(kind(0), omega, pade) * delay)
         return cls(
             model=model,
             sine=sine,
             input=input,
+            harmonics=harmonics,
             unknown=unknown,
-            given=ca.vertcat(p, point, omega, amplitude),
+            given=ca.vertcat(p, point, omega, amplitude, width),
             balance=ca.vertcat(*balance) / amplitude,
             means=ca.vertcat(*means),
             response=ca.vertcat(first.re, first.im),
+            coefficients=series,
+            switches=has_switches(formulas, symbols),
         )
 
 
@@ -214,68 +236,85 @@ def _position(model: StateSpace, signal: str, read: ca.SX, z: ca.SX) -> int | No
     return (*model.states, *model.inputs).index(signal)
 
 
-def _unknown_series(moving: Sequence[int], rows: int, width: int, held: int | None) -> tuple[ca.SX, ca.SX]:
-    """Return the unknown coefficients and all as rows; what is `held` to a sine or does not move has a mean alone."""
-    unknown = [ca.SX.sym(f"z{k}", width if k in moving and k != held else 1) for k in range(rows)]
-    series = ca.SX(rows, width)
-    for k, symbols in enumerate(unknown):
-        series[k, : symbols.numel()] = symbols.T
+def _places(moving: Sequence[int], rows: int, width: int, held: int | None) -> tuple[ca.DM, ca.DM]:
+    """Return matrix and constant from the unknown to all coefficients, row by row.
+
+    What is `held` to a sine or does not move has a mean alone.
+    """
+    where = [k * width + i for k in range(rows) for i in range(width if k in moving and k != held else 1)]
+    places = ca.DM.triplet(where, list(range(len(where))), [1.0] * len(where), rows * width, len(where))
+    constant = ca.DM(rows * width, 1)
     if held is not None:
-        series[held, 1] = 1
-    return ca.vertcat(*unknown), series
+        constant[held * width + 1] = 1
+    return places, constant
 
 
-def _derivative(series: ca.SX, omega: ca.SX) -> ca.SX:
-    """Return the coefficients of the time derivative, row by row."""
-    result = ca.SX(*series.shape)
-    for k in range(1, series.size2() // 2 + 1):
+def _derivative(harmonics: int) -> ca.DM:
+    """Return the matrix, from the right, from the coefficients to those of the derivative by the phase."""
+    result = ca.DM(2 * harmonics + 1, 2 * harmonics + 1)
+    for k in range(1, harmonics + 1):
         cosine = 2 * k - 1
         sine = 2 * k
-        result[:, cosine] = k * omega * series[:, sine]
-        result[:, sine] = -k * omega * series[:, cosine]
+        result[sine, cosine] = k
+        result[cosine, sine] = -k
     return result
 
 
-def _first(row: ca.SX) -> Complex:
+def _first(row: Any) -> Complex:
     """Return the first harmonic as the complex amplitude of exp(jωt)."""
     return Complex(row[1], -row[2])
 
 
-def _harmonics(formula: ca.SX, z: ca.SX, series: ca.SX, harmonics: int) -> ca.SX:
-    """Return the coefficients of `formula` (k, 1) of the signals `z` with the coefficients `series`: (k, 2h + 1)."""
-    linear, rest = _separated(formula, z)
-    to_samples, to_series = _transforms(harmonics)
-    samples = series @ to_samples
-    rows = []
-    for k in range(rest.numel()):
-        used = [j for j in range(z.numel()) if ca.depends_on(rest[k], z[j])]
-        if not used:
-            rows.append(ca.horzcat(rest[k], ca.SX(1, 2 * harmonics)))
-            continue
-        others = [s for s in ca.symvar(rest[k]) if not ca.depends_on(s, z)]
-        term = ca.Function("term", [ca.vertcat(*[z[j] for j in used]), ca.vertcat(*others)], [rest[k]])
-        sampled = [term(samples[used, i], ca.vertcat(*others)) for i in range(to_samples.shape[1])]
-        rows.append(ca.horzcat(*sampled) @ to_series)
-    return linear @ series + ca.vertcat(*rows) if rows else ca.SX(0, series.size2())
+def _harmonics(
+    formulas: ca.SX, z: ca.SX, parameters: ca.SX, series: Any, p: Any, width: Any, harmonics: int
+) -> Any:
+    """Return the coefficients (k, 2h + 1) of `formulas` (k, 1) of the signals `z` with the coefficients `series`."""
+    linear, rest = separated(formulas, z)
+    slopes, constants = ca.Function("linear", [parameters], [linear, _free_of(rest, z)])(p)
+    first_column = ca.DM(ca.Sparsity.unit(2 * harmonics + 1, 0)).T
+    result = slopes @ series + constants @ first_column
+
+    rows = [k for k in range(rest.numel()) if ca.depends_on(rest[k], z)]
+    if not rows:
+        return result
+    rest = ca.vertcat(*[rest[k] for k in rows])
+    used = [j for j in range(z.numel()) if ca.depends_on(rest, z[j])]
+    signals = ca.vertcat(*[z[j] for j in used])
+    moving = ca.vertcat(*[series[j, :] for j in used])
+    switches = has_switches(rest, signals)
+    to_samples, to_series = _transforms(harmonics, SWITCHED_POINTS if switches else POINTS)
+    points = to_samples.size2()
+
+    if switches:
+        speeds = moving @ _derivative(harmonics)
+        sizes = ca.sqrt(ca.sum2(speeds**2) / 2 + TINY)
+        term = _mean_term(rest, signals, parameters, points).map("terms", "serial", points, [2, 3, 4], [])
+        mean, moment = term(moving @ to_samples, speeds @ to_samples, sizes, width, p)
+        found = mean @ to_series + moment @ (to_series @ _derivative(harmonics).T)
+    else:
+        term = ca.Function("term", [signals, parameters], [rest])
+        found = term.map("terms", "serial", points, [1], [])(moving @ to_samples, p) @ to_series
+    scatter = ca.DM.triplet(rows, list(range(len(rows))), [1.0] * len(rows), formulas.numel(), len(rows))
+    return result + scatter @ found
 
 
-def _separated(formula: ca.SX, z: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Split `formula` into the coefficients of the signals in which a row is linear, and what is left of the row."""
-    slope = ca.jacobian(formula, z)
-    rest = ca.SX(formula)
-    linear = ca.SX(*slope.shape)
-    for k in range(slope.size1()):
-        columns = [j for j in range(z.numel()) if slope.has_nz(k, j) and not ca.depends_on(slope[k, j], z)]
-        for j in columns:
-            linear[k, j] = slope[k, j]
-        if columns:
-            rest[k] = ca.substitute(rest[k], ca.vertcat(*[z[j] for j in columns]), ca.SX.zeros(len(columns)))
-    return linear, rest
+def _free_of(rest: ca.SX, z: ca.SX) -> ca.SX:
+    """Return the rows that do not depend on z, zero in place of the others."""
+    return ca.vertcat(*[ca.SX(0) if ca.depends_on(rest[k], z) else rest[k] for k in range(rest.numel())])
 
 
-def _transforms(harmonics: int) -> tuple[ca.DM, ca.DM]:
-    """Return the matrices from coefficients to samples over one period and back."""
-    points = max(POINTS, 4 * harmonics + 1)
+def _mean_term(rest: ca.SX, signals: ca.SX, parameters: ca.SX, points: int) -> ca.Function:
+    """Return the function from signals, their slopes by the phase, rms slopes, width and parameters to the mean rest."""
+    slopes = ca.SX.sym("slopes", signals.numel())
+    sizes = ca.SX.sym("sizes", signals.numel())
+    width = ca.SX.sym("width")
+    mean, moment = interval_mean(rest, signals, slopes, width * sizes, 2 * np.pi / points)
+    return ca.Function("term", [signals, slopes, sizes, width, parameters], [mean, moment])
+
+
+def _transforms(harmonics: int, least: int) -> tuple[ca.DM, ca.DM]:
+    """Return the matrices, from the right, from coefficients to samples over one period and back."""
+    points = max(least, 4 * harmonics + 1)
     phase = 2 * np.pi * np.arange(points) / points
     waves = [wave(k * phase) for k in range(1, harmonics + 1) for wave in (np.cos, np.sin)]
     to_samples = np.array([np.ones(points), *waves])
@@ -285,64 +324,95 @@ def _transforms(harmonics: int) -> tuple[ca.DM, ca.DM]:
 
 
 def _mean_conditions(
-    orbit: _Orbit, point: NDArray[np.float64], omega: NDArray[np.float64], amplitudes: NDArray[np.float64]
+    balance: Balance, point: NDArray[np.float64], omega: NDArray[np.float64], amplitudes: NDArray[np.float64]
 ) -> list[int]:
     """Choose what fixes the means: the first conditions that the balance, at some orbit, does not determine already.
 
     The mean of the sine's own signal comes first. It determines nothing where an integrator follows it, as the angle
     follows the rate: then that of a state.
     """
-    blocks = [ca.jacobian(e, orbit.unknown) for e in (orbit.balance, orbit.means)]
+    blocks = [ca.jacobian(e, balance.unknown) for e in (balance.balance, balance.means)]
     middle = int(np.argsort(amplitudes)[omega.size // 2])
-    start = [q.start for q in orbit.model.parameters.values()]
-    given = np.concatenate([start, point, [omega[middle], amplitudes[middle]]])
-    generic = np.random.default_rng(0).normal(size=orbit.unknown.numel())
-    function = ca.Function("slopes", [orbit.unknown, orbit.given], blocks)
+    start = [q.start for q in balance.model.parameters.values()]
+    given = np.concatenate([start, point, [omega[middle], amplitudes[middle], WIDTH]])
+    generic = np.random.default_rng(0).normal(size=balance.unknown.numel())
+    function = ca.Function("slopes", [balance.unknown, balance.given], blocks)
     rows, conditions = (np.nan_to_num(np.asarray(ca.DM(block))) for block in function(generic, given))
     rows, conditions = (e / np.maximum(np.linalg.norm(e, axis=1, keepdims=True), TINY) for e in (rows, conditions))
     _, singular, basis = np.linalg.svd(rows)
     open_directions = basis[int(np.sum(singular > SINGULAR)) :]
     chosen: list[int] = []
-    missing = orbit.unknown.numel() - orbit.balance.numel()
+    missing = balance.unknown.numel() - balance.balance.numel()
     for k, row in enumerate(conditions):
         in_open = np.array([*conditions[chosen], row]) @ open_directions.T
         if len(chosen) < missing and np.linalg.matrix_rank(in_open, DETERMINED) == len(in_open):
             chosen.append(k)
     if len(chosen) < missing or len(open_directions) > missing:
         raise ValueError(
-            f"the input {orbit.input} cannot make {orbit.sine.signal!r} a sine in {orbit.model.label} at its start "
+            f"the input {balance.input} cannot make {balance.sine.signal!r} a sine in {balance.model.label} at its start "
             "values: name a signal that it drives, or check `at`."
         )
     return chosen
 
 
-def _balanced(orbit: _Orbit, chosen: Sequence[int], given: Any) -> Any:
-    """Return real and imaginary part of the response, (2, n), for columns of what is given at every frequency."""
-    x = orbit.unknown
-    n = given.size2()
-    balance = ca.vertcat(orbit.balance, *[orbit.means[k] for k in chosen])
-    options = {"error_on_fail": False, "abstol": 1e-11, "max_iter": 30, "show_eval_warnings": False}
-    equations = {"x": x, "p": orbit.given, "g": balance}
-    newton = ca.rootfinder("newton", "newton", equations, {**options, "line_search": False})  # twice as fast
-    careful = ca.rootfinder("careful", "newton", equations, options)
-    size = ca.norm_inf(balance) / (1 + ca.norm_inf(x))
-    finish = ca.Function("finish", [x, orbit.given], [orbit.response, size < TOLERANCE])
-    guesses = _guess(newton, careful, finish).map(n)(given)
-    # Newton's method once more, from its own solution: derivatives then go through this call and leave out the guess.
-    response, converged = finish.map(n)(newton.map(n)(x0=guesses, p=given)["x"], given)
-    # A motion that was not found becomes infinite, so that the run that met it fails instead of using it.
-    return response / ca.repmat(converged, 2, 1)
+@dataclass(frozen=True, eq=False)
+class _Solver:
+    """Newton's method on the balance: fast, careful, and whether the harmonics are a motion."""
 
+    newton: ca.Function
+    careful: ca.Function
+    finish: ca.Function
+    switches: bool
 
-def _guess(newton: ca.Function, careful: ca.Function, finish: ca.Function) -> ca.Function:
-    """Return the function from what is given to the harmonics: at once, or else from small amplitudes upwards."""
-    given: Any = ca.MX.sym("given", newton.numel_in("p"))
-    direct: Any = ca.MX.sym("direct", newton.numel_in("x0"))
-    small = ca.DM(np.full(direct.numel(), SMALL))
-    root = ca.MX(small)
-    for halving in range(HALVINGS, -1, -1):
-        root = careful(x0=root, p=ca.vertcat(given[:-1], given[-1] / 2**halving))["x"]
-    by_doubling = ca.Function("by_doubling", [given], [root])
-    chosen = ca.if_else(finish(direct, given)[1], direct, by_doubling(given), True)
-    choose = ca.Function("choose", [direct, given], [chosen], {"never_inline": True})
-    return ca.Function("guess", [given], [choose(newton(x0=small, p=given)["x"], given)])
+    @classmethod
+    def of(cls, balance: Balance, chosen: Sequence[int]) -> "_Solver":
+        """Compile; the conditions `chosen` of `balance.means` fix the means."""
+        x = balance.unknown
+        equations = ca.vertcat(balance.balance, *[balance.means[k] for k in chosen])
+        statement = {"x": x, "p": balance.given, "g": equations}
+        options = {"error_on_fail": False, "abstol": 1e-11, "max_iter": 30, "show_eval_warnings": False}
+        size = ca.norm_inf(equations) / (1 + ca.norm_inf(x))
+        return cls(
+            newton=ca.rootfinder("newton", "newton", statement, {**options, "line_search": False}),  # twice as fast
+            careful=ca.rootfinder("careful", "newton", statement, options),
+            finish=ca.Function("finish", [x, balance.given], [balance.response, size < TOLERANCE]),
+            switches=balance.switches,
+        )
+
+    def responses(self, given: Any) -> Any:
+        """Return real and imaginary part of the response, (2, n), for columns of what is given at every frequency."""
+        n = given.size2()
+        guesses = self._guess().map(n)(given)
+        # Newton's method once more, from its own solution: derivatives then go through this call and leave out the
+        # guess.
+        response, converged = self.finish.map(n)(self.newton.map(n)(x0=guesses, p=given)["x"], given)
+        # A motion that was not found becomes infinite, so that the run that met it fails instead of using it.
+        return response / ca.repmat(converged, 2, 1)
+
+    def _guess(self) -> ca.Function:
+        """Return the function from what is given to the harmonics: at once, or else in steps, see `_in_steps`."""
+        given: Any = ca.MX.sym("given", self.newton.numel_in("p"))
+        root: Any = ca.MX.sym("root", self.newton.numel_in("x0"))
+        small = ca.DM(np.full(root.numel(), SMALL))
+        found = self.newton(x0=small, p=given)["x"]
+        for k, name in enumerate(("by_doubling", "by_narrowing")[: 2 if self.switches else 1]):
+            otherwise = self._in_steps(name, k, small)
+            chosen = ca.if_else(self.finish(root, given)[1], root, otherwise(given), True)
+            choose = ca.Function("choose", [root, given], [chosen], {"never_inline": True})
+            found = choose(found, given)
+        return ca.Function("guess", [given], [found])
+
+    def _in_steps(self, name: str, from_end: int, small: ca.DM) -> ca.Function:
+        """Return the function from what is given to the harmonics, from where the model is nearly linear.
+
+        That is a small amplitude, where it is smooth; and where it switches, a switch as wide as its argument.
+        """
+        given: Any = ca.MX.sym("given", self.newton.numel_in("p"))
+        root: Any = ca.MX(small)
+        if from_end == 0:
+            steps = [ca.vertcat(given[:-2], given[-2] / 2**k, given[-1]) for k in range(HALVINGS, -1, -1)]
+        else:
+            steps = [ca.vertcat(given[:-1], given[-1] * 2**k) for k in range(WIDENINGS, -1, -1)]
+        for step in steps:
+            root = self.careful(x0=root, p=step)["x"]
+        return ca.Function(name, [given], [root])
