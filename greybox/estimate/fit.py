@@ -35,7 +35,7 @@ from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Chained, Listed, Sobol, Starts, as_starts
 from greybox.formulation.sum import Sum
-from greybox.modeling.harmonic_balance import response_of_test
+from greybox.modeling.periodic_motions import response_of_test
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.minima import Multistart

@@ -14,7 +14,6 @@ written with `functions`. One formula has several readings:
 `model_reference` names a model in a stored result.
 """
 
-from greybox.modeling.harmonic_balance import harmonic_response as harmonic_response
 from greybox.modeling.implicit_integrators import ImplicitIntegrator as ImplicitIntegrator
 from greybox.modeling.integrators import Integrator as Integrator
 from greybox.modeling.integrators import Rosenbrock as Rosenbrock
@@ -24,6 +23,7 @@ from greybox.modeling.linearization import LinearSystem as LinearSystem
 from greybox.modeling.linearization import linearize as linearize
 from greybox.modeling.model import Model as Model
 from greybox.modeling.parameter import Parameter as Parameter
+from greybox.modeling.periodic_motions import harmonic_response as harmonic_response
 from greybox.modeling.rational import rational as rational
 from greybox.modeling.sine import Sine as Sine
 from greybox.modeling.state_space import StateSpace as StateSpace

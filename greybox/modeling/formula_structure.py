@@ -103,9 +103,24 @@ def has_switches(formula: ca.SX, z: ca.SX) -> bool:
     return bool(_rough_switches(formula, z)[1])
 
 
-def interval_mean(
-    formula: ca.SX, z: ca.SX, slopes: ca.SX, sizes: ca.SX, interval: float
-) -> tuple[ca.SX, ca.SX]:
+def has_jumps(formula: ca.SX, z: ca.SX, moving: ca.SX) -> bool:
+    """Tell whether `formula` of `z` has a jump where an expression of the signals `moving` changes its sign."""
+    held, switches = _held_switches(formula, z)
+    return any(
+        ca.depends_on(_resolved(switch.argument, switches), moving)
+        and _is_rough(held, switch, switches, z, kinks=False)
+        for switch in switches
+    )
+
+
+def _resolved(argument: ca.SX, switches: "list[_Switch]") -> ca.SX:
+    """Put the sign of an argument in place of the side of its switch, inner ones last."""
+    for switch in reversed(switches):
+        argument = ca.substitute(argument, switch.side, ca.if_else(switch.argument >= 0, 1, -1))
+    return argument
+
+
+def interval_mean(formula: ca.SX, z: ca.SX, slopes: ca.SX, sizes: ca.SX, interval: float) -> tuple[ca.SX, ca.SX]:
     """Return the mean of `formula` (k, 1) over a sampling interval, and that of its product with the time from there.
 
     In the middle of the interval the signals are `z`, with `slopes`. A switch whose argument hardly moves, as the speed
@@ -117,7 +132,9 @@ def interval_mean(
     slope = ca.jtimes(held, z, slopes)
     turns: list[_Turn] = []
     for switch in switches:
-        argument = ca.substitute(switch.argument, _column([s.side for s in switches[: len(turns)]]), _column([t.now for t in turns]))
+        argument = ca.substitute(
+            switch.argument, _column([s.side for s in switches[: len(turns)]]), _column([t.now for t in turns])
+        )
         turns.append(_turn(argument, z, slopes, sizes, interval))
 
     mean = ca.SX.zeros(formula.numel())
@@ -191,12 +208,12 @@ def _rough_switches(formula: ca.SX, z: ca.SX) -> tuple[ca.SX, list[_Switch]]:
     return held, rough
 
 
-def _is_rough(held: ca.SX, switch: _Switch, switches: list[_Switch], z: ca.SX) -> bool:
+def _is_rough(held: ca.SX, switch: _Switch, switches: list[_Switch], z: ca.SX, *, kinks: bool = True) -> bool:
     """Tell whether `held` or its slope differ on both sides of a switch, by trying generic points where it turns."""
     jump = ca.substitute(held, switch.side, 1) - ca.substitute(held, switch.side, -1)
     size = ca.fabs(ca.substitute(held, switch.side, 1))
-    differences = ca.vertcat(jump, ca.vec(ca.jacobian(jump, z)))
-    sizes = ca.vertcat(size, ca.vec(ca.fabs(ca.jacobian(size, z))))
+    differences = ca.vertcat(jump, ca.vec(ca.jacobian(jump, z))) if kinks else jump
+    sizes = ca.vertcat(size, ca.vec(ca.fabs(ca.jacobian(size, z)))) if kinks else size
     others = [s for s in ca.symvar(ca.vertcat(held, sizes, switch.argument)) if not ca.depends_on(s, z)]
     sides = [any(ca.is_equal(s, other.side) for other in switches) for s in others]
     function = ca.Function(

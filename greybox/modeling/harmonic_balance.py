@@ -8,21 +8,18 @@ signals are balanced exactly and never sampled: a linear model keeps its linear 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from greybox.data.frequency_response import FrequencyResponse
 from greybox.modeling.complex_arithmetic import Complex
-from greybox.modeling.formula_structure import has_switches, interval_mean, separated
+from greybox.modeling.formula_structure import has_jumps, has_switches, interval_mean, separated
 from greybox.modeling.functions import exp
-from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model, pick_signals
-from greybox.modeling.pade_delay import delay_order
-from greybox.modeling.sine import Sine, as_sine
+from greybox.modeling.sine import MOST_HARMONICS, Sine
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import traced_derivative, traced_output
 from greybox.modeling.trim import trim_function
@@ -35,9 +32,14 @@ HALVINGS = 7
 # The harmonics, per amplitude, where Newton's method begins: its first step then goes to the linear response. Not zero,
 # where a kink has no slope.
 SMALL = 1e-6
+# Tried in turn: each about doubles the last.
+HARMONICS = (1, 3, 7, 15, 31, MOST_HARMONICS)
+ENOUGH = 3e-4  # change of the response by the next number of harmonics, relative, that does not matter
 TOLERANCE = 1e-8  # of the balance, relative to the size of the harmonics: Newton's last step squares it
 SINGULAR = 1e-9  # singular value of the balance, rows scaled to one, that is rounding: it leaves a direction open
 DETERMINED = 1e-7  # part of a condition in the open directions from which it determines one, above rounding
+# Harmonics below which nothing is extrapolated.
+MOST_SMOOTH = 2
 TINY = 1e-300  # instead of a division by zero
 # Samples over one period where a formula switches, see `formula_structure`: enough for 1e-7 of a relay, 2e-5 of a saturation.
 SWITCHED_POINTS = 65
@@ -45,66 +47,6 @@ WIDENINGS = 12  # of the width, in steps of two, from one that is most of a peri
 # Harmonics up to which the balance is a graph of scalars: three times as fast, but its size grows with their cube.
 MOST_SCALARS = 9
 WIDTH = 0.05  # of a switch whose argument rests there
-
-
-def harmonic_response(
-    model: Model,
-    values: Mapping[str, float] | None,
-    omega: ArrayLike,
-    *,
-    amplitude: Mapping[str, ArrayLike] | Sine,
-    input: str = "",
-    output: str = "",
-    at: Mapping[str, float] | None = None,
-    delay: str = "exact",
-) -> FrequencyResponse:
-    """Evaluate the response of an ODE to a sine of finite amplitude, at `omega` (n,) in rad/s.
-
-    The response is the first harmonic of the output over that of the input: the describing function of a nonlinear
-    model, the frequency response of a linear one.
-
-    Parameters
-    ----------
-    amplitude : ``{signal: amplitude}`` or Sine
-        Which signal is the sine: the input, or a state or an output that a loop holds to it. Its mean, and all other
-        inputs, are what they are at the operating point `at`.
-    values, input, output, at, delay
-        As for `frequency_response`.
-
-    Raises
-    ------
-    ValueError
-        For a name that is not known, a transfer function, or where no periodic motion is found.
-    """
-    omega = np.atleast_1d(np.asarray(omega, dtype=float))
-    input, output = pick_signals(model, input, output)
-    sine = as_sine(amplitude)
-    pade = delay_order(delay)
-    function = harmonic_function(model, omega, sine, input=input, output=output, at=at, pade=pade)
-    re, im = (np.asarray(part).ravel() for part in function(list(model.values(values).values())))
-    finite = np.isfinite(re) & np.isfinite(im)
-    if not finite.all():
-        k = int(np.argmin(finite))
-        raise ValueError(
-            f"{model.label} has no periodic motion at omega = {omega[k]:g} rad/s in which {sine.signal} is a sine of "
-            f"amplitude {sine.amplitudes(omega)[k]:g}: give a smaller amplitude, or check the values and `at`."
-        )
-    return FrequencyResponse(omega, re + 1j * im, input=input, output=output, name=model.label, source="model")
-
-
-def response_of_test(
-    model: Model,
-    values: Mapping[str, float],
-    omega: ArrayLike,
-    sine: Sine | None,
-    measured: NDArray[np.float64],
-    **signals: Any,
-) -> FrequencyResponse:
-    """Evaluate the response to the `sine` with which the frequencies `measured` were tested; linearized without one."""
-    if sine is None:
-        return frequency_response(model, values, omega, **signals)
-    sine = sine.between(measured, np.atleast_1d(np.asarray(omega, dtype=float)))
-    return harmonic_response(model, values, omega, amplitude=sine, **signals)
 
 
 def harmonic_function(
@@ -117,21 +59,61 @@ def harmonic_function(
     at: Mapping[str, float] | None = None,
     pade: int | None = None,
 ) -> ca.Function:
-    """Compile the response: the CasADi function from the parameter vector to real and imaginary part (n,)."""
-    input, output = pick_signals(model, input, output)
-    check_sine(model, sine, input, omega)
-    assert isinstance(model, StateSpace)
-    trim = trim_function(model, at or {})
-    amplitudes = sine.amplitudes(omega)
-    balance = Balance.of(model, sine, sine.harmonics, input, output, pade)
-    point = np.concatenate([np.asarray(part).ravel() for part in trim([q.start for q in model.parameters.values()])])
-    chosen = _mean_conditions(balance, point, omega, amplitudes)
+    """Compile the response: the CasADi function from the parameter vector to real and imaginary part (n,).
 
+    Of a sine without a number of harmonics, with as many as matter at the start values.
+    """
+    if sine.harmonics is None:
+        sine = enough_harmonics(model, omega, sine, input=input, output=output, at=at, pade=pade)
+    balance = CompiledBalance.of(model, omega, sine, input=input, output=output, at=at, pade=pade)
+    fewer = balance.fewer
+    if fewer is None:
+        return balance.response(omega)
+    sine = replace(sine, harmonics=fewer)
+    coarse = CompiledBalance.of(model, omega, sine, input=input, output=output, at=at, pade=pade)
     p = ca.MX.sym("p", len(model.parameters))
-    columns = ca.repmat(ca.vertcat(p, *trim(p)), 1, omega.size)
-    widths = ca.DM.ones(1, omega.size) * WIDTH
-    parts = _Solver.of(balance, chosen).responses(ca.vertcat(columns, ca.DM(omega).T, ca.DM(amplitudes).T, widths))
-    return ca.Function("response", [p], [parts[0, :].T, parts[1, :].T])
+    pairs = zip(balance.response(omega)(p), coarse.response(omega)(p), strict=True)
+    return ca.Function("response", [p], [balance.extrapolated(many, few) for many, few in pairs])
+
+
+def enough_harmonics(model: Model, omega: NDArray[np.float64], sine: Sine, **signals: Any) -> Sine:
+    """Return the sine with as many harmonics as matter at the start values, at most `MOST_SCALARS`."""
+    if sine.harmonics is not None:
+        return sine
+    _, number = directly_found(model, None, omega, sine, most=MOST_SCALARS, **signals)
+    return replace(sine, harmonics=number)
+
+
+def directly_found(
+    model: Model,
+    values: Mapping[str, float] | None,
+    omega: NDArray[np.float64],
+    sine: Sine,
+    *,
+    most: int = MOST_HARMONICS,
+    **signals: Any,
+) -> tuple[NDArray[np.complex128], int]:
+    """Return the response as a fit evaluates it, NaN where no motion is found, and the number of harmonics."""
+    vector = list(model.values(values).values())
+    numbers = [n for n in HARMONICS if n <= most] if sine.harmonics is None else [sine.harmonics]
+    last = None
+    before = numbers[0]
+    response = np.full(omega.size, np.nan + 0j)
+    for number in numbers:
+        function = harmonic_function(model, omega, replace(sine, harmonics=number), **signals)
+        re, im = (np.asarray(part).ravel() for part in function(vector))
+        response = np.where(np.isfinite(re) & np.isfinite(im), re + 1j * im, np.nan)
+        if last is not None and _agree(last, response).all():
+            return response, before
+        last = response
+        before = number
+    return response, numbers[-1]
+
+
+def _agree(few: NDArray[np.complex128], many: NDArray[np.complex128]) -> NDArray[np.bool_]:
+    """Tell where the response with more harmonics is the same, or missing as well."""
+    same = np.abs(many - few) <= ENOUGH * np.abs(many)
+    return same | (np.isnan(few) & np.isnan(many))
 
 
 def check_sine(model: Model, sine: Sine, input: str, omega: NDArray[np.float64]) -> None:
@@ -156,13 +138,13 @@ class Balance:
     inputs, about the operating point, divided by the amplitude; `given` holds parameters, operating point, omega,
     amplitude and the `WIDTH` of switches; `balance` must vanish; of the conditions `means` on the means as many must
     vanish as the ODE leaves open; `response` is real and imaginary part; `coefficients` (signals, 2h + 1) are those of
-    states and inputs in their own units.
+    states and inputs in their own units. `places` tell signal and coefficient of an unknown, `orders` the square of the
+    harmonic's number, `mirror` -1 for even ones.
     """
 
     model: StateSpace
     sine: Sine
     input: str
-    harmonics: int
     unknown: Any
     given: Any
     balance: Any
@@ -170,10 +152,18 @@ class Balance:
     response: Any
     coefficients: Any
     switches: bool
+    jumps: bool
+    linear: bool
+    places: NDArray[np.int_]
+    orders: NDArray[np.float64]
+    mirror: NDArray[np.float64]
+    amplitude: Any
 
     @classmethod
-    def of(cls, model: StateSpace, sine: Sine, harmonics: int, input: str, output: str, pade: int | None) -> "Balance":
+    def of(cls, model: StateSpace, sine: Sine, input: str, output: str, pade: int | None) -> "Balance":
         """Write down the balance."""
+        harmonics = sine.harmonics
+        assert harmonics is not None
         kind: Any = ca.SX if harmonics <= MOST_SCALARS else ca.MX
         n = len(model.states)
         names = (*model.states, *model.inputs)
@@ -193,7 +183,8 @@ class Balance:
 
         driven = n + model.input_names.index(input)
         held = _position(model, sine.signal, read, symbols)
-        places, constant = _places([*range(n), driven], len(names), 2 * harmonics + 1, held)
+        columns = 2 * harmonics + 1
+        places, constant = _places([*range(n), driven], len(names), columns, held)
         unknown = kind.sym("harmonics", places.size2())
         per_amplitude = ca.reshape(places @ unknown + constant, 2 * harmonics + 1, len(names)).T
         first_column = ca.DM(ca.Sparsity.unit(2 * harmonics + 1, 0)).T
@@ -217,7 +208,6 @@ class Balance:
             model=model,
             sine=sine,
             input=input,
-            harmonics=harmonics,
             unknown=unknown,
             given=ca.vertcat(p, point, omega, amplitude, width),
             balance=ca.vertcat(*balance) / amplitude,
@@ -225,6 +215,12 @@ class Balance:
             response=ca.vertcat(first.re, first.im),
             coefficients=series,
             switches=has_switches(formulas, symbols),
+            places=np.array([k // columns * (2 * MOST_HARMONICS + 1) + k % columns for k in places.row()]),
+            orders=np.array([max((k % columns + 1) // 2, 1) ** 2 for k in places.row()], dtype=float),
+            mirror=np.array([1.0 if (k % columns + 1) // 2 % 2 else -1.0 for k in places.row()]),
+            amplitude=amplitude,
+            jumps=has_jumps(rates, symbols, ca.vertcat(*[symbols[k] for k in range(len(names)) if k != held])),
+            linear=not ca.depends_on(separated(formulas, symbols)[1], symbols),
         )
 
 
@@ -265,9 +261,7 @@ def _first(row: Any) -> Complex:
     return Complex(row[1], -row[2])
 
 
-def _harmonics(
-    formulas: ca.SX, z: ca.SX, parameters: ca.SX, series: Any, p: Any, width: Any, harmonics: int
-) -> Any:
+def _harmonics(formulas: ca.SX, z: ca.SX, parameters: ca.SX, series: Any, p: Any, width: Any, harmonics: int) -> Any:
     """Return the coefficients (k, 2h + 1) of `formulas` (k, 1) of the signals `z` with the coefficients `series`."""
     linear, rest = separated(formulas, z)
     slopes, constants = ca.Function("linear", [parameters], [linear, _free_of(rest, z)])(p)
@@ -356,46 +350,110 @@ def _mean_conditions(
 
 
 @dataclass(frozen=True, eq=False)
-class _Solver:
-    """Newton's method on the balance: fast, careful, and whether the harmonics are a motion."""
+class CompiledBalance:
+    """Newton's method on the balance, by functions of the harmonics and what is given, in this order.
 
+    `newton` and `careful`, which searches along a line, take them as `x0` and `p`; `finish` gives the response and
+    whether the harmonics are a motion; `linearized` what is left of the balance, its Jacobian and its derivative by the
+    logarithm of the amplitude; `coefficients` (signals, 2h + 1) those of all signals.
+    """
+
+    balance: Balance
+    trim: ca.Function
     newton: ca.Function
     careful: ca.Function
     finish: ca.Function
-    switches: bool
+    linearized: ca.Function
+    coefficients: ca.Function
 
     @classmethod
-    def of(cls, balance: Balance, chosen: Sequence[int]) -> "_Solver":
-        """Compile; the conditions `chosen` of `balance.means` fix the means."""
+    def of(
+        cls,
+        model: Model,
+        omega: NDArray[np.float64],
+        sine: Sine,
+        *,
+        input: str = "",
+        output: str = "",
+        at: Mapping[str, float] | None = None,
+        pade: int | None = None,
+    ) -> "CompiledBalance":
+        """Compile for the `harmonics` of a sine."""
+        input, output = pick_signals(model, input, output)
+        check_sine(model, sine, input, omega)
+        assert isinstance(model, StateSpace)
+        trim = trim_function(model, at or {})
+        balance = Balance.of(model, sine, input, output, pade)
+        start = [q.start for q in model.parameters.values()]
+        point = np.concatenate([np.asarray(part).ravel() for part in trim(start)])
+        chosen = _mean_conditions(balance, point, omega, sine.amplitudes(omega))
+
         x = balance.unknown
         equations = ca.vertcat(balance.balance, *[balance.means[k] for k in chosen])
         statement = {"x": x, "p": balance.given, "g": equations}
         options = {"error_on_fail": False, "abstol": 1e-11, "max_iter": 30, "show_eval_warnings": False}
         size = ca.norm_inf(equations) / (1 + ca.norm_inf(x))
+        by_logarithm = balance.amplitude * ca.jacobian(equations, balance.amplitude)
+        both = [x, balance.given]
         return cls(
+            balance=balance,
+            trim=trim,
             newton=ca.rootfinder("newton", "newton", statement, {**options, "line_search": False}),  # twice as fast
             careful=ca.rootfinder("careful", "newton", statement, options),
-            finish=ca.Function("finish", [x, balance.given], [balance.response, size < TOLERANCE]),
-            switches=balance.switches,
+            finish=ca.Function("finish", both, [balance.response, size < TOLERANCE]),
+            linearized=ca.Function("linearized", both, [equations, ca.jacobian(equations, x), by_logarithm]),
+            coefficients=ca.Function("coefficients", both, [balance.coefficients]),
         )
 
-    def responses(self, given: Any) -> Any:
+    @property
+    def fewer(self) -> int | None:
+        """How many harmonics the response is extrapolated from besides these; None where that is not needed."""
+        return (self.harmonics - 1) // 2 if self.balance.jumps and self.harmonics > MOST_SMOOTH else None
+
+    @property
+    def harmonics(self) -> int:
+        """How many are balanced."""
+        assert self.balance.sine.harmonics is not None
+        return self.balance.sine.harmonics
+
+    def extrapolated(self, many: Any, few: Any) -> Any:
+        """Return the response as its error goes with one over the harmonics, from these and the `fewer`.
+
+        A jump that a state decides, as in friction, puts a kink into that state just where it matters: its harmonics
+        fall with the square of their number, and what is cut off with the number.
+        """
+        assert self.fewer is not None
+        return many + (many - few) * (self.fewer + 1) / (self.harmonics - self.fewer)
+
+    def response(self, omega: NDArray[np.float64]) -> ca.Function:
+        """Return the function from the parameter vector to real and imaginary part of the response (n,)."""
+        p = ca.MX.sym("p", len(self.balance.model.parameters))
+        parts = self._responses(self.given(p, omega))
+        return ca.Function("response", [p], [parts[0, :].T, parts[1, :].T])
+
+    def given(self, p: Any, omega: NDArray[np.float64]) -> Any:
+        """Return what is given at every frequency, as columns: parameters `p`, operating point, frequency, sine."""
+        columns = ca.repmat(ca.vertcat(p, *self.trim(p)), 1, omega.size)
+        amplitudes = ca.DM(self.balance.sine.amplitudes(omega)).T
+        return ca.vertcat(columns, ca.DM(omega).T, amplitudes, ca.DM.ones(1, omega.size) * WIDTH)
+
+    def _responses(self, given: Any) -> Any:
         """Return real and imaginary part of the response, (2, n), for columns of what is given at every frequency."""
         n = given.size2()
-        guesses = self._guess().map(n)(given)
+        guesses = self.guess().map(n)(given)
         # Newton's method once more, from its own solution: derivatives then go through this call and leave out the
         # guess.
         response, converged = self.finish.map(n)(self.newton.map(n)(x0=guesses, p=given)["x"], given)
         # A motion that was not found becomes infinite, so that the run that met it fails instead of using it.
         return response / ca.repmat(converged, 2, 1)
 
-    def _guess(self) -> ca.Function:
+    def guess(self) -> ca.Function:
         """Return the function from what is given to the harmonics: at once, or else in steps, see `_in_steps`."""
         given: Any = ca.MX.sym("given", self.newton.numel_in("p"))
         root: Any = ca.MX.sym("root", self.newton.numel_in("x0"))
         small = ca.DM(np.full(root.numel(), SMALL))
         found = self.newton(x0=small, p=given)["x"]
-        for k, name in enumerate(("by_doubling", "by_narrowing")[: 2 if self.switches else 1]):
+        for k, name in enumerate(("by_doubling", "by_narrowing")[: 2 if self.balance.switches else 1]):
             otherwise = self._in_steps(name, k, small)
             chosen = ca.if_else(self.finish(root, given)[1], root, otherwise(given), True)
             choose = ca.Function("choose", [root, given], [chosen], {"never_inline": True})

@@ -17,7 +17,7 @@ from greybox.data.text_table import counted
 from greybox.estimate.covariance import Accuracy
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.problem import Problem
-from greybox.modeling.harmonic_balance import harmonic_response
+from greybox.modeling.periodic_motions import harmonic_response
 from greybox.modeling.sine import MOST_HARMONICS
 
 Array = NDArray[np.float64]
