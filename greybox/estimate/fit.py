@@ -5,6 +5,7 @@ import math
 import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from types import MappingProxyType
 from typing import Any
@@ -24,7 +25,7 @@ from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.diagnostics.delay_approximation import pade_error
 from greybox.estimate.diagnostics.discretization import discretization_warnings
 from greybox.estimate.diagnostics.general import warnings
-from greybox.estimate.diagnostics.harmonics import harmonic_warnings
+from greybox.estimate.diagnostics.harmonics import harmonic_warnings, too_few_harmonics
 from greybox.estimate.diagnostics.not_finite import explained, not_finite_warnings
 from greybox.estimate.diagnostics.records import record_warnings
 from greybox.estimate.fitted_record import fitted_record, stated
@@ -35,6 +36,8 @@ from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Chained, Listed, Sobol, Starts, as_starts
 from greybox.formulation.sum import Sum
+from greybox.modeling.harmonic_balance import ENOUGH, enough_harmonics
+from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.periodic_motions import response_of_test
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
 from greybox.solve.gauss_newton.driver import GaussNewton
@@ -44,6 +47,7 @@ from greybox.solve.multistart import multistart
 Array = NDArray[np.float64]
 
 STARTS, RECORD_STARTS = 200, 20
+REFITS = 3  # with more harmonics each time: from 3 they reach 45
 CURVE = 2000  # points from which a curve for figures is not refined further
 
 
@@ -93,6 +97,8 @@ def fit(
     if method is not None and not isinstance(method, Transcription):
         raise TypeError(f"method is {method!r:.60}: give an instance such as MultipleShooting().")
     began = time.perf_counter()
+    chosen = [part.amplitude is not None and part.amplitude.harmonics is None for part in problem.parts]
+    problem = _with_harmonics(problem, [enough_for(part) for part in problem.parts])
     nlp = compile_problem(problem, method)
     parameters = problem.parameters
     rule = _rule(starts, seed, nlp)
@@ -108,7 +114,57 @@ def fit(
     error = None
     if solver is not None:
         nlp, search, solver, error = refine_discretization(nlp, search, solver)
+    else:
+        nlp, search = _with_more_harmonics(nlp, search, points, chosen, solver_options)
     return assemble(nlp, search, solver, seed=rule.seed, starts=str(rule), began=began, error=error)
+
+
+def enough_for(problem: Problem) -> int | None:
+    """Return as many harmonics as matter at the start values, or as the sine of a problem has."""
+    if problem.amplitude is None or problem.amplitude.harmonics is not None:
+        return None if problem.amplitude is None else problem.amplitude.harmonics
+    data = problem.response
+    signals: Any = {"input": data.input, "output": data.output, "at": problem.at, "pade": delay_order(problem.delay)}
+    starts = {name: parameter.start for name, parameter in problem.parameters.items()}
+    local = dict(problem.local_values(starts))
+    return enough_harmonics(problem.model, data.omega, problem.amplitude, local, **signals).harmonics
+
+
+def _with_harmonics(problem: AnyProblem, harmonics: Sequence[int | None]) -> AnyProblem:
+    """Return the problem with these numbers of harmonics; None where there is no sine."""
+    if all(number is None for number in harmonics):
+        return problem
+    parts = [
+        part if number is None else replace(part, amplitude=replace(part.amplitude, harmonics=number))
+        for part, number in zip(problem.parts, harmonics, strict=True)
+    ]
+    return parts[0] if isinstance(problem, Problem) else Sum(tuple(parts), problem.name)
+
+
+def _with_more_harmonics(
+    nlp: Nlp, search: Multistart, points: Array, chosen: Sequence[bool], options: Mapping[str, Any]
+) -> tuple[Nlp, Multistart]:
+    """Fit again with more harmonics where they were `chosen` here and do not suffice at the estimate."""
+    for _ in range(REFITS):
+        if not search.minima:
+            break
+        best = search.minima[0].estimate
+        parts = nlp.problem.parts
+        found = {id(few.problem): few for few in too_few_harmonics(nlp, best, assess(nlp, best, (None,) * len(parts)))}
+        numbers = [
+            found[id(part)].more
+            if free and id(part) in found and found[id(part)].change > 100 * ENOUGH
+            else part.amplitude and part.amplitude.harmonics
+            for part, free in zip(parts, chosen, strict=True)
+        ]
+        if all(part.amplitude is None or part.amplitude.harmonics == n for part, n in zip(parts, numbers, strict=True)):
+            break
+        finer = compile_problem(_with_harmonics(nlp.problem, numbers))
+        refined = multistart(finer, points, options, None, False, None)
+        if not refined.minima:
+            break
+        nlp, search = finer, refined
+    return nlp, search
 
 
 def assemble(

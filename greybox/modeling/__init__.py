@@ -7,7 +7,9 @@ written with `functions`. One formula has several readings:
   `rational` numerator, denominator and delay (`function_of_s` is what these two share).
 - `pade_delay` approximates a delay by a rational function or by states.
 - `linear_response` is the frequency response, with `linearization` of an ODE at its operating point (`trim`) and
-  `elimination` of the states; `harmonic_balance` is the response to a `sine` of finite amplitude.
+  `elimination` of the states.
+- `harmonic_balance` is the response to a `sine` of finite amplitude, with `formula_structure` for what is linear and
+  where a formula switches; `periodic_motions` tells which motion is meant where there are several.
 - `realization` turns a model into differential equations, `integrators` and `implicit_integrators` step
   them, and `step_size` is the rule for the number of their steps.
 

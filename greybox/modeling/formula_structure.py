@@ -55,7 +55,7 @@ class _Term:
 
 
 def separated(formula: ca.SX, z: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Split `formula` (k, 1) into the coefficients of its linear terms (k, numel(z)), free of z, and the rest (k, 1)."""
+    """Split `formula` (k, 1) into coefficients of its linear terms (k, numel(z)), free of z, and the rest (k, 1)."""
     linear = ca.SX(formula.numel(), z.numel())
     rest = ca.SX.zeros(formula.numel())
 
@@ -74,7 +74,7 @@ def separated(formula: ca.SX, z: ca.SX) -> tuple[ca.SX, ca.SX]:
     return linear, rest
 
 
-def _linear_operation(operation: int, terms: list[_Term]) -> _Term | None:
+def _linear_operation(operation: int, terms: list[_Term]) -> _Term | None:  # noqa: PLR0911
     """Return the result of an operation that keeps the form, else None."""
     first, last = terms[0], terms[-1]
     if operation == ca.OP_ASSIGN:
@@ -170,7 +170,7 @@ class _Switch:
 
 @dataclass(frozen=True, eq=False)
 class _Turn:
-    """When a switch turns, in intervals from the middle of one, at most 0.5: its side `before`, `after` and in the middle."""
+    """When a switch turns, in intervals from the middle of one, at most 0.5; its side `before`, `after` and `now`."""
 
     time: ca.SX
     before: ca.SX

@@ -41,7 +41,8 @@ DETERMINED = 1e-7  # part of a condition in the open directions from which it de
 # Harmonics below which nothing is extrapolated.
 MOST_SMOOTH = 2
 TINY = 1e-300  # instead of a division by zero
-# Samples over one period where a formula switches, see `formula_structure`: enough for 1e-7 of a relay, 2e-5 of a saturation.
+# Samples over one period where a formula switches, see `formula_structure`: a relay is then exact to 1e-7, a saturation
+# to 2e-5.
 SWITCHED_POINTS = 65
 WIDENINGS = 12  # of the width, in steps of two, from one that is most of a period
 # Harmonics up to which the balance is a graph of scalars: three times as fast, but its size grows with their cube.
@@ -76,11 +77,13 @@ def harmonic_function(
     return ca.Function("response", [p], [balance.extrapolated(many, few) for many, few in pairs])
 
 
-def enough_harmonics(model: Model, omega: NDArray[np.float64], sine: Sine, **signals: Any) -> Sine:
-    """Return the sine with as many harmonics as matter at the start values, at most `MOST_SCALARS`."""
+def enough_harmonics(
+    model: Model, omega: NDArray[np.float64], sine: Sine, values: Mapping[str, float] | None = None, **signals: Any
+) -> Sine:
+    """Return the sine with as many harmonics as matter at the values, by default the starts; `MOST_SCALARS` at most."""
     if sine.harmonics is not None:
         return sine
-    _, number = directly_found(model, None, omega, sine, most=MOST_SCALARS, **signals)
+    _, number = directly_found(model, values, omega, sine, least=HARMONICS[1], most=MOST_SCALARS, **signals)
     return replace(sine, harmonics=number)
 
 
@@ -90,19 +93,22 @@ def directly_found(
     omega: NDArray[np.float64],
     sine: Sine,
     *,
+    least: int = 1,
     most: int = MOST_HARMONICS,
     **signals: Any,
 ) -> tuple[NDArray[np.complex128], int]:
     """Return the response as a fit evaluates it, NaN where no motion is found, and the number of harmonics."""
     vector = list(model.values(values).values())
-    numbers = [n for n in HARMONICS if n <= most] if sine.harmonics is None else [sine.harmonics]
+    numbers = [n for n in HARMONICS if least <= n <= most] if sine.harmonics is None else [sine.harmonics]
     last = None
     before = numbers[0]
     response = np.full(omega.size, np.nan + 0j)
     for number in numbers:
         function = harmonic_function(model, omega, replace(sine, harmonics=number), **signals)
         re, im = (np.asarray(part).ravel() for part in function(vector))
-        response = np.where(np.isfinite(re) & np.isfinite(im), re + 1j * im, np.nan)
+        finite = np.isfinite(re) & np.isfinite(im)
+        response = np.full(omega.size, np.nan + 0j)
+        response[finite] = re[finite] + 1j * im[finite]
         if last is not None and _agree(last, response).all():
             return response, before
         last = response
@@ -189,7 +195,7 @@ class Balance:
         per_amplitude = ca.reshape(places @ unknown + constant, 2 * harmonics + 1, len(names)).T
         first_column = ca.DM(ca.Sparsity.unit(2 * harmonics + 1, 0)).T
         series = amplitude * per_amplitude + point @ first_column
-        found = _harmonics(formulas, symbols, parameters, series, p, width, harmonics)
+        found, switches = _harmonics(formulas, symbols, parameters, series, p, width, harmonics)
 
         derivative = _derivative(harmonics)
         balance = [ca.vec((omega * series[:n, :] @ derivative - found[:n, :]).T)]
@@ -214,12 +220,13 @@ class Balance:
             means=ca.vertcat(*means),
             response=ca.vertcat(first.re, first.im),
             coefficients=series,
-            switches=has_switches(formulas, symbols),
+            switches=switches,
             places=np.array([k // columns * (2 * MOST_HARMONICS + 1) + k % columns for k in places.row()]),
             orders=np.array([max((k % columns + 1) // 2, 1) ** 2 for k in places.row()], dtype=float),
             mirror=np.array([1.0 if (k % columns + 1) // 2 % 2 else -1.0 for k in places.row()]),
             amplitude=amplitude,
-            jumps=has_jumps(rates, symbols, ca.vertcat(*[symbols[k] for k in range(len(names)) if k != held])),
+            jumps=switches
+            and has_jumps(rates, symbols, ca.vertcat(*[symbols[k] for k in range(len(names)) if k != held])),
             linear=not ca.depends_on(separated(formulas, symbols)[1], symbols),
         )
 
@@ -261,8 +268,10 @@ def _first(row: Any) -> Complex:
     return Complex(row[1], -row[2])
 
 
-def _harmonics(formulas: ca.SX, z: ca.SX, parameters: ca.SX, series: Any, p: Any, width: Any, harmonics: int) -> Any:
-    """Return the coefficients (k, 2h + 1) of `formulas` (k, 1) of the signals `z` with the coefficients `series`."""
+def _harmonics(
+    formulas: ca.SX, z: ca.SX, parameters: ca.SX, series: Any, p: Any, width: Any, harmonics: int
+) -> tuple[Any, bool]:
+    """Return the coefficients (k, 2h + 1) of `formulas` (k, 1) of signals `z` with coefficients `series`, and if they switch."""
     linear, rest = separated(formulas, z)
     slopes, constants = ca.Function("linear", [parameters], [linear, _free_of(rest, z)])(p)
     first_column = ca.DM(ca.Sparsity.unit(2 * harmonics + 1, 0)).T
@@ -270,7 +279,7 @@ def _harmonics(formulas: ca.SX, z: ca.SX, parameters: ca.SX, series: Any, p: Any
 
     rows = [k for k in range(rest.numel()) if ca.depends_on(rest[k], z)]
     if not rows:
-        return result
+        return result, False
     rest = ca.vertcat(*[rest[k] for k in rows])
     used = [j for j in range(z.numel()) if ca.depends_on(rest, z[j])]
     signals = ca.vertcat(*[z[j] for j in used])
@@ -289,7 +298,7 @@ def _harmonics(formulas: ca.SX, z: ca.SX, parameters: ca.SX, series: Any, p: Any
         term = ca.Function("term", [signals, parameters], [rest])
         found = term.map("terms", "serial", points, [1], [])(moving @ to_samples, p) @ to_series
     scatter = ca.DM.triplet(rows, list(range(len(rows))), [1.0] * len(rows), formulas.numel(), len(rows))
-    return result + scatter @ found
+    return result + scatter @ found, switches
 
 
 def _free_of(rest: ca.SX, z: ca.SX) -> ca.SX:
@@ -298,7 +307,7 @@ def _free_of(rest: ca.SX, z: ca.SX) -> ca.SX:
 
 
 def _mean_term(rest: ca.SX, signals: ca.SX, parameters: ca.SX, points: int) -> ca.Function:
-    """Return the function from signals, their slopes by the phase, rms slopes, width and parameters to the mean rest."""
+    """Return the function from signals, slopes by the phase, rms slopes, width and parameters to mean and moment."""
     slopes = ca.SX.sym("slopes", signals.numel())
     sizes = ca.SX.sym("sizes", signals.numel())
     width = ca.SX.sym("width")
@@ -343,8 +352,8 @@ def _mean_conditions(
             chosen.append(k)
     if len(chosen) < missing or len(open_directions) > missing:
         raise ValueError(
-            f"the input {balance.input} cannot make {balance.sine.signal!r} a sine in {balance.model.label} at its start "
-            "values: name a signal that it drives, or check `at`."
+            f"the input {balance.input} cannot make {balance.sine.signal!r} a sine in {balance.model.label} at its "
+            "start values: name a signal that it drives, or check `at`."
         )
     return chosen
 

@@ -1,9 +1,10 @@
 """The periodic motions of a nonlinear ODE under a sine: how many harmonics they need, and which of several is meant.
 
-A nonlinear ODE may have several motions under one sine. The one reported is what a test would show that raises the
+A nonlinear ODE may have several motions under one sine. The one meant is what a test would show that raises the
 amplitude slowly: the motion at a small amplitude, where the model is nearly linear, is followed along its curve, around
 the turning points at which it jumps in a test (pseudo-arclength: Keller 1977); where that motion is unstable and the
-input is the sine, the stable motion next to it. Others are found from the opposite end and from random harmonics.
+input is the sine, the stable motion next to it. Others are found from the opposite end and from random harmonics. Those
+of an unstable plant are not reported where all are unstable: no test without a loop shows any of them.
 """
 
 import warnings
@@ -118,7 +119,10 @@ def _require_finite(model: Model, omega: Array, sine: Sine, response: NDArray[np
 
 @dataclass(frozen=True, eq=False)
 class PeriodicMotions:
-    """The response (n,), NaN where there is none, and a sentence for every frequency with several motions."""
+    """The response (n,), NaN where there is none, and a sentence for every frequency with several motions.
+
+    The first frequency without a motion ends the search.
+    """
 
     response: NDArray[np.complex128]
     several: tuple[str, ...]
@@ -190,10 +194,10 @@ def periodic_motions(
         motions = _motions(level, begin, k, sine.harmonics is None)
         if not motions:
             response[k] = np.nan
-            continue
+            break
         chosen = _chosen(motions)
         response[k] = chosen.response
-        if len(motions) > 1:
+        if chosen is not motions[0] or sum(motion.stable is not False for motion in motions) > 1:
             several.append(_said(model, sine, omega, k, motions, chosen))
     return PeriodicMotions(response, tuple(several))
 
