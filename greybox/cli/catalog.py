@@ -3,11 +3,8 @@
 import ast
 import difflib
 import importlib
-import importlib.util
-import inspect
 import pkgutil
 import re
-import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -16,6 +13,7 @@ from greybox.compiled.compiled_problem import AnyProblem
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.model import Model
+from greybox.modeling.model_file import models_of, module_from_file
 
 
 def shipped(kind: str) -> list[str]:
@@ -38,37 +36,6 @@ def shipped_module(kind: str, name: str) -> ModuleType:
         hint = f"did you mean {near[0]!r}?" if near else f"the included ones are {', '.join(known)}."
         raise ValueError(f"there is no included {kind[:-1]} {name!r}; {hint} A file of your own ends in .py.")
     return importlib.import_module(f"greybox.{kind}.{name}")
-
-
-def module_from_file(path: Path) -> ModuleType:
-    """Import a user's own file under its own name, so that a stored result can find its model again.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    """
-    if not path.is_file():
-        raise FileNotFoundError(f"there is no file {path}.")
-    folder = str(path.resolve().parent)
-    if folder not in sys.path:
-        sys.path.insert(0, folder)
-    loaded = sys.modules.get(path.stem)
-    if loaded is not None and Path(getattr(loaded, "__file__", "") or "").resolve() == path.resolve():
-        return loaded
-    if loaded is not None or path.stem in sys.stdlib_module_names:
-        raise ValueError(f"{path} has the name of another Python module, {path.stem!r}: rename the file.")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module
-    try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[path.stem]
-        raise
-    return module
 
 
 def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
@@ -100,7 +67,7 @@ def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
 
 
 def find_model(text: str) -> Model:
-    """Return a model from ``tilt:Tilt``, ``polynomial:Polynomial(4, 1)`` or ``my.py:Class``.
+    """Return a model from ``tilt:Tilt``, ``polynomial:Polynomial(4, 1)`` or ``my.py:Class``, or the only one of a file.
 
     Raises
     ------
@@ -111,22 +78,14 @@ def find_model(text: str) -> Model:
     if match is None:
         raise ValueError(f"model {text!r} is not understood: write file:Class, e.g. tilt:Tilt or my.py:MyModel.")
     module, name = _locate("models", match["place"])
-    known = [n for n, c in vars(module).items() if _is_own_model(c, module)]
+    known = {model.__name__: model for model in models_of(module)}
+    if not name and len(known) == 1:
+        (name,) = known
     if name not in known:
         raise ValueError(
             f"there is no model {text!r}; {match['place'].split(':')[0]} has {', '.join(known) or 'none'}."
         )
-    return getattr(module, name)(*_arguments(match["arguments"] or "()", text))
-
-
-def models_of(module: ModuleType) -> list[type[Model]]:
-    """Return the concrete model classes that a module defines."""
-    return [c for c in vars(module).values() if _is_own_model(c, module)]
-
-
-def _is_own_model(thing: Any, module: ModuleType) -> bool:
-    own = isinstance(thing, type) and issubclass(thing, Model) and thing.__module__ == module.__name__
-    return own and not inspect.isabstract(thing)
+    return known[name](*_arguments(match["arguments"] or "()", text))
 
 
 def _locate(kind: str, text: str) -> tuple[ModuleType, str]:

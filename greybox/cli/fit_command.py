@@ -10,6 +10,7 @@ from greybox.cli.output import FAILED, USABLE, Answer, all_finite, finite, requi
 from greybox.cli.stated_problem import add_problem_options, stated_problem
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit, FittedRecord
+from greybox.estimate.storage import save
 
 
 def add_command(commands: Any) -> None:
@@ -35,18 +36,18 @@ def run(options: argparse.Namespace) -> Answer:
             settings[name] = getattr(options, name)
     result = fit(problem, **settings)
 
-    notes = []
-    if options.out is not None:
-        from greybox.estimate.storage import save  # noqa: PLC0415  (imports h5py)
-
-        save(result, options.out)
-        notes.append(f"saved {options.out}")
-    notes += save_figure(options.plot, lambda: _figure(result))
-
     answer = _as_json(result)
     if not result.converged:
         answer["error"] = ": ".join([result.status, *result.warnings[:1]]).rstrip(".") + "."
-    return answer, "\n".join([str(result), *notes]), USABLE if result.converged else FAILED
+    notes = []
+    try:
+        if options.out is not None:
+            save(result, options.out)
+            notes.append(f"saved {options.out}")
+        notes += save_figure(options.plot, lambda: _figure(result))
+    except OSError as error:  # a full disk does not take the answer away
+        answer["error"] = str(error)
+    return answer, "\n".join([str(result), *notes]), FAILED if "error" in answer else USABLE
 
 
 def _figure(result: Fit) -> Any:

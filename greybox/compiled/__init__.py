@@ -8,5 +8,6 @@ CasADi function (`sample_step`), which `segments` evaluates and linearizes for a
 eliminates the states at their beginnings, that is, continuity. `initial_states` gives the first ones,
 `residual_covariance` the weights, `kalman_gain` the gain of a predictor, `record_information` the numbers that
 correlated residuals are worth. `transcription/` holds the alternatives to this, one method a file, and `strategies` all
-settings. `vectorized` evaluates CasADi functions in numpy over many columns, `code_generation` compiles them to C.
+settings. `vectorized` evaluates CasADi functions in numpy over many columns, `code_generation` compiles them to C,
+`library_cache` keeps the libraries.
 """

@@ -1,7 +1,7 @@
 """The compiled problem: its parts and constraints as functions of the solver's variables, built once for all starts."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.part import Part
-from greybox.compiled.record_part import RecordPart, compile_record
+from greybox.compiled.record_part import compile_record
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.scaling import Scaling, scaling_of
 from greybox.compiled.strategies import Strategies
@@ -48,10 +48,9 @@ class Nlp:
         Of the records.
     parts : tuple of Part
         In the order of the problem's.
-    expressions : dict
-        ``x, p, f, g`` as `casadi.nlpsol` takes them, f of the frequency responses alone; p is the smoothing of the
-        cost.
-    locating : dict or None
+    program : casadi.Function
+        (z, smoothing) -> the cost of the frequency responses, and what must be >= 0.
+    locating : casadi.Function or None
         The same with the criteria that locate the minimum, where they differ.
     constraint : casadi.Function
         (all values) -> what must be >= 0, stacked.
@@ -61,6 +60,8 @@ class Nlp:
         (all values) -> the cost without smoothing of every frequency response, unweighted, stacked.
     responses : casadi.Function
         (all values) -> real and imaginary parts of all frequency responses, stacked: (2 N,).
+    magnitudes : (N,) array
+        Of the measured responses, above zero.
     """
 
     problem: AnyProblem
@@ -72,12 +73,17 @@ class Nlp:
     scaling: Scaling
     method: Transcription
     parts: tuple[Part, ...]
-    expressions: Mapping[str, Any]
-    locating: Mapping[str, Any] | None
+    program: ca.Function
+    locating: ca.Function | None
     constraint: ca.Function
     limits: tuple[str, ...]
     response_cost: ca.Function
     responses: ca.Function
+    magnitudes: Array
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the problem, with the user's classes, where it was compiled: solvers need the rest alone."""
+        return {name: value for name, value in vars(self).items() if name != "problem"}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -94,45 +100,31 @@ class Nlp:
         """True when IPOPT solves the records as one sparse program."""
         return self.method.by_ipopt
 
-    @property
-    def has_states(self) -> bool:
-        """True when a part has hidden unknowns."""
-        return any(part.has_states for part in self.parts)
-
-    @property
-    def record_parts(self) -> tuple[RecordPart, ...]:
-        """The parts whose data are records."""
-        return tuple(part for part in self.parts if isinstance(part, RecordPart))
-
-    @property
-    def response_parts(self) -> tuple[ResponsePart, ...]:
-        """The parts whose data are frequency responses."""
-        return tuple(part for part in self.parts if isinstance(part, ResponsePart))
-
     def all_values(self, x: Array) -> Array:
         """Append the constants to unknowns x (..., p)."""
         x = np.asarray(x, dtype=float)
         constants = np.broadcast_to(self.constant_values, (*x.shape[:-1], len(self.constants)))
         return np.concatenate([x, constants], axis=-1)
 
-    # --- all frequency responses at many points at once ---------------------------------------------------------------
+    # --- frequency responses alone, many points at once ---------------------------------------------------------------
 
-    def part_costs(self, x: Array) -> Array:
-        """Return the cost without smoothing of every frequency response, unweighted, at x (p,): (parts,)."""
-        return np.asarray(self.response_cost(self.all_values(x))).ravel()
+    def cost(self, values: Array) -> float:
+        """Return the cost without smoothing of the frequency responses at all values (k,)."""
+        return float(self._weights @ np.asarray(self.response_cost(values)).ravel())
 
     def costs(self, x: Array) -> Array:
         """Return the cost without smoothing of the frequency responses, for every row of x (r, p): (r,)."""
         if not len(x):
             return np.zeros(0)
-        weights = np.array([part.weight for part in self.response_parts])
-        return weights @ np.asarray(self.response_cost(self.all_values(x).T))
+        return self._weights @ np.asarray(self.response_cost(self.all_values(x).T))
 
-    def response_rows(self, x: Array) -> NDArray[np.complex128]:
-        """Return all frequency responses, stacked, for every row of x (r, p): (r, N)."""
-        values = np.asarray(self.responses(self.all_values(x).T)).T
-        half = values.shape[1] // 2
-        return values[:, :half] + 1j * values[:, half:]
+    @property
+    def _weights(self) -> Array:
+        return np.array([part.weight for part in self.parts if not part.has_states])
+
+    def signatures(self, x: Array) -> Array:
+        """Return the signatures (r, 2 N) of the frequency responses for every row of x (r, p), see `Part.signature`."""
+        return (np.asarray(self.responses(self.all_values(x).T)) / np.tile(self.magnitudes, 2)[:, None]).T
 
 
 def compile_problem(problem: AnyProblem, method: Transcription | None = None) -> Nlp:
@@ -171,13 +163,13 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
 
     z, smoothing = kind.sym("z", len(free)), kind.sym("smoothing")
     scaled, scaled_limits = trace([*scaling.expressions(z), *constant_values])
-    statement = {"x": z, "p": smoothing, "g": ca.vertcat(kind(0, 1), *scaled_limits.values())}
+    scaled_limit = ca.vertcat(kind(0, 1), *scaled_limits.values())
     own_cost = _costs(responding, scaled, smoothing, _criterion)
     total = _weighted(responding, own_cost)
     locating = None
     if any(_criterion(part).locator is not None for part in responding):
         located = _costs(responding, scaled, smoothing, lambda part: _criterion(part).locator or _criterion(part))
-        locating = statement | {"f": kind(_weighted(responding, located))}
+        locating = ca.Function("locating", [z, smoothing], [kind(_weighted(responding, located)), scaled_limit])
 
     compiled_responses = {
         part: ResponsePart(
@@ -204,7 +196,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
             compiled_responses[part] if part in compiled_responses else compile_record(part, named, point, method)
             for part in problem.parts
         ),
-        expressions=statement | {"f": kind(total)},
+        program=ca.Function("program", [z, smoothing], [kind(total), scaled_limit]),
         locating=locating,
         constraint=ca.Function("constraint", [x], [ca.vertcat(kind(0, 1), *limits.values())]),
         limits=tuple(limits),
@@ -212,6 +204,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         responses=ca.Function(
             "responses", [x], [ca.vertcat(kind(0, 1), *[r.re for r in responses], *[r.im for r in responses])]
         ),
+        magnitudes=np.concatenate([np.zeros(0), *[part.magnitude for part in compiled_responses.values()]]),
     )
 
 

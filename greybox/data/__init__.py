@@ -4,7 +4,8 @@ Begin with `record` (named signals on one time base) and `frequency_response` (o
 `test_segment` is one test within a record, and the table of several.
 
 Files: `record_file` (HDF5) and `response_file` (CSV, HDF5) write and read them; `text_table` is what all tables of
-text share; `safe_files` writes atomically, `sealed_files` adds a checksum.
+text share; `safe_files` writes atomically, `sealed_files` adds a checksum. Libraries that a damaged or crafted file can
+lead astray run in a subprocess: `subprocess_reader` starts it, `subprocess_main` is its script.
 """
 
 from greybox.data.frequency_response import FrequencyResponse as FrequencyResponse

@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from greybox.data.text_table import counted, one_line
+from greybox.data.text_table import counted, one_line, printable
 
 # Median steps: a longer one is a gap, across which nothing is interpolated. One lost sample makes a step of two, which
 # is none; the half is for jitter.
 GAP = 2.5
+# Share of the samples at common times that are equal in all common signals, above which two records are of one
+# measurement.
+SAME_MEASUREMENT = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,12 +71,14 @@ class Record:
                 f"time does not increase after {time[back[0]]:.6f} s (index {back[0]}): "
                 "sort the samples and remove duplicates."
             )
-        signals = {name: _read_only(values, name) for name, values in self.signals.items()}
+        signals = {_printable(name): _read_only(values, name) for name, values in self.signals.items()}
         for name, values in signals.items():
             if values.size != time.size:
                 raise ValueError(f"time has {time.size} samples but {name} has {values.size}: they must match.")
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "signals", signals)
+        for name in ("name", "source", "units", "findings"):
+            object.__setattr__(self, name, _printable(getattr(self, name)))
         if not self.checksum:
             object.__setattr__(self, "checksum", _digest(time, signals))
 
@@ -168,6 +173,11 @@ class Recording(Mapping[str, Record]):
     metadata: Mapping[str, Any] = field(default_factory=dict, repr=False)
     findings: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Write out control characters in names and texts, which come from a file."""
+        for name in ("records", "source", "metadata", "findings"):
+            object.__setattr__(self, name, _printable(getattr(self, name)))
+
     def __getitem__(self, name: str) -> Record:
         if name in self.records:
             return self.records[name]
@@ -207,12 +217,43 @@ class Recording(Mapping[str, Record]):
         return one_line(self, repr(self.source), counted(len(self), "message"), ", ".join(self.records))
 
 
+def share_samples(a: Record, b: Record) -> bool:
+    """Tell whether two records hold some of the same measured samples.
+
+    Of one file they do where their times overlap outside of gaps; others where they have the same values at the same
+    times, as after `Record.with_signals`.
+    """
+    if a.checksum == b.checksum:
+        return any(
+            one.time[0] <= other.time[-1] and other.time[0] <= one.time[-1] for one in a.pieces for other in b.pieces
+        )
+    _, rows, others = np.intersect1d(a.time, b.time, assume_unique=True, return_indices=True)
+    alike = [
+        np.isclose(a[name][rows], b[name][others], rtol=0.0, atol=0.0, equal_nan=True)
+        for name in a.signals
+        if name in b.signals
+    ]
+    # Of quantized signals a few samples are the same by chance.
+    return bool(alike) and rows.size > 0 and float(np.mean(np.all(alike, axis=0))) > SAME_MEASUREMENT
+
+
 def _read_only(values: ArrayLike, name: str) -> NDArray[np.float64]:
     array = np.array(values, dtype=float)
     if array.ndim != 1:
         raise ValueError(f"{name} must be one-dimensional, but has shape {array.shape}.")
     array.setflags(write=False)
     return array
+
+
+def _printable(thing: Any) -> Any:
+    """Return names and texts, in whatever they are, with control characters written out: they come from files."""
+    if isinstance(thing, str):
+        return printable(thing)
+    if isinstance(thing, dict):
+        return {_printable(name): _printable(value) for name, value in thing.items()}
+    if type(thing) in (tuple, list):
+        return type(thing)(_printable(item) for item in thing)
+    return thing
 
 
 def _digest(time: NDArray[np.float64], signals: Mapping[str, NDArray[np.float64]]) -> str:

@@ -6,6 +6,7 @@ import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import singledispatch
 from importlib.metadata import version
 from types import MappingProxyType
 from typing import Any
@@ -40,13 +41,14 @@ from greybox.modeling.harmonic_balance import ENOUGH, enough_harmonics
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.periodic_motions import response_of_test
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
-from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
-from greybox.solve.multistart import multistart
+from greybox.solve.multistart import multistart, solver_for
 
 Array = NDArray[np.float64]
 
-STARTS, RECORD_STARTS = 200, 20
+FittedPart = FittedRecord | FittedResponse
+
 REFITS = 3  # with more harmonics each time: from 3 they reach 45
 CURVE = 2000  # points from which a curve for figures is not refined further
 
@@ -101,21 +103,19 @@ def fit(
     problem = _with_harmonics(problem, [enough_for(part) for part in problem.parts])
     nlp = compile_problem(problem, method)
     parameters = problem.parameters
-    rule = _rule(starts, seed, nlp)
+    solver = solver_for(nlp, solver_options)
+    rule = _rule(starts, seed, solver)
     points = rule.draw({name: parameters[name] for name in nlp.free})
     movable = not isinstance(rule, Listed)
-    solver = GaussNewton(nlp) if nlp.has_states else None
     if callable(progress) or not progress:
-        search = multistart(nlp, points, solver_options, progress or None, movable, solver)
+        search = multistart(nlp, solver, points, solver_options, progress or None, movable)
     else:
         with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
-            search = multistart(nlp, points, solver_options, lambda done, _: _advance(bar, done), movable, solver)
+            search = multistart(nlp, solver, points, solver_options, lambda done, _: _advance(bar, done), movable)
     search = explained(nlp, search)
-    error = None
-    if solver is not None:
-        nlp, search, solver, error = refine_discretization(nlp, search, solver)
-    else:
-        nlp, search = _with_more_harmonics(nlp, search, points, chosen, solver_options)
+    nlp, search, solver, error = refine_discretization(nlp, search, solver)
+    if any(chosen) and not any(part.has_states for part in nlp.parts):
+        nlp, search, solver = _with_more_harmonics(nlp, search, solver, points, chosen, solver_options)
     return assemble(nlp, search, solver, seed=rule.seed, starts=str(rule), began=began, error=error)
 
 
@@ -142,15 +142,23 @@ def _with_harmonics(problem: AnyProblem, harmonics: Sequence[int | None]) -> Any
 
 
 def _with_more_harmonics(
-    nlp: Nlp, search: Multistart, points: Array, chosen: Sequence[bool], options: Mapping[str, Any]
-) -> tuple[Nlp, Multistart]:
+    nlp: Nlp,
+    search: Multistart,
+    solver: LocalSolver,
+    points: Array,
+    chosen: Sequence[bool],
+    options: Mapping[str, Any],
+) -> tuple[Nlp, Multistart, LocalSolver]:
     """Fit again with more harmonics where they were `chosen` here and do not suffice at the estimate."""
     for _ in range(REFITS):
         if not search.minima:
             break
         best = search.minima[0].estimate
         parts = nlp.problem.parts
-        found = {id(few.problem): few for few in too_few_harmonics(nlp, best, assess(nlp, best, (None,) * len(parts)))}
+        found = {
+            id(few.problem): few
+            for few in too_few_harmonics(nlp, best, assess(nlp, best, solver.profile(best, search.nodes).trajectories))
+        }
         numbers = [
             found[id(part)].more
             if free and id(part) in found and found[id(part)].change > 100 * ENOUGH
@@ -160,17 +168,18 @@ def _with_more_harmonics(
         if all(part.amplitude is None or part.amplitude.harmonics == n for part, n in zip(parts, numbers, strict=True)):
             break
         finer = compile_problem(_with_harmonics(nlp.problem, numbers))
-        refined = multistart(finer, points, options, None, False, None)
+        finer_solver = solver_for(finer, options)
+        refined = multistart(finer, finer_solver, points, options, None, False)
         if not refined.minima:
             break
-        nlp, search = finer, refined
-    return nlp, search
+        nlp, search, solver = finer, refined, finer_solver
+    return nlp, search, solver
 
 
 def assemble(
     nlp: Nlp,
     search: Multistart,
-    solver: GaussNewton | None,
+    solver: LocalSolver,
     *,
     seed: int | None,
     starts: str,
@@ -181,17 +190,14 @@ def assemble(
     problem = nlp.problem
     found = bool(search.minima)
     best = search.minima[0].estimate if found else np.full(len(nlp.free), np.nan)
-    trajectories: tuple[Trajectory | None, ...] = (None,) * len(nlp.parts)
-    if found and solver is not None:
-        trajectories = solver.profile(best, search.nodes).trajectories
+    trajectories = solver.profile(best, search.nodes).trajectories if found else ()
     accuracy = assess(nlp, best, trajectories) if found else _nothing(nlp)
     estimate = dict(zip(nlp.names, nlp.all_values(best).tolist(), strict=True))
     lines, names, covariance = quantities(nlp, accuracy, estimate)
     parts = tuple(
-        _fitted(part, nlp.all_values(best), dict(part.problem.local_values(estimate)), trajectory)
-        for part, trajectory in zip(nlp.parts, trajectories, strict=True)
+        fitted_part(part, trajectory, nlp.all_values(best), dict(part.problem.local_values(estimate)))
+        for part, trajectory in zip(nlp.parts, trajectories or (None,) * len(nlp.parts), strict=True)
     )
-    records = [part for part in parts if isinstance(part, FittedRecord)]
     pade_errors = [part.pade_error if isinstance(part, FittedResponse) else None for part in parts]
     return Fit(
         name=problem.name,
@@ -202,13 +208,13 @@ def assemble(
         covariance=covariance,
         dof=accuracy.dof,
         cost=search.minima[0].cost if found else math.nan,
-        costs=_all_costs(nlp, parts),
+        costs=_all_costs(parts),
         runs=search.runs,
         minima=search.minima,
         warnings=(
             *not_finite_warnings(nlp, search),
             *(discretization_warnings(nlp, trajectories, error) if found else ()),
-            *(record_warnings(nlp, records, trajectories) if found else ()),
+            *(record_warnings(nlp, parts, trajectories) if found else ()),
             *(harmonic_warnings(nlp, best, accuracy) if found else ()),
             *(warnings(nlp, search, accuracy, pade_errors, trajectories) if found else ()),
         ),
@@ -226,21 +232,30 @@ def assemble(
     )
 
 
-def _fitted(
-    part: Part, x: Array, values: dict[str, float], trajectory: Trajectory | None
-) -> FittedRecord | FittedResponse:
-    """Return the plain values that the answer keeps of a part, at all values x (k,), by name `values`."""
-    if isinstance(part, RecordPart):
-        return fitted_record(part, trajectory)
-    assert isinstance(part, ResponsePart)
+@singledispatch
+def fitted_part(part: Part, trajectory: Trajectory | None, x: Array, values: dict[str, float]) -> FittedPart:
+    """Return the plain values that the answer keeps of a part, at all values x (k,), by the model's name `values`.
+
+    `trajectory` is the best one there; None without an answer.
+    """
+    raise TypeError(f"{type(part).__name__} has no form in which an answer keeps it.")
+
+
+@fitted_part.register
+def _(part: RecordPart, trajectory: Trajectory | None, x: Array, values: dict[str, float]) -> FittedRecord:
+    return fitted_record(part, trajectory)
+
+
+@fitted_part.register
+def _(part: ResponsePart, trajectory: Trajectory | None, x: Array, values: dict[str, float]) -> FittedResponse:
     return _response(part.problem, values, part.response(x))
 
 
-def _rule(starts: Any, seed: int | None, nlp: Nlp) -> Starts:
-    """Return the rule for starts; of a number of them for records, the declared values are the first."""
-    number = starts if starts is not None else RECORD_STARTS if nlp.has_states else STARTS
+def _rule(starts: Any, seed: int | None, solver: LocalSolver) -> Starts:
+    """Return the rule for starts; where the solver asks for it, the declared values are the first of a number."""
+    number = solver.starts if starts is None else starts
     rule = as_starts(number, seed)
-    if not nlp.has_states or isinstance(number, Starts | Sequence):
+    if isinstance(number, Starts | Sequence) or not solver.tries_declared_values:
         return rule
     return Chained((Listed(({},)), Sobol(number - 1, rule.seed or 0))) if number > 1 else Listed(({},))
 
@@ -305,11 +320,11 @@ def _curve(
     return curve
 
 
-def _all_costs(nlp: Nlp, parts: Sequence[FittedRecord | FittedResponse]) -> dict[str, float]:
-    """Return the value of every criterion at the estimate; those in the frequency domain, of responses alone."""
-    if nlp.has_states:
-        return {}
+def _all_costs(parts: Sequence[FittedRecord | FittedResponse]) -> dict[str, float]:
+    """Return the value of every criterion for responses at the estimate, where all data are such."""
     responses = [part for part in parts if isinstance(part, FittedResponse)]
+    if len(responses) < len(parts):
+        return {}
     return {
         criterion.name: sum(part.weight * evaluate(criterion, part.response, part.data) for part in responses)
         for criterion in CRITERIA

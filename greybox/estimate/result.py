@@ -216,6 +216,8 @@ class Fit:
         not hold what it needs. Empty for fits with records.
     white : (p, p) array or None
         What the covariance of the free parameters would be if the cost were the likelihood of white errors.
+    models, given : tuple of Model or None, tuple of Model or class
+        The models that were fitted; None for a loaded fit, whose models are those of greybox and those given to `load`.
     """
 
     name: str
@@ -235,6 +237,7 @@ class Fit:
     seconds: float
     versions: Mapping[str, str]
     models: tuple[Model, ...] | None = field(default=None, repr=False)
+    given: tuple[Model | type[Model], ...] = field(default=(), repr=False)
     white: NDArray[np.float64] | None = field(default=None, repr=False)
 
     @property
@@ -333,7 +336,7 @@ class Fit:
         Parameters
         ----------
         model : Model, optional
-            By default the one that was fitted; a loaded fit imports it by name.
+            By default the one that was fitted; of a loaded fit, one that greybox includes or that was given to `load`.
         inputs : "linear" or "held", optional
             How inputs run between samples; by default as in the fit.
         part : int, optional
@@ -344,24 +347,24 @@ class Fit:
         ValueError
             If the fit did not converge, or has no value for a parameter of the model.
         LookupError
-            If the model cannot be imported.
+            If a loaded fit does not know the model.
         """
         if not self.converged:
             raise ValueError(f"the fit {self.name!r} has no estimate: {self.status}.")
         k = _part_index(self, model, part)
         if model is None:
-            model = self.models[k] if self.models else resolve(dict(self.parts[k].model))
+            model = self.models[k] if self.models else resolve(self.parts[k].model, self.given)
         return _at_estimate(self, model, self.parts[k], inputs)
 
     def response(self, omega: ArrayLike, part: int = 0, model: Model | None = None) -> FrequencyResponse:
         """Evaluate the fitted model of a part at `omega` (n,) rad/s.
 
-        A loaded fit imports its model by name; where that is not possible, give the `model`.
+        A loaded fit knows the models that greybox includes and those given to `load`; otherwise give the `model`.
 
         Raises
         ------
         LookupError
-            If the model cannot be imported; the sentence says what is missing.
+            If a loaded fit does not know the model; the sentence has the cure.
         """
         stated = self.parts[part]
         if not isinstance(stated, FittedResponse):
@@ -370,7 +373,7 @@ class Fit:
                 "gb.simulate for time histories."
             )
         if model is None:
-            model = self.models[part] if self.models else resolve(dict(stated.model))
+            model = self.models[part] if self.models else resolve(stated.model, self.given)
         values = {name: self.estimate[stated.rename.get(name, name)] for name in model.parameters}
         return response_of_test(
             model,

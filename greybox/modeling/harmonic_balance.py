@@ -271,7 +271,7 @@ def _first(row: Any) -> Complex:
 def _harmonics(
     formulas: ca.SX, z: ca.SX, parameters: ca.SX, series: Any, p: Any, width: Any, harmonics: int
 ) -> tuple[Any, bool]:
-    """Return the coefficients (k, 2h + 1) of `formulas` (k, 1) of signals `z` with coefficients `series`, and if they switch."""
+    """Return the coefficients (k, 2h + 1) of `formulas` (k, 1) of signals `z` with their `series`; if they switch."""
     linear, rest = separated(formulas, z)
     slopes, constants = ca.Function("linear", [parameters], [linear, _free_of(rest, z)])(p)
     first_column = ca.DM(ca.Sparsity.unit(2 * harmonics + 1, 0)).T

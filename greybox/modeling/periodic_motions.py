@@ -374,7 +374,7 @@ def _solution(matrix: Array, right: Array) -> Array | None:
     if not np.all(np.isfinite(matrix)) or not np.all(np.isfinite(right)):
         return None
     try:
-        found = np.linalg.solve(matrix, right)
+        found: Array = np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
     return found if np.all(np.abs(found) < LARGE) else None

@@ -1,7 +1,8 @@
-"""IPOPT on a problem of frequency responses alone: one sparse program in the parameters."""
+"""IPOPT on a problem without hidden unknowns, such as frequency responses: a dense program in the parameters."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -11,7 +12,11 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.response_part import SMOOTHING
+from greybox.solve.local_solver import LocalSolver, Profile
+from greybox.solve.minima import Minimum
 from greybox.solve.outcome import Outcome
+
+Array = NDArray[np.float64]
 
 CONVERGED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 INVALID = "Invalid_Number_Detected"
@@ -20,12 +25,20 @@ INVALID = "Invalid_Number_Detected"
 # the smoothing falls to the last one at once.
 POLISH = (1e-10, 1e-11, 1e-12, 1e-13)
 
+# Relative cost above the best up to which a minimum is polished too: smoothing moves costs by 6e-5 and may change the
+# order of close ones.
+CLOSE = 1e-2
+
 # The fits of the paper take some 30 iterations; what takes 500 does not converge.
 QUIET = {"print_level": 0, "sb": "yes", "max_iter": 500}
 
 
-class IpoptSolver:
+class IpoptSolver(LocalSolver):
     """IPOPT on one compiled problem, built once: the criterion that locates the minimum, if any, then its own."""
+
+    # A run takes some milliseconds, and the declared values of a transfer function are rarely better than others.
+    starts = 200
+    tries_declared_values = False
 
     def __init__(
         self, nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({}), like: "IpoptSolver | None" = None
@@ -33,7 +46,7 @@ class IpoptSolver:
         """Build the solver; one `like` it lends its derivatives."""
         self._nlp = nlp
         self._options = options
-        statements = [e for e in (nlp.locating, nlp.expressions) if e is not None]
+        statements = [_statement(program) for program in (nlp.locating, nlp.program) if program is not None]
         known = [_derivatives(stage) for stage in like._stages] if like else [{} for _ in statements]
         self._stages = [checked_nlpsol(e, options, given) for e, given in zip(statements, known, strict=True)]
         scale = nlp.scaling.to_solver
@@ -44,12 +57,8 @@ class IpoptSolver:
             "ubg": np.full(nlp.constraint.numel_out(), np.inf),
         }
 
-    def polishing(self) -> "IpoptSolver":
-        """Return a solver for the last runs, which takes the little that a kink leaves to gain for a solution."""
-        return IpoptSolver(self._nlp, {"acceptable_tol": 1e-4, "acceptable_iter": 3, **self._options}, like=self)
-
-    def run(self, start: NDArray[np.float64], smoothing: float = SMOOTHING) -> Outcome:
-        """Solve from `start` (p,)."""
+    def run(self, start: Array, smoothing: float = SMOOTHING) -> Outcome:
+        """Solve from the parameters `start` (p,)."""
         began = time.perf_counter()
         z: Any = self._nlp.scaling.to_solver(start)
         iterations, status = 0, ""
@@ -60,6 +69,51 @@ class IpoptSolver:
         estimate = self._nlp.scaling.to_parameters(np.asarray(z).ravel())
         estimate = np.clip(estimate, self._nlp.lower, self._nlp.upper)
         return Outcome(estimate, status, iterations, time.perf_counter() - began, status in CONVERGED)
+
+    def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
+        """Return the point x (p,): there is nothing hidden."""
+        z = self._nlp.scaling.to_solver(x)
+        trajectories = tuple(part.initial_trajectory(z) for part in self._nlp.parts)
+        return Profile(z, trajectories, float(self._nlp.costs(x[None])[0]), converged=True)
+
+    def cost(self, values: Array) -> float:
+        """Return the cost without smoothing at all values (k,)."""
+        return self._nlp.cost(values)
+
+    def judged(self, outcomes: list[Outcome]) -> list[Outcome]:
+        """Return the outcomes with their costs, without smoothing, and signatures."""
+        estimates = np.array([outcome.estimate for outcome in outcomes])
+        each = zip(outcomes, self._nlp.costs(estimates).tolist(), self._nlp.signatures(estimates), strict=True)
+        return [replace(outcome, cost=cost, signature=signature) for outcome, cost, signature in each]
+
+    def polished(self, minima: tuple[Minimum, ...]) -> tuple[Minimum, ...]:
+        """Return the minima, those close to the best solved with ever less smoothing."""
+        if not minima or not any(part.is_smoothed for part in self._nlp.parts):
+            return minima
+        # The last runs take the little that a kink leaves to gain for a solution.
+        options = {"acceptable_tol": 1e-4, "acceptable_iter": 3, **self._options}
+        last = IpoptSolver(self._nlp, options, like=self)
+        close = [m.cost <= (1 + CLOSE) * minima[0].cost for m in minima]
+        polished = [last._polish(m) if near else m for m, near in zip(minima, close, strict=True)]
+        return tuple(sorted(polished, key=lambda m: m.cost))
+
+    def _polish(self, best: Minimum) -> Minimum:
+        """Solve once more from a minimum with ever less smoothing; keep what is a solution and no worse."""
+        for smoothing in POLISH:
+            outcome = self.run(best.estimate, smoothing)
+            cost = float(self._nlp.costs(outcome.estimate[None])[0])
+            if outcome.status not in CONVERGED or not cost <= best.cost:
+                break
+            best = replace(best, cost=cost, estimate=outcome.estimate)
+        return best
+
+
+def _statement(program: ca.Function) -> dict[str, Any]:
+    """Return ``x, p, f, g`` as `casadi.nlpsol` takes them, for a function (x, p) -> f, g."""
+    kind: Any = ca.SX if program.is_a("SXFunction") else ca.MX
+    x, p = (kind.sym(name, program.numel_in(k)) for k, name in enumerate("xp"))
+    f, g = program(x, p)
+    return {"x": x, "p": p, "f": f, "g": g}
 
 
 def _derivatives(solver: ca.Function) -> dict[str, ca.Function]:

@@ -54,7 +54,7 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a solver leaves of one run; IPOPT's cost is evaluated later, without smoothing and for all runs at once.
+    """What a solver leaves of one run; see `LocalSolver.judged` for what is evaluated later, for all runs at once.
 
     Attributes
     ----------

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.record import Record
+from greybox.data.record import Record, share_samples
 from greybox.data.text_table import counted
 from greybox.estimate.result import Fit, FittedRecord
 from greybox.simulation.model_at_estimate import ModelAtEstimate
@@ -129,9 +129,5 @@ def not_held_out(fits: Sequence[Fit], labels: Sequence[str], records: Sequence[R
         f"warning: {record.name or 'a record'} is not held out: {label} was fitted to samples of it."
         for record in records
         for fit, label in zip(fits, labels, strict=True)
-        if any(_overlap(part.data, record) for part in fit.records)
+        if any(share_samples(part.data, record) for part in fit.records)
     ]
-
-
-def _overlap(a: Record, b: Record) -> bool:
-    return a.checksum == b.checksum and a.time[0] <= b.time[-1] and b.time[0] <= a.time[-1]

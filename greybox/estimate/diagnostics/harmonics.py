@@ -52,6 +52,7 @@ def harmonic_warnings(nlp: Nlp, x: Array, accuracy: Accuracy) -> Iterator[str]:
     """Say so where more harmonics would change the estimate `x` (p,) noticeably, or a sine has several motions."""
     for found in too_few_harmonics(nlp, x, accuracy):
         sine = found.problem.amplitude
+        assert sine.harmonics is not None
         count = counted(sine.harmonics, "harmonic is", "harmonics are")
         yield (
             f"{count} too few for {found.problem.name!r}: with {found.more} the response changes by up to "
@@ -73,7 +74,7 @@ def too_few_harmonics(nlp: Nlp, x: Array, accuracy: Accuracy) -> Iterator[TooFew
     everything = nlp.all_values(x)
     values = dict(zip(nlp.names, everything.tolist(), strict=True))
 
-    for part in nlp.response_parts:
+    for part in nlp.parts:
         problem = part.problem
         sine = problem.amplitude
         if sine is None or sine.harmonics is None or sine.harmonics >= MOST_HARMONICS:

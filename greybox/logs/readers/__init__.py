@@ -11,9 +11,8 @@ Formats
 Shared by several
     `messages` (messages of one type, and the records made of them), `time_stamps` (clock restarts, impossible and
     repeated stamps), `table_columns` (units in headings, the time column), `ardupilot_metadata` (vehicle, firmware,
-    parameters, modes, arming).
-Libraries that a damaged file can crash
-    `subprocess_reader` runs them in a subprocess, whose script is `subprocess_main`.
+    parameters, modes, arming), `named_arrays` (records of the groups in HDF5, MATLAB and PX4 files, which
+    `greybox.data.subprocess_reader` reads in a subprocess).
 """
 
 from collections.abc import Callable, Collection
@@ -22,6 +21,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from greybox.data.record import Recording
+from greybox.data.text_table import printable
 
 HEAD = 4096  # bytes by which a format is recognized
 HDF5 = b"\x89HDF\r\n\x1a\n"  # at byte 0, 512, 1024, 2048 ... (a MATLAB 7.3 file has it at 512)
@@ -110,7 +110,11 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     """
     path = Path(path)
     wanted = (messages,) if isinstance(messages, str) else messages
-    return import_module(f"greybox.logs.readers.{_format(path).module}").read(path, wanted)
+    reader = import_module(f"greybox.logs.readers.{_format(path).module}")
+    try:
+        return reader.read(path, wanted)
+    except ValueError as refused:
+        raise ValueError(printable(str(refused))) from None  # it may quote the file
 
 
 def _format(path: Path) -> Format:
