@@ -61,7 +61,7 @@ def harmonic_warnings(nlp: Nlp, x: Array, accuracy: Accuracy) -> Iterator[str]:
         )
 
     values = dict(zip(nlp.names, nlp.all_values(x).tolist(), strict=True))
-    for part in nlp.response_parts:
+    for part in nlp.parts:
         if part.problem.amplitude is not None:
             yield from _several_motions(part.problem, values)
 
