@@ -28,7 +28,7 @@ from greybox.estimate.diagnostics.discretization import discretization_warnings
 from greybox.estimate.diagnostics.general import warnings
 from greybox.estimate.diagnostics.harmonics import harmonic_warnings, too_few_harmonics
 from greybox.estimate.diagnostics.not_finite import explained, not_finite_warnings
-from greybox.estimate.diagnostics.records import record_warnings
+from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
 from greybox.estimate.fitted_record import fitted_record, stated
 from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit, FittedRecord, FittedResponse
@@ -213,6 +213,7 @@ def assemble(
         minima=search.minima,
         warnings=(
             *not_finite_warnings(nlp, search),
+            *finding_warnings(nlp),
             *(discretization_warnings(nlp, trajectories, error) if found else ()),
             *(record_warnings(nlp, parts, trajectories) if found else ()),
             *(harmonic_warnings(nlp, best, accuracy) if found else ()),

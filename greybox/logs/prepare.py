@@ -10,34 +10,10 @@ from numpy.typing import NDArray
 
 from greybox.data.record import GAP, Record, Recording
 from greybox.data.text_table import counted
+from greybox.data.units import to_si
 from greybox.logs.ardupilot import gyro_filter
 
 Array = NDArray[np.float64]
-
-# Log unit -> (factor, SI unit).
-TO_SI: dict[str, tuple[float, str]] = {
-    "deg": (math.pi / 180, "rad"),
-    "degheading": (math.pi / 180, "rad"),
-    "deg/s": (math.pi / 180, "rad/s"),
-    "deg/s/s": (math.pi / 180, "rad/s²"),
-    "cdeg": (math.pi / 18000, "rad"),
-    "cdeg/s": (math.pi / 18000, "rad/s"),
-    "rad": (1.0, "rad"),
-    "rad/s": (1.0, "rad/s"),
-    "m/s/s": (1.0, "m/s²"),
-    "cm/s/s": (0.01, "m/s²"),
-    "cm/s": (0.01, "m/s"),
-    "cm": (0.01, "m"),
-    "mm": (0.001, "m"),
-    "mm/s": (0.001, "m/s"),
-    "km/h": (1 / 3.6, "m/s"),
-    "ms": (0.001, "s"),
-    "us": (1e-6, "s"),
-    "µs": (1e-6, "s"),
-    "mA": (0.001, "A"),
-    "mV": (0.001, "V"),
-    "rpm": (math.pi / 30, "rad/s"),
-}
 
 # Of the new rate: the anti-alias filter passes up to the first and stops from the second, the new Nyquist frequency. A
 # wider pass band takes more samples from the ends of a stretch: the filter has 5.0 / (STOP - PASS) new samples.
@@ -96,9 +72,10 @@ def prepare(
 ) -> Record:
     """Put signals of different messages and rates on one uniform time base, by their time stamps.
 
-    Angles are unwrapped and units become SI. Where a signal is sampled faster than `rate`, a zero-phase anti-alias
-    filter comes first (flat to 0.35 of the new rate). Nothing is interpolated across a gap: there the record has a
-    gap itself, and `Record.pieces` are the stretches between.
+    Angles are unwrapped and units become SI, see `greybox.data.units`; the findings name those that did not, since they
+    are not known or may mean two things. A signal without a unit remains as it is. Where a signal is sampled faster
+    than `rate`, a zero-phase anti-alias filter comes first (flat to 0.35 of the new rate). Nothing is interpolated
+    across a gap: there the record has a gap itself, and `Record.pieces` are the stretches between.
 
     Parameters
     ----------
@@ -159,7 +136,7 @@ def prepare(
         checksum=recording.checksum,
         metadata=recording.metadata,
         filters={n: f for n, names in needed.items() if (f := _known_filters(recording, names))},
-        findings=tuple(text for source in sources.values() for text in source.findings),
+        findings=tuple(dict.fromkeys(text for source in sources.values() for text in source.findings)),
     )
     return record if detrend == "none" else _detrended(record, detrend)
 
@@ -186,9 +163,15 @@ def _source(recording: Recording, signal: str) -> _Source:
     if time.size < 2:
         raise ValueError(f"{signal} has {counted(time.size, 'sample')}: there is nothing to put on a time base.")
     unit = record.units.get(field, "")
-    factor, unit = TO_SI.get(unit, (1.0, unit))
-    values = values * factor
-    return _Source(time, np.unwrap(values) if unit == "rad" else values, unit, record.findings)
+    findings = record.findings
+    try:
+        conversion = to_si(unit)
+    except ValueError as error:
+        findings += (f"{signal} is in {unit!r}, as in the log, not in SI: {error}.",)
+    else:
+        values, unit = conversion.apply(values), conversion.si
+        findings += (f"{signal}: {conversion.remark}.",) if conversion.remark else ()
+    return _Source(time, np.unwrap(values) if unit == "rad" else values, unit, findings)
 
 
 def _grid(sources: Mapping[str, _Source], rate: float | None, start: float, end: float) -> Array:

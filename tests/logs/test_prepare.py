@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import constants as c
 
 import greybox as gb
 from greybox.data.record import Record, Recording
@@ -67,6 +68,40 @@ def test_units_become_si_and_angles_are_unwrapped():
     assert record["psi"] == pytest.approx(1.5 * record.time, abs=1e-9)
     assert record["theta"] == pytest.approx(np.radians(3.0))
     assert record["q"] == pytest.approx(np.pi)
+
+
+def test_units_of_flight_tests_become_si():
+    time = stamps(50, 4)
+    units = {"h": "ft", "V": "kt", "az": "g", "qbar": "psf", "T": "°C", "rotor": "RPM", "throttle": "%", "m": "slug"}
+    expected = {
+        "h": (c.foot, "m"),
+        "V": (c.knot, "m/s"),
+        "az": (c.g, "m/s²"),
+        "qbar": (c.pound_force / c.foot**2, "Pa"),
+        "rotor": (c.pi / 30, "rad/s"),
+        "throttle": (0.01, "1"),
+        "m": (c.slug, "kg"),
+    }
+    log = recording(A=(time, {name: 2 + wave(time) for name in units}, units))
+    record = gb.prepare(log, {name: f"A.{name}" for name in units})
+    for name, (factor, unit) in expected.items():
+        assert record.units[name] == unit
+        assert record[name] == pytest.approx(factor * (2 + wave(record.time)), rel=1e-6)
+    assert record.units["T"] == "K"
+    assert record["T"] == pytest.approx(c.zero_Celsius + 2 + wave(record.time), rel=1e-6)
+    assert record.findings == ("A.az: g was taken for 9.80665 m/s², not for gram.",)
+
+
+def test_a_unit_that_is_not_converted_is_named():
+    time = stamps(50, 4)
+    log = recording(A=(time, {"F": wave(time), "out": wave(time)}, {"F": "lb", "out": "pwm"}))
+    record = gb.prepare(log, {"force": "A.F", "u": "A.out"})
+    assert record.units == {"force": "lb", "u": "pwm"}
+    assert record["force"] == pytest.approx(wave(record.time), abs=1e-9)
+    assert record.findings == (
+        "A.F is in 'lb', as in the log, not in SI: lb may be a pound of mass or of force, write lbm or lbf.",
+        "A.out is in 'pwm', as in the log, not in SI: the unit 'pwm' is not known.",
+    )
 
 
 def test_nothing_is_invented_across_a_gap():

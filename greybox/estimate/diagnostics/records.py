@@ -12,6 +12,7 @@ from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.kalman_gain import kalman_gain
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
+from greybox.data.record import Record
 from greybox.data.text_table import counted
 from greybox.estimate.result import FittedRecord, FittedResponse
 from greybox.statistics.noise_ratio import noise_ratio
@@ -23,6 +24,12 @@ FACTOR = 5.0  # between standard deviations of one output in several records
 COLORED, GREY = 0.9, 0.2  # correlation of successive residuals of output and prediction error that is told
 CERTAIN = 5.0  # standard deviations of the correlation of white residuals, beyond which there is one
 HUGE = 1e6  # what is beyond is rounding: there is no noise
+
+
+def finding_warnings(nlp: Nlp) -> tuple[str, ...]:
+    """Return what was found when the records were read: restarts of the clock, lost lines, text instead of numbers."""
+    pairs = [(part.name, part.data) for part in nlp.problem.parts if isinstance(part.data, Record)]
+    return tuple(f"data of {name!r}: {text}" for name, record in pairs for text in record.findings)
 
 
 def record_warnings(

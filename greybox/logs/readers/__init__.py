@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from greybox.data.record import Recording
+from greybox.data.safe_files import require_file
 from greybox.data.text_table import printable
 
 HEAD = 4096  # bytes by which a format is recognized
@@ -66,8 +67,9 @@ def _is_csv(head: bytes) -> bool:
     """Tell whether it is text with at least two lines and a separator in the first that is no comment."""
     if b"\0" in head or not head.strip():
         return False
-    lines = [line for line in head.splitlines() if line.strip() and not line.startswith(b"#")]
-    return len(lines) > 1 and any(separator in lines[0] for separator in b",;\t") and _is_text(head)
+    lines = [line for line in head.splitlines() if line.strip() and not line.startswith((b"#", b"%"))]
+    enough = len(lines) > 1 or (len(lines) == 1 and len(head) == HEAD)
+    return enough and any(separator in lines[0] for separator in b",;\t") and _is_text(head)
 
 
 def _is_text(head: bytes) -> bool:
@@ -131,10 +133,9 @@ def _format(path: Path) -> Format:
 
 def _head(path: Path) -> bytes:
     """Return the first bytes of a file that has some."""
-    if not path.exists():
-        raise FileNotFoundError(f"there is no file {path}.")
     if path.is_dir():
         raise IsADirectoryError(f"{path} is a folder: give the log file in it.")
+    require_file(path)
     try:
         with open(path, "rb") as file:
             head = file.read(HEAD)

@@ -1,7 +1,7 @@
 """Tables of named columns, from any file: units in headings, the time column, and the messages made of them."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -95,7 +95,7 @@ def table(
             wrong_length.append(key)
     findings = []
     if wrong_length:
-        findings.append(f"{name}: left out, because their length is not that of the time: {_list(wrong_length)}.")
+        findings.append(f"{name}: left out, because their length is not that of the time: {name_list(wrong_length)}.")
     messages = Messages(name, np.arange(time.size), time, kept, {}, labels) if kept else None
     return messages, tuple(findings)
 
@@ -111,5 +111,6 @@ def _split(name: str, values: NDArray[np.generic], size: int) -> list[tuple[str,
     return []
 
 
-def _list(names: list[str], most: int = 12) -> str:
+def name_list(names: Sequence[str], most: int = 12) -> str:
+    """Return names with commas between, and how many more there are."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
