@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.record import Record
+from greybox.data.record import Record, share_samples
 from greybox.data.text_table import counted, number, one_line, text_table, with_error
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.modeling.model import Model
@@ -329,7 +329,12 @@ class Fit:
         return self.covariance[np.ix_(rows, rows)]
 
     def at_estimate(
-        self, model: Model | None = None, *, inputs: Inputs | None = None, part: int | None = None
+        self,
+        model: Model | None = None,
+        *,
+        inputs: Inputs | None = None,
+        part: int | None = None,
+        record: Record | None = None,
     ) -> ModelAtEstimate:
         """Return the model of a part, or another one of the same parameters, at the estimate.
 
@@ -340,7 +345,9 @@ class Fit:
         inputs : "linear" or "held", optional
             How inputs run between samples; by default as in the fit.
         part : int, optional
-            By default the first record, of this model if there is one.
+            By default the one of `record`, else the first record, of this model if there is one.
+        record : Record, optional
+            What the model is to be run on.
 
         Raises
         ------
@@ -351,7 +358,7 @@ class Fit:
         """
         if not self.converged:
             raise ValueError(f"the fit {self.name!r} has no estimate: {self.status}.")
-        k = _part_index(self, model, part)
+        k = _part_index(self, model, part, record)
         if model is None:
             model = self.models[k] if self.models else resolve(self.parts[k].model, self.given)
         return _at_estimate(self, model, self.parts[k], inputs)
@@ -515,11 +522,39 @@ def _at_estimate(fit: Fit, model: Model, part: FittedResponse | FittedRecord, in
         covariance=np.where(known | known[:, None], 0.0, fit.covariance_of(outside)),
         criterion=criterion_of(inputs, biases, gains),
         part=record,
+        declared=model.parameters,
+        own=_own_names(fit, model, record, dict(zip(names, outside, strict=True))) if record else (),
     )
 
 
-def _part_index(fit: Fit, model: Model | None, part: int | None) -> int:
-    """Return the part of a fit that is meant: the one asked for, else the first record, of this model if it has one."""
+def _own_names(fit: Fit, model: Model, part: FittedRecord, outside: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the names inside of the free values that belong to the record of a part alone, by their names `outside`.
+
+    Biases, unless records share them under one name; and parameters of which other records have another one.
+    """
+    free = {q.name for q in fit.quantities if q.kind == "free"}
+    others = [
+        other
+        for other in fit.records
+        if _class_name(other.model) == _class_name(part.model) and not share_samples(other.data, part.data)
+    ]
+    own = []
+    for name, known_as in outside.items():
+        elsewhere = [other.rename.get(name, name) for other in others]
+        if name in model.parameters:
+            is_own = any(other != known_as for other in elsewhere)
+        else:
+            is_own = name.endswith("_bias") and known_as not in elsewhere
+        if is_own and known_as in free:
+            own.append(name)
+    return tuple(own)
+
+
+def _part_index(fit: Fit, model: Model | None, part: int | None, record: Record | None) -> int:
+    """Return the part of a fit that is meant: the one asked for, else that of the record, else the first record.
+
+    Of those of the given model where the fit has any.
+    """
     count = len(fit.parts)
     if part is not None:
         whole = isinstance(part, (int, np.integer)) and not isinstance(part, bool)
@@ -527,7 +562,13 @@ def _part_index(fit: Fit, model: Model | None, part: int | None) -> int:
             raise ValueError(f"part is {part!r}: the fit has {counted(count, 'part')}, counted from 0.")
         return part % count
 
-    records_first = sorted(range(count), key=lambda k: not isinstance(fit.parts[k], FittedRecord))
+    def later(k: int) -> int:
+        data = fit.parts[k].data
+        if not isinstance(data, Record):
+            return 2
+        return int(record is None or not share_samples(data, record))
+
+    records_first = sorted(range(count), key=later)
     if model is not None:
         wanted = _class_name(reference(model))
         for k in records_first:

@@ -1,7 +1,7 @@
 """A model at one estimate, as simulation and prediction take it: values, their covariance, and what the fit assumed."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from greybox.data.record import Record
 from greybox.formulation.time_criteria import OutputError, PredictionError, TimeCriterion
 from greybox.modeling.model import Model, require_known
+from greybox.modeling.parameter import Parameter
 from greybox.modeling.realization import Dynamics, dynamics
 
 Array = NDArray[np.float64]
@@ -48,7 +49,9 @@ class FittedTo(Protocol):
 class Estimate(Protocol):
     """An answer that knows its model, as `greybox.Fit` does."""
 
-    def at_estimate(self, model: Model | None, *, inputs: Inputs | None, part: int | None) -> "ModelAtEstimate":
+    def at_estimate(
+        self, model: Model | None, *, inputs: Inputs | None, part: int | None, record: Record | None
+    ) -> "ModelAtEstimate":
         """Return a model, by default the one that was fitted, at the estimate of a part."""
         ...
 
@@ -71,6 +74,11 @@ class ModelAtEstimate:
         How inputs run between samples, which signals are biased, and whether innovations correct the states.
     part : FittedTo or None
         The record that the values were fitted to.
+    declared : mapping of name to Parameter
+        The model's parameters.
+    own : tuple of str
+        Names of values that belong to that record alone, not to the model: biases of its sensors, and parameters that
+        each record of the fit has for itself.
     """
 
     label: str
@@ -80,6 +88,8 @@ class ModelAtEstimate:
     covariance: Array | None
     criterion: TimeCriterion
     part: FittedTo | None
+    declared: Mapping[str, Parameter] = field(default_factory=dict)
+    own: tuple[str, ...] = ()
 
     @property
     def p(self) -> Array:
@@ -117,8 +127,9 @@ def model_at(
     *,
     inputs: Inputs | None = None,
     part: int | None = None,
+    record: Record | None = None,
 ) -> ModelAtEstimate:
-    """Bring model and estimate together; a `Fit` may stand for both.
+    """Bring model and estimate together; a `Fit` may stand for both, by default its part of this `record`.
 
     Raises
     ------
@@ -131,11 +142,11 @@ def model_at(
         if values is not None:
             cure = "give the record by name, record=r" if isinstance(values, Record) else "leave the other out"
             raise TypeError(f"the model is a Fit, which has an estimate of its own: {cure}.")
-        return model.at_estimate(None, inputs=inputs, part=part)
+        return model.at_estimate(None, inputs=inputs, part=part, record=record)
     if not isinstance(model, Model):
         raise TypeError(f"model is {model!r:.80}: give an instance such as LinearTilt(), or a Fit.")
     if isinstance(values, Estimate):
-        return values.at_estimate(model, inputs=inputs, part=part)
+        return values.at_estimate(model, inputs=inputs, part=part, record=record)
     if not isinstance(values, Mapping):
         raise TypeError(f"values is {values!r:.60}: give {{name: value}} or a Fit.")
     return _of_values(model, values, inputs or "linear")
@@ -155,7 +166,9 @@ def _of_values(model: Model, given: Mapping[str, float], inputs: Inputs) -> Mode
     values = dict(model.values({n: v for n, v in given.items() if n in model.parameters}))
     values |= {name: float(given[name]) for name in added}
     criterion = criterion_of(inputs, tuple(b for b in biases if f"{b}_bias" in added), gains)
-    return ModelAtEstimate(model.label, system, tuple(values), np.array([*values.values()]), None, criterion, None)
+    return ModelAtEstimate(
+        model.label, system, tuple(values), np.array([*values.values()]), None, criterion, None, model.parameters
+    )
 
 
 def criterion_of(inputs: Inputs, biases: tuple[str, ...], gains: tuple[tuple[str, str], ...]) -> TimeCriterion:

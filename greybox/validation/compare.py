@@ -8,7 +8,7 @@ from greybox.estimate.result import Fit
 from greybox.modeling.model import require_known
 from greybox.simulation.windows import require_lengths
 from greybox.validation.comparison import HELD_OUT, IDENTIFICATION, Comparison
-from greybox.validation.held_out import Predictions, not_held_out, predict_same_windows, window_lengths
+from greybox.validation.held_out import Predictions, not_held_out, predict_same_windows, require_own, window_lengths
 from greybox.validation.measures import fit_rows, prediction_rows
 from greybox.validation.same_data import check_fits, data_difference, labels_of, shared_data, why_not_comparable
 from greybox.validation.significance import verdicts
@@ -21,6 +21,7 @@ def compare(
     lead: float | None = None,
     labels: Sequence[str] = (),
     removed_at: Mapping[str, float] | None = None,
+    own: Sequence[str] | None = None,
 ) -> Comparison:
     """Compare fits of different structures: which describes its data best, and which predicts others best.
 
@@ -52,6 +53,9 @@ def compare(
         One for each fit; by default the names of the models.
     removed_at : mapping of name to value, optional
         At which parameters leave a larger model as a smaller one, where neither zero nor one does, see `nested_test`.
+    own : sequence of str, optional
+        What belongs to a record and not to a model, and is estimated from every held-out record before its windows are
+        predicted: names of parameters and biases, see `predict`, whose default is that here. It is said and counted.
 
     Raises
     ------
@@ -69,6 +73,8 @@ def compare(
     names = tuple(labels) or labels_of(fits)
     held_out = _as_records(records)
     require_known(removed_at or {}, {name: None for fit in fits for name in fit.free}, "free parameter", "each fit")
+
+    own = require_own(fits, own)
 
     different = data_difference(fits, names)
     if different and not held_out:
@@ -88,8 +94,9 @@ def compare(
 
     predictions: dict[str, Predictions] = {}
     for kind, of_fits in data.items():
-        predictions[kind], left_out = predict_same_windows(fits, names, of_fits, lengths, own=kind == IDENTIFICATION)
-        notes += left_out
+        fitted = kind == IDENTIFICATION
+        predictions[kind], said = predict_same_windows(fits, names, of_fits, lengths, fitted=fitted, own=own)
+        notes += said
 
     rows = fit_rows(fits, same_data=same_data, comparable=comparable)
     for kind, of_fits in predictions.items():

@@ -151,7 +151,11 @@ class _Slots:
         of_small, of_large = _models(small), _models(large)
         if of_small is None or of_large is None:
             if not (same and all(a.rename == b.rename for a, b in pairs)):
-                raise NotNestedError("their models are not at hand, which a loaded fit does not hold", undecided=True)
+                raise NotNestedError(
+                    "their models are not at hand: give them to gb.load, models=[...]",
+                    # Of other names than the larger one has they are two models, as far as names can say.
+                    undecided=set(small.free) <= set(large.estimate),
+                )
             # Without the models it is not known which part has which parameter; they are the same in both fits.
             one, other = ({name: name for name in fit.estimate} for fit in (small, large))
             return cls((one,), (other,), None, same_models=True)
@@ -167,7 +171,7 @@ def _models(fit: Fit) -> tuple[Model, ...] | None:
     if fit.models:
         return fit.models
     try:
-        return tuple(resolve(dict(part.model)) for part in fit.parts)
+        return tuple(resolve(part.model, fit.given) for part in fit.parts)
     except LookupError:
         return None
 

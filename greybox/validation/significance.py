@@ -274,15 +274,19 @@ def _errors_window_by_window(
 
 
 def _mean_squares(one: Prediction, other: Prediction) -> tuple[Array, Array, Array]:
-    """Return the mean squared errors of both in every window (w,), and what of them is rounding, in units of noise."""
+    """Return the mean squared errors of both in every window (w,), and what of them is rounding, in units of noise.
+
+    Values that were estimated from the record make them smaller by their share of its numbers, which is undone.
+    """
     first, second, rounding = np.zeros((3, len(one)))
+    numbers = sum(int(np.isfinite(one.measured(output)).sum()) for output in one.outputs)
     for k, output in enumerate(one.outputs):
         noise = min(one.noise[k, k], other.noise[k, k])
         errors = np.array([one.residual(output), other.residual(output)])
         present = np.all(np.isfinite(errors), axis=0)
         sums = np.where(present, errors**2, 0.0).sum(axis=2) / (np.maximum(present.sum(axis=1), 1) * noise)
-        first += sums[0]
-        second += sums[1]
+        first += sums[0] * numbers / max(numbers - len(one.own), 1)
+        second += sums[1] * numbers / max(numbers - len(other.own), 1)
         rounding += (SIMULATION_ACCURACY * float(np.nanstd(one.data[output]))) ** 2 / noise
     return first, second, rounding
 

@@ -180,3 +180,23 @@ def test_models_of_responses_are_nested_by_their_responses():
         nesting(gb.fit(gb.Problem(Lag(), data), starts=10), large, NAMES)
     found = nesting(gb.fit(gb.Problem(LagLag(), data), starts=10), large, NAMES)
     assert found.terms == found.on_bound == ("tau",)
+
+
+def test_loaded_fits_are_nested_by_their_names_or_by_the_models_given(record, tmp_path):
+    for name, model, options in (
+        ("linear", LinearDrag(), {}),
+        ("drag", Drag(), {}),
+        ("held", Drag(), {"fixed": {"C_x": 0.04}}),
+        ("lagged", LaggedDrag(), {}),
+    ):
+        gb.save(fitted(model, record, **options), tmp_path / f"{name}.h5")
+    linear, drag, held, lagged = (gb.load(tmp_path / f"{name}.h5") for name in ("linear", "drag", "held", "lagged"))
+    assert nesting(held, drag, NAMES).point[1] == 0.04
+    with pytest.raises(NotNestedError, match="their models are not at hand") as caught:
+        nesting(linear, drag, NAMES)
+    assert caught.value.undecided
+    with pytest.raises(NotNestedError) as caught:
+        nesting(drag, lagged, NAMES)
+    assert not caught.value.undecided
+    linear, drag = (gb.load(tmp_path / f"{name}.h5", models=[LinearDrag, Drag]) for name in ("linear", "drag"))
+    assert nesting(linear, drag, NAMES).terms == ("C_x",)
