@@ -1,7 +1,6 @@
 """Finding models and problems: those that are included, and those in a user's own file."""
 
 import ast
-import difflib
 import importlib
 import pkgutil
 import re
@@ -10,10 +9,13 @@ from types import ModuleType
 from typing import Any
 
 from greybox.compiled.compiled_problem import AnyProblem
+from greybox.data.text_table import alternatives, nearest
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.model import Model
 from greybox.modeling.model_file import models_of, module_from_file
+
+SETTINGS = ("starts", "seed", "method")  # what a problem file may choose
 
 
 def shipped(kind: str) -> list[str]:
@@ -32,8 +34,8 @@ def shipped_module(kind: str, name: str) -> ModuleType:
     """
     known = shipped(kind)
     if name not in known:
-        near = difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"the included ones are {', '.join(known)}."
+        near = nearest(name, known)
+        hint = f"did you mean {near!r}?" if near else f"the included ones are {', '.join(known)}."
         raise ValueError(f"there is no included {kind[:-1]} {name!r}; {hint} A file of your own ends in .py.")
     return importlib.import_module(f"greybox.{kind}.{name}")
 
@@ -52,7 +54,9 @@ def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
 
     found = getattr(module, wanted, None)
     if found is None:
-        raise ValueError(f"{place} has no {wanted!r}: define {wanted}() that returns a gb.Problem.")
+        near = nearest(wanted, (own for own in vars(module) if not own.startswith("_")))
+        hint = f"did you mean {near!r}? Otherwise " if near else ""
+        raise ValueError(f"{place} has no {wanted!r}: {hint}define {wanted}() that returns a gb.Problem.")
     problem = found() if callable(found) and not isinstance(found, Problem | Sum) else found
     if not isinstance(problem, Problem | Sum):
         raise ValueError(
@@ -60,9 +64,12 @@ def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
         )
     label = Path(place).stem + (f":{name}" if name else "")
     settings = getattr(module, "settings", {})
-    unknown = set(settings) - {"starts", "seed", "method"}
+    unknown = set(settings) - set(SETTINGS)
     if unknown:
-        raise ValueError(f"settings in {text} has {unknown.pop()!r}: it may contain 'starts', 'seed' and 'method'.")
+        name = min(map(str, unknown))
+        near = nearest(name, SETTINGS)
+        hint = f": did you mean {near!r}?" if near else "."
+        raise ValueError(f"settings in {text} has {name!r}: it may contain 'starts', 'seed' and 'method'{hint}")
     return problem.with_(name=label), dict(settings)
 
 
@@ -82,9 +89,7 @@ def find_model(text: str) -> Model:
     if not name and len(known) == 1:
         (name,) = known
     if name not in known:
-        raise ValueError(
-            f"there is no model {text!r}; {match['place'].split(':')[0]} has {', '.join(known) or 'none'}."
-        )
+        raise ValueError(f"there is no model {text!r}; {match['place'].split(':')[0]} has {alternatives(name, known)}")
     return known[name](*_arguments(match["arguments"] or "()", text))
 
 

@@ -15,7 +15,7 @@ import math
 import os
 import sys
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ SMALL = 2**24  # bytes: arrays of 16 MB together are accepted from a log of any 
 # Bytes of arrays, at 8 a number, per byte of a log. Deflate reaches 1032, which turns a mail into gigabytes; compressed
 # flights reach 10, and files of mostly constant signals stay below this.
 EXPANSION = 100
-MEMORY = 2**27  # bytes that the process may use besides, in addition to what it used before it opened the file
+MEMORY = 2**27  # bytes that the process may use in addition to what it used before, besides those of arrays
 # Processor time: s, and more for a large file at bytes per s. A saved fit of 0.1 MB takes 0.02 s; HDF5 and MATLAB files
 # of arrays run at 200 MB/s, compressed ones and those of many small objects at 10 MB/s.
 SECONDS = 0.6
@@ -33,6 +33,7 @@ MOST = 20_000  # arrays, each of which costs a header even when it is empty
 LINKS = 50_000  # in all groups of a file; a saved fit of a record has about 50
 ATTRIBUTES = 100  # of a group or dataset; a saved fit has 20
 DEEPEST = 8  # structs within structs, groups within groups
+HARD, SOFT = 0, 1  # types of links, H5L_type_t of the HDF5 library
 REFUSED = 3  # the exit status for a file that names other files, or more than it can hold
 OPAQUE = ("MatlabOpaque", "MatlabFunction")  # scipy's stand-ins for timetable, timeseries, table and other objects
 PROBLEMS = (OSError, RuntimeError, ValueError, TypeError, KeyError, OverflowError, MemoryError)
@@ -49,6 +50,7 @@ class Collector:
         self.room = room
         self.letters = SMALL
         self.links = LINKS
+        self.allow_memory: Callable[[int], None] = lambda _: None
         self.items: list[dict[str, Any]] = []
         self.arrays: list[np.ndarray] = []
         self.findings: list[str] = []
@@ -58,6 +60,7 @@ class Collector:
         """Tell whether there is room for so many numbers, and take it."""
         fits = 8 * numbers <= self.room and len(self.arrays) < MOST
         self.room -= 8 * numbers if fits else 0
+        self.allow_memory(8 * numbers if fits else 0)
         return fits
 
     def text(self, text: str) -> str:
@@ -91,34 +94,33 @@ def hdf5_objects(path: str, found: Collector) -> Iterator[tuple[str, Any]]:
     import h5py  # noqa: PLC0415 (only one of these libraries is needed)
 
     with h5py.File(path, "r") as file:
-        seen = set()
+        seen: set[int] = set()
+        addresses: set[int] = set()
         waiting: list[tuple[str, Any]] = [("", file["/"])]
         while waiting:
             name, thing = waiting.pop()
-            identity = hash(thing)  # of its address in the file
-            if identity in seen:
+            if hash(thing) in seen:  # which is that of its address in the file
                 continue
-            seen.add(identity)
+            seen.add(hash(thing))
             if isinstance(thing, h5py.Dataset):
                 _require_own_storage(name, thing)
             yield name, thing
             if isinstance(thing, h5py.Group):
-                waiting += reversed([*_members(name, thing, found)])
+                waiting += reversed([*_members(name, thing, found, addresses)])
 
 
-def _members(path: str, group: Any, found: Collector) -> Iterator[tuple[str, Any]]:
-    """Yield what the hard links of a group lead to."""
-    import h5py  # noqa: PLC0415
-
+def _members(path: str, group: Any, found: Collector, addresses: set[int]) -> Iterator[tuple[str, Any]]:
+    """Yield what the hard links of a group lead to, and not twice what is at one address."""
     found.links -= len(group)
     if found.links < 0:
         raise RefusedError(f"it has more than {LINKS} links")
     for name in group:
         place = f"{path}/{name}".lstrip("/")
-        link = group.get(name, getlink=True)
-        if isinstance(link, h5py.ExternalLink):
-            raise RefusedError(f"{place} is a link to another file, {link.filename!r:.80}")
-        if isinstance(link, h5py.HardLink):
+        link = group.id.links.get_info(name.encode("utf-8", "surrogateescape"))
+        if link.type not in (HARD, SOFT):
+            raise RefusedError(f"{place} is a link to another file")
+        if link.type == HARD and link.u not in addresses:
+            addresses.add(link.u)
             if place.count("/") > DEEPEST:
                 raise RefusedError(f"it has more than {DEEPEST} levels of groups")
             yield place, group[name]
@@ -292,8 +294,8 @@ def ulog(path: str, found: Collector, topics: list[str]) -> None:
         found.findings.append(f"the logger lost data {len(log.dropouts)} times, {lost:.2f} s in total.")
 
 
-def _limit(size: int, room: int) -> None:
-    """Let a damaged file fail with a MemoryError or a signal, where the system supports limits."""
+def _limit_time(size: int) -> None:
+    """Let a damaged file end with a signal, and leave no image of the memory, where the system supports limits."""
     try:
         import resource  # noqa: PLC0415 (not on Windows)
         import signal  # noqa: PLC0415
@@ -301,8 +303,16 @@ def _limit(size: int, room: int) -> None:
         return
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     signal.setitimer(signal.ITIMER_PROF, SECONDS + size / SPEED)
+
+
+def _allow_memory(more: int) -> None:
+    """Let what follows take memory for arrays of so many bytes, and end with a MemoryError if it takes much more."""
+    try:
+        import resource  # noqa: PLC0415 (not on Windows)
+    except ImportError:
+        return
     # An array is in memory as it is stored, as it is written, and once more on the way.
-    most = _memory() + MEMORY + 3 * room
+    most = _memory() + MEMORY + 3 * more
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
 
@@ -333,7 +343,11 @@ def main() -> None:
     found = Collector(8 * size if kind == "sealed" else max(SMALL, EXPANSION * size))
     try:
         importlib.import_module(library)
-        _limit(size, found.room)
+        _limit_time(size)
+        # Libraries that take a file as a whole need memory for all of it at once.
+        _allow_memory(0 if library == "h5py" else found.room)
+        if library == "h5py":
+            found.allow_memory = _allow_memory
         collect(path, found, wanted)
         found.write()
     except RefusedError as reason:

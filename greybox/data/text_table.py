@@ -1,8 +1,9 @@
 """Numbers and tables as a person reads them in a terminal."""
 
+import difflib
 import math
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 # Control characters (a terminal obeys them), formatting ones (they can reverse the order of what follows), halves of
 # characters (no terminal takes them), line and paragraph separators.
@@ -52,6 +53,20 @@ def counted(count: float, one: str, more: str = "") -> str:
 def listed(names: Sequence[str]) -> str:
     """Return "a", "a and b" or "a, b and c"."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """Return which of the known names a misspelled one probably means, None if it resembles none."""
+    spelled = {other.lower(): other for other in known}
+    found = difflib.get_close_matches(name.lower(), spelled, n=1)
+    return spelled[found[0]] if found else None
+
+
+def alternatives(name: object, known: Iterable[str]) -> str:
+    """Return the end of a sentence about a name that is not known: the known ones, and which of them was meant."""
+    known = list(known)
+    near = nearest(str(name), known)
+    return (", ".join(known) or "none") + (f": did you mean {near!r}?" if near else ".")
 
 
 def with_error(value: float, error: float) -> tuple[str, str]:

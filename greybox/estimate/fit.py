@@ -22,14 +22,16 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.text_table import counted
 from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.diagnostics.delay_approximation import pade_error
 from greybox.estimate.diagnostics.discretization import discretization_warnings
 from greybox.estimate.diagnostics.general import warnings
-from greybox.estimate.diagnostics.harmonics import harmonic_warnings, too_few_harmonics
+from greybox.estimate.diagnostics.harmonics import harmonic_warnings
 from greybox.estimate.diagnostics.not_finite import explained, not_finite_warnings
 from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
 from greybox.estimate.fitted_record import fitted_record, stated
+from greybox.estimate.harmonic_numbers import are_open, with_enough_harmonics, with_more_harmonics
 from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit, FittedRecord, FittedResponse
 from greybox.formulation.frequency_criteria import evaluate
@@ -37,10 +39,9 @@ from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Chained, Listed, Sobol, Starts, as_starts
 from greybox.formulation.sum import Sum
-from greybox.modeling.harmonic_balance import ENOUGH, enough_harmonics
-from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.periodic_motions import response_of_test
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
+from greybox.solve.interruption import Response, listening, responding, take_interrupt
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
 from greybox.solve.multistart import multistart, solver_for
@@ -49,8 +50,26 @@ Array = NDArray[np.float64]
 
 FittedPart = FittedRecord | FittedResponse
 
-REFITS = 3  # with more harmonics each time: from 3 they reach 45
 CURVE = 2000  # points from which a curve for figures is not refined further
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C during a fit.
+
+    Attributes
+    ----------
+    fit : Fit or None
+        The best fit so far: of the starts that were done, judged as any other. None if not one had been begun.
+    """
+
+    def __init__(self, fit: Fit | None) -> None:
+        super().__init__(fit)
+        self.fit = fit
+
+    def __str__(self) -> str:
+        if self.fit is None:
+            return "interrupted before the first start"
+        return f"interrupted after {counted(len(self.fit.runs), 'start')}; the best fit so far is in the attribute fit"
 
 
 def fit(
@@ -91,6 +110,8 @@ def fit(
     ------
     ValueError, TypeError
         For bad input, in one sentence.
+    KeyboardInterrupt
+        After Ctrl-C, when the iteration at hand has ended; its attribute ``fit`` is the best fit so far.
     """
     if not isinstance(problem, Problem | Sum):
         raise TypeError(f"problem is {problem!r:.80}: give a Problem(model, data) or a sum of them.")
@@ -98,82 +119,54 @@ def fit(
         raise TypeError(f"solver_options is {solver_options!r:.60}: give IPOPT's options as {{name: value}}.")
     if method is not None and not isinstance(method, Transcription):
         raise TypeError(f"method is {method!r:.60}: give an instance such as MultipleShooting().")
+    try:
+        with listening():
+            answer = _fitted_from(problem, starts, seed, method, solver_options, progress)
+            if answer is None or take_interrupt():
+                raise Interrupted(answer)
+            return answer
+    except Interrupted:
+        raise
+    except KeyboardInterrupt as pressed:
+        raise Interrupted(None) from pressed
+
+
+def _fitted_from(
+    problem: AnyProblem,
+    starts: Any,
+    seed: int | None,
+    method: Transcription | None,
+    solver_options: Mapping[str, Any],
+    progress: bool | Callable[[int, int], None],
+) -> Fit | None:
+    """Return the fit from these starts, or after Ctrl-C from those that were done; None if there are none."""
     began = time.perf_counter()
-    chosen = [part.amplitude is not None and part.amplitude.harmonics is None for part in problem.parts]
-    problem = _with_harmonics(problem, [enough_for(part) for part in problem.parts])
+    open_parts = are_open(problem)
+    problem = with_enough_harmonics(problem)
     nlp = compile_problem(problem, method)
     parameters = problem.parameters
     solver = solver_for(nlp, solver_options)
     rule = _rule(starts, seed, solver)
     points = rule.draw({name: parameters[name] for name in nlp.free})
     movable = not isinstance(rule, Listed)
-    if callable(progress) or not progress:
-        search = multistart(nlp, solver, points, solver_options, progress or None, movable)
-    else:
-        with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
-            search = multistart(nlp, solver, points, solver_options, lambda done, _: _advance(bar, done), movable)
-    search = explained(nlp, search)
-    nlp, search, solver, error = refine_discretization(nlp, search, solver)
-    if any(chosen) and not any(part.has_states for part in nlp.parts):
-        nlp, search, solver = _with_more_harmonics(nlp, search, solver, points, chosen, solver_options)
-    return assemble(nlp, search, solver, seed=rule.seed, starts=str(rule), began=began, error=error)
-
-
-def enough_for(problem: Problem) -> int | None:
-    """Return as many harmonics as matter at the start values, or as the sine of a problem has."""
-    if problem.amplitude is None or problem.amplitude.harmonics is not None:
-        return None if problem.amplitude is None else problem.amplitude.harmonics
-    data = problem.response
-    signals: Any = {"input": data.input, "output": data.output, "at": problem.at, "pade": delay_order(problem.delay)}
-    starts = {name: parameter.start for name, parameter in problem.parameters.items()}
-    local = dict(problem.local_values(starts))
-    return enough_harmonics(problem.model, data.omega, problem.amplitude, local, **signals).harmonics
-
-
-def _with_harmonics(problem: AnyProblem, harmonics: Sequence[int | None]) -> AnyProblem:
-    """Return the problem with these numbers of harmonics; None where there is no sine."""
-    if all(number is None for number in harmonics):
-        return problem
-    parts = [
-        part if number is None else replace(part, amplitude=replace(part.amplitude, harmonics=number))
-        for part, number in zip(problem.parts, harmonics, strict=True)
-    ]
-    return parts[0] if isinstance(problem, Problem) else Sum(tuple(parts), problem.name)
-
-
-def _with_more_harmonics(
-    nlp: Nlp,
-    search: Multistart,
-    solver: LocalSolver,
-    points: Array,
-    chosen: Sequence[bool],
-    options: Mapping[str, Any],
-) -> tuple[Nlp, Multistart, LocalSolver]:
-    """Fit again with more harmonics where they were `chosen` here and do not suffice at the estimate."""
-    for _ in range(REFITS):
-        if not search.minima:
-            break
-        best = search.minima[0].estimate
-        parts = nlp.problem.parts
-        found = {
-            id(few.problem): few
-            for few in too_few_harmonics(nlp, best, assess(nlp, best, solver.profile(best, search.nodes).trajectories))
-        }
-        numbers = [
-            found[id(part)].more
-            if free and id(part) in found and found[id(part)].change > 100 * ENOUGH
-            else part.amplitude and part.amplitude.harmonics
-            for part, free in zip(parts, chosen, strict=True)
-        ]
-        if all(part.amplitude is None or part.amplitude.harmonics == n for part, n in zip(parts, numbers, strict=True)):
-            break
-        finer = compile_problem(_with_harmonics(nlp.problem, numbers))
-        finer_solver = solver_for(finer, options)
-        refined = multistart(finer, finer_solver, points, options, None, False)
-        if not refined.minima:
-            break
-        nlp, search, solver = finer, refined, finer_solver
-    return nlp, search, solver
+    with responding(Response.STOP):
+        if callable(progress) or not progress:
+            search = multistart(nlp, solver, points, solver_options, progress or None, movable)
+        else:
+            with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
+                search = multistart(nlp, solver, points, solver_options, lambda done, _: _advance(bar, done), movable)
+        nlp, search, solver = with_more_harmonics(nlp, search, solver, open_parts, solver_options)
+        search = explained(nlp, search)
+        nlp, search, solver, error = refine_discretization(nlp, search, solver)
+    if not search.runs:
+        return None
+    with responding(Response.FINISH):
+        answer = assemble(nlp, search, solver, seed=rule.seed, starts=str(rule), began=began, error=error)
+        done = len(search.runs)
+        if done < len(points):
+            said = f"interrupted after {done} of {counted(len(points), 'start')}: another one may end at a lower cost."
+            answer = replace(answer, warnings=(said, *answer.warnings))
+        return answer
 
 
 def assemble(

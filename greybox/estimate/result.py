@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, share_samples
-from greybox.data.text_table import counted, number, one_line, text_table, with_error
+from greybox.data.text_table import alternatives, counted, number, one_line, text_table, with_error
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.modeling.model import Model
 from greybox.modeling.model_reference import reference, resolve
@@ -323,7 +323,7 @@ class Fit:
         for name in names:
             if name not in self.names:
                 raise ValueError(
-                    f"the fit has no parameter {name!r} with a covariance; it has {', '.join(self.names)}."
+                    f"the fit has no parameter {name!r} with a covariance; it has {alternatives(name, self.names)}"
                 )
         rows = [self.names.index(name) for name in names]
         return self.covariance[np.ix_(rows, rows)]

@@ -7,8 +7,10 @@ the solver they took it five times as many iterations and cost it a fifth of the
 signals are balanced exactly and never sampled: a linear model keeps its linear response.
 """
 
+import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -47,6 +49,9 @@ SWITCHED_POINTS = 65
 WIDENINGS = 12  # of the width, in steps of two, from one that is most of a period
 # Harmonics up to which the balance is a graph of scalars: three times as fast, but its size grows with their cube.
 MOST_SCALARS = 9
+# Balances that a thread keeps compiled: every fit asks for the same three or four numbers of harmonics several times,
+# for the response, its curve, and how much more of them change.
+KEPT = 16
 WIDTH = 0.05  # of a switch whose argument rests there
 
 
@@ -66,12 +71,12 @@ def harmonic_function(
     """
     if sine.harmonics is None:
         sine = enough_harmonics(model, omega, sine, input=input, output=output, at=at, pade=pade)
-    balance = CompiledBalance.of(model, omega, sine, input=input, output=output, at=at, pade=pade)
+    balance = CompiledBalance.at(model, omega, sine, input=input, output=output, at=at, pade=pade)
     fewer = balance.fewer
     if fewer is None:
         return balance.response(omega)
     sine = replace(sine, harmonics=fewer)
-    coarse = CompiledBalance.of(model, omega, sine, input=input, output=output, at=at, pade=pade)
+    coarse = CompiledBalance.at(model, omega, sine, input=input, output=output, at=at, pade=pade)
     p = ca.MX.sym("p", len(model.parameters))
     pairs = zip(balance.response(omega)(p), coarse.response(omega)(p), strict=True)
     return ca.Function("response", [p], [balance.extrapolated(many, few) for many, few in pairs])
@@ -136,21 +141,59 @@ def check_sine(model: Model, sine: Sine, input: str, omega: NDArray[np.float64])
     sine.amplitudes(omega)
 
 
+@dataclass(frozen=True)
+class Equations:
+    """What a balance is written from, in plain values, so that equal models and sines have one balance.
+
+    `formulas` is the serialized function (states and inputs, parameters) -> derivative, outputs; `delay` the position
+    of the parameter that delays the input.
+    """
+
+    formulas: str
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    parameters: int
+    delay: int | None
+    signal: str
+    input: str
+    output: str
+    pade: int | None
+
+    @classmethod
+    def of(cls, model: StateSpace, signal: str, input: str, output: str, pade: int | None) -> "Equations":
+        """Read the model."""
+        z = ca.SX.sym("z", len(model.states) + len(model.inputs))
+        p = ca.SX.sym("p", len(model.parameters))
+        formulas = ca.Function("formulas", [z, p], [traced_derivative(model, z, p), traced_output(model, z, p)])
+        return cls(
+            formulas=formulas.serialize(),
+            states=tuple(model.states),
+            inputs=model.input_names,
+            outputs=model.output_names,
+            parameters=len(model.parameters),
+            delay=list(model.parameters).index(model.delays[input]) if input in model.delays else None,
+            signal=signal,
+            input=input,
+            output=output,
+            pade=pade,
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Balance:
     """The balance at one frequency, in unknown harmonics per amplitude.
 
-    `unknown` (k,) are mean, cosine and sine coefficients of the states and the driven input and the means of the other
-    inputs, about the operating point, divided by the amplitude; `given` holds parameters, operating point, omega,
-    amplitude and the `WIDTH` of switches; `balance` must vanish; of the conditions `means` on the means as many must
-    vanish as the ODE leaves open; `response` is real and imaginary part; `coefficients` (signals, 2h + 1) are those of
-    states and inputs in their own units. `places` tell signal and coefficient of an unknown, `orders` the square of the
-    harmonic's number, `mirror` -1 for even ones.
+    `unknown` (k,) are mean, cosine and sine coefficients of the states and the driven input and the means of the
+    other inputs, about the operating point, divided by the amplitude; `given` holds parameters, operating point,
+    omega, amplitude and the `WIDTH` of switches; `balance` must vanish; of the conditions `means` on the means as
+    many must vanish as the ODE leaves open; `response` is real and imaginary part; `coefficients` (signals, 2h + 1)
+    are those of states and inputs in their own units; `slopes` gives the derivatives of `balance` and `means` by
+    the unknown. `places` tell signal and coefficient of an unknown, `orders` the square of the harmonic's number,
+    `mirror` -1 for even ones.
     """
 
-    model: StateSpace
-    sine: Sine
-    input: str
+    harmonics: int
     unknown: Any
     given: Any
     balance: Any
@@ -164,31 +207,30 @@ class Balance:
     orders: NDArray[np.float64]
     mirror: NDArray[np.float64]
     amplitude: Any
+    slopes: ca.Function
 
     @classmethod
-    def of(cls, model: StateSpace, sine: Sine, input: str, output: str, pade: int | None) -> "Balance":
+    def of(cls, equations: "Equations", harmonics: int) -> "Balance":
         """Write down the balance."""
-        harmonics = sine.harmonics
-        assert harmonics is not None
         kind: Any = ca.SX if harmonics <= MOST_SCALARS else ca.MX
-        n = len(model.states)
-        names = (*model.states, *model.inputs)
+        n = len(equations.states)
+        names = (*equations.states, *equations.inputs)
         symbols = ca.SX.sym("z", len(names))
-        parameters = ca.SX.sym("p", len(model.parameters))
-        rates = traced_derivative(model, symbols, parameters)
-        read = traced_output(model, symbols, parameters)
-        wanted = [model.output_names.index(name) for name in (output, sine.signal) if name in model.output_names]
+        parameters = ca.SX.sym("p", equations.parameters)
+        rates, read = ca.Function.deserialize(equations.formulas)(symbols, parameters)
+        output_names = equations.outputs
+        wanted = [output_names.index(name) for name in (equations.output, equations.signal) if name in output_names]
         formulas = ca.vertcat(rates, *[read[k] for k in wanted])
         at_point = ca.Function("read", [symbols, parameters], [read[wanted[-1]]])
 
-        p = kind.sym("p", len(model.parameters))
+        p = kind.sym("p", equations.parameters)
         point = kind.sym("point", len(names))
         omega = kind.sym("omega")
         amplitude = kind.sym("amplitude")
         width = kind.sym("width")
 
-        driven = n + model.input_names.index(input)
-        held = _position(model, sine.signal, read, symbols)
+        driven = n + equations.inputs.index(equations.input)
+        held = _position(equations, read, symbols)
         columns = 2 * harmonics + 1
         places, constant = _places([*range(n), driven], len(names), columns, held)
         unknown = kind.sym("harmonics", places.size2())
@@ -207,17 +249,20 @@ class Balance:
         else:
             means.insert(0, per_amplitude[held, 0])
 
-        delay = p[list(model.parameters).index(model.delays[input])] if input in model.delays else kind(0)
+        means = ca.vertcat(*means)
+        balance = ca.vertcat(*balance) / amplitude
+        given = ca.vertcat(p, point, omega, amplitude, width)
+        blocks = [ca.jacobian(e, unknown) for e in (balance, means)]
+
+        delay = kind(0) if equations.delay is None else p[equations.delay]
         first = _first(found[n, :]) / _first(series[driven, :])
-        first = first * exp(-Complex(kind(0), omega, pade) * delay)
+        first = first * exp(-Complex(kind(0), omega, equations.pade) * delay)
         return cls(
-            model=model,
-            sine=sine,
-            input=input,
+            harmonics=harmonics,
             unknown=unknown,
-            given=ca.vertcat(p, point, omega, amplitude, width),
-            balance=ca.vertcat(*balance) / amplitude,
-            means=ca.vertcat(*means),
+            given=given,
+            balance=balance,
+            means=means,
             response=ca.vertcat(first.re, first.im),
             coefficients=series,
             switches=switches,
@@ -228,15 +273,16 @@ class Balance:
             jumps=switches
             and has_jumps(rates, symbols, ca.vertcat(*[symbols[k] for k in range(len(names)) if k != held])),
             linear=not ca.depends_on(separated(formulas, symbols)[1], symbols),
+            slopes=ca.Function("slopes", [unknown, given], blocks),
         )
 
 
-def _position(model: StateSpace, signal: str, read: ca.SX, z: ca.SX) -> int | None:
-    """Return where a signal stands among states and inputs; None for an output that is a formula of them."""
-    if signal in model.output_names:
-        formula = read[model.output_names.index(signal)]
+def _position(equations: "Equations", read: ca.SX, z: ca.SX) -> int | None:
+    """Return where the signal of the sine stands among states and inputs; None for an output that is a formula."""
+    if equations.signal in equations.outputs:
+        formula = read[equations.outputs.index(equations.signal)]
         return next((k for k in range(z.numel()) if ca.is_equal(formula, z[k])), None)
-    return (*model.states, *model.inputs).index(signal)
+    return (*equations.states, *equations.inputs).index(equations.signal)
 
 
 def _places(moving: Sequence[int], rows: int, width: int, held: int | None) -> tuple[ca.DM, ca.DM]:
@@ -326,21 +372,14 @@ def _transforms(harmonics: int, least: int) -> tuple[ca.DM, ca.DM]:
     return ca.DM(to_samples), ca.DM(to_series)
 
 
-def _mean_conditions(
-    balance: Balance, point: NDArray[np.float64], omega: NDArray[np.float64], amplitudes: NDArray[np.float64]
-) -> list[int]:
+def _mean_conditions(balance: Balance, given: NDArray[np.float64]) -> tuple[int, ...] | None:
     """Choose what fixes the means: the first conditions that the balance, at some orbit, does not determine already.
 
     The mean of the sine's own signal comes first. It determines nothing where an integrator follows it, as the angle
-    follows the rate: then that of a state.
+    follows the rate: then that of a state. None where the balance leaves more open.
     """
-    blocks = [ca.jacobian(e, balance.unknown) for e in (balance.balance, balance.means)]
-    middle = int(np.argsort(amplitudes)[omega.size // 2])
-    start = [q.start for q in balance.model.parameters.values()]
-    given = np.concatenate([start, point, [omega[middle], amplitudes[middle], WIDTH]])
     generic = np.random.default_rng(0).normal(size=balance.unknown.numel())
-    function = ca.Function("slopes", [balance.unknown, balance.given], blocks)
-    rows, conditions = (np.nan_to_num(np.asarray(ca.DM(block))) for block in function(generic, given))
+    rows, conditions = (np.nan_to_num(np.asarray(ca.DM(block))) for block in balance.slopes(generic, given))
     rows, conditions = (e / np.maximum(np.linalg.norm(e, axis=1, keepdims=True), TINY) for e in (rows, conditions))
     _, singular, basis = np.linalg.svd(rows)
     open_directions = basis[int(np.sum(singular > SINGULAR)) :]
@@ -350,33 +389,103 @@ def _mean_conditions(
         in_open = np.array([*conditions[chosen], row]) @ open_directions.T
         if len(chosen) < missing and np.linalg.matrix_rank(in_open, DETERMINED) == len(in_open):
             chosen.append(k)
-    if len(chosen) < missing or len(open_directions) > missing:
-        raise ValueError(
-            f"the input {balance.input} cannot make {balance.sine.signal!r} a sine in {balance.model.label} at its "
-            "start values: name a signal that it drives, or check `at`."
-        )
-    return chosen
+    return None if len(chosen) < missing or len(open_directions) > missing else tuple(chosen)
 
 
 @dataclass(frozen=True, eq=False)
-class CompiledBalance:
+class Newton:
     """Newton's method on the balance, by functions of the harmonics and what is given, in this order.
 
     `newton` and `careful`, which searches along a line, take them as `x0` and `p`; `finish` gives the response and
     whether the harmonics are a motion; `linearized` what is left of the balance, its Jacobian and its derivative by the
-    logarithm of the amplitude; `coefficients` (signals, 2h + 1) those of all signals.
+    logarithm of the amplitude; `coefficients` (signals, 2h + 1) those of all signals. `guess` finds harmonics from what
+    is given alone.
     """
 
     balance: Balance
-    trim: ca.Function
     newton: ca.Function
     careful: ca.Function
     finish: ca.Function
     linearized: ca.Function
     coefficients: ca.Function
+    guess: ca.Function
 
     @classmethod
-    def of(
+    def of(cls, balance: Balance, conditions: tuple[int, ...]) -> "Newton":
+        """Compile with those `conditions` on the means."""
+        x = balance.unknown
+        equations = ca.vertcat(balance.balance, *[balance.means[k] for k in conditions])
+        statement = {"x": x, "p": balance.given, "g": equations}
+        options = {"error_on_fail": False, "abstol": 1e-11, "max_iter": 30, "show_eval_warnings": False}
+        size = ca.norm_inf(equations) / (1 + ca.norm_inf(x))
+        by_logarithm = balance.amplitude * ca.jacobian(equations, balance.amplitude)
+        both = [x, balance.given]
+        newton = ca.rootfinder("newton", "newton", statement, {**options, "line_search": False})  # twice as fast
+        careful = ca.rootfinder("careful", "newton", statement, options)
+        finish = ca.Function("finish", both, [balance.response, size < TOLERANCE])
+        return cls(
+            balance=balance,
+            newton=newton,
+            careful=careful,
+            finish=finish,
+            linearized=ca.Function("linearized", both, [equations, ca.jacobian(equations, x), by_logarithm]),
+            coefficients=ca.Function("coefficients", both, [balance.coefficients]),
+            guess=_guess(newton, careful, finish, switches=balance.switches),
+        )
+
+
+def _guess(newton: ca.Function, careful: ca.Function, finish: ca.Function, *, switches: bool) -> ca.Function:
+    """Return the function from what is given to the harmonics: at once, or else in steps, see `_in_steps`."""
+    given: Any = ca.MX.sym("given", newton.numel_in("p"))
+    root: Any = ca.MX.sym("root", newton.numel_in("x0"))
+    small = ca.DM(np.full(root.numel(), SMALL))
+    found = newton(x0=small, p=given)["x"]
+    for k, name in enumerate(("by_doubling", "by_narrowing")[: 2 if switches else 1]):
+        otherwise = _in_steps(name, careful, k, small)
+        chosen = ca.if_else(finish(root, given)[1], root, otherwise(given), True)
+        choose = ca.Function("choose", [root, given], [chosen], {"never_inline": True})
+        found = choose(found, given)
+    return ca.Function("guess", [given], [found])
+
+
+def _in_steps(name: str, careful: ca.Function, from_end: int, small: ca.DM) -> ca.Function:
+    """Return the function from what is given to the harmonics, from where the model is nearly linear.
+
+    That is a small amplitude, where it is smooth; and where it switches, a switch as wide as its argument.
+    """
+    given: Any = ca.MX.sym("given", careful.numel_in("p"))
+    root: Any = ca.MX(small)
+    if from_end == 0:
+        steps = [ca.vertcat(given[:-2], given[-2] / 2**k, given[-1]) for k in range(HALVINGS, -1, -1)]
+    else:
+        steps = [ca.vertcat(given[:-1], given[-1] * 2**k) for k in range(WIDENINGS, -1, -1)]
+    for step in steps:
+        root = careful(x0=root, p=step)["x"]
+    return ca.Function(name, [given], [root])
+
+
+class _Kept(threading.local):
+    """What one thread has compiled: every CasADi function works in memory of its own, which threads must not share."""
+
+    def __init__(self) -> None:
+        self.balance = lru_cache(maxsize=KEPT)(Balance.of)
+        self.newton = lru_cache(maxsize=KEPT)(Newton.of)
+
+
+_kept = _Kept()
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledBalance(Newton):
+    """Newton's method on the balance of a `model` under a `sine`, from its operating point (`trim`)."""
+
+    model: StateSpace
+    sine: Sine
+    trim: ca.Function
+    driven_directly: bool
+
+    @classmethod
+    def at(
         cls,
         model: Model,
         omega: NDArray[np.float64],
@@ -387,32 +496,27 @@ class CompiledBalance:
         at: Mapping[str, float] | None = None,
         pade: int | None = None,
     ) -> "CompiledBalance":
-        """Compile for the `harmonics` of a sine."""
+        """Compile for the `harmonics` of a sine, or find what is compiled already."""
         input, output = pick_signals(model, input, output)
         check_sine(model, sine, input, omega)
         assert isinstance(model, StateSpace)
+        assert sine.harmonics is not None
         trim = trim_function(model, at or {})
-        balance = Balance.of(model, sine, input, output, pade)
+        balance = _kept.balance(Equations.of(model, sine.signal, input, output, pade), sine.harmonics)
+
         start = [q.start for q in model.parameters.values()]
         point = np.concatenate([np.asarray(part).ravel() for part in trim(start)])
-        chosen = _mean_conditions(balance, point, omega, sine.amplitudes(omega))
-
-        x = balance.unknown
-        equations = ca.vertcat(balance.balance, *[balance.means[k] for k in chosen])
-        statement = {"x": x, "p": balance.given, "g": equations}
-        options = {"error_on_fail": False, "abstol": 1e-11, "max_iter": 30, "show_eval_warnings": False}
-        size = ca.norm_inf(equations) / (1 + ca.norm_inf(x))
-        by_logarithm = balance.amplitude * ca.jacobian(equations, balance.amplitude)
-        both = [x, balance.given]
-        return cls(
-            balance=balance,
-            trim=trim,
-            newton=ca.rootfinder("newton", "newton", statement, {**options, "line_search": False}),  # twice as fast
-            careful=ca.rootfinder("careful", "newton", statement, options),
-            finish=ca.Function("finish", both, [balance.response, size < TOLERANCE]),
-            linearized=ca.Function("linearized", both, [equations, ca.jacobian(equations, x), by_logarithm]),
-            coefficients=ca.Function("coefficients", both, [balance.coefficients]),
-        )
+        amplitudes = sine.amplitudes(omega)
+        middle = int(np.argsort(amplitudes)[omega.size // 2])
+        given = np.concatenate([start, point, [omega[middle], amplitudes[middle], WIDTH]])
+        conditions = _mean_conditions(balance, given)
+        if conditions is None:
+            raise ValueError(
+                f"the input {input} cannot make {sine.signal!r} a sine in {model.label} at its start values: name a "
+                "signal that it drives, or check `at`."
+            )
+        newton = _kept.newton(balance, conditions)
+        return cls(**vars(newton), model=model, sine=sine, trim=trim, driven_directly=sine.signal == input)
 
     @property
     def fewer(self) -> int | None:
@@ -422,8 +526,7 @@ class CompiledBalance:
     @property
     def harmonics(self) -> int:
         """How many are balanced."""
-        assert self.balance.sine.harmonics is not None
-        return self.balance.sine.harmonics
+        return self.balance.harmonics
 
     def extrapolated(self, many: Any, few: Any) -> Any:
         """Return the response as its error goes with one over the harmonics, from these and the `fewer`.
@@ -436,50 +539,22 @@ class CompiledBalance:
 
     def response(self, omega: NDArray[np.float64]) -> ca.Function:
         """Return the function from the parameter vector to real and imaginary part of the response (n,)."""
-        p = ca.MX.sym("p", len(self.balance.model.parameters))
+        p = ca.MX.sym("p", len(self.model.parameters))
         parts = self._responses(self.given(p, omega))
         return ca.Function("response", [p], [parts[0, :].T, parts[1, :].T])
 
     def given(self, p: Any, omega: NDArray[np.float64]) -> Any:
         """Return what is given at every frequency, as columns: parameters `p`, operating point, frequency, sine."""
         columns = ca.repmat(ca.vertcat(p, *self.trim(p)), 1, omega.size)
-        amplitudes = ca.DM(self.balance.sine.amplitudes(omega)).T
+        amplitudes = ca.DM(self.sine.amplitudes(omega)).T
         return ca.vertcat(columns, ca.DM(omega).T, amplitudes, ca.DM.ones(1, omega.size) * WIDTH)
 
     def _responses(self, given: Any) -> Any:
         """Return real and imaginary part of the response, (2, n), for columns of what is given at every frequency."""
         n = given.size2()
-        guesses = self.guess().map(n)(given)
+        guesses = self.guess.map(n)(given)
         # Newton's method once more, from its own solution: derivatives then go through this call and leave out the
         # guess.
         response, converged = self.finish.map(n)(self.newton.map(n)(x0=guesses, p=given)["x"], given)
         # A motion that was not found becomes infinite, so that the run that met it fails instead of using it.
         return response / ca.repmat(converged, 2, 1)
-
-    def guess(self) -> ca.Function:
-        """Return the function from what is given to the harmonics: at once, or else in steps, see `_in_steps`."""
-        given: Any = ca.MX.sym("given", self.newton.numel_in("p"))
-        root: Any = ca.MX.sym("root", self.newton.numel_in("x0"))
-        small = ca.DM(np.full(root.numel(), SMALL))
-        found = self.newton(x0=small, p=given)["x"]
-        for k, name in enumerate(("by_doubling", "by_narrowing")[: 2 if self.balance.switches else 1]):
-            otherwise = self._in_steps(name, k, small)
-            chosen = ca.if_else(self.finish(root, given)[1], root, otherwise(given), True)
-            choose = ca.Function("choose", [root, given], [chosen], {"never_inline": True})
-            found = choose(found, given)
-        return ca.Function("guess", [given], [found])
-
-    def _in_steps(self, name: str, from_end: int, small: ca.DM) -> ca.Function:
-        """Return the function from what is given to the harmonics, from where the model is nearly linear.
-
-        That is a small amplitude, where it is smooth; and where it switches, a switch as wide as its argument.
-        """
-        given: Any = ca.MX.sym("given", self.newton.numel_in("p"))
-        root: Any = ca.MX(small)
-        if from_end == 0:
-            steps = [ca.vertcat(given[:-2], given[-2] / 2**k, given[-1]) for k in range(HALVINGS, -1, -1)]
-        else:
-            steps = [ca.vertcat(given[:-1], given[-1] * 2**k) for k in range(WIDENINGS, -1, -1)]
-        for step in steps:
-            root = self.careful(x0=root, p=step)["x"]
-        return ca.Function(name, [given], [root])

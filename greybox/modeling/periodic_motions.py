@@ -35,9 +35,6 @@ TINY = 1e-9  # size of harmonics, per amplitude, below which a step is not relat
 LARGE = 1e6  # step, relative to the harmonics, that leads nowhere
 DRAWN = 8  # random motions from which others are sought
 DISTINCT = 1e-3  # difference of the harmonics of two motions, relative
-TRUNCATED = (
-    0.02  # change of the response by more harmonics, relative, from which a motion is of the truncation's making
-)
 STABILITY_POINTS = 512  # steps of the trapezoidal rule over one period
 MARGIN = 1e-3  # above one, in a Floquet multiplier: the error of that rule
 
@@ -147,7 +144,7 @@ class _Levels:
         """Return the balance with so many harmonics."""
         if harmonics not in self._balances:
             sine = replace(self._sine, harmonics=harmonics)
-            balance = CompiledBalance.of(self._model, self._omega, sine, **self._options)
+            balance = CompiledBalance.at(self._model, self._omega, sine, **self._options)
             self._balances[harmonics] = balance
             self._given[harmonics] = np.asarray(ca.DM(balance.given(ca.DM(self._vector), self._omega)))
         return self._balances[harmonics]
@@ -252,7 +249,7 @@ def _candidates(balance: CompiledBalance, given: Array) -> list[Array]:
     random = np.random.default_rng(0)
     found = [
         _followed(balance, given, 1 / RANGE),
-        _solved(balance, np.asarray(balance.guess()(given)).ravel(), given),
+        _solved(balance, np.asarray(balance.guess(given)).ravel(), given),
     ]
     if found[0] is None and found[1] is None:
         found.append(_followed(balance, given, RANGE))
@@ -298,7 +295,7 @@ def _followed(balance: CompiledBalance, given: Array, begin: float) -> Array | N
     end = float(np.log(given[-2]))
     curve = _Curve(balance, given)
     at = end + float(np.log(begin))
-    x = _solved(balance, np.asarray(balance.guess()(curve.given_at(at))).ravel(), curve.given_at(at))
+    x = _solved(balance, np.asarray(balance.guess(curve.given_at(at))).ravel(), curve.given_at(at))
     if x is None:
         return None
     y = np.append(x, at)
@@ -381,14 +378,13 @@ def _solution(matrix: Array, right: Array) -> Array | None:
 
 
 def _motion(balance: CompiledBalance, x: Array, response: complex, given: Array) -> _Motion:
-    own = balance.balance
-    stable = _is_stable(balance, x, given) if own.sine.signal == own.input and own.model.states else None
+    stable = _is_stable(balance, x, given) if balance.driven_directly and balance.model.states else None
     return _Motion(x, response, stable)
 
 
 def _is_stable(balance: CompiledBalance, x: Array, given: Array) -> bool:
     """Tell whether small deviations from a motion decay, by its Floquet multipliers."""
-    model = balance.balance.model
+    model = balance.model
     n = len(model.states)
     z = ca.SX.sym("z", n + len(model.inputs))
     p = ca.SX.sym("p", len(model.parameters))

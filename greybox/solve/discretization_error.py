@@ -17,6 +17,7 @@ from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Part, Trajectory
 from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
 from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart, find_minima
 from greybox.solve.outcome import Outcome, Run
@@ -106,6 +107,8 @@ def refine_discretization(
     if not any(part.substeps for part in nlp.parts):
         return nlp, search, solver, error
     while search.minima and nlp.strategies.refined_substeps and nlp.method.scheme.substeps is None:
+        if stop_requested():
+            break
         best = solver.profile(search.minima[0].estimate, search.nodes)
         error = discretization_error(nlp, best.trajectories)
         if not error.matters or max(part.substeps for part in nlp.parts) >= MOST_SUBSTEPS:

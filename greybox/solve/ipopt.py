@@ -12,14 +12,16 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.response_part import SMOOTHING
+from greybox.solve.interruption import Response, responding, stop_requested
 from greybox.solve.local_solver import LocalSolver, Profile
 from greybox.solve.minima import Minimum
-from greybox.solve.outcome import Outcome
+from greybox.solve.outcome import INTERRUPTED, Outcome
 
 Array = NDArray[np.float64]
 
 CONVERGED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 INVALID = "Invalid_Number_Detected"
+STOPPED = "User_Requested_Stop"
 
 # Smoothings of the last runs, each begun at the end of the one before: at the kink of a zero residual IPOPT stalls when
 # the smoothing falls to the last one at once.
@@ -31,6 +33,34 @@ CLOSE = 1e-2
 
 # The fits of the paper take some 30 iterations; what takes 500 does not converge.
 QUIET = {"print_level": 0, "sb": "yes", "max_iter": 500}
+
+
+class StopCheck(ca.Callback):
+    """Ends IPOPT on a problem at the next iteration after Ctrl-C."""
+
+    def __init__(self, expressions: Mapping[str, Any]) -> None:
+        ca.Callback.__init__(self)
+        self._sizes = {name: value.numel() for name, value in expressions.items()}
+        self._sizes |= {f"lam_{name}": size for name, size in self._sizes.items()}
+        self.construct("stop_check", {})
+
+    def get_n_in(self) -> int:
+        """Return the number of results of a solver, of which this is told at every iteration."""
+        return ca.nlpsol_n_out()
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        """Return the shape of one of them."""
+        return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)], 1)
+
+    def has_eval_buffer(self) -> bool:
+        """Take memory as it is: with matrices made of it, an iteration would take a tenth longer."""
+        return True
+
+    def eval_buffer(self, arg: Any, res: Any) -> int:
+        """Answer whether to stop, 1 or 0."""
+        if res[0] is not None:
+            np.frombuffer(res[0])[0] = float(stop_requested())
+        return 0
 
 
 class IpoptSolver(LocalSolver):
@@ -48,7 +78,9 @@ class IpoptSolver(LocalSolver):
         self._options = options
         statements = [_statement(program) for program in (nlp.locating, nlp.program) if program is not None]
         known = [_derivatives(stage) for stage in like._stages] if like else [{} for _ in statements]
-        self._stages = [checked_nlpsol(e, options, given) for e, given in zip(statements, known, strict=True)]
+        self._checks = [StopCheck(e) for e in statements]
+        each = zip(statements, known, self._checks, strict=True)
+        self._stages = [checked_nlpsol(e, options, given, check) for e, given, check in each]
         scale = nlp.scaling.to_solver
         self._bounds = {
             "lbx": scale(nlp.lower),
@@ -66,6 +98,9 @@ class IpoptSolver(LocalSolver):
             z = stage(x0=z, p=smoothing, **self._bounds)["x"]
             stats = stage.stats()
             iterations, status = iterations + int(stats["iter_count"]), stats["return_status"]
+            if status == STOPPED:
+                status = INTERRUPTED
+                break
         estimate = self._nlp.scaling.to_parameters(np.asarray(z).ravel())
         estimate = np.clip(estimate, self._nlp.lower, self._nlp.upper)
         return Outcome(estimate, status, iterations, time.perf_counter() - began, status in CONVERGED)
@@ -87,14 +122,15 @@ class IpoptSolver(LocalSolver):
         return [replace(outcome, cost=cost, signature=signature) for outcome, cost, signature in each]
 
     def polished(self, minima: tuple[Minimum, ...]) -> tuple[Minimum, ...]:
-        """Return the minima, those close to the best solved with ever less smoothing."""
+        """Return the minima, those close to the best solved with ever less smoothing; after Ctrl-C the best alone."""
         if not minima or not any(part.is_smoothed for part in self._nlp.parts):
             return minima
         # The last runs take the little that a kink leaves to gain for a solution.
         options = {"acceptable_tol": 1e-4, "acceptable_iter": 3, **self._options}
         last = IpoptSolver(self._nlp, options, like=self)
-        close = [m.cost <= (1 + CLOSE) * minima[0].cost for m in minima]
-        polished = [last._polish(m) if near else m for m, near in zip(minima, close, strict=True)]
+        close = minima[:1] if stop_requested() else [m for m in minima if m.cost <= (1 + CLOSE) * minima[0].cost]
+        with responding(Response.FINISH):
+            polished = [*(last._polish(m) for m in close), *minima[len(close) :]]
         return tuple(sorted(polished, key=lambda m: m.cost))
 
     def _polish(self, best: Minimum) -> Minimum:
@@ -124,16 +160,19 @@ def _derivatives(solver: ca.Function) -> dict[str, ca.Function]:
 
 
 def checked_nlpsol(
-    expressions: Mapping[str, Any], options: Mapping[str, Any], derivatives: Mapping[str, ca.Function]
+    expressions: Mapping[str, Any],
+    options: Mapping[str, Any],
+    derivatives: Mapping[str, ca.Function],
+    stop_check: StopCheck,
 ) -> ca.Function:
-    """Return IPOPT on a problem, quiet.
+    """Return IPOPT on a problem, quiet; the caller keeps the `stop_check`, of which CasADi keeps the address alone.
 
     Raises
     ------
     ValueError
         For an option that IPOPT does not take.
     """
-    settings = {**_settings({**QUIET, **options}), **derivatives}
+    settings = {**_settings({**QUIET, **options}), **derivatives, "iteration_callback": stop_check}
     try:
         return ca.nlpsol("ipopt", "ipopt", dict(expressions), settings)
     except RuntimeError:

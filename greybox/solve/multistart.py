@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.interruption import stop_requested
 from greybox.solve.ipopt import IpoptSolver
 from greybox.solve.local_search import with_neighbors
 from greybox.solve.local_solver import LocalSolver
@@ -51,20 +52,27 @@ def multistart(
     """Run the solver from every row of `starts` (r, p), group the runs into minima, and polish the best.
 
     Starts that are `movable` go to where a run can begin. Every run is kept. A run that fails is a result with its
-    status; it is never ranked before one that converged.
+    status; it is never ranked before one that converged. When a stop is requested (`greybox.solve.interruption`) the
+    run at hand is the last.
     """
     began = time.perf_counter()
     settings = nlp.strategies
+    points: Iterable[Array] = starts
     if movable and settings.moved_starts:
-        starts = _moved_to_finite(nlp, solver, starts)
+        points = _moved_to_finite(nlp, solver, starts)
+    tried: list[Array] = []
     outcomes = []
-    for k, start in enumerate(starts):
+    for start in points:
+        if stop_requested():
+            break
+        tried.append(start)
         outcomes.append(solver.run(start))
         if progress is not None:
-            progress(k + 1, len(starts))
+            progress(len(tried), len(starts))
 
-    outcomes = solver.judged(outcomes)
-    if isinstance(solver, GaussNewton):
+    starts = np.reshape(tried, (len(tried), len(nlp.free)))
+    outcomes = solver.judged(outcomes) if outcomes else []
+    if isinstance(solver, GaussNewton) and not stop_requested():
         if settings.ipopt_fallback and not any(outcome.converged for outcome in outcomes):
             outcomes = _continued_by_ipopt(nlp, solver, outcomes, solver_options)
         if len(starts) > 1 and settings.scaled_neighbors:
@@ -75,21 +83,26 @@ def multistart(
     return Multistart(runs, minima, time.perf_counter() - began, nodes)
 
 
-def _moved_to_finite(nlp: Nlp, solver: LocalSolver, starts: Array) -> Array:
-    """Move starts at which the model is not finite toward the first at which it is, until it is there too."""
-    finite = [solver.is_finite_at(start) for start in starts]
-    if not any(finite):
-        return starts
-    starts = starts.copy()
-    home = nlp.scaling.to_solver(starts[finite.index(True)])
-    for k in np.flatnonzero(np.logical_not(finite)):
-        away = nlp.scaling.to_solver(starts[k]) - home
-        for share in SHARES:
-            point = np.clip(nlp.scaling.to_parameters(home + share * away), nlp.lower, nlp.upper)
-            if solver.is_finite_at(point):
-                starts[k] = point
-                break
-    return starts
+def _moved_to_finite(nlp: Nlp, solver: LocalSolver, starts: Array) -> Iterator[Array]:
+    """Give the starts, those at which the model is not finite moved toward the first at which it is.
+
+    One after the other, as the runs need them: of many starts the first run does not wait for the last.
+    """
+    first = next((k for k, start in enumerate(starts) if stop_requested() or solver.is_finite_at(start)), None)
+    if first is None:
+        yield from starts
+        return
+    home = nlp.scaling.to_solver(starts[first])
+    for k, start in enumerate(starts):
+        is_finite = k == first or (k > first and solver.is_finite_at(start))
+        yield start if is_finite else _toward(nlp, solver, start, home)
+
+
+def _toward(nlp: Nlp, solver: LocalSolver, start: Array, home: Array) -> Array:
+    """Return the farthest point from `home`, in the solver's variables, toward a start at which the model is finite."""
+    away = nlp.scaling.to_solver(start) - home
+    points = (np.clip(nlp.scaling.to_parameters(home + share * away), nlp.lower, nlp.upper) for share in SHARES)
+    return next((point for point in points if solver.is_finite_at(point)), start)
 
 
 def _continued_by_ipopt(

@@ -12,6 +12,7 @@ Array = NDArray[np.float64]
 
 
 NOT_FINITE = "not finite at the start"  # status of a run that could not begin
+INTERRUPTED = "interrupted"  # status of the run that was at hand when Ctrl-C was pressed
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.solve.gauss_newton.driver import GaussNewton
-from greybox.solve.ipopt import CONVERGED, checked_nlpsol
+from greybox.solve.interruption import stop_requested
+from greybox.solve.ipopt import CONVERGED, STOPPED, StopCheck, checked_nlpsol
 from greybox.solve.local_solver import LocalSolver, Profile
-from greybox.solve.outcome import NOT_FINITE, Outcome
+from greybox.solve.outcome import INTERRUPTED, NOT_FINITE, Outcome
 
 Array = NDArray[np.float64]
 
@@ -56,7 +57,8 @@ class TranscribedProgram(LocalSolver):
 
         approximate = nlp.method.hessian == "gauss-newton"
         hessian = _gauss_newton_hessian(unknowns, parameters, error, rest, constraints) if approximate else {}
-        self._solver = checked_nlpsol(statement, options, hessian)
+        self._stop_check = StopCheck(statement)
+        self._solver = checked_nlpsol(statement, options, hessian, self._stop_check)
 
         # Where the unknowns and parameters of each part end in those of the program.
         self._unknown_ends = len(nlp.free) + np.cumsum([program.unknowns.numel() for program in self._programs])[:-1]
@@ -108,12 +110,14 @@ class TranscribedProgram(LocalSolver):
             last = cost
         else:
             status = "relaxations exceeded"
+        if status == STOPPED:
+            status = INTERRUPTED
 
         estimate = np.clip(scaling.to_parameters(solution[:p]), self._nlp.lower, self._nlp.upper)
         converged = status in CONVERGED and math.isfinite(cost)
         signature = self._gauss_newton.signature(estimate) if converged else None
         if converged and signature is None:
-            status, converged = "no continuous states at the estimate", False
+            status, converged = INTERRUPTED if stop_requested() else "no continuous states at the estimate", False
         return Outcome(estimate, status, iterations, time.perf_counter() - began, converged, cost, signature)
 
     def _outcome(self, solution: Array, w: Array) -> tuple[float, Array, bool]:

@@ -21,8 +21,9 @@ from greybox.solve.gauss_newton.line_search import line_search
 from greybox.solve.gauss_newton.merit import merit_function
 from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
 from greybox.solve.gauss_newton.stability import are_stable, best_gains, simulate_stable
+from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver, Profile
-from greybox.solve.outcome import NOT_FINITE, Outcome
+from greybox.solve.outcome import INTERRUPTED, NOT_FINITE, Outcome
 
 Array = NDArray[np.float64]
 
@@ -70,6 +71,8 @@ class GaussNewton(LocalSolver):
         before = 0
         if self._coarse is not None:
             first = self._coarse.run(start, iterations)
+            if first.status == INTERRUPTED:
+                return first
             z, before = self._nlp.scaling.to_solver(first.estimate), first.iterations
         progress = Progress(self._settings, near_solution=self._coarse is not None)
         outcome = self._solve(self._parts.from_data(z), progress, iterations)
@@ -208,6 +211,8 @@ class GaussNewton(LocalSolver):
         settings, parts = self._settings, self._parts
         initial_weights = parts.initial_weights()
         for iteration in range(iterations):
+            if stop_requested():
+                return iterate, INTERRUPTED, iteration
             weights = parts.residual_weights(iterate) if progress.is_exact else initial_weights
             if linearizations is None:
                 near = progress.last_decrease < settings.covariance_decrease and settings.covariance_curvature
