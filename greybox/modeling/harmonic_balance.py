@@ -11,6 +11,7 @@ import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -441,27 +442,38 @@ def _guess(newton: ca.Function, careful: ca.Function, finish: ca.Function, *, sw
     small = ca.DM(np.full(root.numel(), SMALL))
     found = newton(x0=small, p=given)["x"]
     for k, name in enumerate(("by_doubling", "by_narrowing")[: 2 if switches else 1]):
-        otherwise = _in_steps(name, careful, k, small)
+        otherwise = _in_steps(name, careful, finish, k, small, give_up=switches)
         chosen = ca.if_else(finish(root, given)[1], root, otherwise(given), True)
         choose = ca.Function("choose", [root, given], [chosen], {"never_inline": True})
         found = choose(found, given)
     return ca.Function("guess", [given], [found])
 
 
-def _in_steps(name: str, careful: ca.Function, from_end: int, small: ca.DM) -> ca.Function:
+def _in_steps(
+    name: str, careful: ca.Function, finish: ca.Function, from_end: int, small: ca.DM, *, give_up: bool
+) -> ca.Function:
     """Return the function from what is given to the harmonics, from where the model is nearly linear.
 
-    That is a small amplitude, where it is smooth; and where it switches, a switch as wide as its argument.
+    That is a small amplitude, where it is smooth; and where it switches, a switch as wide as its argument. With
+    `give_up` nothing is tried after a step that failed: of masses that mostly stick it loses 4 % of the frequencies and
+    takes a fifth of the time.
     """
     given: Any = ca.MX.sym("given", careful.numel_in("p"))
-    root: Any = ca.MX(small)
     if from_end == 0:
         steps = [ca.vertcat(given[:-2], given[-2] / 2**k, given[-1]) for k in range(HALVINGS, -1, -1)]
     else:
         steps = [ca.vertcat(given[:-1], given[-1] * 2**k) for k in range(WIDENINGS, -1, -1)]
-    for step in steps:
-        root = careful(x0=root, p=step)["x"]
-    return ca.Function(name, [given], [root])
+
+    root: Any = ca.MX.sym("root", small.numel())
+    before: Any = ca.MX.sym("before", given.numel())
+    step: Any = ca.MX.sym("step", given.numel())
+    further = careful(x0=root, p=step)["x"]
+    gone_on = ca.if_else(finish(root, before)[1], further, root, True) if give_up else further
+    go_on = ca.Function("go_on", [root, before, step], [gone_on], {"never_inline": give_up})
+    found = careful(x0=small, p=steps[0])["x"]
+    for last, following in pairwise(steps):
+        found = go_on(found, last, following)
+    return ca.Function(name, [given], [found])
 
 
 class _Kept(threading.local):
