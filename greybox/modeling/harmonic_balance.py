@@ -47,6 +47,9 @@ TINY = 1e-300  # instead of a division by zero
 # Samples over one period where a formula switches, see `formula_structure`: a relay is then exact to 1e-7, a saturation
 # to 2e-5.
 SWITCHED_POINTS = 65
+# Of these samples, in intervals: where a sine or its derivative is zero, a switch then is an eighth from an end of an
+# interval at least. At an end it might count in neither of the two, or in both.
+SHIFT = 0.125
 WIDENINGS = 12  # of the width, in steps of two, from one that is most of a period
 # Harmonics up to which the balance is a graph of scalars: three times as fast, but its size grows with their cube.
 MOST_SCALARS = 9
@@ -332,7 +335,7 @@ def _harmonics(
     signals = ca.vertcat(*[z[j] for j in used])
     moving = ca.vertcat(*[series[j, :] for j in used])
     switches = has_switches(rest, signals)
-    to_samples, to_series = _transforms(harmonics, SWITCHED_POINTS if switches else POINTS)
+    to_samples, to_series = _transforms(harmonics, *((SWITCHED_POINTS, SHIFT) if switches else (POINTS, 0.0)))
     points = to_samples.size2()
 
     if switches:
@@ -362,10 +365,10 @@ def _mean_term(rest: ca.SX, signals: ca.SX, parameters: ca.SX, points: int) -> c
     return ca.Function("term", [signals, slopes, sizes, width, parameters], [mean, moment])
 
 
-def _transforms(harmonics: int, least: int) -> tuple[ca.DM, ca.DM]:
+def _transforms(harmonics: int, least: int, shift: float) -> tuple[ca.DM, ca.DM]:
     """Return the matrices, from the right, from coefficients to samples over one period and back."""
     points = max(least, 4 * harmonics + 1)
-    phase = 2 * np.pi * np.arange(points) / points
+    phase = 2 * np.pi * (np.arange(points) + shift) / points
     waves = [wave(k * phase) for k in range(1, harmonics + 1) for wave in (np.cos, np.sin)]
     to_samples = np.array([np.ones(points), *waves])
     to_series = to_samples.T * 2 / points

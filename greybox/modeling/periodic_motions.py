@@ -27,6 +27,8 @@ from greybox.modeling.symbolic_reading import traced_derivative
 Array = NDArray[np.float64]
 
 RANGE = 1e3  # from where, relative to the amplitude, a motion is followed
+ABOVE = 100.0  # the same from the other end, for motions that a large disturbance reaches
+BEYOND = 10.0  # how far a curve is followed past the amplitude, to where it may turn and come back
 STEP, LONGEST_STEP, SHORTEST_STEP = 0.2, 0.5, 1e-5  # along the curve, in natural logarithms of amplitude and harmonics
 STEPS = 400  # a curve that needs more winds too much to be followed
 CORRECTIONS = 8  # Newton steps back to the curve
@@ -247,18 +249,16 @@ def _motions(level: _Levels, begin: int, k: int, more: bool) -> list[_Motion]:
 def _candidates(balance: CompiledBalance, given: Array) -> list[Array]:
     """Return distinct motions, that followed from small amplitudes first where it is found."""
     random = np.random.default_rng(0)
-    found = [
-        _followed(balance, given, 1 / RANGE),
-        _solved(balance, np.asarray(balance.guess(given)).ravel(), given),
-    ]
-    if found[0] is None and found[1] is None:
-        found.append(_followed(balance, given, RANGE))
-    known = [x for x in found if x is not None]
-    size = np.abs(known[0]).max() if known else 1.0
+    raised = _followed(balance, given, 1 / RANGE)
+    direct = _solved(balance, np.asarray(balance.guess(given)).ravel(), given)
+    found = [*raised, *([] if direct is None else [direct]), *_followed(balance, given, ABOVE)]
+    size = np.abs(found[0]).max() if found else 1.0
     for _ in range(DRAWN):
         drawn = size * random.normal(size=balance.balance.unknown.numel()) / balance.balance.orders
-        found.append(_solved(balance, drawn, given))
-    motions = _distinct([x for x in found if x is not None])
+        reached = _solved(balance, drawn, given)
+        if reached is not None:
+            found.append(reached)
+    motions = _distinct(found)
     # Where the model is symmetric, a motion that is not has a twin: the other way up, half a period later.
     twins = [_solved(balance, x * balance.balance.mirror, given) for x in motions]
     return _distinct([*motions, *[x for x in twins if x is not None]])
@@ -290,43 +290,51 @@ def _padded(x: Array, few: CompiledBalance, many: CompiledBalance) -> Array:
     return padded
 
 
-def _followed(balance: CompiledBalance, given: Array, begin: float) -> Array | None:
-    """Return the motion at the end of the curve that begins at `begin` times the amplitude, or None."""
+def _followed(balance: CompiledBalance, given: Array, begin: float) -> list[Array]:
+    """Return the motions, in their order along the curve that begins at `begin` times the amplitude.
+
+    Past the amplitude the curve may turn and come back to it, as often as there are motions.
+    """
     end = float(np.log(given[-2]))
     curve = _Curve(balance, given)
     at = end + float(np.log(begin))
     x = _solved(balance, np.asarray(balance.guess(curve.given_at(at))).ravel(), curve.given_at(at))
+    found: list[Array] = []
     if x is None:
-        return None
+        return found
     y = np.append(x, at)
     direction = np.append(np.zeros(x.size), end - at)
+    nearest, farthest = sorted((at, end - np.sign(at - end) * np.log(BEYOND)))
     step = STEP
     for _ in range(STEPS):
-        scale = np.append(np.full(x.size, max(float(np.linalg.norm(x)), TINY)), 1.0)
+        scale = np.append(np.full(y.size - 1, max(float(np.linalg.norm(y[:-1])), TINY)), 1.0)
         tangent = curve.tangent(y, direction, scale)
         if tangent is None:
-            return None
+            return found
 
         following = None
         while following is None:
             guess = y + step * tangent
-            if (guess[-1] - end) * (y[-1] - end) <= 0:
+            if (guess[-1] - end) * (y[-1] - end) < 0:
                 guess = y + (end - y[-1]) / tangent[-1] * tangent
                 last = _solved(balance, guess[:-1], given)
                 if last is not None and np.linalg.norm((last - guess[:-1]) / scale[:-1]) < step:
-                    return last
+                    found.append(last)
+                    following = np.append(last, end)
+                    continue
             following = curve.corrected(guess, tangent, scale)
             if following is None or np.linalg.norm((following - guess) / scale) > 0.5 * step:
                 following = None
                 step /= 2
             if step < SHORTEST_STEP:
-                return None
+                return found
 
-        direction = (following - y) / scale**2
+        direction = tangent / scale**2 if following[-1] == end else (following - y) / scale**2
         y = following
-        x = y[:-1]
+        if not nearest <= y[-1] <= farthest:
+            return found
         step = min(1.5 * step, LONGEST_STEP)
-    return None
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -389,6 +389,7 @@ def test_the_standard_errors_are_those_of_repeated_tests():
     assert 0.4 < np.sqrt(np.mean(np.square(scatter))) < 2.0
 
 
+@cache
 def dragged():
     """The response of a slider to sines so slow and wide that drag makes it anything but a sine."""
     omega = np.array([0.05, 0.1, 0.2, 0.4, 0.8])
