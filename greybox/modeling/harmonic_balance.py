@@ -5,6 +5,11 @@ Every signal is a truncated Fourier series; what the ODE leaves over, sampled al
 harmonics and the implicit function theorem differentiates them, so a solver sees the parameters alone. As unknowns of
 the solver they took it five times as many iterations and cost it a fifth of the starts. Terms that are linear in the
 signals are balanced exactly and never sampled: a linear model keeps its linear response.
+
+Where a formula switches, the instants of the switches are unknowns of the samples too: every interval in which a sign,
+a comparison or a rounding turns is cut there (`formula_structure`). Where a state decides a jump, as the speed in dry
+friction, its harmonics fall so slowly that the response is extrapolated, from two numbers of harmonics, to infinitely
+many.
 """
 
 import threading

@@ -3,8 +3,9 @@
 A nonlinear ODE may have several motions under one sine. The one meant is what a test would show that raises the
 amplitude slowly: the motion at a small amplitude, where the model is nearly linear, is followed along its curve, around
 the turning points at which it jumps in a test (pseudo-arclength: Keller 1977); where that motion is unstable and the
-input is the sine, the stable motion next to it. Others are found from the opposite end and from random harmonics. Those
-of an unstable plant are not reported where all are unstable: no test without a loop shows any of them.
+input is the sine, the stable motion next to it. Others are found where that curve, past the amplitude, turns and comes
+back to it, and from random harmonics. Those of an unstable plant are not reported where all are unstable: no test
+without a loop shows any of them.
 """
 
 import warnings
@@ -27,8 +28,9 @@ from greybox.modeling.symbolic_reading import traced_derivative
 Array = NDArray[np.float64]
 
 RANGE = 1e3  # from where, relative to the amplitude, a motion is followed
-ABOVE = 100.0  # the same from the other end, for motions that a large disturbance reaches
-BEYOND = 10.0  # how far a curve is followed past the amplitude, to where it may turn and come back
+# How far a curve is followed past the amplitude, to where it may turn and come back: a resonance jumps, and falls back,
+# at amplitudes up to about its quality factor apart. There it may also lead nowhere: steps that are this short end it.
+BEYOND, SHORT_STEP = 10.0, 0.01
 STEP, LONGEST_STEP, SHORTEST_STEP = 0.2, 0.5, 1e-5  # along the curve, in natural logarithms of amplitude and harmonics
 STEPS = 400  # a curve that needs more winds too much to be followed
 CORRECTIONS = 8  # Newton steps back to the curve
@@ -36,6 +38,7 @@ CONVERGED = 1e-9  # of the balance, relative to the harmonics
 TINY = 1e-9  # size of harmonics, per amplitude, below which a step is not relative to them
 LARGE = 1e6  # step, relative to the harmonics, that leads nowhere
 DRAWN = 8  # random motions from which others are sought
+LARGEST_DRAWN = 8.0  # the size of the last, relative to the motion that is known; the first is as large as that
 DISTINCT = 1e-3  # difference of the harmonics of two motions, relative
 STABILITY_POINTS = 512  # steps of the trapezoidal rule over one period
 MARGIN = 1e-3  # above one, in a Floquet multiplier: the error of that rule
@@ -251,10 +254,11 @@ def _candidates(balance: CompiledBalance, given: Array) -> list[Array]:
     random = np.random.default_rng(0)
     raised = _followed(balance, given, 1 / RANGE)
     direct = _solved(balance, np.asarray(balance.guess(given)).ravel(), given)
-    found = [*raised, *([] if direct is None else [direct]), *_followed(balance, given, ABOVE)]
+    found = [*raised, *([] if direct is None else [direct])] or _followed(balance, given, RANGE)
     size = np.abs(found[0]).max() if found else 1.0
-    for _ in range(DRAWN):
-        drawn = size * random.normal(size=balance.balance.unknown.numel()) / balance.balance.orders
+    for k in range(DRAWN):
+        drawn = random.normal(size=balance.balance.unknown.numel()) / balance.balance.orders
+        drawn *= size * LARGEST_DRAWN ** (k / (DRAWN - 1))
         reached = _solved(balance, drawn, given)
         if reached is not None:
             found.append(reached)
@@ -326,7 +330,7 @@ def _followed(balance: CompiledBalance, given: Array, begin: float) -> list[Arra
             if following is None or np.linalg.norm((following - guess) / scale) > 0.5 * step:
                 following = None
                 step /= 2
-            if step < SHORTEST_STEP:
+            if step < (SHORT_STEP if found else SHORTEST_STEP):
                 return found
 
         direction = tangent / scale**2 if following[-1] == end else (following - y) / scale**2
