@@ -116,12 +116,14 @@ def outcome(path: Path) -> tuple[str, str, float, float]:
     reader, writer = os.pipe()
     child = os.fork()
     if child == 0:
-        os.close(reader)
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        signal.alarm(PATIENCE)
-        os.chdir(path.parent)
-        os.write(writer, _loaded(path).encode("utf-8", "replace")[:4000])
-        os._exit(0)
+        try:
+            os.close(reader)
+            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+            signal.alarm(PATIENCE)
+            os.chdir(path.parent)
+            os.write(writer, _loaded(path).encode("utf-8", "replace")[:4000])
+        finally:
+            os._exit(0)
     os.close(writer)
     with os.fdopen(reader, "rb") as pipe:
         said = pipe.read().decode("utf-8", "replace")

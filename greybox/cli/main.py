@@ -17,7 +17,7 @@ from greybox.cli.options import UsageError
 from greybox.cli.output import BAD_INPUT, FAILED, NO_WORKING_DIRECTORY, USABLE, Answer, has_working_directory
 from greybox.cli.startup import INTERRUPTED
 from greybox.cli.terminal import has_all_characters, write
-from greybox.data.text_table import alternatives, nearest
+from greybox.data.text_table import alternatives, nearest, printable
 from greybox.solve.interruption import Response, listening, responding, take_interrupt
 
 COMMANDS = (list_command, inspect_command, response_command, fit_command)
@@ -88,7 +88,8 @@ def _answer(arguments: Sequence[str], as_json: bool) -> Answer:
 def _tell(result: dict[str, Any], text: str, status: int, as_json: bool) -> int:
     """Write an answer, and return the exit status."""
     if "error" in result:
-        write(f"greybox: {result['error']}", sys.stderr)
+        write(printable(f"greybox: {result['error']}", keep="\n"), sys.stderr)
+    text = printable(text, keep="\n\t")  # of names of files, which a user did not type but got
     if as_json and result:
         text = json.dumps(result, allow_nan=False, ensure_ascii=not has_all_characters(sys.stdout))
     trouble = write(text, sys.stdout) if text else ""

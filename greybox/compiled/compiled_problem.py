@@ -1,7 +1,7 @@
 """The compiled problem: its parts and constraints as functions of the solver's variables, built once for all starts."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.part import Part
 from greybox.compiled.record_part import compile_record
+from greybox.compiled.response_map import LARGE, Mapped, lagrangian_hessian
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.scaling import Scaling, scaling_of
 from greybox.compiled.strategies import Strategies
@@ -22,12 +23,15 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.harmonic_balance import harmonic_function
-from greybox.modeling.linear_response import response_function
+from greybox.modeling.linear_response import formula_at_one_frequency, response_function
 from greybox.modeling.model import Names
 from greybox.modeling.pade_delay import delay_order
 
 AnyProblem = Problem | Sum[Problem]
 Array = NDArray[np.float64]
+
+# Frequencies times parameters below which no formula makes a response `LARGE` (which takes 300 instructions here).
+FEW = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +56,8 @@ class Nlp:
         (z, smoothing) -> the cost of the frequency responses, and what must be >= 0.
     locating : casadi.Function or None
         The same with the criteria that locate the minimum, where they differ.
+    locating_hessian, program_hessian : casadi.Function or None
+        Of their Lagrangians, where responses are mapped; see `response_map`.
     constraint : casadi.Function
         (all values) -> what must be >= 0, stacked.
     limits : tuple of str
@@ -75,6 +81,8 @@ class Nlp:
     parts: tuple[Part, ...]
     program: ca.Function
     locating: ca.Function | None
+    locating_hessian: ca.Function | None
+    program_hessian: ca.Function | None
     constraint: ca.Function
     limits: tuple[str, ...]
     response_cost: ca.Function
@@ -144,8 +152,9 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     scaling = scaling_of([parameters[name] for name in free])
     constant_values = np.array([parameters[name].start for name in constants])
     responding = [part for part in problem.parts if isinstance(part.data, FrequencyResponse)]
-    models = [_response(part) for part in responding]
-    # A trim that is found by Newton's method exists as MX only; everything else is faster as SX.
+    mapped = _mapped(responding)
+    models = [m.function() for m in mapped] if mapped else [_response(part) for part in responding]
+    # A trim that is found by Newton's method and a mapped response exist as MX only; everything else is faster as SX.
     kind: Any = ca.SX if all(f.is_a("SXFunction") for f in models) else ca.MX
 
     def trace(values: list[Any]) -> tuple[list[Complex], dict[str, Any]]:
@@ -166,9 +175,16 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     scaled_limit = ca.vertcat(kind(0, 1), *scaled_limits.values())
     own_cost = _costs(responding, scaled, smoothing, _criterion)
     total = _weighted(responding, own_cost)
-    locating = None
+    point = ca.SX.sym("z", len(free))
+    named = dict(zip((*free, *constants), [*scaling.expressions(point), *constant_values], strict=True))
+
+    def hessian(choose: Callable[[Problem], Criterion]) -> ca.Function | None:
+        return _composed_hessian(problem, responding, mapped, named, point, choose) if mapped else None
+
+    locating, locating_hessian = None, None
     if any(_criterion(part).locator is not None for part in responding):
-        located = _costs(responding, scaled, smoothing, lambda part: _criterion(part).locator or _criterion(part))
+        locating_hessian = hessian(_locator)
+        located = _costs(responding, scaled, smoothing, _locator)
         locating = ca.Function("locating", [z, smoothing], [kind(_weighted(responding, located)), scaled_limit])
 
     compiled_responses = {
@@ -180,8 +196,6 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         )
         for part, cost, response, scaled_response in zip(responding, own_cost, responses, scaled, strict=True)
     }
-    point = ca.SX.sym("z", len(free))
-    named = dict(zip((*free, *constants), [*scaling.expressions(point), *constant_values], strict=True))
     method = method or MultipleShooting()
     return Nlp(
         problem=problem,
@@ -198,6 +212,8 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         ),
         program=ca.Function("program", [z, smoothing], [kind(total), scaled_limit]),
         locating=locating,
+        locating_hessian=locating_hessian,
+        program_hessian=hessian(_criterion),
         constraint=ca.Function("constraint", [x], [ca.vertcat(kind(0, 1), *limits.values())]),
         limits=tuple(limits),
         response_cost=ca.Function("cost", [x], [ca.vertcat(kind(0, 1), *costs)]),
@@ -240,9 +256,49 @@ def _criterion(part: Problem) -> Criterion:
     return part.criterion
 
 
+def _locator(part: Problem) -> Criterion:
+    return _criterion(part).locator or _criterion(part)
+
+
 def _response(part: Problem) -> ca.Function:
-    data = part.response
-    options: Any = {"input": data.input, "output": data.output, "at": part.at, "pade": delay_order(part.delay)}
     if part.amplitude is not None:
-        return harmonic_function(part.model, data.omega, part.amplitude, **options)
-    return response_function(part.model, data.omega, **options)
+        return harmonic_function(part.model, part.response.omega, part.amplitude, **_options(part))
+    return response_function(part.model, part.response.omega, **_options(part))
+
+
+def _options(part: Problem) -> dict[str, Any]:
+    data = part.response
+    return {"input": data.input, "output": data.output, "at": part.at, "pade": delay_order(part.delay)}
+
+
+def _mapped(parts: list[Problem]) -> list[Mapped] | None:
+    """Return the responses as formulas of one frequency if together they are large, and all of them have one."""
+    size = sum(part.response.omega.size * (len(part.declared) + 1) for part in parts)
+    if size < FEW or any(part.amplitude is not None for part in parts):
+        return None
+    formulas = [formula_at_one_frequency(part.model, part.response.omega, **_options(part)) for part in parts]
+    found = [Mapped(f, part.response.omega) for f, part in zip(formulas, parts, strict=True) if f is not None]
+    return found if len(found) == len(parts) and sum(m.work for m in found) > LARGE else None
+
+
+def _composed_hessian(
+    problem: AnyProblem,
+    responding: list[Problem],
+    mapped: list[Mapped],
+    named: Mapping[str, Any],
+    z: ca.SX,
+    choose: Callable[[Problem], Criterion],
+) -> ca.Function | None:
+    """Return the Hessian of the weighted costs of mapped responses and of the constraints."""
+    local = {part: part.local_values(named) for part in problem.parts}
+    limits = dict(item for part, p in local.items() for item in _limits(part, p).items())
+    parts = [
+        (
+            response,
+            ca.SX(ca.vertcat(*local[part].values())),
+            lambda r, smoothing, part=part: choose(part).cost(r, part.response, smoothing),
+            part.weight,
+        )
+        for part, response in zip(responding, mapped, strict=True)
+    ]
+    return lagrangian_hessian(parts, z, ca.SX(ca.vertcat(ca.SX(0, 1), *limits.values())))

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from greybox.compiled.condensing import solve_continuity
 from greybox.compiled.initial_states import InitialStates, at_samples
-from greybox.compiled.part import Condensed, Information, Part, Program, Trajectory
-from greybox.compiled.record_information import correlation_factor, independent_numbers
+from greybox.compiled.part import ColoredErrors, Condensed, Information, Part, Program, Trajectory
+from greybox.compiled.record_information import colored_errors, independent_numbers
 from greybox.compiled.residual_covariance import (
     ResidualCovariance,
     followed_by_covariance,
@@ -27,7 +27,9 @@ from greybox.compiled.segments import Linearization, Segments
 from greybox.compiled.step_size import substeps_and_segment
 from greybox.compiled.strategies import Strategies
 from greybox.compiled.transcription.method import Transcription
+from greybox.data.intersample import Intersample
 from greybox.data.record import Record
+from greybox.formulation.input_assumptions import between_samples
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator
@@ -35,7 +37,6 @@ from greybox.modeling.model import Names
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import traced
-from greybox.statistics.residual_autocorrelation import colored_information
 
 Array = NDArray[np.float64]
 
@@ -79,12 +80,14 @@ class RecordModel:
 
     Attributes
     ----------
+    system : Dynamics
+        Its delays include by how much interpolated inputs come late.
+    between : tuple of Intersample
+        How each input runs between its samples.
     parameters, outside_names : tuple of str
         The declared parameters, by the model's names and the problem's.
     gains : tuple of (str, str)
         State and output of every estimated entry of the Kalman gain.
-    holds_inputs : bool
-        True when inputs are constant from sample to sample.
     active : (q,) array
         Places of the estimated parameters among the declared ones.
     locate : casadi.Function
@@ -99,11 +102,11 @@ class RecordModel:
     criterion: TimeCriterion
     method: Transcription
     system: Dynamics
+    between: tuple[Intersample, ...]
     outputs: tuple[str, ...]
     parameters: tuple[str, ...]
     outside_names: tuple[str, ...]
     gains: tuple[tuple[str, str], ...]
-    holds_inputs: bool
     active: NDArray[np.integer]
     locate: ca.Function
     initial: ca.Function
@@ -120,9 +123,22 @@ class RecordModel:
         """The settings of the solver."""
         return self.method.strategies
 
+    def with_inputs(self, between: tuple[Intersample, ...]) -> "RecordModel":
+        """Return the same with inputs that run otherwise between their samples."""
+        later = [new.late - now.late for new, now in zip(between, self.between, strict=True)]
+        z = ca.SX.sym("z", self.locate.numel_in(0))
+        q, slope, delay = self.locate(z)
+        return replace(
+            self,
+            between=between,
+            system=self.system.later(later),
+            locate=ca.Function("locate", [z], [q, slope, delay + ca.DM(later)]),
+        )
+
     def step(self, integrator: Integrator, substeps: int) -> SampleStep:
         """Compile one sample."""
-        return sample_step(self.system, self.criterion, self.outputs, self.parameters, integrator, substeps)
+        held = tuple(between.held for between in self.between)
+        return sample_step(self.system, held, self.criterion, self.outputs, self.parameters, integrator, substeps)
 
 
 class RecordPart(Part):
@@ -155,6 +171,10 @@ class RecordPart(Part):
     def excerpt(self, samples: int) -> "RecordPart":
         """Return the part on excerpts, evenly over the record, of about so many samples in all."""
         return RecordPart(self.model, self.data.excerpts(samples), self.substeps, step=self.step)
+
+    def with_inputs(self, between: tuple[Intersample, ...]) -> "RecordPart":
+        """Return the part with inputs that run otherwise between their samples."""
+        return RecordPart(self.model.with_inputs(between), self.data, self.substeps)
 
     def refined(self, factor: int, *, compiled: bool = True) -> "RecordPart":
         """Return the part with `factor` times the substeps; not `compiled` for a look that no compiler is worth."""
@@ -199,14 +219,15 @@ class RecordPart(Part):
         """Delays at whose whole samples the cost jumps: a held input reaches an output directly."""
         system = self.system
         result: dict[str, tuple[str, str]] = {}
-        if not self.model.holds_inputs or not system.delayed:
+        held = [between.held for between in self.model.between]
+        if not any(held) or not system.delayed:
             return result
         x, u, p = (ca.SX.sym("v", len(v)) for v in (system.states, system.inputs, system.parameters))
         feedthrough = ca.jacobian(system.output(x, u, p), u)
         delay = system.delay(p)
         for i, j in itertools.product(range(u.numel()), range(p.numel())):
             reached = [n for k, n in enumerate(system.outputs) if feedthrough.has_nz(k, i) and n in self.outputs]
-            if reached and ca.depends_on(delay[i], p[j]):
+            if held[i] and reached and ca.depends_on(delay[i], p[j]):
                 name = self.model.outside_names[self.model.parameters.index(system.parameters[j])]
                 result[name] = (system.inputs[i], reached[0])
         return result
@@ -499,28 +520,44 @@ class RecordPart(Part):
 
         weight = part.covariance.weight(trajectory.products)
         triangle, white, weighted = part._jacobian(trajectory, weight)
-        factor, score = 1.0, white
-        if not self.model.criterion.errors_are_white:
-            residuals = self.data.unpadded(part.residuals(trajectory))
-            score = colored_information(self.data.unpadded(weighted), residuals)
-            scaled = weight @ trajectory.products @ weight.T / np.maximum(self.covariance.counts, 1)
-            factor = correlation_factor(white * np.trace(scaled) / len(self.outputs), score)
-        elif part.covariance.known is not None:  # what was given is not what the residuals show
+        score = white
+        if part.covariance.known is not None:  # what was given is not what the residuals show
             variance = np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1)
             score = np.einsum("k,kpt,kqt->pq", variance, weighted, weighted)
         initial = self.unknown_initial_states
-        independent = independent_numbers(self.numbers, initial, len(white), factor)
-        score = score * independent / (independent - initial)
+        independent = independent_numbers(self.numbers, initial, len(white), 1.0)
+
+        def of_all_values(matrix: Array) -> Array:
+            result = np.zeros((len(values), len(values)))
+            result[np.ix_(columns, columns)] = matrix * dz_dx * dz_dx[:, None]
+            return result
 
         jacobian = np.zeros((len(triangle), len(values)))
         jacobian[:, columns] = triangle * dz_dx
-        meat = np.zeros((len(values), len(values)))
-        meat[np.ix_(columns, columns)] = score * dz_dx * dz_dx[:, None]
+        meat = of_all_values(score * independent / (independent - initial))
 
         def spread(correction: float) -> tuple[float, Array]:
             return 1.0, meat * correction**2
 
-        return Information(self, jacobian, round(independent) - initial, spread, math.nan)
+        def colored(inverse: Array) -> ColoredErrors:
+            found = colored_errors(
+                self.data.unpadded(weighted),
+                self.data.unpadded(part.residuals(trajectory)),
+                np.pad(inverse, (0, len(columns) - len(inverse))) * dz_dx * dz_dx[:, None],
+                weight,
+                initial,
+            )
+            return ColoredErrors(
+                meat=of_all_values(found.meat),
+                dof=found.dof,
+                correlation_times=found.correlation_times * longest.step,
+                duration=len(longest) * longest.step,
+                is_long_enough=found.is_long_enough,
+            )
+
+        longest = max(self.data.stretches, key=len)
+        by_output = not self.model.criterion.errors_are_white
+        return Information(self, jacobian, self.numbers - initial, spread, math.nan, colored if by_output else None)
 
     def _jacobian(self, trajectory: Trajectory, weight: Array) -> tuple[Array, Array, Array]:
         """Return a triangular factor (p, p) of the Jacobian of the weighted residuals, JᵀJ, and WᵀJ (k, p, samples)."""
@@ -646,6 +683,8 @@ def record_model(problem: Problem, expressions: Mapping[str, Any], z: ca.SX, met
     assert isinstance(problem.data, Record)
     assert isinstance(problem.criterion, TimeCriterion)
     system = dynamics(problem.model, delay_order(problem.delay))
+    between = between_samples(problem.criterion.inputs, system.inputs, problem.data)
+    system = system.later([one.late for one in between])
     outputs = problem.criterion.compared(problem.model, problem.data)
 
     q = ca.vertcat(ca.SX(0, 1), *problem.local_values(expressions).values())
@@ -666,11 +705,11 @@ def record_model(problem: Problem, expressions: Mapping[str, Any], z: ca.SX, met
         criterion=problem.criterion,
         method=method,
         system=system,
+        between=between,
         outputs=outputs,
         parameters=tuple(problem.declared),
         outside_names=tuple(problem.outside(name) for name in problem.declared),
         gains=problem.criterion.gains(problem.model, outputs),
-        holds_inputs=problem.criterion.inputs == "held",
         active=np.array(active, dtype=int),
         locate=locate,
         initial=ca.Function("initial", [symbol], [initial, by_active]),

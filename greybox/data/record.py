@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from greybox.data.intersample import checked_hold
 from greybox.data.text_table import counted, one_line, printable
 
 # Median steps: a longer one is a gap, across which nothing is interpolated. One lost sample makes a step of two, which
@@ -39,13 +40,17 @@ class Record:
         Vehicle, firmware, parameters and the like, as far as the log holds them.
     filters : mapping of signal name to tuple
         Known filters that a signal has passed before it was logged, for a model to include.
+    hold : mapping of signal name to float, s
+        For how long each value lasted, as far as that is known, see `greybox.data.intersample`: infinity for a signal
+        that keeps its value until the next sample, as the output of a controller does; 0 for samples of a continuous
+        one, such as an attitude; seconds where values lasted for less than a step of the log.
     findings : tuple of str
         Problems found in it, in words.
 
     Raises
     ------
     ValueError
-        For empty records, lengths that differ, or times that do not increase.
+        For empty records, lengths that differ, times that do not increase, or a hold below 0.
     """
 
     time: NDArray[np.float64]
@@ -56,6 +61,7 @@ class Record:
     checksum: str = field(default="", repr=False)
     metadata: Mapping[str, Any] = field(default_factory=dict, repr=False)
     filters: Mapping[str, tuple[Any, ...]] = field(default_factory=dict, repr=False)
+    hold: Mapping[str, float] = field(default_factory=dict, repr=False)
     findings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -77,6 +83,8 @@ class Record:
                 raise ValueError(f"time has {time.size} samples but {name} has {values.size}: they must match.")
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "signals", signals)
+        hold = {_printable(name): checked_hold(name, seconds) for name, seconds in self.hold.items()}
+        object.__setattr__(self, "hold", {name: seconds for name, seconds in hold.items() if name in signals})
         for name in ("name", "source", "units", "findings"):
             object.__setattr__(self, name, _printable(getattr(self, name)))
         if not self.checksum:

@@ -28,6 +28,7 @@ from greybox.estimate.diagnostics.delay_approximation import pade_error
 from greybox.estimate.diagnostics.discretization import discretization_warnings
 from greybox.estimate.diagnostics.general import warnings
 from greybox.estimate.diagnostics.harmonics import harmonic_warnings
+from greybox.estimate.diagnostics.intersample import intersample_warnings
 from greybox.estimate.diagnostics.not_finite import explained, not_finite_warnings
 from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
 from greybox.estimate.fitted_record import fitted_record, stated
@@ -208,7 +209,8 @@ def assemble(
             *not_finite_warnings(nlp, search),
             *finding_warnings(nlp),
             *(discretization_warnings(nlp, trajectories, error) if found else ()),
-            *(record_warnings(nlp, parts, trajectories) if found else ()),
+            *(record_warnings(nlp, parts, trajectories, accuracy) if found else ()),
+            *(intersample_warnings(nlp, best, accuracy) if found else ()),
             *(harmonic_warnings(nlp, best, accuracy) if found else ()),
             *(warnings(nlp, search, accuracy, pade_errors, trajectories) if found else ()),
         ),

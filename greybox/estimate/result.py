@@ -11,15 +11,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, share_samples
-from greybox.data.text_table import alternatives, counted, number, one_line, text_table, with_error
+from greybox.data.text_table import alternatives, counted, listed, number, one_line, text_table, with_error
 from greybox.formulation.included_criteria import CRITERIA
+from greybox.formulation.input_assumptions import Inputs, described_inputs
 from greybox.modeling.model import Model
 from greybox.modeling.model_reference import reference, resolve
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.periodic_motions import response_of_test
 from greybox.modeling.realization import dynamics
 from greybox.modeling.sine import Sine
-from greybox.simulation.model_at_estimate import Inputs, ModelAtEstimate, criterion_of
+from greybox.simulation.model_at_estimate import ModelAtEstimate, criterion_of
 from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.outcome import Run
 from greybox.statistics.metrics import fit_percent, rms
@@ -154,8 +155,8 @@ class FittedRecord(FittedPart):
         The states at the first sample of every gapless stretch.
     method : str
         Transcription and integrator, with what they chose.
-    inputs : "linear" or "held"
-        How the inputs ran between their samples.
+    inputs : "record", "linear" or "held"
+        How the inputs ran between their samples: as the record says (`Record.hold`), or all of them in one way.
     biases : tuple of str
         Signals whose constant error was estimated, as the parameter ``<name>_bias``.
     gains : tuple of (state, output)
@@ -170,7 +171,7 @@ class FittedRecord(FittedPart):
     noise: NDArray[np.float64]
     initial: Mapping[str, NDArray[np.float64]]
     method: str
-    inputs: Literal["linear", "held"] = "linear"
+    inputs: Inputs = "record"
     biases: tuple[str, ...] = ()
     gains: tuple[tuple[str, str], ...] = ()
     nuisances: int = 0
@@ -179,6 +180,12 @@ class FittedRecord(FittedPart):
     def compared(self) -> int:
         """How many samples the fit used: those of which at least one output was compared."""
         return int(np.any([np.isfinite(self.residual(name)) for name in self.outputs], axis=0).sum())
+
+    @property
+    def between(self) -> dict[str, str]:
+        """How every input ran between its samples, in words, and who says so."""
+        names = [name for name in self.data.signals if name not in self.outputs]
+        return described_inputs(self.inputs, names, self.data)
 
     def residual(self, output: str) -> NDArray[np.float64]:
         """Return measured less fitted values of an output, (n,)."""
@@ -342,7 +349,7 @@ class Fit:
         ----------
         model : Model, optional
             By default the one that was fitted; of a loaded fit, one that greybox includes or that was given to `load`.
-        inputs : "linear" or "held", optional
+        inputs : "record", "linear" or "held", optional
             How inputs run between samples; by default as in the fit.
         part : int, optional
             By default the one of `record`, else the first record, of this model if there is one.
@@ -437,7 +444,22 @@ def _overview(fit: Fit) -> list[str]:
         f"  starts     {converged} of {len(fit.runs)} converged; {agreeing} on the best of {minima}",
         f"  cost       {fit.cost:.6g}  ({fit.rule})",
         f"  data       {_data_text(fit)}, delay {fit.delay}{''.join(pade)}",
+        *(f"  inputs     {text}" for text in _inputs_texts(fit.records)),
         *(f"  output     {_output_text(part, output)}" for part in fit.records for output in part.outputs),
+    ]
+
+
+def _inputs_texts(records: Sequence[FittedRecord]) -> list[str]:
+    """Say how inputs ran between their samples, one line for all that ran alike in the same records."""
+    alike: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    for name in dict.fromkeys(name for part in records for name in part.between):
+        said = {part.between[name]: None for part in records if name in part.between}
+        for text in said:
+            where = tuple(part.name for part in records if part.between.get(name) == text) if len(said) > 1 else ()
+            alike.setdefault((text, where), []).append(name)
+    return [
+        f"{', '.join(names)} {text}{f' ({listed(where)})' if any(where) else ''}"
+        for (text, where), names in alike.items()
     ]
 
 
@@ -482,7 +504,7 @@ def _error_condition(fit: Fit) -> str:
     conditions = "; ".join(dict.fromkeys(part.condition for part in fit.parts))
     if math.isinf(fit.dof):
         return conditions
-    return f"{conditions}; Student's t with {counted(fit.dof, 'degree of', 'degrees of')} freedom"
+    return f"{conditions}; Student's t with {counted(round(fit.dof), 'degree of', 'degrees of')} freedom"
 
 
 def _other_criteria(fit: Fit) -> list[str]:
@@ -500,7 +522,7 @@ def _at_estimate(fit: Fit, model: Model, part: FittedResponse | FittedRecord, in
     biases = record.biases if record else ()
     gains = record.gains if record else ()
     if inputs is None:
-        inputs = record.inputs if record else "linear"
+        inputs = record.inputs if record else "record"
 
     names = [*model.parameters, *(f"{b}_bias" for b in biases), *(f"K_{s}_{o}" for s, o in gains)]
     outside = [part.rename.get(name, name) for name in names]

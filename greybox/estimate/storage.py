@@ -18,8 +18,8 @@ Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``
                  ``curve`` (``omega, alpha, beta`` and, if known, ``coherence, variance, dof``) and the fitted
                  ``response_alpha, response_beta`` at the data's frequencies.
                  Of a record: attributes ``method, inputs, nuisances``, as JSON ``outputs, biases, gains``; groups
-                 ``data`` and ``simulated`` (``time`` and ``signals/...``, each with its ``unit``), ``initial/...`` by
-                 state (stretches,) and ``noise`` (k, k).
+                 ``data`` and ``simulated`` (``time`` and ``signals/...``, each with its ``unit`` and, if
+                 known, ``hold``), ``initial/...`` by state (stretches,) and ``noise`` (k, k).
 
 The file is sealed, see `greybox.data.sealed_files`. NaN means "not known". A file may come from anyone: nothing in it
 is executed, nothing that it names is imported, and what is loaded fits together (SECURITY.md).
@@ -32,7 +32,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -43,6 +43,7 @@ from greybox.data.text_table import printable
 from greybox.estimate.fitted_record import criterion_values
 from greybox.estimate.result import Fit, FittedRecord, FittedResponse, Quantity
 from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
+from greybox.formulation.input_assumptions import Inputs
 from greybox.modeling.model import Model
 from greybox.modeling.model_file import models_of, module_from_file
 from greybox.modeling.sine import Sine
@@ -223,7 +224,7 @@ def _checked(fit: Fit) -> Fit:
             _require(np.array_equal(part.data.time, part.simulated.time), "the simulated record does not fit the data")
             held = {*part.data.signals} & {*part.simulated.signals}
             _require({*part.outputs} <= held, "an output is not in the record")
-            _require(part.inputs in ("linear", "held"), "its inputs are neither linear nor held")
+            _require(part.inputs in get_args(Inputs), "how its inputs run between samples is not known")
     return fit
 
 

@@ -1,20 +1,20 @@
 """A model at one estimate, as simulation and prediction take it: values, their covariance, and what the fit assumed."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Literal, Protocol, runtime_checkable
+from dataclasses import dataclass, field, replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.record import Record
+from greybox.formulation.input_assumptions import Inputs, between_samples, require_inputs
 from greybox.formulation.time_criteria import OutputError, PredictionError, TimeCriterion
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.realization import Dynamics, dynamics
 
 Array = NDArray[np.float64]
-Inputs = Literal["linear", "held"]
 
 
 class FittedTo(Protocol):
@@ -79,6 +79,8 @@ class ModelAtEstimate:
     own : tuple of str
         Names of values that belong to that record alone, not to the model: biases of its sensors, and parameters that
         each record of the fit has for itself.
+    held : tuple of bool
+        Which inputs are held between samples, see `driven_by`.
     """
 
     label: str
@@ -90,6 +92,7 @@ class ModelAtEstimate:
     part: FittedTo | None
     declared: Mapping[str, Parameter] = field(default_factory=dict)
     own: tuple[str, ...] = ()
+    held: tuple[bool, ...] = ()
 
     @property
     def p(self) -> Array:
@@ -108,6 +111,16 @@ class ModelAtEstimate:
             return np.zeros(0, dtype=int)
         variance = np.diag(self.covariance)
         return np.flatnonzero(np.isnan(variance) | (variance > 0))
+
+    def driven_by(self, record: Record) -> "ModelAtEstimate":
+        """Return the model with the inputs of a record, as they run between its samples.
+
+        What neither the criterion nor the record says of an input, the record of the fit does.
+        """
+        assumed = self.part.data.hold if self.part is not None else {}
+        between = between_samples(self.criterion.inputs, self.system.inputs, record, assumed)
+        system = self.system.later([one.late for one in between])
+        return replace(self, system=system, held=tuple(one.held for one in between))
 
     def noise(self, outputs: tuple[str, ...]) -> Array | None:
         """Return the covariance (k, k) of the errors of these outputs, where the fit knows it."""
@@ -138,6 +151,8 @@ def model_at(
     LookupError
         If the model of a loaded fit cannot be imported.
     """
+    if inputs is not None:
+        require_inputs(inputs)
     if isinstance(model, Estimate):
         if values is not None:
             cure = "give the record by name, record=r" if isinstance(values, Record) else "leave the other out"
@@ -149,7 +164,7 @@ def model_at(
         return values.at_estimate(model, inputs=inputs, part=part, record=record)
     if not isinstance(values, Mapping):
         raise TypeError(f"values is {values!r:.60}: give {{name: value}} or a Fit.")
-    return _of_values(model, values, inputs or "linear")
+    return _of_values(model, values, inputs or "record")
 
 
 def _of_values(model: Model, given: Mapping[str, float], inputs: Inputs) -> ModelAtEstimate:

@@ -9,9 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 from greybox.compiled.sampled_data import gapless
 from greybox.data.record import Record, share_samples
 from greybox.data.text_table import counted
+from greybox.formulation.input_assumptions import Inputs
 from greybox.modeling.integrators import Integrator, RungeKutta
 from greybox.modeling.model import Model, require_known
-from greybox.simulation.model_at_estimate import Estimate, Inputs, ModelAtEstimate, model_at
+from greybox.simulation.model_at_estimate import Estimate, ModelAtEstimate, model_at
 from greybox.simulation.own_values import with_own_values
 from greybox.simulation.prediction import Prediction
 from greybox.simulation.simulator import DIVERGED, ERROR, Simulator, WindowSimulations, diverged
@@ -49,8 +50,8 @@ def simulate(
         With all inputs; by default that of the fit.
     initial : mapping of state to value, or to one value for each stretch without a gap
         Other states begin at zero. By default those of the fit where the record is its own, else zero.
-    inputs : "linear" or "held", optional
-        How inputs run between samples; by default as in the fit, else "linear".
+    inputs : "record", "linear" or "held", optional
+        How inputs run between samples; by default as in the fit, else as the record says, see `OutputError`.
     integrator : Integrator, optional
         `RungeKutta()` or, for stiff models, `Rosenbrock()`; unless it says how many substeps, they are halved until
         that changes no state by more than 1e-7 of its size in a sample.
@@ -78,6 +79,7 @@ def simulate(
     estimated = model_at(model, values, inputs=inputs, part=part, record=_as_record(record))
     record = _record(record, estimated)
     _require_inputs(record, estimated)
+    estimated = estimated.driven_by(record)
     outputs = estimated.system.outputs
     stretches = gapless(record, estimated.system.inputs, ())
     if not stretches:
@@ -176,6 +178,7 @@ def predict_windows(
     Values `own` of the record are estimated first, by default those that the model has where the record is a new one.
     Returns also which windows (w,) are not finite, and what is not finite there, in words without an end.
     """
+    model = model.driven_by(windows.record)
     lead = windows.lead * windows.record.step
     horizon = windows.horizon * windows.record.step
     if np.max(model.delays, initial=0.0) >= lead:

@@ -279,7 +279,7 @@ class Simulator:
         if substeps not in self._steps:
             model = self._model
             self._steps[substeps] = sample_step(
-                model.system, self._criterion, self._outputs, model.names, self._integrator, substeps
+                model.system, model.held, self._criterion, self._outputs, model.names, self._integrator, substeps
             )
         return self._steps[substeps]
 

@@ -76,8 +76,11 @@ class IpoptSolver(LocalSolver):
         """Build the solver; one `like` it lends its derivatives."""
         self._nlp = nlp
         self._options = options
-        statements = [_statement(program) for program in (nlp.locating, nlp.program) if program is not None]
-        known = [_derivatives(stage) for stage in like._stages] if like else [{} for _ in statements]
+        programs = ((nlp.locating, nlp.locating_hessian), (nlp.program, nlp.program_hessian))
+        statements = [_statement(program) for program, _ in programs if program is not None]
+        known = [{"hess_lag": h} if h is not None else {} for program, h in programs if program is not None]
+        if like:
+            known = [_derivatives(stage) for stage in like._stages]
         self._checks = [StopCheck(e) for e in statements]
         each = zip(statements, known, self._checks, strict=True)
         self._stages = [checked_nlpsol(e, options, given, check) for e, given, check in each]

@@ -160,7 +160,8 @@ def _with_all_signals(records: Sequence[Record]) -> Record:
     if not more:
         return first
     units = {name: r.units.get(name, "") for r in records for name in r.signals}
-    return Record(first.time, {**first.signals, **more}, units, first.name, first.source, first.checksum)
+    hold = {name: seconds for r in records for name, seconds in r.hold.items()}
+    return Record(first.time, {**first.signals, **more}, units, first.name, first.source, first.checksum, hold=hold)
 
 
 def not_held_out(fits: Sequence[Fit], labels: Sequence[str], records: Sequence[Record]) -> list[str]:

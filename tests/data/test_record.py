@@ -1,6 +1,7 @@
 """One experiment on one time base: what is refused, its rate, gaps, parts and identity."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -97,6 +98,21 @@ def test_a_recording_finds_signals_by_message_and_by_bare_name():
     both = Recording({"A": record(), "B": record()})
     with pytest.raises(KeyError, match=r"several messages have it: A, B; write MESSAGE\.u"):
         both.locate("u")
+
+
+def test_how_signals_run_between_samples_stays_with_them():
+    time = np.concatenate([np.arange(5.0), np.arange(20.0, 25.0)])
+    made = Record(time, {"u": time, "y": -time}, hold={"u": math.inf, "y": 0})
+    cuts = (made.between(1, 3), made.rows(np.arange(3)), *made.pieces, made.with_signals(z=time))
+    assert len(made.pieces) == 2
+    assert all(cut.hold == {"u": math.inf, "y": 0.0} for cut in (made, *cuts))
+    assert replace(made, signals={"y": time}).hold == {"y": 0.0}
+
+
+@pytest.mark.parametrize("hold", [-0.1, math.nan, "held", True, None])
+def test_a_hold_is_a_time(hold):
+    with pytest.raises(ValueError, match=r"hold gives 'u' the value .*: give math.inf for a signal that is held"):
+        Record(np.arange(3.0), {"u": np.arange(3.0)}, hold={"u": hold})
 
 
 def test_records_share_samples_where_their_times_overlap_in_one_file():

@@ -11,8 +11,8 @@ Formats
 Shared by several
     `messages` (messages of one type, and the records made of them), `time_stamps` (clock restarts, impossible and
     repeated stamps), `table_columns` (units in headings, the time column), `ardupilot_metadata` (vehicle, firmware,
-    parameters, modes, arming), `named_arrays` (records of the groups in HDF5, MATLAB and PX4 files, which
-    `greybox.data.subprocess_reader` reads in a subprocess).
+    parameters, modes, arming), `controller_outputs` (which signals a controller holds), `named_arrays` (records of the
+    groups in HDF5, MATLAB and PX4 files, which `greybox.data.subprocess_reader` reads in a subprocess).
 """
 
 from collections.abc import Callable, Collection

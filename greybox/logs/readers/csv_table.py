@@ -25,8 +25,10 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     """Read a table with a header line into one record named after the file.
 
     The cells are separated by semicolons, tabs or commas; the numbers may have decimal commas, see
-    `greybox.data.delimited_text`. Units stand in the header: ``pitch [deg]`` or ``pitch (deg)``. Lines that start with
-    ``#`` or ``%`` are comments; empty cells, and words such as ``nan``, are missing samples.
+    `greybox.data.delimited_text`. Units stand in the header: ``pitch [deg]`` or ``pitch (deg)``. So does how a signal
+    runs between its samples, where that is known: ``u [1 held]`` for the output of a controller, which holds it, and
+    ``pitch [deg sampled]`` for samples of what is continuous. Lines that start with ``#`` or ``%`` are comments; empty
+    cells, and words such as ``nan``, are missing samples.
 
     The time column is the first named time, t or timestamp (any case, with a unit in brackets or as in ``time_s``,
     ``time_ms``), or TimeUS, TimeMS as ArduPilot's tools write it; without a unit it is in seconds. Where there is none,

@@ -15,7 +15,8 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
 
     A group holds one record: a dataset ``time`` (or t, timestamp, time_ms ...; see `table_columns.seconds`), and
     vectors of the same length. Matrices with one sample per row (as MATLAB shows them, in MATLAB's files) give one
-    signal per column. Units are attributes ``unit`` or ``units`` of the datasets. A record is named after its group
+    signal per column. Units are attributes ``unit`` or ``units`` of the datasets, followed by the word held or sampled
+    where it is known how the signal runs between its samples. A record is named after its group
     (``flight/ATT``), one at the root after the file.
 
     Parameters

@@ -1,7 +1,7 @@
 """Files of named arrays (HDF5, MATLAB, PX4), read by `greybox.data.subprocess_reader`: their groups become records."""
 
 import hashlib
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from greybox.data.record import Recording
 from greybox.data.subprocess_reader import read_in_subprocess
+from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.messages import on_one_clock, records
 from greybox.logs.readers.table_columns import table
 
@@ -55,8 +56,16 @@ def contents(kind: str, path: Path, *wanted: str) -> Contents:
     return Contents(variables, head["findings"], head["about"])
 
 
-def recording(path: Path, found: Contents, messages: Collection[str] | None) -> Recording:
-    """Make a record of every group that has a time, the root named after the file; ValueError if none has."""
+def recording(
+    path: Path,
+    found: Contents,
+    messages: Collection[str] | None,
+    parameters: Mapping[str, float] | None = None,
+) -> Recording:
+    """Make a record of every group that has a time, the root named after the file; ValueError if none has.
+
+    With the `parameters` of a vehicle the groups are known messages of its flight controller.
+    """
     with open(path, "rb") as file:
         checksum = hashlib.file_digest(file, "sha256").hexdigest()
     columns: dict[str, dict[str, NDArray[np.float64]]] = {}
@@ -74,6 +83,7 @@ def recording(path: Path, found: Contents, messages: Collection[str] | None) -> 
             continue
         part, problems = table(name, group, units[name])
         clocked, restarts = on_one_clock([part] if part else [])
+        clocked = clocked if parameters is None else with_holds(clocked, parameters)
         records_of_group, dropped = records(clocked, path.name, checksum)
         made.update(records_of_group)
         findings += [*problems, *restarts, *dropped]

@@ -60,7 +60,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     if find_spec("pyulog") is None:
         raise ValueError(f"{path} is a PX4 log, which needs pyulog: install it with pip install 'greybox-id[px4]'.")
     found = named_arrays.contents("ulog", path, *(sorted({STATUS, *asked}) if asked else ()))
-    whole = named_arrays.recording(path, found, None)
+    whole = named_arrays.recording(path, found, None, found.about["parameters"])
     topics = {name: name.partition("[")[0] for name in whole}
     about = {**_about(found.about), **(_states(whole[STATUS]) if STATUS in topics.values() else {})}
     kept = {name: record for name, record in whole.items() if asked is None or topics[name] in asked}

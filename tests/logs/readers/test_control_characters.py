@@ -59,3 +59,12 @@ def test_what_is_refused(tmp_path, text):
     with pytest.raises(ValueError, match=r"a\.csv") as caught:
         read(tmp_path / "a.csv")
     assert str(caught.value).isprintable()
+
+
+def test_the_name_of_a_file_that_came_by_mail(tmp_path, capsys):
+    path = tmp_path / "\x1b[2J.csv"
+    path.write_text("nothing")
+    assert main(["inspect", str(path)]) == 2
+    told = capsys.readouterr()
+    assert told.err.rstrip("\n").isprintable()
+    assert r"\x1b[2J.csv" in told.err
