@@ -413,13 +413,13 @@ class RecordPart(Part):
     ) -> Condensed:
         """Eliminate the nodes, see `greybox.compiled.condensing`.
 
-        Where gaps are allowed, `damping` holds the nodes, relative to their curvature (Levenberg-Marquardt).
+        `damping` holds the nodes that are free, relative to their curvature (Levenberg-Marquardt).
         """
         b = linearization
         gaps = trajectory.gaps
         slope = trajectory.detail.placed.slope
         node_damping = np.zeros_like(gaps)
-        if damping and np.all(continuity_variance > 0):
+        if damping:
             node_damping = damping * self._node_curvature(b, continuity_variance)
             b = replace(b, node_hessian=b.node_hessian + node_damping[:, :, None] * np.eye(self.states))
 
@@ -454,8 +454,13 @@ class RecordPart(Part):
         )
 
     def _node_curvature(self, b: Linearization, continuity_variance: Array) -> Array:
-        """Return the second derivatives of outputs and continuity penalty by every node state, (s, n)."""
+        """Return the second derivatives of outputs and continuity penalty by every node state that is free, (s, n).
+
+        Where continuity is exact these are the first ones of every stretch.
+        """
         coupled = self.data.coupled
+        if not np.all(continuity_variance > 0):
+            return np.where(self.data.begins_stretch[:, None], b.node_hessian.diagonal(axis1=1, axis2=2), 0.0)
         penalty = np.where(coupled[:, None], (b.transition**2 / continuity_variance[:, None]).sum(axis=1), 0.0)
         penalty[1:] += np.where(coupled[:-1, None], 1 / continuity_variance, 0.0)
         return b.node_hessian.diagonal(axis1=1, axis2=2) + penalty

@@ -98,7 +98,8 @@ def fit(
     method : MultipleShooting, SingleShooting or Collocation, optional
         How records are transcribed and solved; `MultipleShooting()` by default.
     solver_options : mapping
-        Options of IPOPT, e.g. ``{"max_iter": 100, "tol": 1e-9}``.
+        ``{"max_iter": 100, "tol": 1e-9}``, and where IPOPT solves all its other options. For records `tol` is that of
+        the decrease of the cost and of half the squared length of a step in standard errors, 1e-8 by default.
     progress : bool or function
         A bar on a terminal for anything longer than two seconds; or a function of finished and all runs.
 
@@ -152,13 +153,14 @@ def _fitted_from(
     movable = not isinstance(rule, Listed)
     with responding(Response.STOP):
         if callable(progress) or not progress:
-            search = multistart(nlp, solver, points, solver_options, progress or None, movable)
+            search = multistart(nlp, solver, points, progress or None, movable)
         else:
             with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
-                search = multistart(nlp, solver, points, solver_options, lambda done, _: _advance(bar, done), movable)
+                search = multistart(nlp, solver, points, lambda done, _: _advance(bar, done), movable)
         nlp, search, solver = with_more_harmonics(nlp, search, solver, open_parts, solver_options)
         search = explained(nlp, search)
         nlp, search, solver, error = refine_discretization(nlp, search, solver)
+        search = solver.polished(search)
     if not search.runs:
         return None
     with responding(Response.FINISH):

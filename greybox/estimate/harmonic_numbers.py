@@ -73,10 +73,12 @@ def with_more_harmonics(
         finer = compile_problem(_with_harmonics(nlp.problem, numbers))
         finer_solver = solver_for(finer, options)
         ends = np.array([run.estimate if run.converged else run.start for run in search.runs])
-        followed = multistart(finer, finer_solver, ends, options, None, False)
+        followed = multistart(finer, finer_solver, ends, movable=False)
         if not followed.minima or len(followed.runs) < len(search.runs):
             break
-        runs = tuple(_continued(run, before) for run, before in zip(followed.runs, search.runs, strict=True))
+        count = len(search.runs)
+        continued = [_continued(run, before) for run, before in zip(followed.runs[:count], search.runs, strict=True)]
+        runs = (*continued, *followed.runs[count:])
         search = replace(followed, runs=runs, seconds=search.seconds + followed.seconds)
         nlp, solver = finer, finer_solver
     return nlp, search, solver
