@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
+from greybox.spectral.local_polynomials import lines_of, points_at, tiled_points
 from greybox.spectral.uniform_stretches import UniformStretch, uniform_stretches
 from greybox.spectral.welch import HZ, PERIODS, WindowedPoint, estimates, response_at, transforms
 
@@ -105,6 +106,16 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     if not 0 <= overlap < 1:
         raise ValueError(f"overlap is {overlap:g}: it must be at least 0 and below 1.")
     grid = _excited_frequencies(stretches, lengths, points) if omega is None else _checked(omega, lengths[0])
+
+    if windows is None:
+        lines = lines_of(stretches)
+        if omega is None:
+            grid, found = tiled_points(lines, grid[0], grid[-1], points)
+        else:
+            found = points_at(lines, grid)
+        response = response_at(grid, found, (input, output, name), stretches)
+        coherent = response.coherence >= COHERENT  # type: ignore[operator]
+        return response.where(coherent) if omega is None and coherent.any() else response
 
     per_length = [
         estimates(transforms(stretches, length, overlap, grid, leakage_terms=LEAKAGE_TERMS), grid * length)

@@ -1,0 +1,466 @@
+"""Frequency responses of sweeps and noise, band by band: the local polynomial method.
+
+At the lines of the discrete Fourier transform of a whole stretch, input and output obey Y = P U + T + V. T is what
+began before the stretch or lasts beyond it; it is as smooth as P (Pintelon and Schoukens, System Identification, 2nd
+ed., chapter 7). In a band of lines both are polynomials, found by least squares, or with an instrument r from outside
+the loop by instrumental variables. Nothing is windowed, so nothing is smeared: what is left is the error of the
+polynomials, which falls with the fourth power of the width of the band, where that of windows falls with the square.
+
+Resolution
+    A quadratic that is fitted over a band holds three values. They are read at the three Gauss nodes of the band, where
+    the errors of a fitted polynomial are uncorrelated, and where a cubic would change nothing (Davis and Rabinowitz,
+    Methods of Numerical Integration, section 2.7). Bands do not overlap. So the errors of all points are independent to
+    a good approximation, and three points keep what a band knows.
+Error of the polynomials
+    In a band twice as wide, a quartic is held against the quadratic. Where they differ by more than noise explains, the
+    band is halved, down to the narrowest that leaves something to judge the noise by. There a pole is allowed for: the
+    polynomials fitted to the response with that pole miss it by a known amount, which is taken off (the local rational
+    method: McKelvey and Guérin (2012), 16th IFAC Symposium on System Identification).
+Noise
+    Its spectrum S comes from the residuals of the narrowest bands that have any, where the polynomials are least wrong,
+    over a neighborhood. With the estimate aY the variance E|P̂ - P|² is S aaᴴ.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.spectral.uniform_stretches import UniformStretch
+from greybox.spectral.welch import EPS, HZ, LEAST_DOF, WORST_CONDITION, WindowedPoint
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+# Of the response in a band. The error of order R in a band of half-width b beside a pole at the distance ρ goes as
+# (b/ρ)**(R + 1), and the lines that 2R + 2 unknowns need widen the band: orders from 2 to 4 are equally good.
+ORDER = 2
+NODES = ORDER + 1  # points in a band: as many as a polynomial has coefficients
+
+# Of the transient: its share of the output is about (memory / duration)**0.5, which is small, so that one order less
+# leaves an error as small as that of the response.
+TRANSIENT_ORDER = 1
+
+EXTRA = 2  # orders by which the polynomials are raised to see whether they are enough
+DOUBLED = 2  # how much wider the band is in which this is tried
+GROWTH = DOUBLED ** (ORDER + 2)  # by which the error at the nodes grows there
+
+# Squared difference of quadratic and quartic over its variance that noise exceeds in 5 % of cases (exponential
+# distribution): a band that is halved needlessly does no harm, three such points are as good as the one they replace.
+VISIBLE = 3.0
+
+# Of the response: an error of the polynomials that nobody needs to see, below a thousandth of a dB.
+NEGLIGIBLE = 1e-4
+
+# What the correction by a pole leaves of the error, squared: it goes into the variance.
+UNCORRECTED = 0.01
+
+LEAST_RESIDUALS = 3  # complex, that the narrowest band of a point leaves: six degrees of freedom
+
+# Of the neighborhood that the noise comes from: its width in the narrowest bands that leave a residual, and how many of
+# these are laid over it. Each has one residual, so there are at least 8 of them, and about 10 as they overlap: 20
+# degrees of freedom, of which a variance has a standard deviation of 30 %.
+NEIGHBORHOOD = 8
+PLACES = 24
+
+# Half-width of a band over its frequency, where nothing else limits it: a tenth of a decade on either side.
+WIDEST = 0.2
+
+
+class Lines(NamedTuple):
+    """Lines of all stretches, by frequency.
+
+    Attributes
+    ----------
+    omega : (n,) array, rad/s
+    values : (signals, n) complex array
+        Input, output, instrument, conditioned inputs, scaled so that noise has the variance of its spectral density.
+    stretch : (n,) array
+        Which stretch each line is of.
+    spacing : float, rad/s
+        Of the lines of the longest stretch.
+    same : bool
+        The instrument is the input.
+    """
+
+    omega: Array
+    values: Complex
+    stretch: NDArray[np.int64]
+    spacing: float
+    same: bool
+
+
+class Fitted(NamedTuple):
+    """Polynomials in one band.
+
+    Attributes
+    ----------
+    center, half : float, rad/s
+    rows : slice and (n,) array of int
+        Lines used.
+    x : (n,) array
+        Their place in the band, -1 to 1.
+    regressors, basis : (n, m) complex arrays
+        Coefficients of the response first; an orthonormal basis of the instruments.
+    solution : (m, n) complex array
+        From the output to the coefficients.
+    """
+
+    center: float
+    half: float
+    rows: NDArray[np.int64]
+    x: Array
+    regressors: Complex
+    basis: Complex
+    solution: Complex
+    order: int
+
+    def weights(self, omega: Array) -> Complex:
+        """From the output at the lines to the response at `omega` (k,): (k, n)."""
+        powers = np.vander((omega - self.center) / self.half, self.order + 1, increasing=True)
+        return powers @ self.solution[: self.order + 1]
+
+    def residuals(self, y: Complex) -> Complex:
+        """Return what the polynomials do not explain, (n,)."""
+        return y - self.regressors @ (self.solution @ y)
+
+    def trace(self) -> float:
+        """Return E|residuals|² of noise of variance one: tr QQᴴ with Q = I - regressors solution."""
+        n, m = self.regressors.shape
+        gram = (self.solution @ self.solution.conj().T) @ (self.regressors.conj().T @ self.regressors)
+        return n - 2 * m + float(np.trace(gram).real)
+
+
+class Band(NamedTuple):
+    """A band whose polynomials are taken, the frequencies at which they are read, and their error there.
+
+    Attributes
+    ----------
+    fitted : Fitted
+    omega : (k,) array, rad/s
+    correction : (k,) complex array
+        What is taken off the response.
+    squared_error : (k,) array
+        What the correction leaves.
+    pole_noise : (float, float) or None
+        Sum of squared residuals with a pole, and their number, where the polynomials alone are visibly wrong.
+    """
+
+    fitted: Fitted
+    omega: Array
+    correction: Complex
+    squared_error: Array
+    pole_noise: tuple[float, float] | None
+
+
+def lines_of(stretches: Sequence[UniformStretch]) -> Lines:
+    """Transform stretches whose rows are input, output, instrument and inputs to condition on."""
+    omega, values, stretch = [], [], []
+    for index, piece in enumerate(stretches):
+        count = piece.values.shape[1]
+        spectrum = np.fft.rfft(piece.values, axis=1)[:, 1:] * math.sqrt(piece.step / count)
+        omega.append(HZ / (count * piece.step) * np.arange(1, spectrum.shape[1] + 1))
+        values.append(spectrum)
+        stretch.append(np.full(spectrum.shape[1], index))
+
+    together = np.concatenate(omega)
+    order = np.argsort(together, kind="stable")
+    return Lines(
+        together[order],
+        np.concatenate(values, axis=1)[:, order],
+        np.concatenate(stretch)[order],
+        min(float(first[0]) for first in omega if first.size),
+        all(np.array_equal(piece.values[0], piece.values[2]) for piece in stretches),
+    )
+
+
+def tiled_points(lines: Lines, low: float, high: float, points: int) -> tuple[Array, list[WindowedPoint]]:
+    """Return frequencies between `low` and `high`, and the estimates there.
+
+    There are about `points`, log spaced, where the response is smooth; more where it is not, and fewer where `lines` do
+    not resolve as many.
+    """
+    widths = _Widths.of(lines, math.sqrt(low * high))
+    edges = _edges(low, high, max(round(points / NODES), 1), widths.point)
+    bands = [
+        band for left, right in zip(edges[:-1], edges[1:], strict=True) for band in _halved(lines, left, right, widths)
+    ]
+    estimates = [point for band in bands for point in _estimates(lines, band, bands, widths)]
+    return np.concatenate([band.omega for band in bands] or [np.zeros(0)]), estimates
+
+
+def points_at(lines: Lines, omega: Array) -> list[WindowedPoint]:
+    """Return the estimates at `omega` (n,), each in the middle of a band that reaches half way to the next ones.
+
+    Where they are closer than the resolution the bands overlap, and the errors of neighbors are correlated.
+    """
+    widths = _Widths.of(lines, float(np.exp(np.mean(np.log(omega)))))
+    order = np.sort(omega)
+    gaps = np.concatenate([[np.inf], np.diff(order), [np.inf]])
+    nearest = dict(zip(order.tolist(), np.minimum(gaps[:-1], gaps[1:]), strict=True))
+
+    bands = []
+    for center in omega.tolist():
+        half = max(min(nearest[center] / 2, WIDEST * center), widths.point / 2)
+        bands.append(_centered(lines, center, half, widths))
+    known = [band for band in bands if band is not None]
+    return [_estimates(lines, band, known, widths)[0] if band else WindowedPoint() for band in bands]
+
+
+class _Widths(NamedTuple):
+    """The narrowest bands that leave enough residuals for a point, and one for the noise, rad/s."""
+
+    point: float
+    noise: float
+
+    @classmethod
+    def of(cls, lines: Lines, omega: float) -> "_Widths":
+        return cls(_narrowest(lines, omega, LEAST_RESIDUALS), _narrowest(lines, omega, 1))
+
+
+def _narrowest(lines: Lines, omega: float, residuals: int) -> float:
+    """Return the width of the narrowest band around `omega` that leaves so many residuals, wherever its edges lie."""
+    half_lines = 2
+    while True:
+        half = half_lines / 2 * lines.spacing
+        center = max(omega, half + lines.spacing)
+        if center + half > lines.omega[-1]:
+            raise ValueError("the records are too short for any polynomial in frequency: record longer.")
+        if all(_fit(lines, center + shift * lines.spacing, half, residuals=residuals) for shift in (0.0, 0.25, 0.5)):
+            return 2 * half
+        half_lines += 1
+
+
+def _edges(low: float, high: float, count: int, least: float) -> Array:
+    """Return the edges of bands of one ratio, but nowhere narrower than `least`."""
+    ratio = (high / low) ** (1 / count)
+    edges = [low]
+    while edges[-1] < high * (1 - 1e-9):
+        edges.append(max(edges[-1] * ratio, edges[-1] + least))
+    if len(edges) > 2 and high - edges[-2] < least:
+        edges.pop()
+    edges[-1] = max(high, edges[0] + least)
+    return np.array(edges)
+
+
+def _fit(lines: Lines, center: float, half: float, *, extra: int = 0, residuals: int = 1) -> Fitted | None:
+    """Fit polynomials in a band, of orders raised by `extra`; None where they are not determined.
+
+    Stretches with as few lines in the band as their transient has coefficients tell nothing, and are left out.
+    """
+    order, transient_order = ORDER + extra, TRANSIENT_ORDER + extra
+    rows, stretches = _rows(lines, center, half, transient_order)
+    x = (lines.omega[rows] - center) / half
+    u, _, r, *conditioned = lines.values[:, rows]
+    powers = [x**k for k in range(order + 1)]
+
+    shared = [c * power for c in conditioned for power in powers]
+    shared += [(lines.stretch[rows] == s) * power + 0j for s in stretches for power in powers[: transient_order + 1]]
+    if rows.size - order - 1 - len(shared) < residuals:
+        return None
+    regressors = np.array([u * power for power in powers] + shared).T
+    instruments = regressors if lines.same else np.array([r * power for power in powers] + shared).T
+    solved = _solved(regressors, instruments)
+    if solved is None:
+        return None
+    basis, solution = solved
+    return Fitted(center, half, rows, x, regressors, basis, solution, order)
+
+
+def _rows(lines: Lines, center: float, half: float, transient_order: int) -> tuple[NDArray[np.int64], list[int]]:
+    """Return the lines of a band, and the stretches they are of."""
+    first, last = np.searchsorted(lines.omega, [(center - half) * (1 - 1e-9), (center + half) * (1 + 1e-9)])
+    rows = np.arange(first, last)
+    numbers, counts = np.unique(lines.stretch[rows], return_counts=True)
+    stretches = numbers[counts > transient_order + 1]
+    if len(stretches) < len(numbers):
+        rows = rows[np.isin(lines.stretch[rows], stretches)]
+    return rows, stretches.tolist()
+
+
+def _solved(regressors: Complex, instruments: Complex) -> tuple[Complex, Complex] | None:
+    """Return an orthonormal basis Z of the instruments and (ZᴴX)⁻¹Zᴴ; None where that is ill conditioned."""
+    x_length, z_length = (np.linalg.norm(columns, axis=0) for columns in (regressors, instruments))
+    if not (np.all(x_length > 0) and np.all(z_length > 0)):
+        return None
+    basis, _ = np.linalg.qr(instruments / z_length)
+    square = basis.conj().T @ (regressors / x_length)
+    if not np.linalg.cond(square) < WORST_CONDITION:
+        return None
+    return basis, np.linalg.solve(square, basis.conj().T) / x_length[:, None]
+
+
+def _halved(lines: Lines, low: float, high: float, widths: _Widths) -> list[Band]:
+    """Return the band, or its halves where its polynomials are visibly wrong."""
+    center, half = (low + high) / 2, (high - low) / 2
+    fitted = _fit(lines, center, half, residuals=LEAST_RESIDUALS)
+    if fitted is None:
+        return []
+    band, wrong = _judged(lines, fitted, _gauss_nodes(lines, fitted))
+    if wrong and high - low >= 2 * widths.point:
+        halves = [_halved(lines, low, center, widths), _halved(lines, center, high, widths)]
+        if all(halves):
+            return halves[0] + halves[1]
+    return [band]
+
+
+def _centered(lines: Lines, center: float, half: float, widths: _Widths) -> Band | None:
+    """Return the widest band around `center`, up to `half`, whose polynomials are not visibly wrong."""
+    while True:
+        fitted = _fit(lines, center, half, residuals=LEAST_RESIDUALS)
+        if fitted is None:
+            return None
+        band, wrong = _judged(lines, fitted, np.array([center]))
+        if not wrong or half <= widths.point / 2:
+            return band
+        half = max(half / 2, widths.point / 2)
+
+
+def _gauss_nodes(lines: Lines, fitted: Fitted) -> Array:
+    """Return the zeros of the next polynomial that is orthogonal over the lines, weighted by the excitation.
+
+    They are the eigenvalues of the multiplication by x, seen among the polynomials of the fitted order (Golub and
+    Welsch (1969), Mathematics of Computation 23).
+    """
+    u, _, r, *_ = lines.values[:, fitted.rows]
+    amplitude = np.sqrt(np.abs(u) * np.abs(r))
+    basis, _ = np.linalg.qr(amplitude[:, None] * np.vander(fitted.x, NODES, increasing=True))
+    return fitted.center + fitted.half * np.linalg.eigvalsh(basis.T @ (fitted.x[:, None] * basis))
+
+
+def _judged(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Band, bool]:
+    """Return the band read at `omega`, and whether its polynomials are visibly wrong there."""
+    plain = Band(fitted, omega, np.zeros(omega.size, complex), np.zeros(omega.size), None)
+    wide, wider_half = fitted.center, DOUBLED * fitted.half
+    quadratic = _fit(lines, wide, wider_half)
+    quartic = _fit(lines, wide, wider_half, extra=EXTRA)
+    if quadratic is None or quartic is None or not np.array_equal(quadratic.rows, quartic.rows):
+        return plain, False
+
+    y = lines.values[1, quartic.rows]
+    weights = quartic.weights(omega) - quadratic.weights(omega)
+    noise = np.sum(np.abs(quartic.residuals(y)) ** 2) / quartic.trace()
+    squared = np.abs(weights @ y) ** 2
+    variance = noise * np.sum(np.abs(weights) ** 2, axis=1)
+    response = fitted.weights(omega) @ lines.values[1, fitted.rows]
+    if not np.any((squared > VISIBLE * variance) & (np.sqrt(squared) > GROWTH * NEGLIGIBLE * np.abs(response))):
+        return plain, False
+
+    with_pole = _with_pole(lines, fitted, omega)
+    if with_pole is None:
+        return plain._replace(squared_error=np.maximum(squared - variance, 0) / GROWTH**2), True
+    correction, pole_noise = with_pole
+    return Band(fitted, omega, correction, UNCORRECTED * np.abs(correction) ** 2, pole_noise), True
+
+
+def _with_pole(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Complex, tuple[float, float]] | None:
+    """Return the error of the polynomials at `omega` if there is a pole, and the residuals with that pole.
+
+    Y = (B U + T) / (1 + a x) + V is linear in the coefficients of B, T and a as Y + a x Y = B U + T. The instrument of
+    x Y is the next power times the input, which the noise in Y does not enter.
+    """
+    center, half = fitted.center, DOUBLED * fitted.half
+    rows, stretches = _rows(lines, center, half, TRANSIENT_ORDER)
+    x = (lines.omega[rows] - center) / half
+    u, y, r, *conditioned = lines.values[:, rows]
+    powers = [x**k for k in range(ORDER + 1)]
+
+    shared = [c * power for c in conditioned for power in powers]
+    shared += [(lines.stretch[rows] == s) * power + 0j for s in stretches for power in powers[: TRANSIENT_ORDER + 1]]
+    regressors = np.array([u * power for power in powers] + [-x * y] + shared).T
+    instruments = np.array([r * power for power in powers] + [r * x ** (ORDER + 1)] + shared).T
+    if len(regressors) <= regressors.shape[1]:
+        return None
+    solved = _solved(regressors, instruments)
+    places = np.searchsorted(rows, fitted.rows)
+    if solved is None or not np.array_equal(rows[np.minimum(places, rows.size - 1)], fitted.rows):
+        return None
+
+    coefficients = solved[1] @ y
+    pole = coefficients[ORDER + 1]
+    coefficients[ORDER + 1] = 0.0
+    output = regressors @ coefficients / (1 + pole * x)
+    at = (omega - center) / half
+    response = np.vander(at, ORDER + 1, increasing=True) @ coefficients[: ORDER + 1] / (1 + pole * at)
+    correction = fitted.weights(omega) @ output[places] - response
+    left = float(np.sum(np.abs(y - output) ** 2))
+    if not (np.all(np.isfinite(correction)) and math.isfinite(left)):
+        return None
+    return correction, (left, float(rows.size - len(coefficients)))
+
+
+def _estimates(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths) -> list[WindowedPoint]:
+    """Return what a band gives at its frequencies."""
+    found = _noise(lines, band, bands, widths)
+    if found is None:
+        return [WindowedPoint()] * band.omega.size
+    noise, dof = found
+
+    fitted = band.fitted
+    weights = fitted.weights(band.omega)
+    response = weights @ lines.values[1, fitted.rows] - band.correction
+    variance = noise * np.sum(np.abs(weights) ** 2, axis=1) + band.squared_error
+    rounding = (4 * EPS * np.abs(response)) ** 2  # noise-free data have no smaller variance than their rounding errors
+    coherence = _coherence(lines, fitted, noise)
+    return [
+        WindowedPoint(complex(p), float(v), dof, coherence)
+        for p, v in zip(response, np.maximum(variance, rounding), strict=True)
+    ]
+
+
+def _noise(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths) -> tuple[float, float] | None:
+    """Return the spectral density of the noise around a band, and its degrees of freedom.
+
+    Bands in which the polynomials are visibly wrong do not count; if the band itself is one, its residuals with the pole
+    do.
+    """
+    if band.pole_noise is not None:
+        squares, number = band.pole_noise
+        if 2 * number >= LEAST_DOF:
+            return squares / number, 2 * number
+
+    width = max(2 * band.fitted.half, NEIGHBORHOOD * widths.noise)
+    low = max(band.fitted.center - width / 2, lines.spacing / 2)
+    centers = np.linspace(low + widths.noise / 2, low + width - widths.noise / 2, PLACES)
+    wrong = [b.fitted for b in bands if b.pole_noise is not None]
+    right = [c for c in centers if not any(abs(c - f.center) < f.half for f in wrong)]
+    small = [f for c in (right or centers) if (f := _fit(lines, c, widths.noise / 2)) is not None]
+    if not small:
+        return None
+
+    first = min(f.rows[0] for f in small)
+    last = max(f.rows[-1] for f in small)
+    projections = []
+    for f in small:
+        spread = np.zeros((f.rows.size, last - first + 1), complex)
+        spread[:, f.rows - first] = np.eye(f.rows.size) - f.regressors @ f.solution
+        projections.append(spread)
+    stacked = np.vstack(projections)
+    squares = np.sum(np.abs(stacked @ lines.values[1, first : last + 1]) ** 2)
+    trace = np.sum(np.abs(stacked) ** 2)
+    dof = 2 * trace**2 / np.sum(np.abs(stacked @ stacked.conj().T) ** 2)  # Satterthwaite
+    return (float(squares / trace), float(dof)) if dof >= LEAST_DOF else None
+
+
+def _coherence(lines: Lines, fitted: Fitted, noise: float) -> float:
+    """Return the partial γ², without transient and conditioned inputs, of instrument and output.
+
+    With an instrument it is the lower one of instrument with input and with output.
+    """
+    u, y, *_ = lines.values[:, fitted.rows]
+    n, m = fitted.regressors.shape
+    others = fitted.regressors[:, fitted.order + 1 :]
+    rest, _ = np.linalg.qr(others / np.linalg.norm(others, axis=0))
+
+    def unexplained(signal: Complex, basis: Complex) -> float:
+        left = signal - basis @ (basis.conj().T @ signal)
+        return float(np.sum(np.abs(left) ** 2)) / (n - basis.shape[1])
+
+    output = max(unexplained(y, rest), np.finfo(float).tiny)
+    if lines.same:
+        return float(np.clip(1 - noise / output, EPS, 1))
+    input = max(unexplained(u, rest), np.finfo(float).tiny)
+    shares = (unexplained(y, fitted.basis) / output, unexplained(u, fitted.basis) / input)
+    return float(np.clip(1 - max(shares), EPS, 1))
