@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.spectral.local_polynomials import lines_of, points_at, tiled_points
+from greybox.spectral.local_polynomials import Lines, lines_of, points_at, tiled_points
 from greybox.spectral.uniform_stretches import UniformStretch, uniform_stretches
 from greybox.spectral.welch import HZ, PERIODS, WindowedPoint, estimates, response_at, transforms
 
@@ -36,6 +36,8 @@ COHERENT = 0.6  # below, a point of the automatic grid is left out: Tischler and
 SHARPNESS = 4
 
 SAMPLES = 8  # in a window, at least: two periods (`PERIODS`) of four samples
+
+SMOOTHED = 0.3  # octaves or so over which the excitation is averaged, as a share of the frequency
 
 # Of the largest ω S(ω), which a logarithmic sweep keeps constant: 20 dB below it the excitation ends. For white noise
 # of 60 s through a resonance of 1 Hz, the grid begins at 0.64 Hz with 0.03, at 0.17 Hz with 0.01, and with 0.003 it
@@ -105,25 +107,24 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     lengths = _window_lengths(stretches, windows)
     if not 0 <= overlap < 1:
         raise ValueError(f"overlap is {overlap:g}: it must be at least 0 and below 1.")
-    grid = _excited_frequencies(stretches, lengths, points) if omega is None else _checked(omega, lengths[0])
+    lines = lines_of(stretches)
+    longest = lengths[0]
+    if omega is None:
+        band = _excited_band(lines, PERIODS * HZ / longest, 0.4 * HZ / max(s.step for s in stretches))
+    else:
+        grid = _checked(omega, longest)
 
     if windows is None:
-        lines = lines_of(stretches)
-        if omega is None:
-            grid, found = tiled_points(lines, grid[0], grid[-1], points)
-        else:
-            found = points_at(lines, grid)
-        response = response_at(grid, found, (input, output, name), stretches)
-        coherent = response.coherence >= COHERENT  # type: ignore[operator]
-        return response.where(coherent) if omega is None and coherent.any() else response
+        grid, found = tiled_points(lines, *band, points) if omega is None else (grid, points_at(lines, grid))
+    else:
+        grid = np.geomspace(*band, points) if omega is None else grid
+        per_length = [
+            estimates(transforms(stretches, length, overlap, grid, leakage_terms=LEAKAGE_TERMS), grid * length)
+            for length in lengths
+        ]
+        found = [_combined(row) for row in zip(*per_length, strict=True)]
 
-    per_length = [
-        estimates(transforms(stretches, length, overlap, grid, leakage_terms=LEAKAGE_TERMS), grid * length)
-        for length in lengths
-    ]
-    combined = [_combined(row) for row in zip(*per_length, strict=True)]
-    response = response_at(grid, combined, (input, output, name), stretches)
-
+    response = response_at(grid, found, (input, output, name), stretches)
     coherent = response.coherence >= COHERENT  # type: ignore[operator]
     return response.where(coherent) if omega is None and coherent.any() else response
 
@@ -154,18 +155,20 @@ def _checked(omega: ArrayLike, longest: float) -> Array:
     return grid
 
 
-def _excited_frequencies(stretches: Sequence[UniformStretch], lengths: Sequence[float], points: int) -> Array:
-    """Return log spaced frequencies around the strongest excitation, up to the first gap in it on either side."""
-    fine = np.geomspace(PERIODS * HZ / lengths[0], 0.4 * HZ / max(s.step for s in stretches), 200)
-    spectra = transforms(stretches, lengths[len(lengths) // 2], 0.8, fine)
-    power = np.sum(np.abs(spectra.r) ** 2, axis=0) * fine
-    power = np.convolve(np.pad(power, 4, mode="edge"), np.ones(9) / 9, mode="valid")  # noise has holes by chance
+def _excited_band(lines: Lines, lowest: float, highest: float) -> tuple[float, float]:
+    """Return the band around the strongest excitation, up to the first gap in it on either side."""
+    fine = np.geomspace(lowest, highest, 200)
+    reach = np.maximum(fine * SMOOTHED / 2, PERIODS * lines.spacing)  # noise has holes by chance
+    first = np.searchsorted(lines.omega, fine - reach)
+    last = np.searchsorted(lines.omega, fine + reach)
+    total = np.concatenate([[0.0], np.cumsum(np.abs(lines.values[2]) ** 2)])
+    power = fine * (total[last] - total[first]) / np.maximum(last - first, 1)
 
     weak = np.flatnonzero(power < EXCITED * power.max())
     strongest = int(power.argmax())
-    first = int(max(weak[weak < strongest], default=-1)) + 1
-    last = int(min(weak[weak > strongest], default=fine.size)) - 1
-    return np.geomspace(fine[first], fine[last], points)
+    left = int(max(weak[weak < strongest], default=-1)) + 1
+    right = int(min(weak[weak > strongest], default=fine.size)) - 1
+    return float(fine[left]), float(fine[right])
 
 
 def _combined(estimates: Sequence[WindowedPoint]) -> WindowedPoint:

@@ -47,9 +47,10 @@ EXTRA = 2  # orders by which the polynomials are raised to see whether they are 
 DOUBLED = 2  # how much wider the band is in which this is tried
 GROWTH = DOUBLED ** (ORDER + 2)  # by which the error at the nodes grows there
 
-# Squared difference of quadratic and quartic over its variance that noise exceeds in 5 % of cases (exponential
-# distribution): a band that is halved needlessly does no harm, three such points are as good as the one they replace.
-VISIBLE = 3.0
+# Squared difference of quadratic and quartic over its variance, which for noise alone has an exponential distribution:
+# exceeded in 1 % of cases, from where a band is halved; and in 0.01 %, from where there is a pole to be found in noise.
+VISIBLE = 4.6
+CERTAIN = 9.2
 
 # Of the response: an error of the polynomials that nobody needs to see, below a thousandth of a dB.
 NEGLIGIBLE = 1e-4
@@ -59,14 +60,23 @@ UNCORRECTED = 0.01
 
 LEAST_RESIDUALS = 3  # complex, that the narrowest band of a point leaves: six degrees of freedom
 
-# Of the neighborhood that the noise comes from: its width in the narrowest bands that leave a residual, and how many of
-# these are laid over it. Each has one residual, so there are at least 8 of them, and about 10 as they overlap: 20
-# degrees of freedom, of which a variance has a standard deviation of 30 %.
+# Of the lines of the narrowest band of a point, the share that transients may take: what is beyond is lost for the
+# response. It matters for several short stretches.
+TRANSIENT_SHARE = 0.5
+
+# Residuals, at least, of the neighborhood that the noise comes from; and how many narrow bands are laid over it. As they
+# overlap, 8 residuals become about 10, which is 20 degrees of freedom: such a variance has a standard deviation of 30 %.
 NEIGHBORHOOD = 8
 PLACES = 24
 
+# Noise falls or rises by a power of the frequency: of disturbances that pass through two integrators, the fourth. The
+# power is taken from an octave on either side, by least squares on logarithms, whose scatter is π/√6 for one residual,
+# with a prior of this standard deviation.
+STEEP = 3.0
+LOG_SCATTER = math.pi / math.sqrt(6)
+
 # Half-width of a band over its frequency, where nothing else limits it: a tenth of a decade on either side.
-WIDEST = 0.2
+WIDEST = 0.35
 
 
 class Lines(NamedTuple):
@@ -106,6 +116,8 @@ class Fitted(NamedTuple):
         Coefficients of the response first; an orthonormal basis of the instruments.
     solution : (m, n) complex array
         From the output to the coefficients.
+    order, transients : int
+        Of the response; and how many coefficients the transients have.
     """
 
     center: float
@@ -116,6 +128,7 @@ class Fitted(NamedTuple):
     basis: Complex
     solution: Complex
     order: int
+    transients: int
 
     def weights(self, omega: Array) -> Complex:
         """From the output at the lines to the response at `omega` (k,): (k, n)."""
@@ -217,10 +230,10 @@ class _Widths(NamedTuple):
 
     @classmethod
     def of(cls, lines: Lines, omega: float) -> "_Widths":
-        return cls(_narrowest(lines, omega, LEAST_RESIDUALS), _narrowest(lines, omega, 1))
+        return cls(_narrowest(lines, omega, LEAST_RESIDUALS, TRANSIENT_SHARE), _narrowest(lines, omega, 1))
 
 
-def _narrowest(lines: Lines, omega: float, residuals: int) -> float:
+def _narrowest(lines: Lines, omega: float, residuals: int, transient_share: float = 1.0) -> float:
     """Return the width of the narrowest band around `omega` that leaves so many residuals, wherever its edges lie."""
     half_lines = 2
     while True:
@@ -228,7 +241,8 @@ def _narrowest(lines: Lines, omega: float, residuals: int) -> float:
         center = max(omega, half + lines.spacing)
         if center + half > lines.omega[-1]:
             raise ValueError("the records are too short for any polynomial in frequency: record longer.")
-        if all(_fit(lines, center + shift * lines.spacing, half, residuals=residuals) for shift in (0.0, 0.25, 0.5)):
+        fits = [_fit(lines, center + shift * lines.spacing, half, residuals=residuals) for shift in (0.0, 0.25, 0.5)]
+        if all(f is not None and f.transients <= transient_share * f.rows.size for f in fits):
             return 2 * half
         half_lines += 1
 
@@ -266,7 +280,8 @@ def _fit(lines: Lines, center: float, half: float, *, extra: int = 0, residuals:
     if solved is None:
         return None
     basis, solution = solved
-    return Fitted(center, half, rows, x, regressors, basis, solution, order)
+    transients = len(stretches) * (transient_order + 1)
+    return Fitted(center, half, rows, x, regressors, basis, solution, order, transients)
 
 
 def _rows(lines: Lines, center: float, half: float, transient_order: int) -> tuple[NDArray[np.int64], list[int]]:
@@ -348,7 +363,8 @@ def _judged(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Band, bool]:
     if not np.any((squared > VISIBLE * variance) & (np.sqrt(squared) > GROWTH * NEGLIGIBLE * np.abs(response))):
         return plain, False
 
-    with_pole = _with_pole(lines, fitted, omega)
+    certain = np.any(squared > CERTAIN * variance)
+    with_pole = _with_pole(lines, fitted, omega) if certain else None
     if with_pole is None:
         return plain._replace(squared_error=np.maximum(squared - variance, 0) / GROWTH**2), True
     correction, pole_noise = with_pole
@@ -418,30 +434,80 @@ def _noise(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths) -> 
     """
     if band.pole_noise is not None:
         squares, number = band.pole_noise
-        if 2 * number >= LEAST_DOF:
+        if number >= LEAST_RESIDUALS:
             return squares / number, 2 * number
 
-    width = max(2 * band.fitted.half, NEIGHBORHOOD * widths.noise)
-    low = max(band.fitted.center - width / 2, lines.spacing / 2)
-    centers = np.linspace(low + widths.noise / 2, low + width - widths.noise / 2, PLACES)
+    center, half = band.fitted.center, band.fitted.half
     wrong = [b.fitted for b in bands if b.pole_noise is not None]
-    right = [c for c in centers if not any(abs(c - f.center) < f.half for f in wrong)]
-    small = [f for c in (right or centers) if (f := _fit(lines, c, widths.noise / 2)) is not None]
-    if not small:
+
+    def residuals(centers: Array) -> list[_Residual]:
+        right = [c for c in centers if not any(abs(c - f.center) < f.half for f in wrong)]
+        return [r for c in right if (r := _residual(lines, float(c), widths.noise / 2, bands)) is not None]
+
+    octaves = residuals(np.geomspace(center / 2, 2 * center, PLACES))
+    if not octaves:
+        return None
+    slope = _slope(octaves)
+
+    width = max(2 * half, math.ceil(NEIGHBORHOOD / octaves[0].number) * widths.noise)
+    near: list[_Residual] = []
+    for reach in (1, 2, 4):
+        low = max(center - reach * width / 2, lines.spacing / 2)
+        near = residuals(np.linspace(low + widths.noise / 2, low + reach * width - widths.noise / 2, reach * PLACES))
+        if len(near) >= PLACES / 2:
+            break
+    if not near:
         return None
 
-    first = min(f.rows[0] for f in small)
-    last = max(f.rows[-1] for f in small)
-    projections = []
-    for f in small:
-        spread = np.zeros((f.rows.size, last - first + 1), complex)
-        spread[:, f.rows - first] = np.eye(f.rows.size) - f.regressors @ f.solution
-        projections.append(spread)
-    stacked = np.vstack(projections)
-    squares = np.sum(np.abs(stacked @ lines.values[1, first : last + 1]) ** 2)
-    trace = np.sum(np.abs(stacked) ** 2)
+    level = np.array([(r.center / center) ** slope for r in near])
+    first = min(r.rows[0] for r in near)
+    last = max(r.rows[-1] for r in near)
+    stacked = np.zeros((sum(r.rows.size for r in near), last - first + 1), complex)
+    begin = 0
+    for r in near:
+        stacked[begin : begin + r.rows.size, r.rows - first] = r.projection
+        begin += r.rows.size
+    trace = sum(r.number for r in near)
     dof = 2 * trace**2 / np.sum(np.abs(stacked @ stacked.conj().T) ** 2)  # Satterthwaite
-    return (float(squares / trace), float(dof)) if dof >= LEAST_DOF else None
+    return float(np.array([r.squares for r in near]) @ (1 / level) / trace), float(dof)
+
+
+class _Residual(NamedTuple):
+    """What polynomials leave in a narrow band: sum of squares, their number, and the projection (n, n) that made them."""
+
+    center: float
+    rows: NDArray[np.int64]
+    squares: float
+    number: int
+    projection: Complex
+
+
+def _residual(lines: Lines, center: float, half: float, bands: Sequence[Band]) -> _Residual | None:
+    """Return what is left in a narrow band.
+
+    With an instrument, Y - P̂U with the response of the nearest band is projected, so that an instrument too weak to
+    give a response in the narrow band does no harm; without one this is the residual of least squares.
+    """
+    fitted = _fit(lines, center, half)
+    if fitted is None:
+        return None
+    u, y, *_ = lines.values[:, fitted.rows]
+    if not lines.same:
+        nearest = min((b.fitted for b in bands), key=lambda f: abs(center - f.center) / f.half)
+        inside = np.clip(lines.omega[fitted.rows], nearest.center - nearest.half, nearest.center + nearest.half)
+        y = y - nearest.weights(inside) @ lines.values[1, nearest.rows] * u
+    n, m = fitted.regressors.shape
+    projection = np.eye(n) - fitted.basis @ fitted.basis.conj().T
+    return _Residual(center, fitted.rows, float(np.sum(np.abs(projection @ y) ** 2)), n - m, projection)
+
+
+def _slope(residuals: Sequence[_Residual]) -> float:
+    """Return the slope of the noise, log power by log frequency, held back where few residuals tell it."""
+    omega = np.log([r.center for r in residuals])
+    power = np.log(np.maximum([r.squares / r.number for r in residuals], np.finfo(float).tiny))
+    omega = omega - omega.mean()
+    scatter = LOG_SCATTER / math.sqrt(residuals[0].number)
+    return float(omega @ power / (omega @ omega + (scatter / STEEP) ** 2))
 
 
 def _coherence(lines: Lines, fitted: Fitted, noise: float) -> float:

@@ -6,6 +6,7 @@ from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Trajectory
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.delay_approximation import coarse_pade
+from greybox.estimate.diagnostics.frequency_correlation import correlated_frequencies
 from greybox.estimate.diagnostics.global_minimum import (
     discontinuous_costs,
     few_agreeing_starts,
@@ -42,6 +43,7 @@ def warnings(
         *coarse_pade(nlp, pade_errors),
         *biased_gains(nlp, accuracy),
         *unlikely_variances(nlp, best),
+        *correlated_frequencies(nlp, best.estimate),
         *unlikely_deviations(nlp, trajectories),
         *discontinuous_costs(nlp),
     )
