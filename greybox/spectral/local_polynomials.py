@@ -23,13 +23,14 @@ Noise
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greybox.spectral.uniform_stretches import UniformStretch
-from greybox.spectral.welch import EPS, HZ, LEAST_DOF, WORST_CONDITION, WindowedPoint
+from greybox.spectral.welch import EPS, HZ, WORST_CONDITION, WindowedPoint
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -64,8 +65,8 @@ LEAST_RESIDUALS = 3  # complex, that the narrowest band of a point leaves: six d
 # response. It matters for several short stretches.
 TRANSIENT_SHARE = 0.5
 
-# Residuals, at least, of the neighborhood that the noise comes from; and how many narrow bands are laid over it. As they
-# overlap, 8 residuals become about 10, which is 20 degrees of freedom: such a variance has a standard deviation of 30 %.
+# Residuals, at least, of the neighborhood that the noise comes from; and how many narrow bands are laid over it. As
+# they overlap, 8 residuals become about 12, and the variance has 25 degrees of freedom.
 NEIGHBORHOOD = 8
 PLACES = 24
 
@@ -108,7 +109,7 @@ class Fitted(NamedTuple):
     Attributes
     ----------
     center, half : float, rad/s
-    rows : slice and (n,) array of int
+    rows : (n,) array of int
         Lines used.
     x : (n,) array
         Their place in the band, -1 to 1.
@@ -197,9 +198,7 @@ def tiled_points(lines: Lines, low: float, high: float, points: int) -> tuple[Ar
     """
     widths = _Widths.of(lines, math.sqrt(low * high))
     edges = _edges(low, high, max(round(points / NODES), 1), widths.point)
-    bands = [
-        band for left, right in zip(edges[:-1], edges[1:], strict=True) for band in _halved(lines, left, right, widths)
-    ]
+    bands = [band for left, right in pairwise(edges) for band in _halved(lines, left, right, widths)]
     estimates = [point for band in bands for point in _estimates(lines, band, bands, widths)]
     return np.concatenate([band.omega for band in bands] or [np.zeros(0)]), estimates
 
@@ -342,7 +341,8 @@ def _gauss_nodes(lines: Lines, fitted: Fitted) -> Array:
     u, _, r, *_ = lines.values[:, fitted.rows]
     amplitude = np.sqrt(np.abs(u) * np.abs(r))
     basis, _ = np.linalg.qr(amplitude[:, None] * np.vander(fitted.x, NODES, increasing=True))
-    return fitted.center + fitted.half * np.linalg.eigvalsh(basis.T @ (fitted.x[:, None] * basis))
+    nodes = np.linalg.eigvalsh(basis.T @ (fitted.x[:, None] * basis)).astype(float)
+    return fitted.center + fitted.half * nodes
 
 
 def _judged(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Band, bool]:
@@ -426,11 +426,21 @@ def _estimates(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths)
     ]
 
 
+class _Residual(NamedTuple):
+    """What polynomials leave in a narrow band: sum of squares, their number, and the projection (n, n) to them."""
+
+    center: float
+    rows: NDArray[np.int64]
+    squares: float
+    number: int
+    projection: Complex
+
+
 def _noise(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths) -> tuple[float, float] | None:
     """Return the spectral density of the noise around a band, and its degrees of freedom.
 
-    Bands in which the polynomials are visibly wrong do not count; if the band itself is one, its residuals with the pole
-    do.
+    Bands in which the polynomials are visibly wrong do not count; if the band itself is one, its residuals with the
+    pole do.
     """
     if band.pole_noise is not None:
         squares, number = band.pole_noise
@@ -460,26 +470,21 @@ def _noise(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths) -> 
         return None
 
     level = np.array([(r.center / center) ** slope for r in near])
-    first = min(r.rows[0] for r in near)
-    last = max(r.rows[-1] for r in near)
-    stacked = np.zeros((sum(r.rows.size for r in near), last - first + 1), complex)
-    begin = 0
-    for r in near:
-        stacked[begin : begin + r.rows.size, r.rows - first] = r.projection
-        begin += r.rows.size
     trace = sum(r.number for r in near)
-    dof = 2 * trace**2 / np.sum(np.abs(stacked @ stacked.conj().T) ** 2)  # Satterthwaite
-    return float(np.array([r.squares for r in near]) @ (1 / level) / trace), float(dof)
+    return float(np.array([r.squares for r in near]) @ (1 / level) / trace), 2 * trace**2 / _overlap(near)
 
 
-class _Residual(NamedTuple):
-    """What polynomials leave in a narrow band: sum of squares, their number, and the projection (n, n) that made them."""
-
-    center: float
-    rows: NDArray[np.int64]
-    squares: float
-    number: int
-    projection: Complex
+def _overlap(residuals: Sequence[_Residual]) -> float:
+    """Return Σ |projection_i projection_jᴴ|² over all pairs, the traces of Satterthwaite's formula."""
+    total = 0.0
+    for i, one in enumerate(residuals):
+        for other in residuals[i:]:
+            if other.rows[0] > one.rows[-1]:
+                break
+            _, left, right = np.intersect1d(one.rows, other.rows, assume_unique=True, return_indices=True)
+            product = np.sum(np.abs(one.projection[:, left] @ other.projection[right]) ** 2)
+            total += float(product) * (1 if other is one else 2)
+    return total
 
 
 def _residual(lines: Lines, center: float, half: float, bands: Sequence[Band]) -> _Residual | None:
@@ -516,7 +521,7 @@ def _coherence(lines: Lines, fitted: Fitted, noise: float) -> float:
     With an instrument it is the lower one of instrument with input and with output.
     """
     u, y, *_ = lines.values[:, fitted.rows]
-    n, m = fitted.regressors.shape
+    n = fitted.rows.size
     others = fitted.regressors[:, fitted.order + 1 :]
     rest, _ = np.linalg.qr(others / np.linalg.norm(others, axis=0))
 
