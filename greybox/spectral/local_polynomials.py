@@ -24,7 +24,7 @@ Noise
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +68,8 @@ TRANSIENT_SHARE = 0.5
 # Residuals, at least, of the neighborhood that the noise comes from; and how many narrow bands are laid over it. As
 # they overlap, 8 residuals become about 12, and the variance has 25 degrees of freedom.
 NEIGHBORHOOD = 8
-PLACES = 24
+PLACES = 24  # for bands with one residual
+LEAST_PLACES = 6
 
 # Noise falls or rises by a power of the frequency: of disturbances that pass through two integrators, the fourth. The
 # power is taken from an octave on either side, by least squares on logarithms, whose scatter is π/√6 for one residual,
@@ -114,11 +115,14 @@ class Fitted(NamedTuple):
     x : (n,) array
         Their place in the band, -1 to 1.
     regressors, basis : (n, m) complex arrays
-        Coefficients of the response first; an orthonormal basis of the instruments.
+        Of the coefficients of the response, then of conditioned inputs; an orthonormal basis of the instruments. Both
+        without transients.
     solution : (m, n) complex array
         From the output to the coefficients.
-    order, transients : int
-        Of the response; and how many coefficients the transients have.
+    transients : (n, t) array
+        An orthonormal basis.
+    order : int
+        Of the response.
     """
 
     center: float
@@ -128,23 +132,27 @@ class Fitted(NamedTuple):
     regressors: Complex
     basis: Complex
     solution: Complex
+    transients: Array
     order: int
-    transients: int
 
     def weights(self, omega: Array) -> Complex:
         """From the output at the lines to the response at `omega` (k,): (k, n)."""
         powers = np.vander((omega - self.center) / self.half, self.order + 1, increasing=True)
         return powers @ self.solution[: self.order + 1]
 
+    @property
+    def number(self) -> int:
+        """How many residuals are left."""
+        return self.rows.size - self.basis.shape[1] - self.transients.shape[1]
+
     def residuals(self, y: Complex) -> Complex:
         """Return what the polynomials do not explain, (n,)."""
-        return y - self.regressors @ (self.solution @ y)
+        return _without(self.transients, y) - self.regressors @ (self.solution @ y)
 
     def trace(self) -> float:
-        """Return E|residuals|² of noise of variance one: tr QQᴴ with Q = I - regressors solution."""
-        n, m = self.regressors.shape
+        """Return E|residuals|² of noise of variance one: tr QQᴴ with Q the way from the noise to the residuals."""
         gram = (self.solution @ self.solution.conj().T) @ (self.regressors.conj().T @ self.regressors)
-        return n - 2 * m + float(np.trace(gram).real)
+        return self.number - len(self.solution) + float(np.trace(gram).real)
 
 
 class Band(NamedTuple):
@@ -222,18 +230,23 @@ def points_at(lines: Lines, omega: Array) -> list[WindowedPoint]:
 
 
 class _Widths(NamedTuple):
-    """The narrowest bands that leave enough residuals for a point, and one for the noise, rad/s."""
+    """Of the narrowest bands, rad/s: for a point, and to judge the noise by, with the residuals that this one leaves."""
 
     point: float
     noise: float
+    residuals: int
 
     @classmethod
     def of(cls, lines: Lines, omega: float) -> "_Widths":
-        return cls(_narrowest(lines, omega, LEAST_RESIDUALS, TRANSIENT_SHARE), _narrowest(lines, omega, 1))
+        point, _ = _narrowest(lines, omega, LEAST_RESIDUALS, TRANSIENT_SHARE)
+        return cls(point, *_narrowest(lines, omega, 1))
 
 
-def _narrowest(lines: Lines, omega: float, residuals: int, transient_share: float = 1.0) -> float:
-    """Return the width of the narrowest band around `omega` that leaves so many residuals, wherever its edges lie."""
+def _narrowest(lines: Lines, omega: float, residuals: int, transient_share: float = 1.0) -> tuple[float, int]:
+    """Return the width of the narrowest band around `omega` that leaves `residuals`, wherever its edges lie, and those.
+
+    A band of a certain width holds one line more or less.
+    """
     half_lines = 2
     while True:
         half = half_lines / 2 * lines.spacing
@@ -241,8 +254,9 @@ def _narrowest(lines: Lines, omega: float, residuals: int, transient_share: floa
         if center + half > lines.omega[-1]:
             raise ValueError("the records are too short for any polynomial in frequency: record longer.")
         fits = [_fit(lines, center + shift * lines.spacing, half, residuals=residuals) for shift in (0.0, 0.25, 0.5)]
-        if all(f is not None and f.transients <= transient_share * f.rows.size for f in fits):
-            return 2 * half
+        found = [f for f in fits if f is not None and f.transients.shape[1] <= transient_share * f.rows.size]
+        if len(found) == len(fits):
+            return 2 * half, min(f.number for f in found)
         half_lines += 1
 
 
@@ -267,20 +281,36 @@ def _fit(lines: Lines, center: float, half: float, *, extra: int = 0, residuals:
     rows, stretches = _rows(lines, center, half, transient_order)
     x = (lines.omega[rows] - center) / half
     u, _, r, *conditioned = lines.values[:, rows]
-    powers = [x**k for k in range(order + 1)]
-
-    shared = [c * power for c in conditioned for power in powers]
-    shared += [(lines.stretch[rows] == s) * power + 0j for s in stretches for power in powers[: transient_order + 1]]
-    if rows.size - order - 1 - len(shared) < residuals:
+    powers = np.vander(x, order + 1, increasing=True)
+    if rows.size - (order + 1) * (1 + len(conditioned)) - (transient_order + 1) * len(stretches) < residuals:
         return None
-    regressors = np.array([u * power for power in powers] + shared).T
-    instruments = regressors if lines.same else np.array([r * power for power in powers] + shared).T
+
+    transients = _transients(lines.stretch[rows], stretches, powers[:, : transient_order + 1])
+    regressors = _without(transients, np.hstack([c[:, None] * powers for c in (u, *conditioned)]))
+    instruments = regressors
+    if not lines.same:
+        instruments = _without(transients, np.hstack([c[:, None] * powers for c in (r, *conditioned)]))
     solved = _solved(regressors, instruments)
     if solved is None:
         return None
     basis, solution = solved
-    transients = len(stretches) * (transient_order + 1)
-    return Fitted(center, half, rows, x, regressors, basis, solution, order, transients)
+    return Fitted(center, half, rows, x, regressors, basis, solution, transients, order)
+
+
+def _transients(stretch: NDArray[np.int64], stretches: Sequence[int], powers: Array) -> Array:
+    """Return an orthonormal basis (n, t) of polynomials of one stretch each; their columns are powers (n, k)."""
+    width = powers.shape[1]
+    basis = np.zeros((len(powers), width * len(stretches)))
+    for place, number in enumerate(stretches):
+        own = np.flatnonzero(stretch == number)
+        basis[own, width * place : width * (place + 1)] = np.linalg.qr(powers[own])[0]
+    return basis
+
+
+def _without(basis: Array, columns: Complex) -> Complex:
+    """Return the part of columns (n, ...) that is orthogonal to an orthonormal basis (n, t)."""
+    left: Complex = columns - basis @ (basis.T @ columns)
+    return left
 
 
 def _rows(lines: Lines, center: float, half: float, transient_order: int) -> tuple[NDArray[np.int64], list[int]]:
@@ -381,30 +411,31 @@ def _with_pole(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Complex, tup
     rows, stretches = _rows(lines, center, half, TRANSIENT_ORDER)
     x = (lines.omega[rows] - center) / half
     u, y, r, *conditioned = lines.values[:, rows]
-    powers = [x**k for k in range(ORDER + 1)]
-
-    shared = [c * power for c in conditioned for power in powers]
-    shared += [(lines.stretch[rows] == s) * power + 0j for s in stretches for power in powers[: TRANSIENT_ORDER + 1]]
-    regressors = np.array([u * power for power in powers] + [-x * y] + shared).T
-    instruments = np.array([r * power for power in powers] + [r * x ** (ORDER + 1)] + shared).T
-    if len(regressors) <= regressors.shape[1]:
+    powers = np.vander(x, ORDER + 2, increasing=True)
+    transients = _transients(lines.stretch[rows], stretches, powers[:, : TRANSIENT_ORDER + 1])
+    shared = [c[:, None] * powers[:, :-1] for c in conditioned]
+    regressors = np.hstack([u[:, None] * powers[:, :-1], -(x * y)[:, None], *shared])
+    instruments = np.hstack([r[:, None] * powers, *shared])
+    number = rows.size - regressors.shape[1] - transients.shape[1]
+    if number < 1:
         return None
-    solved = _solved(regressors, instruments)
+    solved = _solved(_without(transients, regressors), _without(transients, instruments))
     places = np.searchsorted(rows, fitted.rows)
     if solved is None or not np.array_equal(rows[np.minimum(places, rows.size - 1)], fitted.rows):
         return None
 
     coefficients = solved[1] @ y
     pole = coefficients[ORDER + 1]
+    transient = transients @ (transients.T @ (y - regressors @ coefficients))
     coefficients[ORDER + 1] = 0.0
-    output = regressors @ coefficients / (1 + pole * x)
+    output = (regressors @ coefficients + transient) / (1 + pole * x)
     at = (omega - center) / half
     response = np.vander(at, ORDER + 1, increasing=True) @ coefficients[: ORDER + 1] / (1 + pole * at)
     correction = fitted.weights(omega) @ output[places] - response
     left = float(np.sum(np.abs(y - output) ** 2))
     if not (np.all(np.isfinite(correction)) and math.isfinite(left)):
         return None
-    return correction, (left, float(rows.size - len(coefficients)))
+    return correction, (left, float(number))
 
 
 def _estimates(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths) -> list[WindowedPoint]:
@@ -454,17 +485,18 @@ def _noise(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths) -> 
         right = [c for c in centers if not any(abs(c - f.center) < f.half for f in wrong)]
         return [r for c in right if (r := _residual(lines, float(c), widths.noise / 2, bands)) is not None]
 
-    octaves = residuals(np.geomspace(center / 2, 2 * center, PLACES))
+    places = max(math.ceil(PLACES / widths.residuals), LEAST_PLACES)
+    octaves = residuals(np.geomspace(center / 2, 2 * center, places))
     if not octaves:
         return None
     slope = _slope(octaves)
 
-    width = max(2 * half, math.ceil(NEIGHBORHOOD / octaves[0].number) * widths.noise)
+    width = max(2 * half, math.ceil(NEIGHBORHOOD / widths.residuals) * widths.noise)
     near: list[_Residual] = []
     for reach in (1, 2, 4):
         low = max(center - reach * width / 2, lines.spacing / 2)
-        near = residuals(np.linspace(low + widths.noise / 2, low + reach * width - widths.noise / 2, reach * PLACES))
-        if len(near) >= PLACES / 2:
+        near = residuals(np.linspace(low + widths.noise / 2, low + reach * width - widths.noise / 2, reach * places))
+        if len(near) >= places / 2:
             break
     if not near:
         return None
@@ -501,9 +533,9 @@ def _residual(lines: Lines, center: float, half: float, bands: Sequence[Band]) -
         nearest = min((b.fitted for b in bands), key=lambda f: abs(center - f.center) / f.half)
         inside = np.clip(lines.omega[fitted.rows], nearest.center - nearest.half, nearest.center + nearest.half)
         y = y - nearest.weights(inside) @ lines.values[1, nearest.rows] * u
-    n, m = fitted.regressors.shape
-    projection = np.eye(n) - fitted.basis @ fitted.basis.conj().T
-    return _Residual(center, fitted.rows, float(np.sum(np.abs(projection @ y) ** 2)), n - m, projection)
+    projection = np.eye(fitted.rows.size) - fitted.basis @ fitted.basis.conj().T
+    projection -= fitted.transients @ fitted.transients.T
+    return _Residual(center, fitted.rows, float(np.sum(np.abs(projection @ y) ** 2)), fitted.number, projection)
 
 
 def _slope(residuals: Sequence[_Residual]) -> float:
@@ -522,10 +554,10 @@ def _coherence(lines: Lines, fitted: Fitted, noise: float) -> float:
     """
     u, y, *_ = lines.values[:, fitted.rows]
     n = fitted.rows.size
-    others = fitted.regressors[:, fitted.order + 1 :]
-    rest, _ = np.linalg.qr(others / np.linalg.norm(others, axis=0))
+    rest = np.hstack([fitted.transients, np.linalg.qr(fitted.regressors[:, fitted.order + 1 :])[0]])
+    everything = np.hstack([fitted.transients, fitted.basis])
 
-    def unexplained(signal: Complex, basis: Complex) -> float:
+    def unexplained(signal: Complex, basis: NDArray[Any]) -> float:
         left = signal - basis @ (basis.conj().T @ signal)
         return float(np.sum(np.abs(left) ** 2)) / (n - basis.shape[1])
 
@@ -533,5 +565,5 @@ def _coherence(lines: Lines, fitted: Fitted, noise: float) -> float:
     if lines.same:
         return float(np.clip(1 - noise / output, EPS, 1))
     input = max(unexplained(u, rest), np.finfo(float).tiny)
-    shares = (unexplained(y, fitted.basis) / output, unexplained(u, fitted.basis) / input)
+    shares = (unexplained(y, everything) / output, unexplained(u, everything) / input)
     return float(np.clip(1 - max(shares), EPS, 1))
