@@ -1,10 +1,11 @@
-"""From a sweep to an interval: how often do 95 % intervals of maximum likelihood hold, over records of known systems?
+"""From a sweep to an interval: how often do 95 % intervals of maximum likelihood hold? Monte Carlo on known systems.
 
-python benchmarks/spectral_coverage.py [--repeats 200] [--only example] [--output benchmarks/results/spectral_coverage.txt]
+python benchmarks/spectral_coverage.py [--repeats 200] [--only example] [--output FILE]
 
-Records with noise, their spectral estimate with its defaults, and a fit of all parameters by maximum likelihood from the
-truth. To be quick the fit is one of scipy with the same cost and the same standard errors (`tests/support/known_systems`);
-the first records of every cell are fitted by `gb.fit` too, and the table says how far the standard errors differ.
+Records with noise, their spectral estimate with its defaults, and a fit of all parameters by maximum likelihood from
+the truth. To be quick the fit is one of scipy with the same cost and the same standard errors
+(`tests/support/known_systems.py`); the first records of the example are fitted by `gb.fit` too, and the table says how
+far the standard errors differ.
 
 Printed: points and degrees of freedom of their variances; the squared error of a point over its variance; per parameter
 the share of intervals that hold the truth, and the root mean square of the error over the standard error.

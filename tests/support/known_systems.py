@@ -63,7 +63,7 @@ def excitation(kind, time, rng):
 
 
 def flown(system, kind, rng, *, noise=0.1, pole=0.0, duration=164.0, rate=32.0):
-    """Return a record of signals u, y that begins at rest; `noise` is over the output's deviation, AR(1) with `pole`."""
+    """Return a record of u, y that begins at rest; `noise` is AR(1) with `pole`, relative to the output."""
     time = np.arange(0, duration, 1 / rate)
     u = excitation(kind, time, rng)
     size = 1 << math.ceil(math.log2(time.size + 200 * rate))
