@@ -247,7 +247,7 @@ class Cell:
 
     def judge(self, problem: Any, x: np.ndarray, constants: np.ndarray) -> "Answer":
         """Return what a Fit would say at the minimum `x`, by the same code."""
-        parts = tuple(replace(part, problem=p) for part, p in zip(self.nlp.parts, problem.parts, strict=True))
+        parts = tuple(part.with_problem(p) for part, p in zip(self.nlp.parts, problem.parts, strict=True))
         nlp = replace(self.nlp, problem=problem, parts=parts, constant_values=constants)
         accuracy = assess(nlp, x)
         value, gradient = (np.asarray(v) for v in self._quantities(nlp.all_values(x)))

@@ -57,7 +57,9 @@ def main():
         "show_eval_warnings": False,
         "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 500},
     }
-    solver = ca.nlpsol("bare", "ipopt", dict(nlp.expressions), quiet)
+    z, smoothing = ca.SX.sym("z", len(nlp.free)), ca.SX.sym("smoothing")
+    cost, limits = nlp.program(z, smoothing)
+    solver = ca.nlpsol("bare", "ipopt", {"x": z, "p": smoothing, "f": cost, "g": limits}, quiet)
     points = gb.solve.Sobol(options.starts).draw({name: problem.parameters[name] for name in nlp.free})
     z = nlp.scaling.to_solver(points)
     bounds = {"lbx": nlp.scaling.to_solver(nlp.lower), "ubx": nlp.scaling.to_solver(nlp.upper)}

@@ -6,8 +6,9 @@ Detection: of 15 spoiled schedules of six sines and 20 noisy pairs (signal to no
 24 sweeps, those in which no sine was found, and those that were found as one sweep; of 16 signals without a sine
 (noise, random walks, squares, steps), those in which none of 3 s was found; and sines of any length found in them.
 
-Windows and polynomials: root mean square error in percent of the response of a resonance of 6 rad/s, damped by 0.3 and by 0.05, from 12
-records of 60 s with a sweep and 12 with white noise, output noise 0.02, 12 frequencies from 1.5 to 12 rad/s.
+Windows and polynomials: root mean square error in percent of the response of a resonance of 6 rad/s, damped by 0.3 and
+by 0.05, from 12 records of 60 s with a sweep and 12 with white noise, output noise 0.02, 12 frequencies from 1.5 to 12
+rad/s.
 """
 
 import math

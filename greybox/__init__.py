@@ -10,6 +10,10 @@ linear least squares; `greybox.solve` starts and solvers; `greybox.validation` t
 figures.
 """
 
+from greybox.cli.startup import guard_imports as _guard_imports
+
+_guard_imports()
+
 from importlib import import_module as _import_module
 from pathlib import Path as _Path
 

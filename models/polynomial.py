@@ -4,6 +4,8 @@ import math
 
 import greybox as gb
 
+LARGEST_ORDER = 100  # with the default radius, the bounds of the coefficients overflow at 177
+
 
 class Polynomial(gb.TransferFunction):
     r"""Ratio of two polynomials of given orders, (2.13).
@@ -85,3 +87,5 @@ def _value(coefficients, s):
 def _require_order(name, order, least):
     if isinstance(order, bool) or not isinstance(order, int) or order < least:
         raise ValueError(f"{name} = {order!r} is not the order of a polynomial: give an integer of at least {least}.")
+    if order > LARGEST_ORDER:
+        raise ValueError(f"{name} = {order} is too large: give an order of at most {LARGEST_ORDER}.")

@@ -1,21 +1,21 @@
 """Finding models and problems: those that are included, and those in a user's own file."""
 
 import ast
-import difflib
 import importlib
-import importlib.util
-import inspect
 import pkgutil
 import re
-import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from greybox.compiled.compiled_problem import AnyProblem
+from greybox.data.text_table import alternatives, nearest
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.model import Model
+from greybox.modeling.model_file import models_of, module_from_file
+
+SETTINGS = ("starts", "seed", "method")  # what a problem file may choose
 
 
 def shipped(kind: str) -> list[str]:
@@ -34,41 +34,10 @@ def shipped_module(kind: str, name: str) -> ModuleType:
     """
     known = shipped(kind)
     if name not in known:
-        near = difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"the included ones are {', '.join(known)}."
+        near = nearest(name, known)
+        hint = f"did you mean {near!r}?" if near else f"the included ones are {', '.join(known)}."
         raise ValueError(f"there is no included {kind[:-1]} {name!r}; {hint} A file of your own ends in .py.")
     return importlib.import_module(f"greybox.{kind}.{name}")
-
-
-def module_from_file(path: Path) -> ModuleType:
-    """Import a user's own file under its own name, so that a stored result can find its model again.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    """
-    if not path.is_file():
-        raise FileNotFoundError(f"there is no file {path}.")
-    folder = str(path.resolve().parent)
-    if folder not in sys.path:
-        sys.path.insert(0, folder)
-    loaded = sys.modules.get(path.stem)
-    if loaded is not None and Path(getattr(loaded, "__file__", "") or "").resolve() == path.resolve():
-        return loaded
-    if loaded is not None or path.stem in sys.stdlib_module_names:
-        raise ValueError(f"{path} has the name of another Python module, {path.stem!r}: rename the file.")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module
-    try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[path.stem]
-        raise
-    return module
 
 
 def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
@@ -85,7 +54,9 @@ def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
 
     found = getattr(module, wanted, None)
     if found is None:
-        raise ValueError(f"{place} has no {wanted!r}: define {wanted}() that returns a gb.Problem.")
+        near = nearest(wanted, (own for own in vars(module) if not own.startswith("_")))
+        hint = f"did you mean {near!r}? Otherwise " if near else ""
+        raise ValueError(f"{place} has no {wanted!r}: {hint}define {wanted}() that returns a gb.Problem.")
     problem = found() if callable(found) and not isinstance(found, Problem | Sum) else found
     if not isinstance(problem, Problem | Sum):
         raise ValueError(
@@ -93,14 +64,17 @@ def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
         )
     label = Path(place).stem + (f":{name}" if name else "")
     settings = getattr(module, "settings", {})
-    unknown = set(settings) - {"starts", "seed", "method"}
+    unknown = set(settings) - set(SETTINGS)
     if unknown:
-        raise ValueError(f"settings in {text} has {unknown.pop()!r}: it may contain 'starts', 'seed' and 'method'.")
+        name = min(map(str, unknown))
+        near = nearest(name, SETTINGS)
+        hint = f": did you mean {near!r}?" if near else "."
+        raise ValueError(f"settings in {text} has {name!r}: it may contain 'starts', 'seed' and 'method'{hint}")
     return problem.with_(name=label), dict(settings)
 
 
 def find_model(text: str) -> Model:
-    """Return a model from ``tilt:Tilt``, ``polynomial:Polynomial(4, 1)`` or ``my.py:Class``.
+    """Return a model from ``tilt:Tilt``, ``polynomial:Polynomial(4, 1)`` or ``my.py:Class``, or the only one of a file.
 
     Raises
     ------
@@ -111,22 +85,12 @@ def find_model(text: str) -> Model:
     if match is None:
         raise ValueError(f"model {text!r} is not understood: write file:Class, e.g. tilt:Tilt or my.py:MyModel.")
     module, name = _locate("models", match["place"])
-    known = [n for n, c in vars(module).items() if _is_own_model(c, module)]
+    known = {model.__name__: model for model in models_of(module)}
+    if not name and len(known) == 1:
+        (name,) = known
     if name not in known:
-        raise ValueError(
-            f"there is no model {text!r}; {match['place'].split(':')[0]} has {', '.join(known) or 'none'}."
-        )
-    return getattr(module, name)(*_arguments(match["arguments"] or "()", text))
-
-
-def models_of(module: ModuleType) -> list[type[Model]]:
-    """Return the concrete model classes that a module defines."""
-    return [c for c in vars(module).values() if _is_own_model(c, module)]
-
-
-def _is_own_model(thing: Any, module: ModuleType) -> bool:
-    own = isinstance(thing, type) and issubclass(thing, Model) and thing.__module__ == module.__name__
-    return own and not inspect.isabstract(thing)
+        raise ValueError(f"there is no model {text!r}; {match['place'].split(':')[0]} has {alternatives(name, known)}")
+    return known[name](*_arguments(match["arguments"] or "()", text))
 
 
 def _locate(kind: str, text: str) -> tuple[ModuleType, str]:

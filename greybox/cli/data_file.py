@@ -1,13 +1,17 @@
 """The file given with --data: a frequency response, or a table with the signals of a model."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+from greybox.data.delimited_text import read_delimited
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.response_file import COLUMNS, HDF5, read_response
-from greybox.logs.prepare import TO_SI
+from greybox.data.safe_files import require_file
+from greybox.data.units import to_si
 from greybox.logs.readers import read
+from greybox.logs.readers.table_columns import heading, seconds
 from greybox.modeling.model import Model
 
 LONG = 200  # characters of a list in a sentence: more would hide the cure after it
@@ -22,8 +26,7 @@ def read_data(path: str | Path, model: Model, input: str = "", output: str = "")
         If there is no such file, or it has neither or several such records, or its units are not SI.
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"there is no file {path}.")
+    require_file(path)
     if _is_response(path):
         return read_response(path, input=input, output=output)
     try:
@@ -40,9 +43,13 @@ def _is_response(path: Path) -> bool:
         head = file.read(4096)
     if path.suffix.lower() in HDF5:
         return head.startswith(b"greybox ")
-    cells = head.decode("utf-8-sig", errors="replace").partition("\n")[0].split(",")
-    names = [cell.strip() for cell in cells]
-    return names == [""] or any(name.endswith(column) for name in names for column in COLUMNS[:3])
+    if b"\0" in head:
+        return False
+    names = read_delimited(path, head).header
+    if "omega_rad_s" in names or not names:
+        return True
+    timed = any(seconds(*heading(name)) for name in names)  # alpha and beta are also angles of a flight
+    return not timed and any(name.endswith(column) for name in names for column in COLUMNS[:3])
 
 
 def _record_of(log: Recording, path: Path, model: Model) -> Record:
@@ -56,14 +63,21 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
             f"{_preparation(path, (*inputs, *outputs))}."
         )
     (record,) = fitting
+    findings = list(record.findings)
     for name in (*inputs, *outputs):
-        factor, unit = TO_SI.get(record.units.get(name, ""), (1.0, ""))
-        if factor != 1:
+        try:
+            conversion = to_si(record.units.get(name, ""))
+        except ValueError as error:
+            findings.append(f"{name} was taken as it is, in {record.units[name]!r}: {error}.")
+            continue
+        if conversion.changes:
             raise ValueError(
-                f"{path} has {name} in {record.units[name]}, but a fit needs {unit}: "
+                f"{path} has {name} in {record.units[name]}, but a fit needs {conversion.si}: "
                 f"{_preparation(path, (*inputs, *outputs))}."
             )
-    return record
+    # What the log says of other messages is left out.
+    findings += [text for text in log.findings if text not in findings and text.partition(":")[0] not in log.records]
+    return replace(record, findings=tuple(findings))
 
 
 def _preparation(path: Path, names: Sequence[str]) -> str:

@@ -2,14 +2,20 @@
 
 import argparse
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.options import add_common_options, nonnegative, positive
+from greybox.cli.options import UsageError, add_common_options, nonnegative, positive
 from greybox.cli.output import FAILED, USABLE, Answer, all_finite, finite, require_figure, require_writable, save_figure
+from greybox.cli.startup import INTERRUPTED
 from greybox.cli.stated_problem import add_problem_options, stated_problem
-from greybox.estimate.fit import fit
+from greybox.compiled.compiled_problem import AnyProblem
+from greybox.data.response_file import HDF5
+from greybox.estimate.fit import Interrupted, fit
 from greybox.estimate.result import Fit, FittedRecord
+from greybox.estimate.storage import save
+from greybox.solve.interruption import Response, responding, take_interrupt
 
 
 def add_command(commands: Any) -> None:
@@ -28,25 +34,47 @@ def add_command(commands: Any) -> None:
 def run(options: argparse.Namespace) -> Answer:
     """Fit the stated problem; save and draw the result where asked to."""
     require_writable(options.out, options.force)
+    if options.out is not None and options.out.suffix.lower() not in HDF5:
+        raise UsageError(f"--out {options.out} is not a known kind of file: a fit is saved as HDF5, end it in .h5.")
     require_figure(options.plot, options.force)
     problem, settings = stated_problem(options)
     for name in ("starts", "seed"):
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)
-    result = fit(problem, **settings)
-
-    notes = []
-    if options.out is not None:
-        from greybox.estimate.storage import save  # noqa: PLC0415  (imports h5py)
-
-        save(result, options.out)
-        notes.append(f"saved {options.out}")
-    notes += save_figure(options.plot, lambda: _figure(result))
+    result, interrupted = _fitted(problem, settings)
 
     answer = _as_json(result)
+    status = USABLE if result.converged else FAILED
     if not result.converged:
         answer["error"] = ": ".join([result.status, *result.warnings[:1]]).rstrip(".") + "."
-    return answer, "\n".join([str(result), *notes]), USABLE if result.converged else FAILED
+    notes = []
+    try:
+        if options.out is not None:
+            with responding(Response.FINISH):
+                save(result, options.out)
+            notes.append(f"saved {options.out}")
+        interrupted = take_interrupt() or interrupted
+        notes += save_figure(None if interrupted else options.plot, lambda: _figure(result))
+    except OSError as error:  # a full disk does not take the answer away
+        answer["error"] = str(error)
+        status = FAILED
+    except KeyboardInterrupt:
+        interrupted = True
+    if interrupted:
+        answer["error"] = "interrupted."
+        status = INTERRUPTED
+        notes += [f"{options.plot} is not drawn"] if options.plot is not None else []
+    return answer, "\n".join([str(result), *notes]), status
+
+
+def _fitted(problem: AnyProblem, settings: Mapping[str, Any]) -> tuple[Fit, bool]:
+    """Return the fit, or the best so far if it was interrupted, and whether it was."""
+    try:
+        return fit(problem, **settings), False
+    except Interrupted as stopped:
+        if stopped.fit is None:
+            raise
+        return stopped.fit, True
 
 
 def _figure(result: Fit) -> Any:

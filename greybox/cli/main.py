@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import io
 import json
 import re
 import sys
@@ -9,56 +10,92 @@ import traceback
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from greybox.cli import fit_command, inspect_command, list_command, response_command
 from greybox.cli.options import UsageError
-from greybox.cli.output import BAD_INPUT, FAILED
+from greybox.cli.output import BAD_INPUT, FAILED, NO_WORKING_DIRECTORY, USABLE, Answer, has_working_directory
+from greybox.cli.startup import INTERRUPTED
+from greybox.cli.terminal import has_all_characters, write
+from greybox.data.text_table import alternatives, nearest, printable
+from greybox.solve.interruption import Response, listening, responding, take_interrupt
 
 COMMANDS = (list_command, inspect_command, response_command, fit_command)
 
 
 class _Parser(argparse.ArgumentParser):
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:  # type: ignore[override]
+        """Refuse what is not known where it is known what was possible: in the command's own parser."""
+        found, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            near = nearest(unknown[0].partition("=")[0], self._option_string_actions)
+            hint = f", did you mean {near}?" if near and unknown[0].startswith("-") else ""
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
+        return found, unknown
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            choices = alternatives(value, action.choices)
+            raise argparse.ArgumentError(action, f"there is no {value!r}; there are {choices}")
+
     def error(self, message: str) -> NoReturn:
-        raise UsageError(f"{message}; see {self.prog} --help.")
+        raise UsageError(f"{message.rstrip('.')}{' See' if message.endswith('?') else '; see'} {self.prog} --help.")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit status: 0 a usable answer, 1 a run that failed, 2 bad input."""
+    """Run the command line and return its exit status.
+
+    0 a usable answer, 1 a run that failed, 2 bad usage or bad input, 130 interrupted by Ctrl-C.
+    """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     as_json = "--json" in arguments
 
     try:
-        options = _parser().parse_args(arguments)
+        with listening():
+            answer = _answer(arguments, as_json)
+            with responding(Response.FINISH):
+                status = _tell(*answer, as_json)
+            return INTERRUPTED if take_interrupt() else status
+    except KeyboardInterrupt:
+        return _tell({"error": "interrupted."}, "", INTERRUPTED, as_json)
+
+
+def _answer(arguments: Sequence[str], as_json: bool) -> Answer:
+    """Run the command; an error is an answer too."""
+    help_or_version = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(help_or_version):
+            options = _parser().parse_args(arguments)
     except UsageError as error:
-        return _complain(str(error), BAD_INPUT, as_json)
+        return {"error": str(error)}, "", BAD_INPUT
+    except SystemExit:
+        return {}, help_or_version.getvalue().rstrip("\n"), USABLE
     try:
         # With --json, whatever a user's own file prints must not reach standard output.
         with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
-            result, text, status = options.command(options)
+            return options.command(options)
     except SystemExit:
-        return _complain("a file of your own called sys.exit: remove that call.", BAD_INPUT, as_json)
-    except KeyboardInterrupt:
-        return _complain("interrupted.", FAILED, as_json)
+        return {"error": "a file of your own called sys.exit: remove that call."}, "", BAD_INPUT
     except Exception as error:
+        if take_interrupt():  # which caused it
+            raise KeyboardInterrupt from error
         if "--debug" in arguments:
             traceback.print_exc()
-        return _complain(*_explain(error, arguments), as_json=as_json)
+        sentence, status = _explain(error, arguments)
+        return {"error": sentence}, "", status
 
+
+def _tell(result: dict[str, Any], text: str, status: int, as_json: bool) -> int:
+    """Write an answer, and return the exit status."""
     if "error" in result:
-        print(f"greybox: {result['error']}", file=sys.stderr)
-    with contextlib.suppress(BrokenPipeError):  # `greybox list | head`
-        print(json.dumps(result, allow_nan=False, ensure_ascii=False) if as_json else text, flush=True)
-        return status
-    sys.stdout = None  # type: ignore[assignment]
-    return status
-
-
-def _complain(sentence: str, status: int, as_json: bool) -> int:
-    print(f"greybox: {sentence}", file=sys.stderr)
-    if as_json:
-        print(json.dumps({"error": sentence}, ensure_ascii=False))
-    return status
+        write(printable(f"greybox: {result['error']}", keep="\n"), sys.stderr)
+    text = printable(text, keep="\n\t")  # of names of files, which a user did not type but got
+    if as_json and result:
+        text = json.dumps(result, allow_nan=False, ensure_ascii=not has_all_characters(sys.stdout))
+    trouble = write(text, sys.stdout) if text else ""
+    if trouble:
+        write(f"greybox: cannot write to standard output: {trouble}.", sys.stderr)
+    return FAILED if trouble and status == USABLE else status
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -78,17 +115,27 @@ def _explain(error: Exception, arguments: Sequence[str]) -> tuple[str, int]:
         return sentence, BAD_INPUT
 
     # The files of the user, by their full path, as they were written on the command line.
-    users = {Path(m[1]).resolve(): m[1] for word in arguments if (m := re.match(r"(.+\.py)(?:$|[:(])", word))}
-    if isinstance(error, SyntaxError) and error.filename and Path(error.filename).resolve() in users:
-        return f"{users[Path(error.filename).resolve()]}, line {error.lineno}: {error.msg}.", BAD_INPUT
+    users = {_full_path(m[1]): m[1] for word in arguments if (m := re.match(r"(.+\.py)(?:$|[:(])", word))}
+    if isinstance(error, SyntaxError) and error.filename and _full_path(error.filename) in users:
+        return f"{users[_full_path(error.filename)]}, line {error.lineno}: {error.msg}.", BAD_INPUT
 
     causes = [error, *([error.__cause__] if error.__cause__ else [])]
     frames = [frame for cause in causes for frame in traceback.extract_tb(cause.__traceback__)]
-    last = next((frame for frame in reversed(frames) if Path(frame.filename).resolve() in users), None)
+    last = next((frame for frame in reversed(frames) if _full_path(frame.filename) in users), None)
     if last is not None:
-        place = f"{users[Path(last.filename).resolve()]}, line {last.lineno}"
+        place = f"{users[_full_path(last.filename)]}, line {last.lineno}"
         return f"{place}: {type(error).__name__}: {sentence}", BAD_INPUT
 
+    if isinstance(error, FileNotFoundError) and not has_working_directory():
+        return NO_WORKING_DIRECTORY, BAD_INPUT
     if isinstance(error, (ValueError, TypeError, LookupError, OSError)):
         return sentence, BAD_INPUT
     return f"internal error, {type(error).__name__}: {sentence}; run again with --debug and report it.", FAILED
+
+
+def _full_path(path: str) -> Path:
+    """Return the path from the root, or as it is where there is no working directory."""
+    try:
+        return Path(path).resolve()
+    except FileNotFoundError:
+        return Path(path)

@@ -1,6 +1,7 @@
 """What a command gives: the answer as JSON and as text, the exit status, files and figures."""
 
 import math
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,17 @@ FAILED = 1  # a run that failed
 BAD_INPUT = 2  # bad usage or bad input
 
 FIGURES = (".png", ".pdf", ".svg")
+
+NO_WORKING_DIRECTORY = "the working directory was removed: change to one that exists."
+
+
+def has_working_directory() -> bool:
+    """Tell whether the folder that relative paths begin in still exists."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return False
+    return True
 
 
 def finite(value: float) -> float | None:
@@ -42,8 +54,12 @@ def require_writable(path: Path | None, force: bool) -> None:
         raise UsageError(f"{path} is a folder: give the name of a file.")
     if path.exists() and not force:
         raise UsageError(f"{path} exists: give another name, or --force to overwrite it.")
-    if not path.resolve().parent.is_dir():
+    if not has_working_directory() and not path.is_absolute():
+        raise UsageError(NO_WORKING_DIRECTORY)
+    if not path.parent.is_dir():
         raise UsageError(f"the folder of {path} does not exist: create it first.")
+    if not os.access(path.parent, os.W_OK):
+        raise UsageError(f"the folder of {path} cannot be written: give another one.")
 
 
 def require_figure(path: Path | None, force: bool) -> None:

@@ -16,6 +16,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.response_file import HDF5, write_response
 from greybox.data.test_segment import Segment, segment_table
+from greybox.data.text_table import alternatives
 from greybox.logs.prepare import prepare
 from greybox.logs.readers import read
 from greybox.spectral.composite_windows import spectral_response
@@ -155,7 +156,7 @@ def _require_sound(options: argparse.Namespace) -> None:
         if value is not None and not (math.isfinite(value) and value >= 0):
             raise ValueError(f"--{name} {value} must be a number of seconds of at least 0.")
     if options.method not in METHODS:
-        raise ValueError(f"--method {options.method!r} is not known: use {' or '.join(METHODS)}.")
+        raise ValueError(f"--method {options.method!r} is not known: use {alternatives(options.method, METHODS)}")
     if not 2 <= options.points <= 10_000:
         raise ValueError(f"--points {options.points} must lie between 2 and 10000.")
 

@@ -11,6 +11,7 @@ from greybox.cli.data_file import read_data
 from greybox.cli.options import UsageError, assignments
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.data.record import Record
+from greybox.data.text_table import alternatives
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
@@ -99,7 +100,8 @@ def _restated(problem: AnyProblem, fix: dict[str, float], free: Sequence[str]) -
     """Fix and free parameters by their outside names in every part that has them."""
     for name in (*fix, *free):
         if name not in problem.parameters:
-            raise ValueError(f"{problem.name} has no parameter {name!r}; it has {', '.join(problem.parameters)}.")
+            known = alternatives(name, problem.parameters)
+            raise ValueError(f"{problem.name} has no parameter {name!r}; it has {known}")
     if not fix and not free:
         return problem
     parts = [_restated_part(part, fix, free) for part in problem.parts]
@@ -123,7 +125,7 @@ def _criteria() -> dict[str, Criterion | TimeCriterion]:
 def _criterion(text: str) -> Criterion | TimeCriterion:
     known = _criteria()
     if text not in known:
-        raise UsageError(f"criterion {text!r} is not known; use {', '.join(known)}.")
+        raise UsageError(f"criterion {text!r} is not known; use {alternatives(text, known)}")
     return known[text]
 
 

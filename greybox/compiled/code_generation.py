@@ -13,6 +13,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.compiled.library_cache import keep_library, kept_library
+
 Array = NDArray[np.float64]
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-O2", "-fPIC", "-shared")
@@ -28,19 +30,23 @@ class CompiledLinearization:
     def __init__(self, sample: ca.Function, active: list[int], segments: int, length: int) -> None:
         """Take the function from the cache where it was compiled before, otherwise compile it.
 
-        The cache is ``greybox`` in the folder that XDG_CACHE_HOME names, by default ``~/.cache``.
+        The cache is ``greybox`` in the folder that XDG_CACHE_HOME names, by default ``~/.cache``. What is loaded runs
+        with all rights of the user, so nobody else may write there; see `library_cache`.
 
         Raises
         ------
         RuntimeError
-            If there is no C compiler or it fails.
+            If there is no C compiler or it fails, or the cache belongs to somebody else.
         """
         n, v = sample.size1_in(0), sample.size1_in(0) + len(active)
         self._segments, self._sizes = segments, [n, n * v, v * (v + 1) // 2, v]
         what = (sample.serialize(), active, segments, length, FLAGS, ca.CasadiMeta.version(), platform.machine())
-        kept = _cache() / f"{hashlib.sha256(repr(what).encode()).hexdigest()[:32]}.so"
-        if not kept.is_file():
-            _compile(_linearization(sample, active, length).map(NAME, "serial", segments, [1, 2], []), kept)
+        key = hashlib.sha256(repr(what).encode()).hexdigest()[:32]
+        kept = kept_library(key)
+        if kept is None:
+            kept = keep_library(
+                key, _compiled(_linearization(sample, active, length).map(NAME, "serial", segments, [1, 2], []))
+            )
         self._function = ca.external(NAME, str(kept))
 
     def __call__(self, nodes: Array, q: Array, weight: Array, data: Array) -> list[Array]:
@@ -95,12 +101,8 @@ def _pattern(A: ca.SX, n: int, v: int) -> ca.Sparsity:
     return pattern.sparsity()
 
 
-def _cache() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "greybox"
-
-
-def _compile(function: ca.Function, kept: Path) -> None:
-    """Translate the function to C and compile it into the library `kept`."""
+def _compiled(function: ca.Function) -> bytes:
+    """Translate the function to C, compile it, and return the library."""
     compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
     if compiler is None:
         raise RuntimeError(
@@ -115,7 +117,4 @@ def _compile(function: ca.Function, kept: Path) -> None:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             raise RuntimeError(f"{compiler} failed: {done.stderr.strip()[:300]}; leave compile out.")
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        moving = kept.with_suffix(f".{os.getpid()}")
-        shutil.copyfile(fresh, moving)
-        moving.replace(kept)
+        return fresh.read_bytes()

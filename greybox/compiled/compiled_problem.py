@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.part import Part
-from greybox.compiled.record_part import RecordPart, compile_record
+from greybox.compiled.record_part import compile_record
+from greybox.compiled.response_map import LARGE, Mapped, lagrangian_hessian
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.scaling import Scaling, scaling_of
 from greybox.compiled.strategies import Strategies
@@ -22,12 +23,15 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.harmonic_balance import harmonic_function
-from greybox.modeling.linear_response import response_function
+from greybox.modeling.linear_response import formula_at_one_frequency, response_function
 from greybox.modeling.model import Names
 from greybox.modeling.pade_delay import delay_order
 
 AnyProblem = Problem | Sum[Problem]
 Array = NDArray[np.float64]
+
+# Frequencies times parameters below which no formula makes a response `LARGE` (which takes 300 instructions here).
+FEW = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +52,12 @@ class Nlp:
         Of the records.
     parts : tuple of Part
         In the order of the problem's.
-    expressions : dict
-        ``x, p, f, g`` as `casadi.nlpsol` takes them, f of the frequency responses alone; p is the smoothing of the
-        cost.
-    locating : dict or None
+    program : casadi.Function
+        (z, smoothing) -> the cost of the frequency responses, and what must be >= 0.
+    locating : casadi.Function or None
         The same with the criteria that locate the minimum, where they differ.
+    locating_hessian, program_hessian : casadi.Function or None
+        Of their Lagrangians, where responses are mapped; see `response_map`.
     constraint : casadi.Function
         (all values) -> what must be >= 0, stacked.
     limits : tuple of str
@@ -61,6 +66,8 @@ class Nlp:
         (all values) -> the cost without smoothing of every frequency response, unweighted, stacked.
     responses : casadi.Function
         (all values) -> real and imaginary parts of all frequency responses, stacked: (2 N,).
+    magnitudes : (N,) array
+        Of the measured responses, above zero.
     """
 
     problem: AnyProblem
@@ -72,12 +79,19 @@ class Nlp:
     scaling: Scaling
     method: Transcription
     parts: tuple[Part, ...]
-    expressions: Mapping[str, Any]
-    locating: Mapping[str, Any] | None
+    program: ca.Function
+    locating: ca.Function | None
+    locating_hessian: ca.Function | None
+    program_hessian: ca.Function | None
     constraint: ca.Function
     limits: tuple[str, ...]
     response_cost: ca.Function
     responses: ca.Function
+    magnitudes: Array
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the problem, with the user's classes, where it was compiled: solvers need the rest alone."""
+        return {name: value for name, value in vars(self).items() if name != "problem"}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -94,45 +108,31 @@ class Nlp:
         """True when IPOPT solves the records as one sparse program."""
         return self.method.by_ipopt
 
-    @property
-    def has_states(self) -> bool:
-        """True when a part has hidden unknowns."""
-        return any(part.has_states for part in self.parts)
-
-    @property
-    def record_parts(self) -> tuple[RecordPart, ...]:
-        """The parts whose data are records."""
-        return tuple(part for part in self.parts if isinstance(part, RecordPart))
-
-    @property
-    def response_parts(self) -> tuple[ResponsePart, ...]:
-        """The parts whose data are frequency responses."""
-        return tuple(part for part in self.parts if isinstance(part, ResponsePart))
-
     def all_values(self, x: Array) -> Array:
         """Append the constants to unknowns x (..., p)."""
         x = np.asarray(x, dtype=float)
         constants = np.broadcast_to(self.constant_values, (*x.shape[:-1], len(self.constants)))
         return np.concatenate([x, constants], axis=-1)
 
-    # --- all frequency responses at many points at once ---------------------------------------------------------------
+    # --- frequency responses alone, many points at once ---------------------------------------------------------------
 
-    def part_costs(self, x: Array) -> Array:
-        """Return the cost without smoothing of every frequency response, unweighted, at x (p,): (parts,)."""
-        return np.asarray(self.response_cost(self.all_values(x))).ravel()
+    def cost(self, values: Array) -> float:
+        """Return the cost without smoothing of the frequency responses at all values (k,)."""
+        return float(self._weights @ np.asarray(self.response_cost(values)).ravel())
 
     def costs(self, x: Array) -> Array:
         """Return the cost without smoothing of the frequency responses, for every row of x (r, p): (r,)."""
         if not len(x):
             return np.zeros(0)
-        weights = np.array([part.weight for part in self.response_parts])
-        return weights @ np.asarray(self.response_cost(self.all_values(x).T))
+        return self._weights @ np.asarray(self.response_cost(self.all_values(x).T))
 
-    def response_rows(self, x: Array) -> NDArray[np.complex128]:
-        """Return all frequency responses, stacked, for every row of x (r, p): (r, N)."""
-        values = np.asarray(self.responses(self.all_values(x).T)).T
-        half = values.shape[1] // 2
-        return values[:, :half] + 1j * values[:, half:]
+    @property
+    def _weights(self) -> Array:
+        return np.array([part.weight for part in self.parts if not part.has_states])
+
+    def signatures(self, x: Array) -> Array:
+        """Return the signatures (r, 2 N) of the frequency responses for every row of x (r, p), see `Part.signature`."""
+        return (np.asarray(self.responses(self.all_values(x).T)) / np.tile(self.magnitudes, 2)[:, None]).T
 
 
 def compile_problem(problem: AnyProblem, method: Transcription | None = None) -> Nlp:
@@ -152,8 +152,9 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     scaling = scaling_of([parameters[name] for name in free])
     constant_values = np.array([parameters[name].start for name in constants])
     responding = [part for part in problem.parts if isinstance(part.data, FrequencyResponse)]
-    models = [_response(part) for part in responding]
-    # A trim that is found by Newton's method exists as MX only; everything else is faster as SX.
+    mapped = _mapped(responding)
+    models = [m.function() for m in mapped] if mapped else [_response(part) for part in responding]
+    # A trim that is found by Newton's method and a mapped response exist as MX only; everything else is faster as SX.
     kind: Any = ca.SX if all(f.is_a("SXFunction") for f in models) else ca.MX
 
     def trace(values: list[Any]) -> tuple[list[Complex], dict[str, Any]]:
@@ -171,13 +172,20 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
 
     z, smoothing = kind.sym("z", len(free)), kind.sym("smoothing")
     scaled, scaled_limits = trace([*scaling.expressions(z), *constant_values])
-    statement = {"x": z, "p": smoothing, "g": ca.vertcat(kind(0, 1), *scaled_limits.values())}
+    scaled_limit = ca.vertcat(kind(0, 1), *scaled_limits.values())
     own_cost = _costs(responding, scaled, smoothing, _criterion)
     total = _weighted(responding, own_cost)
-    locating = None
+    point = ca.SX.sym("z", len(free))
+    named = dict(zip((*free, *constants), [*scaling.expressions(point), *constant_values], strict=True))
+
+    def hessian(choose: Callable[[Problem], Criterion]) -> ca.Function | None:
+        return _composed_hessian(problem, responding, mapped, named, point, choose) if mapped else None
+
+    locating, locating_hessian = None, None
     if any(_criterion(part).locator is not None for part in responding):
-        located = _costs(responding, scaled, smoothing, lambda part: _criterion(part).locator or _criterion(part))
-        locating = statement | {"f": kind(_weighted(responding, located))}
+        locating_hessian = hessian(_locator)
+        located = _costs(responding, scaled, smoothing, _locator)
+        locating = ca.Function("locating", [z, smoothing], [kind(_weighted(responding, located)), scaled_limit])
 
     compiled_responses = {
         part: ResponsePart(
@@ -188,8 +196,6 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         )
         for part, cost, response, scaled_response in zip(responding, own_cost, responses, scaled, strict=True)
     }
-    point = ca.SX.sym("z", len(free))
-    named = dict(zip((*free, *constants), [*scaling.expressions(point), *constant_values], strict=True))
     method = method or MultipleShooting()
     return Nlp(
         problem=problem,
@@ -204,14 +210,17 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
             compiled_responses[part] if part in compiled_responses else compile_record(part, named, point, method)
             for part in problem.parts
         ),
-        expressions=statement | {"f": kind(total)},
+        program=ca.Function("program", [z, smoothing], [kind(total), scaled_limit]),
         locating=locating,
+        locating_hessian=locating_hessian,
+        program_hessian=hessian(_criterion),
         constraint=ca.Function("constraint", [x], [ca.vertcat(kind(0, 1), *limits.values())]),
         limits=tuple(limits),
         response_cost=ca.Function("cost", [x], [ca.vertcat(kind(0, 1), *costs)]),
         responses=ca.Function(
             "responses", [x], [ca.vertcat(kind(0, 1), *[r.re for r in responses], *[r.im for r in responses])]
         ),
+        magnitudes=np.concatenate([np.zeros(0), *[part.magnitude for part in compiled_responses.values()]]),
     )
 
 
@@ -247,9 +256,49 @@ def _criterion(part: Problem) -> Criterion:
     return part.criterion
 
 
+def _locator(part: Problem) -> Criterion:
+    return _criterion(part).locator or _criterion(part)
+
+
 def _response(part: Problem) -> ca.Function:
-    data = part.response
-    options: Any = {"input": data.input, "output": data.output, "at": part.at, "pade": delay_order(part.delay)}
     if part.amplitude is not None:
-        return harmonic_function(part.model, data.omega, part.amplitude, **options)
-    return response_function(part.model, data.omega, **options)
+        return harmonic_function(part.model, part.response.omega, part.amplitude, **_options(part))
+    return response_function(part.model, part.response.omega, **_options(part))
+
+
+def _options(part: Problem) -> dict[str, Any]:
+    data = part.response
+    return {"input": data.input, "output": data.output, "at": part.at, "pade": delay_order(part.delay)}
+
+
+def _mapped(parts: list[Problem]) -> list[Mapped] | None:
+    """Return the responses as formulas of one frequency if together they are large, and all of them have one."""
+    size = sum(part.response.omega.size * (len(part.declared) + 1) for part in parts)
+    if size < FEW or any(part.amplitude is not None for part in parts):
+        return None
+    formulas = [formula_at_one_frequency(part.model, part.response.omega, **_options(part)) for part in parts]
+    found = [Mapped(f, part.response.omega) for f, part in zip(formulas, parts, strict=True) if f is not None]
+    return found if len(found) == len(parts) and sum(m.work for m in found) > LARGE else None
+
+
+def _composed_hessian(
+    problem: AnyProblem,
+    responding: list[Problem],
+    mapped: list[Mapped],
+    named: Mapping[str, Any],
+    z: ca.SX,
+    choose: Callable[[Problem], Criterion],
+) -> ca.Function | None:
+    """Return the Hessian of the weighted costs of mapped responses and of the constraints."""
+    local = {part: part.local_values(named) for part in problem.parts}
+    limits = dict(item for part, p in local.items() for item in _limits(part, p).items())
+    parts = [
+        (
+            response,
+            ca.SX(ca.vertcat(*local[part].values())),
+            lambda r, smoothing, part=part: choose(part).cost(r, part.response, smoothing),
+            part.weight,
+        )
+        for part, response in zip(responding, mapped, strict=True)
+    ]
+    return lagrangian_hessian(parts, z, ca.SX(ca.vertcat(ca.SX(0, 1), *limits.values())))

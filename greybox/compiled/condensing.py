@@ -8,6 +8,7 @@ Source: Bock and Plitt (1984), A multiple shooting algorithm for direct solution
 Proceedings 17(2); Betts (2010), Practical Methods for Optimal Control and Estimation, 2nd ed., chapter 4.
 """
 
+import threading
 from functools import lru_cache
 from typing import Any
 
@@ -71,7 +72,7 @@ def solve_continuity(
 
     gaps = np.where(linked, continuity / size[:, None], 0.0)
     right = np.concatenate([stationarity * size[:, None], gaps], axis=1).reshape(2 * n * s, r)
-    solver = _solver(s, n, r)
+    solver = _solvers.of(s, n, r)
     solution = solver(values[solver.inside], np.ascontiguousarray(right.T)).T
     if not np.all(np.isfinite(solution)):
         raise np.linalg.LinAlgError("the nodes of the record are not determined: its KKT system is singular.")
@@ -125,6 +126,11 @@ class _Solver:
         return result
 
 
-@lru_cache(maxsize=8)
-def _solver(s: int, n: int, r: int) -> _Solver:
-    return _Solver(s, n, r)
+class _Solvers(threading.local):
+    """The solvers of one thread: what one works in, two threads must not share."""
+
+    def __init__(self) -> None:
+        self.of = lru_cache(maxsize=8)(_Solver)
+
+
+_solvers = _Solvers()

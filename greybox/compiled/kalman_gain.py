@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,16 +160,17 @@ class KalmanGain:
 
 def kalman_gain(part: Part) -> KalmanGain | None:
     """Return the gain of a part; None where its criterion has none."""
-    if not part.gains or not isinstance(part, RecordPart):
+    if not part.gains:
         return None
+    part = cast(RecordPart, part)  # whose states the gain corrects
     names = [f"K_{state}_{output}" for state, output in part.gains]
-    declared = list(part.problem.declared)
+    declared = list(part.model.parameters)
     return KalmanGain(
         part,
         states=np.array([part.system.states.index(state) for state, _ in part.gains], dtype=int),
         outputs=np.array([part.outputs.index(output) for _, output in part.gains], dtype=int),
         places=np.array([declared.index(name) for name in names], dtype=int),
-        names=tuple(part.problem.rename.get(name, name) for name in names),
+        names=tuple(part.model.outside_names[declared.index(name)] for name in names),
     )
 
 

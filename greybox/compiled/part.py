@@ -6,9 +6,8 @@ at the beginning of its segments, its *nodes*. They belong to the part, which el
 all its arrays over nodes are empty.
 
 What asks: the Gauss-Newton driver (`initial_trajectory` to `close_gaps`), the grouping of minima (`signature`), the
-check of the discretization (`refined`), the covariance of the estimate (`information`), the diagnostics (the properties
-at the end). IPOPT takes the expressions of frequency responses from the compiled problem, and those of records from
-their transcription.
+check of the discretization (`refined`), IPOPT (`program`, where there are nodes), the covariance of the estimate
+(`information`), the diagnostics (the properties at the end).
 """
 
 from abc import ABC, abstractmethod
@@ -17,6 +16,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -125,15 +125,84 @@ class Information:
     relative_noise: float
 
 
-class Part(ABC):
-    """One problem of a sum, compiled."""
+class Program(ABC):
+    """A part as expressions for a solver of nonlinear programs, at the solver's point z (p,).
 
-    problem: Problem
+    Its hidden unknowns are variables of the program. What is relaxed, weights of residuals and whole samples of delays,
+    are parameters w of it, which follow from the last solution.
+
+    Attributes
+    ----------
+    unknowns, parameters : casadi.MX
+        The hidden unknowns, and w.
+    error : casadi.MX
+        Residuals, of which half the sum of squares is a cost.
+    cost : casadi.MX
+        What adds to that cost.
+    equations : casadi.MX
+        What must be zero.
+    """
+
+    unknowns: ca.MX
+    parameters: ca.MX
+    error: ca.MX
+    cost: ca.MX
+    equations: ca.MX
+
+    @abstractmethod
+    def initial_unknowns(self, trajectory: Trajectory) -> Array:
+        """Return the hidden unknowns along a trajectory."""
+
+    @abstractmethod
+    def initial_parameters(self, z: Array, share: float) -> Array:
+        """Return w at z (p,) for residuals of a `share` of each signal's spread."""
+
+    @abstractmethod
+    def outcome(self, z: Array, unknowns: Array, w: Array) -> tuple[float, Array, bool]:
+        """Return what a solution gives: its cost, unweighted; w that follows; whether no delay passed a sample."""
+
+
+class Part(ABC):
+    """One problem of a sum, compiled.
+
+    Solvers need no more than its functions and these facts, and only they travel when a part is pickled: `problem`,
+    with the user's classes, stays where it was compiled.
+
+    Attributes
+    ----------
+    problem : Problem
+    name : str
+    weight : float
+        The factor on the cost of this part.
+    is_likelihood : bool
+        True when the cost is a negative log-likelihood.
+    is_smoothed : bool
+        True when the cost has kinks, which a solver rounds off while it is at work.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        """Keep the problem, and the facts that outlive it."""
+        self.problem = problem
+        self.name = problem.name
+        self.weight = float(problem.weight)
+        self.is_likelihood = problem.criterion.is_likelihood
+        self.is_smoothed = problem.criterion.smoothed
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the problem behind."""
+        return {name: value for name, value in vars(self).items() if name != "problem"}
+
+    # --- facts --------------------------------------------------------------------------------------------------------
 
     @property
-    def weight(self) -> float:
-        """The factor on the cost of this part."""
-        return self.problem.weight
+    def samples(self) -> int:
+        """How many samples are simulated."""
+        return 0
+
+    @property
+    def substeps(self) -> int:
+        """How many steps the integrator takes in a sample; 0 where nothing is integrated."""
+        return 0
 
     # --- what the Gauss-Newton driver asks ---------------------------------------------------------------------------
 
@@ -201,9 +270,19 @@ class Part(ABC):
         Of a record simulated outputs over the signals' spread, of a frequency response P/|P̂|.
         """
 
+    def excerpt(self, samples: int) -> "Part":
+        """Return the part on excerpts of about so many samples in all."""
+        return self
+
     def refined(self, factor: int, *, compiled: bool = True) -> "Part":
         """Return the part with `factor` times the steps per sample; not `compiled` for a look at it alone."""
         return self
+
+    # --- what IPOPT asks ----------------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def program(self, z: ca.MX) -> Program:
+        """Return the part as expressions of the solver's point z (p,)."""
 
     # --- what the covariance of the estimate asks --------------------------------------------------------------------
 

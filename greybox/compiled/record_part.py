@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.condensing import solve_continuity
 from greybox.compiled.initial_states import InitialStates, at_samples
-from greybox.compiled.part import Condensed, Information, Part, Trajectory
+from greybox.compiled.part import Condensed, Information, Part, Program, Trajectory
 from greybox.compiled.record_information import correlation_factor, independent_numbers
 from greybox.compiled.residual_covariance import (
     ResidualCovariance,
@@ -26,8 +26,10 @@ from greybox.compiled.sampled_data import SampledData, sampled_data
 from greybox.compiled.segments import Linearization, Segments
 from greybox.compiled.step_size import substeps_and_segment
 from greybox.compiled.strategies import Strategies
-from greybox.compiled.transcription.method import Transcribed, Transcription
+from greybox.compiled.transcription.method import Transcription
+from greybox.data.intersample import Intersample
 from greybox.data.record import Record
+from greybox.formulation.input_assumptions import between_samples
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator
@@ -75,8 +77,18 @@ class Along:
 class RecordModel:
     """What a record and its model are, whatever the cut into segments and the substeps.
 
+    Problem, record and criterion stay where they were compiled when this is pickled: solvers need the rest alone.
+
     Attributes
     ----------
+    system : Dynamics
+        Its delays include by how much interpolated inputs come late.
+    between : tuple of Intersample
+        How each input runs between its samples.
+    parameters, outside_names : tuple of str
+        The declared parameters, by the model's names and the problem's.
+    gains : tuple of (str, str)
+        State and output of every estimated entry of the Kalman gain.
     active : (q,) array
         Places of the estimated parameters among the declared ones.
     locate : casadi.Function
@@ -91,23 +103,43 @@ class RecordModel:
     criterion: TimeCriterion
     method: Transcription
     system: Dynamics
+    between: tuple[Intersample, ...]
     outputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+    outside_names: tuple[str, ...]
+    gains: tuple[tuple[str, str], ...]
     active: NDArray[np.integer]
     locate: ca.Function
     initial: ca.Function
     known_states: NDArray[np.bool_]
     initial_states: InitialStates
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave behind what may be of the user's classes."""
+        left = ("problem", "record", "criterion")
+        return {name: value for name, value in vars(self).items() if name not in left}
+
     @property
     def strategies(self) -> Strategies:
         """The settings of the solver."""
         return self.method.strategies
 
+    def with_inputs(self, between: tuple[Intersample, ...]) -> "RecordModel":
+        """Return the same with inputs that run otherwise between their samples."""
+        later = [new.late - now.late for new, now in zip(between, self.between, strict=True)]
+        z = ca.SX.sym("z", self.locate.numel_in(0))
+        q, slope, delay = self.locate(z)
+        return replace(
+            self,
+            between=between,
+            system=self.system.later(later),
+            locate=ca.Function("locate", [z], [q, slope, delay + ca.DM(later)]),
+        )
+
     def step(self, integrator: Integrator, substeps: int) -> SampleStep:
         """Compile one sample."""
-        return sample_step(
-            self.system, self.criterion, self.outputs, tuple(self.problem.declared), integrator, substeps
-        )
+        held = tuple(between.held for between in self.between)
+        return sample_step(self.system, held, self.criterion, self.outputs, self.parameters, integrator, substeps)
 
 
 class RecordPart(Part):
@@ -123,10 +155,10 @@ class RecordPart(Part):
         compile_linearization: bool = False,
     ) -> None:
         """Build the functions; `step`, if given, has the same substeps."""
-        self.problem = model.problem
+        super().__init__(model.problem)
         self.model = model
         self.data = data
-        self.substeps = substeps
+        self._substeps = substeps
         self.step = step or model.step(model.method.scheme, substeps)
         self.segments = Segments(self.step, data.segments, data.segment_length, model.active, compile_linearization)
         self._measured = self.segments.columns(_measured_rows(data))
@@ -141,6 +173,10 @@ class RecordPart(Part):
         """Return the part on excerpts, evenly over the record, of about so many samples in all."""
         return RecordPart(self.model, self.data.excerpts(samples), self.substeps, step=self.step)
 
+    def with_inputs(self, between: tuple[Intersample, ...]) -> "RecordPart":
+        """Return the part with inputs that run otherwise between their samples."""
+        return RecordPart(self.model.with_inputs(between), self.data, self.substeps)
+
     def refined(self, factor: int, *, compiled: bool = True) -> "RecordPart":
         """Return the part with `factor` times the substeps; not `compiled` for a look that no compiler is worth."""
         compile_linearization = self.model.method.compile and compiled
@@ -152,6 +188,16 @@ class RecordPart(Part):
     def has_states(self) -> bool:
         """A record has nodes."""
         return True
+
+    @property
+    def samples(self) -> int:
+        """All that are simulated, padding of segments included."""
+        return self.data.samples
+
+    @property
+    def substeps(self) -> int:
+        """Steps of the integrator in a sample."""
+        return self._substeps
 
     @property
     def numbers(self) -> int:
@@ -167,23 +213,24 @@ class RecordPart(Part):
     @property
     def gains(self) -> tuple[tuple[str, str], ...]:
         """State and output of every estimated entry of the Kalman gain."""
-        return self.model.criterion.gains(self.problem.model, self.outputs)
+        return self.model.gains
 
     @cached_property
     def discontinuous_delays(self) -> Mapping[str, tuple[str, str]]:
         """Delays at whose whole samples the cost jumps: a held input reaches an output directly."""
-        system, rename = self.system, self.problem.rename
+        system = self.system
         result: dict[str, tuple[str, str]] = {}
-        if self.model.criterion.inputs != "held" or not system.delayed:
+        held = [between.held for between in self.model.between]
+        if not any(held) or not system.delayed:
             return result
         x, u, p = (ca.SX.sym("v", len(v)) for v in (system.states, system.inputs, system.parameters))
         feedthrough = ca.jacobian(system.output(x, u, p), u)
         delay = system.delay(p)
         for i, j in itertools.product(range(u.numel()), range(p.numel())):
             reached = [n for k, n in enumerate(system.outputs) if feedthrough.has_nz(k, i) and n in self.outputs]
-            if reached and ca.depends_on(delay[i], p[j]):
-                name = system.parameters[j]
-                result[rename.get(name, name)] = (system.inputs[i], reached[0])
+            if held[i] and reached and ca.depends_on(delay[i], p[j]):
+                name = self.model.outside_names[self.model.parameters.index(system.parameters[j])]
+                result[name] = (system.inputs[i], reached[0])
         return result
 
     @property
@@ -443,9 +490,9 @@ class RecordPart(Part):
 
     # --- for IPOPT and for the covariance of the estimate -------------------------------------------------------------
 
-    def transcribe(self, q: Any, data: Any) -> Transcribed:
-        """Return the record's unknowns and equations for CasADi expressions of parameters and data."""
-        return self.model.method.transcribe(self.step, self.data, q, data)
+    def program(self, z: ca.MX) -> "RecordProgram":
+        """Return the record as its method transcribes it, at z (p,)."""
+        return RecordProgram(self, z)
 
     def information(
         self,
@@ -522,6 +569,58 @@ class RecordPart(Part):
         return triangle, white, np.moveaxis(weighted.reshape(s * length, k, p), 0, -1)
 
 
+class RecordProgram(Program):
+    """A record transcribed: states as unknowns, weighted residuals, continuity and known initial states as equations.
+
+    Its parameters are the square root of the inverse residual covariance (k, k), then the data (width, samples), both
+    column by column.
+    """
+
+    def __init__(self, part: RecordPart, z: ca.MX) -> None:
+        """Transcribe the record."""
+        self._part = part
+        q = part.model.locate(z)[0]
+        weight = ca.MX.sym("W", len(part.outputs), len(part.outputs))
+        data = ca.MX.sym("data", part.step.width, part.data.samples)
+        self._transcribed = part.model.method.transcribe(part.step, part.data, q, data)
+        residuals = self._transcribed.residuals
+        self.unknowns = self._transcribed.unknowns
+        self.parameters = ca.vertcat(ca.vec(weight), ca.vec(data))
+        self.error = ca.vec(weight @ residuals)
+        self.cost = ca.MX(0.0)
+        self.equations = ca.vertcat(self._transcribed.equations, self._known_states(q))
+        self._products = ca.Function("products", [z, self.unknowns, self.parameters], [residuals @ residuals.T])
+
+    def _known_states(self, q: ca.MX) -> ca.MX:
+        """Return known states at the first sample of the record less what they must be."""
+        part = self._part
+        count = int(part.data.begins_record.sum())
+        rows = np.flatnonzero(part.model.known_states).tolist()
+        if not rows:
+            return ca.MX(0, 1)  # no rows of a single one would be taken as a row without columns
+        wanted, _ = part.model.initial(q)
+        return ca.vec(self._transcribed.initial[rows, :count] - ca.repmat(wanted[rows], 1, count))
+
+    def initial_unknowns(self, trajectory: Trajectory) -> Array:
+        """Return the unknowns for the states along a trajectory."""
+        return self._transcribed.start(self._part.segments.in_order(trajectory.detail.states))
+
+    def initial_parameters(self, z: Array, share: float) -> Array:
+        """Return weights for residuals of a `share` of each signal's spread, and the data at z (p,)."""
+        return self._joined(self._part.initial_weight(share), self._part.place(z).data)
+
+    def outcome(self, z: Array, unknowns: Array, w: Array) -> tuple[float, Array, bool]:
+        """Return the cost of the residuals, the weights and data that follow, and whether the data stayed."""
+        covariance = self._part.covariance
+        products = self._products(z, unknowns, w).full()
+        following = self._joined(covariance.weight(products), self._part.place(z).data)
+        size = len(self._part.outputs) ** 2
+        return covariance.cost(products), following, np.array_equal(following[size:], w[size:])
+
+    def _joined(self, weight: Array, data: Array) -> Array:
+        return np.concatenate([weight.ravel(order="F"), self._part.segments.in_order(data).ravel(order="F")])
+
+
 def _measured_rows(data: SampledData) -> Array:
     """Return measured outputs, zero where missing; one where they are present; and the step of every sample."""
     measured = data.measured
@@ -569,6 +668,8 @@ def record_model(problem: Problem, expressions: Mapping[str, Any], z: ca.SX, met
     assert isinstance(problem.data, Record)
     assert isinstance(problem.criterion, TimeCriterion)
     system = dynamics(problem.model, delay_order(problem.delay))
+    between = between_samples(problem.criterion.inputs, system.inputs, problem.data)
+    system = system.later([one.late for one in between])
     outputs = problem.criterion.compared(problem.model, problem.data)
 
     q = ca.vertcat(ca.SX(0, 1), *problem.local_values(expressions).values())
@@ -589,7 +690,11 @@ def record_model(problem: Problem, expressions: Mapping[str, Any], z: ca.SX, met
         criterion=problem.criterion,
         method=method,
         system=system,
+        between=between,
         outputs=outputs,
+        parameters=tuple(problem.declared),
+        outside_names=tuple(problem.outside(name) for name in problem.declared),
+        gains=problem.criterion.gains(problem.model, outputs),
         active=np.array(active, dtype=int),
         locate=locate,
         initial=ca.Function("initial", [symbol], [initial, by_active]),

@@ -1,7 +1,6 @@
 """A frequency response with its model, compiled: no nodes, a cost with exact derivatives, and its real residuals."""
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -9,7 +8,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.part import Condensed, Information, Part, Trajectory
+from greybox.compiled.part import Condensed, Information, Part, Program, Trajectory
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.problem import Problem
 
@@ -25,13 +24,15 @@ SMOOTHING = 1e-8
 LEAST_MAGNITUDE = 1e-12
 
 
-@dataclass(frozen=True, eq=False)
 class ResponsePart(Part):
     """One frequency response of a problem.
 
     Attributes
     ----------
-    problem : Problem
+    criterion : Criterion
+    data : FrequencyResponse
+    magnitude : (n,) array
+        Of the measured response, above zero.
     objective : casadi.Function
         (z, smoothing) -> cost, unweighted.
     model_response : casadi.Function
@@ -40,16 +41,27 @@ class ResponsePart(Part):
         (z) -> the same.
     """
 
-    problem: Problem
-    objective: ca.Function
-    model_response: ca.Function
-    scaled_response: ca.Function
+    def __init__(
+        self, problem: Problem, objective: ca.Function, model_response: ca.Function, scaled_response: ca.Function
+    ) -> None:
+        """Keep the functions."""
+        super().__init__(problem)
+        assert isinstance(problem.criterion, Criterion)
+        self.criterion = problem.criterion
+        self.data = problem.response
+        self.objective = objective
+        self.model_response = model_response
+        self.scaled_response = scaled_response
+        size = np.abs(self.data.response)
+        self.magnitude = np.maximum(size, LEAST_MAGNITUDE * size.max() + 1e-150)
 
-    @property
-    def criterion(self) -> Criterion:
-        """The rule."""
-        assert isinstance(self.problem.criterion, Criterion)
-        return self.problem.criterion
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the criterion behind too: its cost is compiled."""
+        return {name: value for name, value in super().__getstate__().items() if name != "criterion"}
+
+    def with_problem(self, problem: Problem) -> "ResponsePart":
+        """Return the part for a problem that differs in its data alone: only the solver's cost is still the old one."""
+        return ResponsePart(problem, self.objective, self.model_response, self.scaled_response)
 
     @property
     def has_states(self) -> bool:
@@ -59,7 +71,7 @@ class ResponsePart(Part):
     @property
     def numbers(self) -> int:
         """Two for every frequency."""
-        return self.problem.numbers
+        return 2 * len(self.data)
 
     def response(self, values: Array) -> Complexes:
         """Return the model's response (n,) at all values x (k,)."""
@@ -142,11 +154,13 @@ class ResponsePart(Part):
 
     def signature(self, trajectory: Trajectory) -> Array:
         """Return real and imaginary parts of the model's response over the magnitude of the measured one, (2 n,)."""
-        size = np.abs(self.problem.response.response)
-        size = np.maximum(size, LEAST_MAGNITUDE * size.max() + 1e-150)
-        return np.asarray(self.scaled_response(trajectory.z)).ravel() / np.tile(size, 2)
+        return np.asarray(self.scaled_response(trajectory.z)).ravel() / np.tile(self.magnitude, 2)
 
-    # --- for the covariance of the estimate ---------------------------------------------------------------------------
+    # --- for IPOPT and for the covariance of the estimate -------------------------------------------------------------
+
+    def program(self, z: ca.MX) -> "ResponseProgram":
+        """Return the cost at z (p,): there is nothing hidden."""
+        return ResponseProgram(self, z)
 
     def information(
         self,
@@ -157,7 +171,7 @@ class ResponsePart(Part):
         dz_dx: Array,
     ) -> Information:
         """Return what the response says about the values (k,): the Jacobian and the spread of its criterion."""
-        criterion, data = self.criterion, self.problem.response
+        criterion, data = self.criterion, self.data
         response = self.response(values)
         jacobian = criterion.jacobian(response, self.sensitivity(values), data)
 
@@ -170,6 +184,28 @@ class ResponsePart(Part):
         # Of isotropic normal errors of deviation s in each component, the mean magnitude is s sqrt(π/2).
         noise = float(errors.mean()) * math.sqrt(2 / math.pi) if errors.size else math.nan
         return Information(self, jacobian, len(jacobian), spread, noise)
+
+
+class ResponseProgram(Program):
+    """The smoothed cost of a frequency response."""
+
+    def __init__(self, part: ResponsePart, z: ca.MX) -> None:
+        """Evaluate the cost at z (p,)."""
+        self._part = part
+        self.unknowns = self.parameters = self.error = self.equations = ca.MX(0, 1)
+        self.cost = part.objective(z, SMOOTHING)
+
+    def initial_unknowns(self, trajectory: Trajectory) -> Array:
+        """Return nothing: there are no states."""
+        return np.zeros(0)
+
+    def initial_parameters(self, z: Array, share: float) -> Array:
+        """Return nothing: the criterion weighs the residuals."""
+        return np.zeros(0)
+
+    def outcome(self, z: Array, unknowns: Array, w: Array) -> tuple[float, Array, bool]:
+        """Return the cost without smoothing: nothing follows from it."""
+        return float(self._part.objective(z, 0.0)), w, True
 
 
 def _symbol(function: ca.Function, k: int = 0) -> Any:

@@ -4,6 +4,7 @@ This is the one function that simulation, linearization, transcription and predi
 it over samples for CasADi, `SampleStep.simulate` and `greybox.compiled.segments` do so in numpy.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -90,14 +91,18 @@ class SampleStep:
 
 def sample_step(
     system: Dynamics,
+    held: Sequence[bool],
     criterion: TimeCriterion,
     outputs: tuple[str, ...],
     names: tuple[str, ...],
     integrator: Integrator,
     substeps: int,
 ) -> SampleStep:
-    """Compile one sample of the declared parameters `names`: the model's first, then the criterion's."""
-    measurement = _measurement(system, criterion, outputs, names)
+    """Compile one sample of the declared parameters `names`: the model's first, then the criterion's.
+
+    `held` (m,) says which inputs keep their values until the next sample; the others are interpolated.
+    """
+    measurement = _measurement(system, held, criterion, outputs, names)
     step = step_function(system, integrator, substeps)
     kind: Any = ca.SX if step.is_a("SXFunction") else ca.MX
     x, q, d = (kind.sym(name, measurement.numel_in(k)) for k, name in enumerate("xqd"))
@@ -108,7 +113,7 @@ def sample_step(
 
 
 def _measurement(
-    system: Dynamics, criterion: TimeCriterion, outputs: tuple[str, ...], names: tuple[str, ...]
+    system: Dynamics, held: Sequence[bool], criterion: TimeCriterion, outputs: tuple[str, ...], names: tuple[str, ...]
 ) -> ca.Function:
     """Return what a sample knows before the step: inputs with delay and bias, residuals, corrected states."""
     n, m, k = len(system.states), len(system.inputs), len(outputs)
@@ -122,7 +127,7 @@ def _measurement(
     means, changes, nows = [], [], []
     for i, name in enumerate(system.inputs):
         fraction = ca.SX(0) if delay[i].is_zero() else delay[i] / step - whole[i]
-        mean, change, now = input_over_step(window[3 * i : 3 * i + 3], fraction, criterion.inputs == "held")
+        mean, change, now = input_over_step(window[3 * i : 3 * i + 3], fraction, held[i])
         means.append(mean - bias.get(name, 0))
         changes.append(change)
         nows.append(now - bias.get(name, 0))

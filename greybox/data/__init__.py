@@ -1,10 +1,13 @@
 """What was measured: frozen values in numpy, and the files that hold them.
 
 Begin with `record` (named signals on one time base) and `frequency_response` (one input-output pair over frequency);
-`test_segment` is one test within a record, and the table of several.
+`test_segment` is one test within a record, and the table of several; `units` converts those of logs to SI;
+`intersample` is how a signal runs between its samples.
 
-Files: `record_file` (HDF5) and `response_file` (CSV, HDF5) write and read them; `text_table` is what all tables of
-text share; `safe_files` writes atomically, `sealed_files` adds a checksum.
+Files: `record_file` (HDF5) and `response_file` (CSV, HDF5) write and read them; `delimited_text` finds out how a
+table of numbers was written (separator, decimal mark, comments), `text_table` formats those that are printed;
+`safe_files` writes atomically and says what can be read, `sealed_files` adds a checksum. Libraries that a damaged or
+crafted file can lead astray run in a subprocess: `subprocess_reader` starts it, `subprocess_main` is its script.
 """
 
 from greybox.data.frequency_response import FrequencyResponse as FrequencyResponse

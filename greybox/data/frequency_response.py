@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from greybox.data.text_table import counted, one_line
+from greybox.data.text_table import counted, one_line, printable
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,9 @@ class FrequencyResponse:
     source: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
-        """Convert to read-only arrays and check every value."""
+        """Convert to read-only arrays and check every value; write out control characters in names."""
+        for name in ("input", "output", "name", "source"):
+            object.__setattr__(self, name, printable(str(getattr(self, name))))
         self._set("omega", self.omega, np.float64)
         self._set("response", self.response, np.complex128)
         if self.omega.size == 0:

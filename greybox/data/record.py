@@ -9,11 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from greybox.data.text_table import counted, one_line
+from greybox.data.intersample import checked_hold
+from greybox.data.text_table import counted, one_line, printable
 
 # Median steps: a longer one is a gap, across which nothing is interpolated. One lost sample makes a step of two, which
 # is none; the half is for jitter.
 GAP = 2.5
+# Share of the samples at common times that are equal in all common signals, above which two records are of one
+# measurement.
+SAME_MEASUREMENT = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,13 +40,17 @@ class Record:
         Vehicle, firmware, parameters and the like, as far as the log holds them.
     filters : mapping of signal name to tuple
         Known filters that a signal has passed before it was logged, for a model to include.
+    hold : mapping of signal name to float, s
+        For how long each value lasted, as far as that is known, see `greybox.data.intersample`: infinity for a signal
+        that keeps its value until the next sample, as the output of a controller does; 0 for samples of a continuous
+        one, such as an attitude; seconds where values lasted for less than a step of the log.
     findings : tuple of str
         Problems found in it, in words.
 
     Raises
     ------
     ValueError
-        For empty records, lengths that differ, or times that do not increase.
+        For empty records, lengths that differ, times that do not increase, or a hold below 0.
     """
 
     time: NDArray[np.float64]
@@ -53,6 +61,7 @@ class Record:
     checksum: str = field(default="", repr=False)
     metadata: Mapping[str, Any] = field(default_factory=dict, repr=False)
     filters: Mapping[str, tuple[Any, ...]] = field(default_factory=dict, repr=False)
+    hold: Mapping[str, float] = field(default_factory=dict, repr=False)
     findings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -68,12 +77,16 @@ class Record:
                 f"time does not increase after {time[back[0]]:.6f} s (index {back[0]}): "
                 "sort the samples and remove duplicates."
             )
-        signals = {name: _read_only(values, name) for name, values in self.signals.items()}
+        signals = {_printable(name): _read_only(values, name) for name, values in self.signals.items()}
         for name, values in signals.items():
             if values.size != time.size:
                 raise ValueError(f"time has {time.size} samples but {name} has {values.size}: they must match.")
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "signals", signals)
+        hold = {_printable(name): checked_hold(name, seconds) for name, seconds in self.hold.items()}
+        object.__setattr__(self, "hold", {name: seconds for name, seconds in hold.items() if name in signals})
+        for name in ("name", "source", "units", "findings"):
+            object.__setattr__(self, name, _printable(getattr(self, name)))
         if not self.checksum:
             object.__setattr__(self, "checksum", _digest(time, signals))
 
@@ -168,6 +181,11 @@ class Recording(Mapping[str, Record]):
     metadata: Mapping[str, Any] = field(default_factory=dict, repr=False)
     findings: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Write out control characters in names and texts, which come from a file."""
+        for name in ("records", "source", "metadata", "findings"):
+            object.__setattr__(self, name, _printable(getattr(self, name)))
+
     def __getitem__(self, name: str) -> Record:
         if name in self.records:
             return self.records[name]
@@ -207,12 +225,43 @@ class Recording(Mapping[str, Record]):
         return one_line(self, repr(self.source), counted(len(self), "message"), ", ".join(self.records))
 
 
+def share_samples(a: Record, b: Record) -> bool:
+    """Tell whether two records hold some of the same measured samples.
+
+    Of one file they do where their times overlap outside of gaps; others where they have the same values at the same
+    times, as after `Record.with_signals`.
+    """
+    if a.checksum == b.checksum:
+        return any(
+            one.time[0] <= other.time[-1] and other.time[0] <= one.time[-1] for one in a.pieces for other in b.pieces
+        )
+    _, rows, others = np.intersect1d(a.time, b.time, assume_unique=True, return_indices=True)
+    alike = [
+        np.isclose(a[name][rows], b[name][others], rtol=0.0, atol=0.0, equal_nan=True)
+        for name in a.signals
+        if name in b.signals
+    ]
+    # Of quantized signals a few samples are the same by chance.
+    return bool(alike) and rows.size > 0 and float(np.mean(np.all(alike, axis=0))) > SAME_MEASUREMENT
+
+
 def _read_only(values: ArrayLike, name: str) -> NDArray[np.float64]:
     array = np.array(values, dtype=float)
     if array.ndim != 1:
         raise ValueError(f"{name} must be one-dimensional, but has shape {array.shape}.")
     array.setflags(write=False)
     return array
+
+
+def _printable(thing: Any) -> Any:
+    """Return names and texts, in whatever they are, with control characters written out: they come from files."""
+    if isinstance(thing, str):
+        return printable(thing)
+    if isinstance(thing, dict):
+        return {_printable(name): _printable(value) for name, value in thing.items()}
+    if type(thing) in (tuple, list):
+        return type(thing)(_printable(item) for item in thing)
+    return thing
 
 
 def _digest(time: NDArray[np.float64], signals: Mapping[str, NDArray[np.float64]]) -> str:

@@ -11,7 +11,7 @@ TEXTS = ("name", "source", "checksum")
 
 
 def write_record(group: Node, record: Record) -> None:
-    """Write times, signals in their order, units, name, source and checksum; not metadata, filters and findings."""
+    """Write times, signals in their order, units, hold, name, source and checksum; not metadata, filters, findings."""
     for name in TEXTS:
         group.attrs[name] = getattr(record, name)
     group["time"] = record.time
@@ -19,19 +19,24 @@ def write_record(group: Node, record: Record) -> None:
     for name, values in record.signals.items():
         dataset = signals.create_dataset(_escaped(name), data=values)
         dataset.attrs["unit"] = record.units.get(name, "")
+        if name in record.hold:
+            dataset.attrs["hold"] = record.hold[name]
 
 
 def read_record(group: Node) -> Record:
     """Read what `write_record` wrote."""
     signals = {}
     units = {}
+    hold = {}
     for key, dataset in group["signals"].items():
         name = _plain(key)
         signals[name] = np.asarray(dataset[()], dtype=float)
         if dataset.attrs["unit"]:
             units[name] = str(dataset.attrs["unit"])
+        if "hold" in dataset.attrs:
+            hold[name] = float(dataset.attrs["hold"])
     texts: dict[str, Any] = {name: str(group.attrs[name]) for name in TEXTS}
-    return Record(group["time"][()], signals, units, **texts)
+    return Record(group["time"][()], signals, units, hold=hold, **texts)
 
 
 def _escaped(name: str) -> str:

@@ -1,16 +1,15 @@
 """Frequency responses in files: CSV and HDF5."""
 
-import csv
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from greybox.data.delimited_text import DecimalMark, read_delimited
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.safe_files import write_text
-from greybox.data.text_table import is_number
+from greybox.data.safe_files import require_file, write_text
+from greybox.data.text_table import counted
 
 COLUMNS = ("omega_rad_s", "alpha", "beta", "coherence", "variance", "dof")
 EXTRAS = COLUMNS[3:]
@@ -26,30 +25,24 @@ def read_response(
 
     The columns of a CSV file are ``omega_rad_s, alpha, beta`` and, if known, ``coherence, variance, dof``; their order
     and further columns do not matter. A table of several responses names them ``<prefix>alpha`` and so on, with one
-    common ``omega_rad_s``; rows in which the chosen response is blank are left out.
+    common ``omega_rad_s``; rows in which the chosen response is blank are left out. Cells are separated by commas,
+    semicolons or tabs, numbers may have decimal commas, and lines that start with ``#`` or ``%`` are comments.
 
     Raises
     ------
     ValueError
-        If the HDF5 file is damaged or something else, or a column of the CSV file is missing or a cell is not a number;
-        the sentence names file, line and cell.
+        If the HDF5 file is damaged or something else; or a column of the CSV file is missing, a line has more cells
+        than the header, or a cell is not a number, or might be two. The sentence names file, line and cell.
     FileNotFoundError
         If there is no such file.
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"there is no file {path}.")
+    require_file(path)
     if path.suffix.lower() in HDF5:
         return _read_hdf5(path, input, output, name)
 
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        lines = csv.reader(file)
-        try:
-            header = [cell.strip() for cell in next(lines, [])]
-            rows = [(lines.line_num, row) for row in lines if any(cell.strip() for cell in row)]
-        except (UnicodeDecodeError, csv.Error) as error:
-            raise ValueError(f"{path} is not a CSV text file ({error}).") from None
-
+    table = read_delimited(path, path.read_bytes())
+    header = table.header
     wanted = {c: header.index(_column(c, prefix)) for c in COLUMNS if _column(c, prefix) in header}
     missing = [_column(c, prefix) for c in COLUMNS[:3] if c not in wanted]
     if missing:
@@ -61,8 +54,11 @@ def read_response(
     if twice:
         raise ValueError(f"{path} has two columns {twice[0]!r}: rename or remove one.")
 
-    table = [_numbers(path, number, row, wanted, header) for number, row in rows]
-    kept = np.array([row for row in table if row is not None], dtype=float).reshape(-1, len(wanted))
+    rows = [(number, _wanted_cells(path, number, row, wanted, len(header))) for number, row in table.rows()]
+    rows = [(number, cells) for number, cells in rows if any(cells[c] for c in cells if c != "omega_rad_s")]
+    mark = DecimalMark(path, ((number, cells.values()) for number, cells in rows))
+    numbers = [_numbers(path, number, cells, mark) for number, cells in rows]
+    kept = np.array(numbers, dtype=float).reshape(-1, len(wanted))
     values = dict(zip(wanted, kept.T, strict=True))
     try:
         return FrequencyResponse(
@@ -131,17 +127,18 @@ def _column(name: str, prefix: str) -> str:
     return name if name == "omega_rad_s" else prefix + name
 
 
-def _numbers(
-    path: Path, line: int, row: list[str], wanted: dict[str, int], header: Iterable[str]
-) -> list[float] | None:
-    """Return the wanted cells of one line as numbers, or None when the response is blank there."""
+def _wanted_cells(path: Path, line: int, row: list[str], wanted: dict[str, int], width: int) -> dict[str, str]:
     if len(row) < max(wanted.values()) + 1:
-        raise ValueError(f"{path}, line {line}, has {len(row)} cells where the header has {len(list(header))}.")
-    cells = {name: row[k].strip() for name, k in wanted.items()}
-    if not any(cells[name] for name in cells if name != "omega_rad_s"):
-        return None
-    try:
-        return [float(cell) for cell in cells.values()]
-    except ValueError:
-        bad = next(name for name, cell in cells.items() if not is_number(cell))
-        raise ValueError(f"{path}, line {line}: {bad} is {cells[bad]!r}, which is not a number.") from None
+        raise ValueError(f"{path}, line {line}, has {counted(len(row), 'cell')} where the header has {width}.")
+    return {name: row[k] for name, k in wanted.items()}
+
+
+def _numbers(path: Path, line: int, cells: dict[str, str], mark: DecimalMark) -> list[float]:
+    """Return the cells of one line as numbers."""
+    numbers = []
+    for name, cell in cells.items():
+        try:
+            numbers.append(mark.number(cell))
+        except ValueError:
+            raise ValueError(f"{path}, line {line}: {name} is {cell!r}, which is not a number.") from None
+    return numbers

@@ -1,34 +1,79 @@
-"""HDF5 files with a checksum, written atomically.
+"""HDF5 files with a checksum, written atomically and read in a subprocess.
 
-A file is written under a temporary name and renamed when it is complete. Its first 512 bytes are an HDF5 user block,
-which every HDF5 reader skips; it holds the kind of the file and the SHA-256 of everything after it. A damaged file is
-refused before the HDF5 library, which may loop forever on it, opens it.
+A file is made in memory and written in one piece under a temporary name, since the HDF5 library crashes when a disk is
+full. Its first 512 bytes are an HDF5 user block, which every HDF5 reader skips; it holds the kind of the file and the
+SHA-256 of everything after it.
+
+The checksum finds damage. It is no signature: whoever changes a file can seal it again. So the HDF5 library reads it in
+a subprocess, see `subprocess_reader`, and what comes back is plain numbers and texts.
 """
 
 import hashlib
-from collections.abc import Callable, Iterator
+import io
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import h5py
-
 from greybox.data.safe_files import replacing
+from greybox.data.subprocess_reader import read_in_subprocess
+from greybox.data.text_table import printable
 
 Node = Any  # h5py types every item as "group, dataset or type", which is of no help
 BLOCK = 512  # bytes, the smallest user block of HDF5
+DAMAGES = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError)
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A group or dataset that was read from a sealed file, with the part of h5py's interface that reading needs."""
+
+    attrs: Mapping[str, Any]
+    values: Any = None
+    members: dict[str, "Stored"] = field(default_factory=dict)
+
+    def __getitem__(self, place: str | tuple[()]) -> Any:
+        """Return the values of a dataset for ``()``, otherwise the group or dataset at a path below."""
+        if isinstance(place, tuple):
+            return self.values
+        found = self
+        for name in place.split("/"):
+            found = found.members[name]
+        return found
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.members
+
+    def __len__(self) -> int:
+        return len(self.members)
+
+    def items(self) -> Iterator[tuple[str, "Stored"]]:
+        """Yield names and members in the order in which they were written."""
+        yield from self.members.items()
 
 
 def write_sealed(path: Path, kind: str, fill: Callable[[Node], None]) -> None:
-    """Let `fill` write into a new HDF5 file, seal it, and replace `path` by it."""
+    """Let `fill` write into a new HDF5 file, seal it, and replace `path` by it.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written; nothing is left of it, and `path` is as it was.
+    """
+    import h5py  # noqa: PLC0415  (reading needs it in the subprocess only)
+
+    whole = io.BytesIO()
+    with h5py.File(whole, "w", userblock_size=BLOCK) as file:
+        fill(file)
+    contents = whole.getbuffer()
+    contents[:BLOCK] = _block(kind, hashlib.sha256(contents[BLOCK:]).hexdigest())
     with replacing(path) as temporary:
-        with h5py.File(temporary, "w", userblock_size=BLOCK) as file:
-            fill(file)
-        seal(temporary, kind)
+        temporary.write_bytes(contents)
 
 
 @contextmanager
-def open_sealed(path: Path, kind: str) -> Iterator[Node]:
+def open_sealed(path: Path, kind: str) -> Iterator[Stored]:
     """Open a sealed file for reading.
 
     Raises
@@ -41,11 +86,25 @@ def open_sealed(path: Path, kind: str) -> Iterator[Node]:
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}.")
     _require_seal(path, kind)
+    head, arrays = read_in_subprocess("sealed", path)
     try:
-        with h5py.File(path, "r") as file:
-            yield file
-    except (OSError, LookupError, TypeError, ValueError, RuntimeError) as error:
-        raise ValueError(f"{path} is not a greybox {kind} or is damaged ({error}).") from None
+        yield _tree(head["items"], iter(arrays))
+    except DAMAGES as error:
+        raise ValueError(f"{path} is not a greybox {kind} or is damaged ({printable(str(error))}).") from None
+
+
+def _tree(items: list[dict[str, Any]], arrays: Iterator[Any]) -> Stored:
+    """Return the root of what was read; every group stands before its members."""
+    root = Stored({})
+    for item in items:
+        values = next(arrays) if item["holds"] == "numbers" else item.get("texts")
+        stored = Stored(item["attributes"], values)
+        group, _, name = item["path"].rpartition("/")
+        if not item["path"]:
+            root = stored
+        else:
+            (root[group] if group else root).members[name] = stored
+    return root
 
 
 def seal(path: Path, kind: str) -> None:
@@ -54,7 +113,7 @@ def seal(path: Path, kind: str) -> None:
         file.seek(BLOCK)
         digest = hashlib.file_digest(file, "sha256").hexdigest()
         file.seek(0)
-        file.write(f"{_title(kind)}{digest}\n".encode().ljust(BLOCK, b"\0"))
+        file.write(_block(kind, digest))
 
 
 def is_sealed(path: Path, kind: str) -> bool:
@@ -69,8 +128,12 @@ def _require_seal(path: Path, kind: str) -> None:
     with path.open("rb") as file:
         head = file.read(BLOCK)
         digest = hashlib.file_digest(file, "sha256").hexdigest()
-    if head.rstrip(b"\0").decode(errors="replace") != f"{_title(kind)}{digest}\n":
+    if head != _block(kind, digest):
         raise ValueError(f"{path} is damaged or was changed since it was saved: restore it or make it again.")
+
+
+def _block(kind: str, digest: str) -> bytes:
+    return f"{_title(kind)}{digest}\n".encode().ljust(BLOCK, b"\0")
 
 
 def _title(kind: str) -> str:

@@ -1,12 +1,32 @@
 """Numbers and tables as a person reads them in a terminal."""
 
+import difflib
 import math
-from collections.abc import Sequence
+import unicodedata
+from collections.abc import Iterable, Sequence
+
+# Control characters (a terminal obeys them), formatting ones (they can reverse the order of what follows), halves of
+# characters (no terminal takes them), line and paragraph separators.
+CONTROLS = ("Cc", "Cf", "Cs", "Zl", "Zp")
+
+
+def printable(text: str, keep: str = "") -> str:
+    r"""Return a text in which control characters are written out, as ``\x1b``, except those to `keep`.
+
+    Every name and text that comes from a file passes through here before it is printed.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c in keep or unicodedata.category(c) not in CONTROLS else _escaped(c) for c in text)
+
+
+def _escaped(character: str) -> str:
+    return character.encode("unicode_escape", "surrogatepass").decode("ascii")
 
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> str:
     """Align `rows` of text under `header`; columns in `left` are flush left, all others flush right."""
-    cells = [list(header), *(list(row) for row in rows)]
+    cells = [[printable(cell) for cell in row] for row in (header, *rows)]
     widths = [max(len(row[k]) for row in cells) for k in range(len(header))]
 
     def line(row: Sequence[str]) -> str:
@@ -35,6 +55,20 @@ def listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """Return which of the known names a misspelled one probably means, None if it resembles none."""
+    spelled = {other.lower(): other for other in known}
+    found = difflib.get_close_matches(name.lower(), spelled, n=1)
+    return spelled[found[0]] if found else None
+
+
+def alternatives(name: object, known: Iterable[str]) -> str:
+    """Return the end of a sentence about a name that is not known: the known ones, and which of them was meant."""
+    known = list(known)
+    near = nearest(str(name), known)
+    return (", ".join(known) or "none") + (f": did you mean {near!r}?" if near else ".")
+
+
 def with_error(value: float, error: float) -> tuple[str, str]:
     """Format a value and its standard error, the error with two significant digits and the value to its last digit."""
     if not (math.isfinite(value) and math.isfinite(error)) or error <= 0:
@@ -59,5 +93,5 @@ def is_number(cell: str) -> bool:
 
 def one_line(thing: object, *facts: str) -> str:
     """Return ``<Class fact, fact>`` for the `repr` of a large value: one line of less than 120 characters."""
-    text = " ".join(f"<{type(thing).__name__} {', '.join(facts)}".split())
+    text = printable(" ".join(f"<{type(thing).__name__} {', '.join(facts)}".split()))
     return f"{text}>" if len(text) < 119 else f"{text[:115]}...>"

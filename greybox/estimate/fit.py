@@ -5,6 +5,8 @@ import math
 import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import singledispatch
 from importlib.metadata import version
 from types import MappingProxyType
 from typing import Any
@@ -20,13 +22,15 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.text_table import counted
 from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.diagnostics.delay_approximation import pade_error
 from greybox.estimate.diagnostics.discretization import discretization_warnings
 from greybox.estimate.diagnostics.general import warnings
 from greybox.estimate.diagnostics.harmonics import harmonic_warnings
+from greybox.estimate.diagnostics.intersample import intersample_warnings
 from greybox.estimate.diagnostics.not_finite import explained, not_finite_warnings
-from greybox.estimate.diagnostics.records import record_warnings
+from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
 from greybox.estimate.fitted_record import fitted_record, stated
 from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit, FittedRecord, FittedResponse
@@ -37,14 +41,35 @@ from greybox.formulation.starts import Chained, Listed, Sobol, Starts, as_starts
 from greybox.formulation.sum import Sum
 from greybox.modeling.harmonic_balance import response_of_test
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
-from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.interruption import Response, listening, responding, take_interrupt
+from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
-from greybox.solve.multistart import multistart
+from greybox.solve.multistart import multistart, solver_for
 
 Array = NDArray[np.float64]
 
-STARTS, RECORD_STARTS = 200, 20
+FittedPart = FittedRecord | FittedResponse
+
 CURVE = 2000  # points from which a curve for figures is not refined further
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C during a fit.
+
+    Attributes
+    ----------
+    fit : Fit or None
+        The best fit so far: of the starts that were done, judged as any other. None if not one had been begun.
+    """
+
+    def __init__(self, fit: Fit | None) -> None:
+        super().__init__(fit)
+        self.fit = fit
+
+    def __str__(self) -> str:
+        if self.fit is None:
+            return "interrupted before the first start"
+        return f"interrupted after {counted(len(self.fit.runs), 'start')}; the best fit so far is in the attribute fit"
 
 
 def fit(
@@ -85,6 +110,8 @@ def fit(
     ------
     ValueError, TypeError
         For bad input, in one sentence.
+    KeyboardInterrupt
+        After Ctrl-C, when the iteration at hand has ended; its attribute ``fit`` is the best fit so far.
     """
     if not isinstance(problem, Problem | Sum):
         raise TypeError(f"problem is {problem!r:.80}: give a Problem(model, data) or a sum of them.")
@@ -92,29 +119,57 @@ def fit(
         raise TypeError(f"solver_options is {solver_options!r:.60}: give IPOPT's options as {{name: value}}.")
     if method is not None and not isinstance(method, Transcription):
         raise TypeError(f"method is {method!r:.60}: give an instance such as MultipleShooting().")
+    try:
+        with listening():
+            answer = _fitted_from(problem, starts, seed, method, solver_options, progress)
+            if answer is None or take_interrupt():
+                raise Interrupted(answer)
+            return answer
+    except Interrupted:
+        raise
+    except KeyboardInterrupt as pressed:
+        raise Interrupted(None) from pressed
+
+
+def _fitted_from(
+    problem: AnyProblem,
+    starts: Any,
+    seed: int | None,
+    method: Transcription | None,
+    solver_options: Mapping[str, Any],
+    progress: bool | Callable[[int, int], None],
+) -> Fit | None:
+    """Return the fit from these starts, or after Ctrl-C from those that were done; None if there are none."""
     began = time.perf_counter()
     nlp = compile_problem(problem, method)
     parameters = problem.parameters
-    rule = _rule(starts, seed, nlp)
+    solver = solver_for(nlp, solver_options)
+    rule = _rule(starts, seed, solver)
     points = rule.draw({name: parameters[name] for name in nlp.free})
     movable = not isinstance(rule, Listed)
-    solver = GaussNewton(nlp) if nlp.has_states else None
-    if callable(progress) or not progress:
-        search = multistart(nlp, points, solver_options, progress or None, movable, solver)
-    else:
-        with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
-            search = multistart(nlp, points, solver_options, lambda done, _: _advance(bar, done), movable, solver)
-    search = explained(nlp, search)
-    error = None
-    if solver is not None:
+    with responding(Response.STOP):
+        if callable(progress) or not progress:
+            search = multistart(nlp, solver, points, solver_options, progress or None, movable)
+        else:
+            with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
+                search = multistart(nlp, solver, points, solver_options, lambda done, _: _advance(bar, done), movable)
+        search = explained(nlp, search)
         nlp, search, solver, error = refine_discretization(nlp, search, solver)
-    return assemble(nlp, search, solver, seed=rule.seed, starts=str(rule), began=began, error=error)
+    if not search.runs:
+        return None
+    with responding(Response.FINISH):
+        answer = assemble(nlp, search, solver, seed=rule.seed, starts=str(rule), began=began, error=error)
+        done = len(search.runs)
+        if done < len(points):
+            said = f"interrupted after {done} of {counted(len(points), 'start')}: another one may end at a lower cost."
+            answer = replace(answer, warnings=(said, *answer.warnings))
+        return answer
 
 
 def assemble(
     nlp: Nlp,
     search: Multistart,
-    solver: GaussNewton | None,
+    solver: LocalSolver,
     *,
     seed: int | None,
     starts: str,
@@ -125,17 +180,14 @@ def assemble(
     problem = nlp.problem
     found = bool(search.minima)
     best = search.minima[0].estimate if found else np.full(len(nlp.free), np.nan)
-    trajectories: tuple[Trajectory | None, ...] = (None,) * len(nlp.parts)
-    if found and solver is not None:
-        trajectories = solver.profile(best, search.nodes).trajectories
+    trajectories = solver.profile(best, search.nodes).trajectories if found else ()
     accuracy = assess(nlp, best, trajectories) if found else _nothing(nlp)
     estimate = dict(zip(nlp.names, nlp.all_values(best).tolist(), strict=True))
     lines, names, covariance = quantities(nlp, accuracy, estimate)
     parts = tuple(
-        _fitted(part, nlp.all_values(best), dict(part.problem.local_values(estimate)), trajectory)
-        for part, trajectory in zip(nlp.parts, trajectories, strict=True)
+        fitted_part(part, trajectory, nlp.all_values(best), dict(part.problem.local_values(estimate)))
+        for part, trajectory in zip(nlp.parts, trajectories or (None,) * len(nlp.parts), strict=True)
     )
-    records = [part for part in parts if isinstance(part, FittedRecord)]
     pade_errors = [part.pade_error if isinstance(part, FittedResponse) else None for part in parts]
     return Fit(
         name=problem.name,
@@ -146,13 +198,15 @@ def assemble(
         covariance=covariance,
         dof=accuracy.dof,
         cost=search.minima[0].cost if found else math.nan,
-        costs=_all_costs(nlp, parts),
+        costs=_all_costs(parts),
         runs=search.runs,
         minima=search.minima,
         warnings=(
             *not_finite_warnings(nlp, search),
+            *finding_warnings(nlp),
             *(discretization_warnings(nlp, trajectories, error) if found else ()),
-            *(record_warnings(nlp, records, trajectories) if found else ()),
+            *(record_warnings(nlp, parts, trajectories) if found else ()),
+            *(intersample_warnings(nlp, best, accuracy) if found else ()),
             *(harmonic_warnings(nlp, best, accuracy) if found else ()),
             *(warnings(nlp, search, accuracy, pade_errors, trajectories) if found else ()),
         ),
@@ -170,21 +224,30 @@ def assemble(
     )
 
 
-def _fitted(
-    part: Part, x: Array, values: dict[str, float], trajectory: Trajectory | None
-) -> FittedRecord | FittedResponse:
-    """Return the plain values that the answer keeps of a part, at all values x (k,), by name `values`."""
-    if isinstance(part, RecordPart):
-        return fitted_record(part, trajectory)
-    assert isinstance(part, ResponsePart)
+@singledispatch
+def fitted_part(part: Part, trajectory: Trajectory | None, x: Array, values: dict[str, float]) -> FittedPart:
+    """Return the plain values that the answer keeps of a part, at all values x (k,), by the model's name `values`.
+
+    `trajectory` is the best one there; None without an answer.
+    """
+    raise TypeError(f"{type(part).__name__} has no form in which an answer keeps it.")
+
+
+@fitted_part.register
+def _(part: RecordPart, trajectory: Trajectory | None, x: Array, values: dict[str, float]) -> FittedRecord:
+    return fitted_record(part, trajectory)
+
+
+@fitted_part.register
+def _(part: ResponsePart, trajectory: Trajectory | None, x: Array, values: dict[str, float]) -> FittedResponse:
     return _response(part.problem, values, part.response(x))
 
 
-def _rule(starts: Any, seed: int | None, nlp: Nlp) -> Starts:
-    """Return the rule for starts; of a number of them for records, the declared values are the first."""
-    number = starts if starts is not None else RECORD_STARTS if nlp.has_states else STARTS
+def _rule(starts: Any, seed: int | None, solver: LocalSolver) -> Starts:
+    """Return the rule for starts; where the solver asks for it, the declared values are the first of a number."""
+    number = solver.starts if starts is None else starts
     rule = as_starts(number, seed)
-    if not nlp.has_states or isinstance(number, Starts | Sequence):
+    if isinstance(number, Starts | Sequence) or not solver.tries_declared_values:
         return rule
     return Chained((Listed(({},)), Sobol(number - 1, rule.seed or 0))) if number > 1 else Listed(({},))
 
@@ -249,11 +312,11 @@ def _curve(
     return curve
 
 
-def _all_costs(nlp: Nlp, parts: Sequence[FittedRecord | FittedResponse]) -> dict[str, float]:
-    """Return the value of every criterion at the estimate; those in the frequency domain, of responses alone."""
-    if nlp.has_states:
-        return {}
+def _all_costs(parts: Sequence[FittedRecord | FittedResponse]) -> dict[str, float]:
+    """Return the value of every criterion for responses at the estimate, where all data are such."""
     responses = [part for part in parts if isinstance(part, FittedResponse)]
+    if len(responses) < len(parts):
+        return {}
     return {
         criterion.name: sum(part.weight * evaluate(criterion, part.response, part.data) for part in responses)
         for criterion in CRITERIA

@@ -55,6 +55,7 @@ def fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedReco
         name=data.name,
         source=data.source,
         checksum=data.checksum,
+        hold=data.hold,
     )
     count = len(part.outputs)
     noise = np.full((count, count), np.nan)

@@ -10,16 +10,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.record import Record
-from greybox.data.text_table import counted, number, one_line, text_table, with_error
+from greybox.data.record import Record, share_samples
+from greybox.data.text_table import alternatives, counted, listed, number, one_line, text_table, with_error
 from greybox.formulation.included_criteria import CRITERIA
+from greybox.formulation.input_assumptions import Inputs, described_inputs
 from greybox.modeling.harmonic_balance import response_of_test
 from greybox.modeling.model import Model
 from greybox.modeling.model_reference import reference, resolve
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import dynamics
 from greybox.modeling.sine import Sine
-from greybox.simulation.model_at_estimate import Inputs, ModelAtEstimate, criterion_of
+from greybox.simulation.model_at_estimate import ModelAtEstimate, criterion_of
 from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.outcome import Run
 from greybox.statistics.metrics import fit_percent, rms
@@ -154,8 +155,8 @@ class FittedRecord(FittedPart):
         The states at the first sample of every gapless stretch.
     method : str
         Transcription and integrator, with what they chose.
-    inputs : "linear" or "held"
-        How the inputs ran between their samples.
+    inputs : "record", "linear" or "held"
+        How the inputs ran between their samples: as the record says (`Record.hold`), or all of them in one way.
     biases : tuple of str
         Signals whose constant error was estimated, as the parameter ``<name>_bias``.
     gains : tuple of (state, output)
@@ -170,7 +171,7 @@ class FittedRecord(FittedPart):
     noise: NDArray[np.float64]
     initial: Mapping[str, NDArray[np.float64]]
     method: str
-    inputs: Literal["linear", "held"] = "linear"
+    inputs: Inputs = "record"
     biases: tuple[str, ...] = ()
     gains: tuple[tuple[str, str], ...] = ()
     nuisances: int = 0
@@ -179,6 +180,12 @@ class FittedRecord(FittedPart):
     def compared(self) -> int:
         """How many samples the fit used: those of which at least one output was compared."""
         return int(np.any([np.isfinite(self.residual(name)) for name in self.outputs], axis=0).sum())
+
+    @property
+    def between(self) -> dict[str, str]:
+        """How every input ran between its samples, in words, and who says so."""
+        names = [name for name in self.data.signals if name not in self.outputs]
+        return described_inputs(self.inputs, names, self.data)
 
     def residual(self, output: str) -> NDArray[np.float64]:
         """Return measured less fitted values of an output, (n,)."""
@@ -216,6 +223,8 @@ class Fit:
         not hold what it needs. Empty for fits with records.
     white : (p, p) array or None
         What the covariance of the free parameters would be if the cost were the likelihood of white errors.
+    models, given : tuple of Model or None, tuple of Model or class
+        The models that were fitted; None for a loaded fit, whose models are those of greybox and those given to `load`.
     """
 
     name: str
@@ -235,6 +244,7 @@ class Fit:
     seconds: float
     versions: Mapping[str, str]
     models: tuple[Model, ...] | None = field(default=None, repr=False)
+    given: tuple[Model | type[Model], ...] = field(default=(), repr=False)
     white: NDArray[np.float64] | None = field(default=None, repr=False)
 
     @property
@@ -320,48 +330,55 @@ class Fit:
         for name in names:
             if name not in self.names:
                 raise ValueError(
-                    f"the fit has no parameter {name!r} with a covariance; it has {', '.join(self.names)}."
+                    f"the fit has no parameter {name!r} with a covariance; it has {alternatives(name, self.names)}"
                 )
         rows = [self.names.index(name) for name in names]
         return self.covariance[np.ix_(rows, rows)]
 
     def at_estimate(
-        self, model: Model | None = None, *, inputs: Inputs | None = None, part: int | None = None
+        self,
+        model: Model | None = None,
+        *,
+        inputs: Inputs | None = None,
+        part: int | None = None,
+        record: Record | None = None,
     ) -> ModelAtEstimate:
         """Return the model of a part, or another one of the same parameters, at the estimate.
 
         Parameters
         ----------
         model : Model, optional
-            By default the one that was fitted; a loaded fit imports it by name.
-        inputs : "linear" or "held", optional
+            By default the one that was fitted; of a loaded fit, one that greybox includes or that was given to `load`.
+        inputs : "record", "linear" or "held", optional
             How inputs run between samples; by default as in the fit.
         part : int, optional
-            By default the first record, of this model if there is one.
+            By default the one of `record`, else the first record, of this model if there is one.
+        record : Record, optional
+            What the model is to be run on.
 
         Raises
         ------
         ValueError
             If the fit did not converge, or has no value for a parameter of the model.
         LookupError
-            If the model cannot be imported.
+            If a loaded fit does not know the model.
         """
         if not self.converged:
             raise ValueError(f"the fit {self.name!r} has no estimate: {self.status}.")
-        k = _part_index(self, model, part)
+        k = _part_index(self, model, part, record)
         if model is None:
-            model = self.models[k] if self.models else resolve(dict(self.parts[k].model))
+            model = self.models[k] if self.models else resolve(self.parts[k].model, self.given)
         return _at_estimate(self, model, self.parts[k], inputs)
 
     def response(self, omega: ArrayLike, part: int = 0, model: Model | None = None) -> FrequencyResponse:
         """Evaluate the fitted model of a part at `omega` (n,) rad/s.
 
-        A loaded fit imports its model by name; where that is not possible, give the `model`.
+        A loaded fit knows the models that greybox includes and those given to `load`; otherwise give the `model`.
 
         Raises
         ------
         LookupError
-            If the model cannot be imported; the sentence says what is missing.
+            If a loaded fit does not know the model; the sentence has the cure.
         """
         stated = self.parts[part]
         if not isinstance(stated, FittedResponse):
@@ -370,7 +387,7 @@ class Fit:
                 "gb.simulate for time histories."
             )
         if model is None:
-            model = self.models[part] if self.models else resolve(dict(stated.model))
+            model = self.models[part] if self.models else resolve(stated.model, self.given)
         values = {name: self.estimate[stated.rename.get(name, name)] for name in model.parameters}
         return response_of_test(
             model,
@@ -427,7 +444,22 @@ def _overview(fit: Fit) -> list[str]:
         f"  starts     {converged} of {len(fit.runs)} converged; {agreeing} on the best of {minima}",
         f"  cost       {fit.cost:.6g}  ({fit.rule})",
         f"  data       {_data_text(fit)}, delay {fit.delay}{''.join(pade)}",
+        *(f"  inputs     {text}" for text in _inputs_texts(fit.records)),
         *(f"  output     {_output_text(part, output)}" for part in fit.records for output in part.outputs),
+    ]
+
+
+def _inputs_texts(records: Sequence[FittedRecord]) -> list[str]:
+    """Say how inputs ran between their samples, one line for all that ran alike in the same records."""
+    alike: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    for name in dict.fromkeys(name for part in records for name in part.between):
+        said = {part.between[name]: None for part in records if name in part.between}
+        for text in said:
+            where = tuple(part.name for part in records if part.between.get(name) == text) if len(said) > 1 else ()
+            alike.setdefault((text, where), []).append(name)
+    return [
+        f"{', '.join(names)} {text}{f' ({listed(where)})' if any(where) else ''}"
+        for (text, where), names in alike.items()
     ]
 
 
@@ -490,7 +522,7 @@ def _at_estimate(fit: Fit, model: Model, part: FittedResponse | FittedRecord, in
     biases = record.biases if record else ()
     gains = record.gains if record else ()
     if inputs is None:
-        inputs = record.inputs if record else "linear"
+        inputs = record.inputs if record else "record"
 
     names = [*model.parameters, *(f"{b}_bias" for b in biases), *(f"K_{s}_{o}" for s, o in gains)]
     outside = [part.rename.get(name, name) for name in names]
@@ -512,11 +544,39 @@ def _at_estimate(fit: Fit, model: Model, part: FittedResponse | FittedRecord, in
         covariance=np.where(known | known[:, None], 0.0, fit.covariance_of(outside)),
         criterion=criterion_of(inputs, biases, gains),
         part=record,
+        declared=model.parameters,
+        own=_own_names(fit, model, record, dict(zip(names, outside, strict=True))) if record else (),
     )
 
 
-def _part_index(fit: Fit, model: Model | None, part: int | None) -> int:
-    """Return the part of a fit that is meant: the one asked for, else the first record, of this model if it has one."""
+def _own_names(fit: Fit, model: Model, part: FittedRecord, outside: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the names inside of the free values that belong to the record of a part alone, by their names `outside`.
+
+    Biases, unless records share them under one name; and parameters of which other records have another one.
+    """
+    free = {q.name for q in fit.quantities if q.kind == "free"}
+    others = [
+        other
+        for other in fit.records
+        if _class_name(other.model) == _class_name(part.model) and not share_samples(other.data, part.data)
+    ]
+    own = []
+    for name, known_as in outside.items():
+        elsewhere = [other.rename.get(name, name) for other in others]
+        if name in model.parameters:
+            is_own = any(other != known_as for other in elsewhere)
+        else:
+            is_own = name.endswith("_bias") and known_as not in elsewhere
+        if is_own and known_as in free:
+            own.append(name)
+    return tuple(own)
+
+
+def _part_index(fit: Fit, model: Model | None, part: int | None, record: Record | None) -> int:
+    """Return the part of a fit that is meant: the one asked for, else that of the record, else the first record.
+
+    Of those of the given model where the fit has any.
+    """
     count = len(fit.parts)
     if part is not None:
         whole = isinstance(part, (int, np.integer)) and not isinstance(part, bool)
@@ -524,7 +584,13 @@ def _part_index(fit: Fit, model: Model | None, part: int | None) -> int:
             raise ValueError(f"part is {part!r}: the fit has {counted(count, 'part')}, counted from 0.")
         return part % count
 
-    records_first = sorted(range(count), key=lambda k: not isinstance(fit.parts[k], FittedRecord))
+    def later(k: int) -> int:
+        data = fit.parts[k].data
+        if not isinstance(data, Record):
+            return 2
+        return int(record is None or not share_samples(data, record))
+
+    records_first = sorted(range(count), key=later)
     if model is not None:
         wanted = _class_name(reference(model))
         for k in records_first:

@@ -18,30 +18,34 @@ Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``
                  ``curve`` (``omega, alpha, beta`` and, if known, ``coherence, variance, dof``) and the fitted
                  ``response_alpha, response_beta`` at the data's frequencies.
                  Of a record: attributes ``method, inputs, nuisances``, as JSON ``outputs, biases, gains``; groups
-                 ``data`` and ``simulated`` (``time`` and ``signals/...``, each with its ``unit``), ``initial/...`` by
-                 state (stretches,) and ``noise`` (k, k).
+                 ``data`` and ``simulated`` (``time`` and ``signals/...``, each with its ``unit`` and, if
+                 known, ``hold``), ``initial/...`` by state (stretches,) and ``noise`` (k, k).
 
-The file is sealed, see `greybox.data.sealed_files`. NaN means "not known". Nothing in a file is executed when it is
-loaded.
+The file is sealed, see `greybox.data.sealed_files`. NaN means "not known". A file may come from anyone: nothing in it
+is executed, nothing that it names is imported, and what is loaded fits together (SECURITY.md).
 """
 
 import ast
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import Any, get_args
 
-import h5py
 import numpy as np
 
 from greybox.data.record_file import read_record, write_record
 from greybox.data.response_file import read_group, write_group
-from greybox.data.sealed_files import Node, open_sealed, write_sealed
+from greybox.data.sealed_files import Node, Stored, open_sealed, write_sealed
+from greybox.data.text_table import printable
 from greybox.estimate.fitted_record import criterion_values
 from greybox.estimate.result import Fit, FittedRecord, FittedResponse, Quantity
 from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
+from greybox.formulation.input_assumptions import Inputs
+from greybox.modeling.model import Model
+from greybox.modeling.model_file import models_of, module_from_file
 from greybox.modeling.sine import Sine
 from greybox.solve.minima import Minimum
 from greybox.solve.outcome import Run
@@ -50,6 +54,7 @@ KIND = "fit"
 LAYOUT = 3
 _PART_TEXTS = ("name", "rule", "condition", "delay", "label", "equation")
 _CRITERION = ("criterion", "criterion_class", "is_likelihood")
+LINES = "\n\t"  # what texts of several lines hold: docstrings, source, warnings
 
 
 def save(fit: Fit, path: str | Path) -> None:
@@ -63,8 +68,16 @@ def save(fit: Fit, path: str | Path) -> None:
     write_sealed(Path(path), KIND, lambda file: _write(file, fit))
 
 
-def load(path: str | Path) -> Fit:
-    """Read a `Fit` that `save` wrote. The model is imported by name only when `Fit.response` asks for it.
+def load(path: str | Path, models: Sequence[Model | type[Model] | ModuleType | str | Path] = ()) -> Fit:
+    """Read a `Fit` that `save` wrote. The file may come from anyone, see SECURITY.md.
+
+    Parameters
+    ----------
+    path : str or Path
+    models : sequence
+        Models of your own that the fit may use where it evaluates its model (`Fit.response`, `gb.predict`): classes,
+        models, modules, or paths of Python files. Those that greybox includes are known; no other is imported, whatever
+        the file names.
 
     Raises
     ------
@@ -74,13 +87,25 @@ def load(path: str | Path) -> Fit:
         If it is not a greybox fit, is damaged, or was written by a later version.
     """
     path = Path(path)
+    given = tuple(model for thing in models for model in _models(thing))
     with open_sealed(path, KIND) as file:
         layout = int(file.attrs["layout"])
         if file.attrs["format"] != "greybox fit":
-            raise ValueError(f"its format is {file.attrs['format']!r}")
+            raise ValueError(f"its format is {file.attrs['format']!r:.60}")
         if layout <= LAYOUT:
-            return _read(file)
+            return replace(_read(file), given=given)
     raise ValueError(f"{path} has layout {layout} and this version reads up to {LAYOUT}: install a newer greybox.")
+
+
+def _models(thing: Model | type[Model] | ModuleType | str | Path) -> Sequence[Model | type[Model]]:
+    """Return the models that one entry of `models` hands over."""
+    if isinstance(thing, (str, Path)):
+        return models_of(module_from_file(Path(thing)))
+    if isinstance(thing, ModuleType):
+        return models_of(thing)
+    if isinstance(thing, Model) or (isinstance(thing, type) and issubclass(thing, Model)):
+        return [thing]
+    raise TypeError(f"models has {thing!r:.60}: give model classes, models, modules, or paths of Python files.")
 
 
 def _write(file: Node, fit: Fit) -> None:
@@ -156,39 +181,63 @@ def _write_fitted_record(group: Node, part: FittedRecord) -> None:
         initial[state] = values
 
 
-def _read(file: Node) -> Fit:
-    free = tuple(json.loads(file["runs"].attrs["free"]))
-    runs = _read_runs(file["runs"])
+def _read(file: Stored) -> Fit:
+    free = _json_names(file["runs"].attrs["free"])
+    runs = _read_runs(file["runs"], len(free))
     attributes = file.attrs
-    return Fit(
-        name=str(attributes["name"]),
+    names = _read_texts(file["covariance/names"])
+    fit = Fit(
+        name=_text(attributes["name"]),
         parts=tuple(_read_part(file[f"parts/{k}"]) for k in range(len(file["parts"]))),
         quantities=_read_quantities(file["quantities"]),
         free=free,
-        names=_read_texts(file["covariance/names"]),
-        covariance=file["covariance/values"][()],
+        names=names,
+        covariance=_array(file["covariance/values"], (len(names), len(names))),
         dof=float(attributes["dof"]),
         cost=float(attributes["cost"]),
-        costs=_read_costs(json.loads(attributes["costs"])),
+        costs=_read_costs(_json_object(attributes["costs"])),
         runs=runs,
-        minima=_read_minima(file, runs),
-        warnings=_read_texts(file["warnings"]),
+        minima=_read_minima(file, runs, len(free)),
+        warnings=_read_texts(file["warnings"], keep=LINES),
         seed=int(attributes["seed"]) if "seed" in attributes else None,
-        starts=str(attributes["starts"]),
+        starts=_text(attributes["starts"]),
         seconds=float(attributes["seconds"]),
-        versions=json.loads(attributes["versions"]),
-        white=file["covariance/white"][()] if "white" in file["covariance"] else None,
+        versions=_json_texts(attributes["versions"]),
+        white=_array(file["covariance/white"], (len(free), len(free))) if "white" in file["covariance"] else None,
     )
+    return _checked(fit)
 
 
-def _read_costs(stored: dict[str, float | None]) -> dict[str, float]:
+def _checked(fit: Fit) -> Fit:
+    """Return a fit whose parts agree with one another, so that nothing fails later when it is printed or used."""
+    names = [q.name for q in fit.quantities]
+    _require(len({*names}) == len(names), "a name stands for two quantities")
+    _require({*fit.free} <= {*fit.names} <= {*fit.estimate}, "a parameter has no value")
+    _require(len({*fit.names}) == len(fit.names), "a parameter stands twice in the covariance")
+    _require(bool(fit.parts) and bool(fit.runs), "it has no data or no runs")
+    for part in fit.parts:
+        if isinstance(part, FittedResponse):
+            size = len(part.data)
+            _require(part.response.shape == (size,), "the fitted response does not fit the data")
+            _require(part.sine is None or np.size(part.sine.amplitude) in (1, size), "an amplitude is missing")
+        else:
+            _require(np.array_equal(part.data.time, part.simulated.time), "the simulated record does not fit the data")
+            held = {*part.data.signals} & {*part.simulated.signals}
+            _require({*part.outputs} <= held, "an output is not in the record")
+            _require(part.inputs in get_args(Inputs), "how its inputs run between samples is not known")
+    return fit
+
+
+def _read_costs(stored: Mapping[str, Any]) -> dict[str, float]:
     """Return the costs by the names of the criteria; layouts 1 and 2 have their descriptions."""
     names = {criterion.description: criterion.name for criterion in CRITERIA}
-    return {names.get(key, key): math.nan if value is None else value for key, value in stored.items()}
+    return {names.get(key, key): math.nan if value is None else float(value) for key, value in stored.items()}
 
 
-def _read_quantities(group: Node) -> tuple[Quantity, ...]:
+def _read_quantities(group: Stored) -> tuple[Quantity, ...]:
     rows = _rows(group, ("name", "kind", "unit", "about"), ("value", "standard_error", "bounds", "at_bound", "dof"))
+    for row in rows:
+        _require(row["kind"] in ("free", "fixed", "tied", "derived"), f"{row['kind']!r:.40} is no kind of quantity")
     return tuple(
         Quantity(
             **{name: row[name] for name in ("name", "kind", "unit", "about")},
@@ -202,8 +251,10 @@ def _read_quantities(group: Node) -> tuple[Quantity, ...]:
     )
 
 
-def _read_runs(group: Node) -> tuple[Run, ...]:
+def _read_runs(group: Stored, parameters: int) -> tuple[Run, ...]:
     rows = _rows(group, ("status", "reason"), ("start", "estimate", "cost", "converged", "iterations", "seconds"))
+    for row in rows[:1]:
+        _require(row["start"].shape == row["estimate"].shape == (parameters,), "its runs have other parameters")
     return tuple(
         Run(
             index=k,
@@ -220,63 +271,74 @@ def _read_runs(group: Node) -> tuple[Run, ...]:
     )
 
 
-def _rows(group: Node, texts: Sequence[str], numbers: Sequence[str]) -> list[dict[str, Any]]:
+def _rows(group: Stored, texts: Sequence[str], numbers: Sequence[str]) -> list[dict[str, Any]]:
     """Return the rows of a table that is stored by columns, which must be of one length."""
     columns = [*(_read_texts(group[name]) for name in texts), *(group[name][()] for name in numbers)]
     return [dict(zip((*texts, *numbers), row, strict=True)) for row in zip(*columns, strict=True)]
 
 
-def _read_minima(file: Node, runs: tuple[Run, ...]) -> tuple[Minimum, ...]:
-    minimum, group = file["runs/minimum"][()], file["minima"]
-    cost, estimate, variants = (group[c][()] for c in ("cost", "estimate", "variants"))
-    result = []
-    for k in range(len(cost)):
-        members = sorted(np.flatnonzero(minimum == k).tolist(), key=lambda i: runs[i].cost)
-        result.append(Minimum(float(cost[k]), estimate[k], tuple(members), int(variants[k])))
-    return tuple(result)
+def _read_minima(file: Stored, runs: tuple[Run, ...], parameters: int) -> tuple[Minimum, ...]:
+    group = file["minima"]
+    cost, variants = (group[column][()] for column in ("cost", "variants"))
+    estimate = _array(group["estimate"], (len(cost), parameters))
+    members: list[list[int]] = [[] for _ in cost]
+    for run, k in zip(runs, file["runs/minimum"][()], strict=True):
+        if k >= 0:
+            members[int(k)].append(run.index)
+    _require(all(members), "no run ended at one of its minima")
+    return tuple(
+        Minimum(float(cost[k]), estimate[k], tuple(sorted(found, key=lambda i: runs[i].cost)), int(variants[k]))
+        for k, found in enumerate(members)
+    )
 
 
-def _read_part(group: Node) -> FittedResponse | FittedRecord:
+def _read_part(group: Stored) -> FittedResponse | FittedRecord:
     attributes = group.attrs
-    stated: dict[str, Any] = {name: str(attributes[name]) for name in _PART_TEXTS}
-    stated |= {name: json.loads(attributes[name]) for name in ("model", "rename", "tied")}
-    stated["constraints"] = tuple(json.loads(attributes["constraints"]))
+    stated: dict[str, Any] = {name: _text(attributes[name]) for name in _PART_TEXTS}
+    stated["equation"] = _text(attributes["equation"], keep=LINES)
+    stated["rename"] = _json_texts(attributes["rename"])
+    stated["tied"] = _json_texts(attributes["tied"], keep=LINES)
+    stated["constraints"] = _json_names(attributes["constraints"], keep=LINES)
+    stated["model"] = _json_object(attributes["model"])
+    _require(isinstance(stated["model"]["class"], str), "its model has no class")
+    _require(isinstance(stated["model"]["arguments"], list), "the arguments of its model are no list")
+    _require(isinstance(stated["model"]["keywords"], dict), "the keywords of its model have no names")
     stated["weight"] = float(attributes["weight"])
     stated |= _read_criterion(attributes) if "settings" in attributes else _read_criterion_text(attributes)
     part = _read_fitted_record(group, stated) if "simulated" in group else _read_fitted_response(group, stated)
     if part.data.checksum != attributes["checksum"]:
-        raise KeyError(f"the data of part {attributes['name']!r} do not match their checksum")
+        raise KeyError(f"the data of part {attributes['name']!r:.60} do not match their checksum")
     return part
 
 
-def _read_criterion(attributes: Any) -> dict[str, Any]:
+def _read_criterion(attributes: Mapping[str, Any]) -> dict[str, Any]:
     return {
-        "criterion": str(attributes["criterion"]),
-        "criterion_class": str(attributes["criterion_class"]),
-        "settings": json.loads(attributes["settings"]),
+        "criterion": _text(attributes["criterion"]),
+        "criterion_class": _text(attributes["criterion_class"]),
+        "settings": _json_object(attributes["settings"]),
         "is_likelihood": bool(attributes["is_likelihood"]),
     }
 
 
-def _read_criterion_text(attributes: Any) -> dict[str, Any]:
+def _read_criterion_text(attributes: Mapping[str, Any]) -> dict[str, Any]:
     """Read the criterion of layouts 1 and 2, the text of its constructor; without settings where it held functions."""
-    text = str(attributes["criterion"])
+    text = _text(attributes["criterion"])
     included = {type(criterion).__name__: criterion for criterion in (*CRITERIA, *TIME_CRITERIA)}
     usual: Any = included[text.partition("(")[0]]
     try:
         call: Any = ast.parse(text, mode="eval").body
         return criterion_values(replace(usual, **{k.arg: ast.literal_eval(k.value) for k in call.keywords}))
-    except (ValueError, SyntaxError):
+    except (ValueError, SyntaxError, MemoryError, RecursionError):
         return criterion_values(usual) | {"settings": {"text": text}}
 
 
-def _read_fitted_response(group: Node, stated: dict[str, Any]) -> FittedResponse:
+def _read_fitted_response(group: Stored, stated: dict[str, Any]) -> FittedResponse:
     attributes = group.attrs
     error = float(attributes["pade_error"])
     return FittedResponse(
         **stated,
-        at=json.loads(attributes["at"]),
-        sine=Sine(**json.loads(attributes["sine"])) if "sine" in attributes else None,
+        at={name: float(value) for name, value in _json_object(attributes["at"]).items()},
+        sine=Sine(**_json_object(attributes["sine"])) if "sine" in attributes else None,
         pade_error=None if math.isnan(error) else error,
         data=read_group(group["data"]),
         response=group["response_alpha"][()] + 1j * group["response_beta"][()],
@@ -284,21 +346,58 @@ def _read_fitted_response(group: Node, stated: dict[str, Any]) -> FittedResponse
     )
 
 
-def _read_fitted_record(group: Node, stated: dict[str, Any]) -> FittedRecord:
+def _read_fitted_record(group: Stored, stated: dict[str, Any]) -> FittedRecord:
     attributes = group.attrs
+    outputs = _json_names(attributes["outputs"])
+    inputs: Any = attributes["inputs"]
     return FittedRecord(
         **stated,
         data=read_record(group["data"]),
         simulated=read_record(group["simulated"]),
-        outputs=tuple(json.loads(attributes["outputs"])),
-        noise=group["noise"][()],
-        initial={state: values[()] for state, values in group["initial"].items()},
-        method=str(attributes["method"]),
-        inputs=attributes["inputs"],
-        biases=tuple(json.loads(attributes["biases"])),
-        gains=tuple((state, output) for state, output in json.loads(attributes["gains"])),
+        outputs=outputs,
+        noise=_array(group["noise"], (len(outputs), len(outputs))),
+        initial={_text(state): np.atleast_1d(values[()]) for state, values in group["initial"].items()},
+        method=_text(attributes["method"]),
+        inputs=inputs,
+        biases=_json_names(attributes["biases"]),
+        gains=tuple((_text(state), _text(output)) for state, output in json.loads(attributes["gains"])),
         nuisances=int(attributes["nuisances"]),
     )
+
+
+def _require(true: bool, otherwise: str) -> None:
+    """Refuse a file in which things do not fit together."""
+    if not true:
+        raise ValueError(otherwise)
+
+
+def _text(value: Any, keep: str = "") -> str:
+    """Return a text that can be printed."""
+    _require(isinstance(value, str), f"{value!r:.40} is not a text")
+    return printable(value, keep)
+
+
+def _array(dataset: Stored, shape: tuple[int, ...]) -> Any:
+    """Return the numbers of a dataset that has this shape."""
+    _require(isinstance(dataset[()], np.ndarray) and dataset[()].shape == shape, f"its shape is not {shape}")
+    return dataset[()]
+
+
+def _json_object(text: str) -> dict[str, Any]:
+    """Return values by name from JSON."""
+    stored = json.loads(text)
+    _require(isinstance(stored, dict), f"{stored!r:.40} has no names")
+    return {_text(name): value for name, value in stored.items()}
+
+
+def _json_texts(text: str, keep: str = "") -> dict[str, str]:
+    return {name: _text(value, keep) for name, value in _json_object(text).items()}
+
+
+def _json_names(text: str, keep: str = "") -> tuple[str, ...]:
+    stored = json.loads(text)
+    _require(isinstance(stored, list), f"{stored!r:.40} is no list")
+    return tuple(_text(name, keep) for name in stored)
 
 
 def _attributes(group: Node, **values: Any) -> None:
@@ -308,11 +407,13 @@ def _attributes(group: Node, **values: Any) -> None:
 
 
 def _texts(group: Node, name: str, values: Any) -> None:
+    import h5py  # noqa: PLC0415  (reading does not need it)
+
     group.create_dataset(name, data=list(values), dtype=h5py.string_dtype(), shape=(len(values),))
 
 
-def _read_texts(dataset: Node) -> tuple[str, ...]:
-    return tuple(dataset.asstr()[()].tolist())
+def _read_texts(dataset: Stored, keep: str = "") -> tuple[str, ...]:
+    return tuple(_text(text, keep) for text in dataset[()])
 
 
 def _finite(costs: Any) -> dict[str, float | None]:

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from greybox.data.intersample import CONTINUOUS, HELD, Intersample, intersample
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller, connected, updated
 from greybox.experiment.excitation import Excitation
@@ -85,7 +86,8 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
         logged as their mean until the next logged sample (that mean drives the plant; with noise in the loop a single
         sample represents the following ones poorly), everything else as sampled.
     hold : bool
-        Hold each sample of an excitation that is slower than the controller, instead of interpolating. The derivative
+        Hold each sample of an excitation that is slower than the controller, instead of interpolating, where the
+        excitation is not a record that knows itself how its signals run between samples. The derivative
         term of a controller turns the steps into spikes, and a log at their rate samples only the spikes: a response
         measured from it can be wrong by a third. With interpolation it may be wrong by 1 %; an excitation at the
         controller's rate has no such error.
@@ -97,7 +99,8 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     -------
     Record
         The control of every input before its delay (excitation included), the excitation, the measured signals, and
-        other outputs of the controllers. `metadata` has the true values: ``plant, values, controllers, noise, bias,
+        other outputs of the controllers. It knows that controls and setpoints are held, `Record.hold`, and that what is
+        measured is not. `metadata` has the true values: ``plant, values, controllers, noise, bias,
         process_noise, initial, seed, schedule``; `findings` say so if the integration did not reach its accuracy.
 
     Raises
@@ -152,6 +155,7 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
         {n: known_units.get(n.removesuffix(ADDED), "") for n in log},
         name=name or f"virtual flight of {model.label}",
         metadata=metadata,
+        hold={n: CONTINUOUS if n in loop.measured else HELD if n in system.inputs else 1 / clock for n in log},
         findings=findings,
     )
 
@@ -391,7 +395,12 @@ def _commands(
     span = float(excitation.time[-1] - excitation.time[0])
     time = excitation.time[0] + np.arange(math.floor(span * clock + 1e-6) + 1) / clock
     held = np.searchsorted(excitation.time, time + 1e-6 / clock, side="right") - 1
-    sampled = {n: v[held] if hold else np.interp(time, excitation.time, v) for n, v in arrays.items()}
+    sampled = {}
+    for n, v in arrays.items():
+        between = Intersample(hold)
+        if isinstance(excitation, Record) and n in excitation.hold:
+            between = intersample(excitation.hold[n], excitation.step)
+        sampled[n] = v[held] if between.held else np.interp(time, excitation.time, v)
     return time, sampled, {n: excitation.units.get(n, "") for n in arrays}
 
 

@@ -4,7 +4,8 @@ Begin with `problem`: a model, data and a criterion, with fixed, free, tied and 
 to a `sum`, which asks of each part what stands in `summand`. What all rules share is in `criterion`, the rules
 themselves in `frequency_criteria` and `time_criteria`, the list of them in `included_criteria`. `several` states one
 problem for several records, `sensor_biases` numbers the biases that each record has for itself, `held_estimate` is what
-a problem asks of an earlier `Fit` whose values it holds fixed, and `starts` are the points from which a search begins,
+a problem asks of an earlier `Fit` whose values it holds fixed, `input_assumptions` says how inputs run between their
+samples, and `starts` are the points from which a search begins,
 one rule a class.
 """
 

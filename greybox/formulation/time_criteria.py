@@ -9,6 +9,7 @@ import numpy as np
 
 from greybox.data.record import Record
 from greybox.formulation.criterion import AnyCriterion
+from greybox.formulation.input_assumptions import Inputs, require_inputs
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.state_space import StateSpace
@@ -24,9 +25,10 @@ class TimeCriterion(AnyCriterion):
         Variances estimated with the parameters (maximum likelihood: the cost is the logarithm of the determinant of
         the residual covariance, minimized by relaxation, with weights from the last residuals), a full covariance
         estimated in the same way, or known standard deviations in the units of the outputs.
-    inputs : "linear" or "held"
-        How inputs run between their samples. Where a held input reaches an output directly, the cost is discontinuous
-        at integer-sample delays: give several starts.
+    inputs : "record", "linear" or "held"
+        How inputs run between their samples: as the record says of each (`Record.hold`), which for an input that it
+        does not know is taken as linear, and said; or all of them linear, or held. Where a held input reaches an output
+        directly, the cost is discontinuous at integer-sample delays: give several starts.
     biases : sequence of str
         Outputs and inputs whose measurement has an unknown constant error; each becomes a parameter ``<name>_bias``,
         the measured less the true value. In a sum of problems it is each record's own, see `Sum`.
@@ -51,7 +53,7 @@ class TimeCriterion(AnyCriterion):
     """
 
     noise: Literal["diagonal", "full"] | Mapping[str, float] = "diagonal"
-    inputs: Literal["linear", "held"] = "linear"
+    inputs: Inputs = "record"
     biases: Sequence[str] = ()
     initial: Mapping[str, float | Callable[[Any], Any]] = field(default_factory=dict)
 
@@ -70,8 +72,7 @@ class TimeCriterion(AnyCriterion):
             raise ValueError(
                 f"noise {self.noise!r} is not known: use 'diagonal', 'full' or {{output: standard deviation}}."
             )
-        if self.inputs not in ("linear", "held"):
-            raise ValueError(f"inputs {self.inputs!r} is not known: use 'linear' or 'held'.")
+        require_inputs(self.inputs)
         if isinstance(self.biases, str):
             object.__setattr__(self, "biases", (self.biases,))
         self._check_initial()
@@ -130,7 +131,7 @@ class TimeCriterion(AnyCriterion):
 
     def parameters(self, model: Model, record: Record) -> dict[str, Parameter]:
         """Return the unknowns that the criterion adds to those of the model: biases, then gains."""
-        result = {f"{name}_bias": _bias(name, record) for name in self.biases}
+        result = {f"{name}_bias": bias_parameter(name, record) for name in self.biases}
         for state, output in self.gains(model, self.compared(model, record)):
             result[f"K_{state}_{output}"] = Parameter(
                 0.0, starts=(0.0, 0.0), unit=f"[{state}/{output}]", about=f"correction of {state} by {output}"
@@ -191,7 +192,7 @@ WIDEST_BIAS = 10.0
 USUAL_BIAS = 0.05
 
 
-def _bias(name: str, record: Record) -> Parameter:
+def bias_parameter(name: str, record: Record) -> Parameter:
     """Return the unknown constant error of a signal, in a box around zero."""
     values = record[name][np.isfinite(record[name])]
     if not values.size:

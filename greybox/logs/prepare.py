@@ -8,36 +8,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.data.intersample import HELD, intersample
 from greybox.data.record import GAP, Record, Recording
 from greybox.data.text_table import counted
+from greybox.data.units import to_si
 from greybox.logs.ardupilot import gyro_filter
 
 Array = NDArray[np.float64]
-
-# Log unit -> (factor, SI unit).
-TO_SI: dict[str, tuple[float, str]] = {
-    "deg": (math.pi / 180, "rad"),
-    "degheading": (math.pi / 180, "rad"),
-    "deg/s": (math.pi / 180, "rad/s"),
-    "deg/s/s": (math.pi / 180, "rad/s²"),
-    "cdeg": (math.pi / 18000, "rad"),
-    "cdeg/s": (math.pi / 18000, "rad/s"),
-    "rad": (1.0, "rad"),
-    "rad/s": (1.0, "rad/s"),
-    "m/s/s": (1.0, "m/s²"),
-    "cm/s/s": (0.01, "m/s²"),
-    "cm/s": (0.01, "m/s"),
-    "cm": (0.01, "m"),
-    "mm": (0.001, "m"),
-    "mm/s": (0.001, "m/s"),
-    "km/h": (1 / 3.6, "m/s"),
-    "ms": (0.001, "s"),
-    "us": (1e-6, "s"),
-    "µs": (1e-6, "s"),
-    "mA": (0.001, "A"),
-    "mV": (0.001, "V"),
-    "rpm": (math.pi / 30, "rad/s"),
-}
 
 # Of the new rate: the anti-alias filter passes up to the first and stops from the second, the new Nyquist frequency. A
 # wider pass band takes more samples from the ends of a stretch: the filter has 5.0 / (STOP - PASS) new samples.
@@ -92,13 +69,19 @@ def prepare(
     start: float = -math.inf,
     end: float = math.inf,
     detrend: Literal["none", "mean", "linear"] = "none",
-    interpolation: Literal["cubic", "linear", "hold"] = "cubic",
+    interpolation: Literal["cubic", "linear"] = "cubic",
+    held: Sequence[str] = (),
 ) -> Record:
     """Put signals of different messages and rates on one uniform time base, by their time stamps.
 
-    Angles are unwrapped and units become SI. Where a signal is sampled faster than `rate`, a zero-phase anti-alias
-    filter comes first (flat to 0.35 of the new rate). Nothing is interpolated across a gap: there the record has a
-    gap itself, and `Record.pieces` are the stretches between.
+    Angles are unwrapped and units become SI, see `greybox.data.units`; the findings name those that did not, since they
+    are not known or may mean two things. A signal without a unit remains as it is. Where a signal is sampled faster
+    than `rate`, a zero-phase anti-alias filter comes first (flat to 0.35 of the new rate). Nothing is interpolated
+    across a gap: there the record has a gap itself, and `Record.pieces` are the stretches between.
+
+    A signal that is held from sample to sample, as the output of a controller, remains so at its own rate or above:
+    each new sample is its mean until the next one. Below its rate the filter takes the steps away, and
+    `Record.hold` keeps for how long they lasted.
 
     Parameters
     ----------
@@ -112,13 +95,15 @@ def prepare(
         Cut to this stretch of the log's clock.
     detrend : "none", "mean" or "linear"
         Remove this from every signal of every piece.
-    interpolation : "cubic", "linear" or "hold"
-        Between samples.
+    interpolation : "cubic" or "linear"
+        Between samples of signals that are not held.
+    held : sequence of str
+        New names of the signals that are held until their next sample, where the log does not say so itself.
 
     Returns
     -------
     Record
-        With `checksum`, `source` and `metadata` of the recording, and the known filters of each signal.
+        With `checksum`, `source` and `metadata` of the recording, and the known filters and holds of each signal.
 
     Raises
     ------
@@ -133,8 +118,20 @@ def prepare(
     if not signals:
         raise ValueError("signals is empty: name at least one, e.g. {'u': 'RATE.POut'}.")
 
+    if interpolation not in ("cubic", "linear"):
+        raise ValueError(
+            f"interpolation {interpolation!r} is not known: use 'cubic' or 'linear', and name signals that are held "
+            "between samples in held=(...)."
+        )
+    held = (held,) if isinstance(held, str) else held
+    unknown = [name for name in held if name not in signals]
+    if unknown:
+        raise ValueError(f"held names {unknown[0]!r}, which is not among the signals {', '.join(signals)}.")
+
     needed = {name: item.inputs if isinstance(item, Derived) else (item,) for name, item in signals.items()}
     sources = {name: _source(recording, name) for names in needed.values() for name in names}
+    for name in {source for signal in held for source in needed[signal]}:
+        sources[name] = replace(sources[name], hold=HELD)
     grid = _grid(sources, rate, start, end)
     sampled = {name: _on_grid(source, grid, interpolation) for name, source in sources.items()}
     keep = np.logical_and.reduce([np.isfinite(values) for values in sampled.values()])
@@ -158,8 +155,9 @@ def prepare(
         source=recording.source,
         checksum=recording.checksum,
         metadata=recording.metadata,
+        hold={n: h for n, names in needed.items() if (h := _known_hold([sources[s] for s in names], grid)) is not None},
         filters={n: f for n, names in needed.items() if (f := _known_filters(recording, names))},
-        findings=tuple(text for source in sources.values() for text in source.findings),
+        findings=tuple(dict.fromkeys(text for source in sources.values() for text in source.findings)),
     )
     return record if detrend == "none" else _detrended(record, detrend)
 
@@ -172,10 +170,26 @@ class _Source:
     values: Array
     unit: str
     findings: tuple[str, ...]
+    hold: float | None
 
     @property
     def step(self) -> float:
         return float(np.median(np.diff(self.time)))
+
+    @property
+    def is_held(self) -> bool:
+        """True when values last until the next sample."""
+        return self.hold is not None and intersample(self.hold, self.step).held
+
+    def is_filtered(self, rate: float) -> bool:
+        """Tell whether a record at this rate needs the anti-alias filter."""
+        return rate < SAME_RATE / self.step
+
+    def hold_at(self, rate: float) -> float | None:
+        """Return for how long values last in a record at this rate, as far as that is known."""
+        if not self.is_held:
+            return self.hold
+        return self.step if self.is_filtered(rate) else HELD
 
 
 def _source(recording: Recording, signal: str) -> _Source:
@@ -186,9 +200,15 @@ def _source(recording: Recording, signal: str) -> _Source:
     if time.size < 2:
         raise ValueError(f"{signal} has {counted(time.size, 'sample')}: there is nothing to put on a time base.")
     unit = record.units.get(field, "")
-    factor, unit = TO_SI.get(unit, (1.0, unit))
-    values = values * factor
-    return _Source(time, np.unwrap(values) if unit == "rad" else values, unit, record.findings)
+    findings = record.findings
+    try:
+        conversion = to_si(unit)
+    except ValueError as error:
+        findings += (f"{signal} is in {unit!r}, as in the log, not in SI: {error}.",)
+    else:
+        values, unit = conversion.apply(values), conversion.si
+        findings += (f"{signal}: {conversion.remark}.",) if conversion.remark else ()
+    return _Source(time, np.unwrap(values) if unit == "rad" else values, unit, findings, record.hold.get(field))
 
 
 def _grid(sources: Mapping[str, _Source], rate: float | None, start: float, end: float) -> Array:
@@ -215,24 +235,42 @@ def _grid(sources: Mapping[str, _Source], rate: float | None, start: float, end:
 def _on_grid(source: _Source, grid: Array, interpolation: str) -> Array:
     """Return the signal on `grid`, NaN in its gaps and outside."""
     result = np.full(grid.size, np.nan)
-    rate = (grid.size - 1) / (grid[-1] - grid[0])
+    rate = _rate(grid)
     cuts = np.flatnonzero(np.diff(source.time) > GAP * source.step) + 1
     for time, values in zip(np.split(source.time, cuts), np.split(source.values, cuts), strict=True):
         inside = (grid >= time[0] - 1e-9) & (grid <= time[-1] + 1e-9)
         if time.size < 2 or not inside.any():
             continue
-        smooth = _low_passed(time, values, source.step, rate) if rate < SAME_RATE / source.step else (time, values)
-        result[inside] = _interpolated(*smooth, np.clip(grid[inside], time[0], time[-1]), interpolation)
+        here = np.clip(grid[inside], time[0], time[-1])
+        if source.is_held and not source.is_filtered(rate):
+            result[inside] = _held_mean(time, values, here, 1 / rate)
+            continue
+        smooth = _low_passed(time, values, source.step, rate) if source.is_filtered(rate) else (time, values)
+        result[inside] = _interpolated(*smooth, here, interpolation)
     return result
 
 
+def _rate(grid: Array) -> float:
+    return (grid.size - 1) / (grid[-1] - grid[0])
+
+
+def _held_mean(time: Array, values: Array, grid: Array, step: float) -> Array:
+    """Return the mean over the coming step of what is held from sample to sample, so that nothing moves in time."""
+    ends = np.append(time[1:], max(time[-1], grid[-1]) + step)
+    integral = np.append(0.0, np.cumsum(values * (ends - time)))
+    bounds = np.append(time[0], ends)
+    return (np.interp(grid + step, bounds, integral) - np.interp(grid, bounds, integral)) / step
+
+
+def _known_hold(sources: Sequence[_Source], grid: Array) -> float | None:
+    """Return for how long the values of a signal last that is computed from these; None where that is not known."""
+    holds = {source.hold_at(_rate(grid)) for source in sources}
+    return holds.pop() if len(holds) == 1 else None
+
+
 def _interpolated(time: Array, values: Array, grid: Array, how: str) -> Array:
-    if how == "hold":
-        return values[np.searchsorted(time, grid + 1e-9, side="right") - 1]
     if how == "linear" or time.size < 4:
         return np.interp(grid, time, values)
-    if how != "cubic":
-        raise ValueError(f"interpolation {how!r} is not known: use 'cubic', 'linear' or 'hold'.")
     from scipy.interpolate import CubicSpline  # noqa: PLC0415  (takes a quarter of a second to import)
 
     return CubicSpline(time, values)(grid)

@@ -11,7 +11,7 @@ written with `functions`. One formula has several readings:
 - `realization` turns a model into differential equations, `integrators` and `implicit_integrators` step
   them, and `step_size` is the rule for the number of their steps.
 
-`model_reference` names a model in a stored result.
+`model_reference` names a model in a stored result, `model_file` finds the models in a file of one's own.
 """
 
 from greybox.modeling.harmonic_balance import harmonic_response as harmonic_response

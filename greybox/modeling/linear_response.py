@@ -101,13 +101,48 @@ def response_function(
     pade: int | None = None,
 ) -> ca.Function:
     """Compile the frequency response: the CasADi function from the parameter vector to real and imaginary part (n,)."""
+    s = Complex(ca.SX.zeros(len(omega)), ca.SX(ca.DM(omega)), pade)
+    return _compiled(model, s, omega, [], input, output, at)
+
+
+def formula_at_one_frequency(
+    model: Model,
+    omega: NDArray[np.float64],
+    *,
+    input: str = "",
+    output: str = "",
+    at: Mapping[str, float] | None = None,
+    pade: int | None = None,
+) -> ca.Function | None:
+    """Compile the same for one frequency: the function from (parameters, frequency) to real and imaginary part.
+
+    `omega` are the frequencies at which it will be evaluated. None where the formula has numbers of its own for each
+    of them, or the trim is found by Newton's method.
+    """
+    symbol = ca.SX.sym("omega")
+    try:
+        formula = _compiled(model, Complex(ca.SX.zeros(1), symbol, pade), omega, [symbol], input, output, at)
+    except ValueError:  # told with the reason by `response_function`
+        return None
+    return formula if formula.is_a("SXFunction") else None
+
+
+def _compiled(
+    model: Model,
+    s: Complex,
+    omega: NDArray[np.float64],
+    symbols: list[ca.SX],
+    input: str,
+    output: str,
+    at: Mapping[str, float] | None,
+) -> ca.Function:
+    """Compile the response at `s`, which may contain the `symbols`; `omega` are the frequencies that occur."""
     input, output = pick_signals(model, input, output)
     p = ca.SX.sym("p", len(model.parameters))
-    s = Complex(ca.SX.zeros(len(omega)), ca.SX(ca.DM(omega)), pade)
     if isinstance(model, TransferFunction):
         require_no_operating_point(model, at)
         result = traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
-        return ca.Function("response", [p], _parts(result, s, model.label))
+        return ca.Function("response", [p, *symbols], _parts(result, s, model.label))
 
     assert isinstance(model, StateSpace)
     x = ca.SX.sym("x", len(model.states))
@@ -126,9 +161,11 @@ def response_function(
     result = sum((state * C[k, r] for r, state in enumerate(states) if not C[k, r].is_zero()), D[k, i])
     if input in model.delays:
         result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
-    at_point = ca.Function("response", [p, x, u], _parts(result, s, model.label))
-    q: Any = ca.SX.sym("p", p.numel()) if trim.is_a("SXFunction") else ca.MX.sym("p", p.numel())
-    return ca.Function("response", [q], at_point(q, *trim(q)))
+    at_point = ca.Function("response", [p, x, u, *symbols], _parts(result, s, model.label))
+    kind: Any = ca.SX if trim.is_a("SXFunction") else ca.MX
+    q = kind.sym("p", p.numel())
+    others = [kind.sym("omega") for _ in symbols]
+    return ca.Function("response", [q, *others], at_point(q, *trim(q), *others))
 
 
 def _elimination_order(

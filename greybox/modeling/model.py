@@ -8,6 +8,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
+from greybox.data.text_table import alternatives
 from greybox.modeling.parameter import Parameter
 
 PACKAGE = __name__.rpartition(".")[0]  # whose classes' attributes no parameter may hide
@@ -23,7 +24,7 @@ class Names(Mapping[str, Any]):
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
-        raise AttributeError(f"{self._what} has no {name!r}; it has {', '.join(self) or 'nothing'}.")
+        raise AttributeError(f"{self._what} has no {name!r}; it has {alternatives(name, self) if self else 'nothing.'}")
 
     def __getitem__(self, name: str) -> Any:
         return getattr(self, name) if name in self.__dict__ else self.__dict__[name]
@@ -135,7 +136,7 @@ def require_known(names: Iterable[str], known: Iterable[str], what: str, owner: 
     known = list(known)
     for name in names:
         if name not in known:
-            raise ValueError(f"{owner} has no {what} {name!r}; it has {', '.join(known) or 'none'}.")
+            raise ValueError(f"{owner} has no {what} {name!r}; it has {alternatives(name, known)}")
 
 
 def pick_signals(model: Model, input: str = "", output: str = "") -> tuple[str, str]:

@@ -2,11 +2,14 @@
 
 import importlib
 import inspect
-import sys
-from collections.abc import Callable
+import pkgutil
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from greybox.data.text_table import printable
 from greybox.modeling.model import Model
+from greybox.modeling.model_file import models_of
+from greybox.modeling.transfer_function import FeedbackLoop, SeriesConnection
 
 
 def reference(model: Model) -> dict[str, Any]:
@@ -19,30 +22,54 @@ def reference(model: Model) -> dict[str, Any]:
     }
 
 
-def resolve(stored: dict[str, Any]) -> Model:
-    """Import the model that a reference names.
+def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()) -> Model:
+    """Return the model that a reference names: one of those `given`, by their class, or one of greybox's own.
+
+    A reference comes from a file, and a file does not choose what is imported: nothing but `given` and the models that
+    greybox includes is looked at, whatever else is installed or loaded.
 
     Raises
     ------
     LookupError
-        When its module or class is not there, or is no model; the sentence says what is missing.
+        When it is neither, or does not take the stored arguments; the sentence has the cure.
     """
-    module_name, class_name = stored["class"].split(":")
-    missing = f"the model {class_name} of the module {module_name!r} is needed and was not found"
-    cure = "import it first, put its file where Python finds it, or give the model itself, model=..."
+    module_name, _, class_name = stored["class"].partition(":")
+    missing = f"the model {printable(class_name)} of the module {module_name!r} is needed and was not found"
+    cure = "give its class or file, gb.load(path, models=[...]), or the model itself, model=..."
+    known = _given(stored["class"], given) or _included(module_name, class_name)
+    if known is None:
+        raise LookupError(f"{missing} among those that greybox includes or that were given: {cure}.")
+    if isinstance(known, Model):
+        return known
     try:
-        owner: Any = sys.modules.get(module_name) or importlib.import_module(module_name)
-        for part in class_name.split("."):
-            owner = getattr(owner, part)
-    except (ImportError, AttributeError) as error:
-        raise LookupError(f"{missing} ({error}): {cure}.") from None
-    if not (isinstance(owner, type) and issubclass(owner, Model)):
-        raise LookupError(f"{missing} (its {class_name} is not a Model): {cure}.")
-    arguments = [_alive(value) for value in stored["arguments"]]
-    try:
-        return owner(*arguments, **{name: _alive(value) for name, value in stored["keywords"].items()})
-    except TypeError as error:
+        arguments = [_alive(value, given) for value in stored["arguments"]]
+        keywords = {name: _alive(value, given) for name, value in stored["keywords"].items()}
+        return known(*arguments, **keywords)
+    except (TypeError, ValueError, ArithmeticError, RecursionError) as error:
         raise LookupError(f"{missing} as it was: {error}; give the model itself, model=...") from None
+
+
+def _given(name: str, given: Sequence[Model | type[Model]]) -> Model | type[Model] | None:
+    """Return the one of this class; its module may be another, since the same file is ``__main__`` when it is run."""
+    classes = [thing if isinstance(thing, type) else type(thing) for thing in given]
+    names = [f"{known.__module__}:{known.__qualname__}" for known in classes]
+    if name in names:
+        return given[names.index(name)]
+    alike = [k for k, other in enumerate(names) if other.partition(":")[2] == name.partition(":")[2]]
+    return given[alike[0]] if alike else None
+
+
+def _included(module_name: str, class_name: str) -> type[Model] | None:
+    """Return an included model, or a connection of models."""
+    connections = {f"{c.__module__}:{c.__qualname__}": c for c in (SeriesConnection, FeedbackLoop)}
+    if f"{module_name}:{class_name}" in connections:
+        return connections[f"{module_name}:{class_name}"]
+    package = importlib.import_module("greybox.models")
+    included = {f"greybox.models.{item.name}" for item in pkgutil.iter_modules(package.__path__)}
+    if module_name not in included:
+        return None
+    models = models_of(importlib.import_module(module_name))
+    return next((model for model in models if model.__qualname__ == class_name), None)
 
 
 def source_text(function: Callable[..., Any]) -> str:
@@ -63,11 +90,10 @@ def _plain(value: Any) -> Any:
     return {"text": repr(value)}
 
 
-def _alive(value: Any) -> Any:
+def _alive(value: Any, given: Sequence[Model | type[Model]]) -> Any:
     if isinstance(value, dict) and "model" in value:
-        return resolve(value["model"])
+        return resolve(value["model"], given)
     if isinstance(value, dict):
-        raise LookupError(
-            f"an argument of the model, {value.get('text')}, was stored as text only: give model=... itself."
-        )
-    return tuple(_alive(item) for item in value) if isinstance(value, list) else value
+        text = printable(str(value.get("text")))
+        raise LookupError(f"an argument of the model, {text}, was stored as text only: give model=... itself.")
+    return tuple(_alive(item, given) for item in value) if isinstance(value, list) else value

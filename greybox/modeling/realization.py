@@ -1,6 +1,7 @@
 """One form for every model in time: an ODE driven by delayed inputs, compiled from an ODE or a transfer function."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -44,6 +45,13 @@ class Dynamics:
     def delayed(self) -> bool:
         """True when some input has a delay."""
         return not self.delay(ca.SX.sym("p", len(self.parameters))).is_zero()
+
+    def later(self, seconds: Sequence[float]) -> "Dynamics":
+        """Return the same dynamics with inputs that act so many seconds later (m,) than by their delays."""
+        if not any(seconds):
+            return self
+        p = ca.SX.sym("p", len(self.parameters))
+        return replace(self, delay=ca.Function("delay", [p], [self.delay(p) + ca.DM(list(seconds))]))
 
 
 def dynamics(model: Model, pade: int | None = None) -> Dynamics:

@@ -1,6 +1,7 @@
 """Reading a user's formula with CasADi expressions, and saying in a sentence where that cannot be done."""
 
 import re
+import threading
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -12,6 +13,9 @@ from greybox.modeling.model import Model, Names
 from greybox.modeling.state_space import StateSpace
 
 CURE = "write it with + - * / **, gb.exp, gb.where, gb.maximum and friends, not with math, numpy, if, max or and."
+
+# The filters of warnings are those of all threads: two that change them at once could leave them changed.
+_FILTERS = threading.RLock()
 
 
 def parameter_names(model: Model, p: Any) -> Names:
@@ -36,7 +40,7 @@ def traced(owner: str, formula: Callable[..., Any], *arguments: Any) -> Any:
         With the cure, where CasADi or Python refuses the formula.
     """
     try:
-        with warnings.catch_warnings():
+        with _FILTERS, warnings.catch_warnings():
             warnings.simplefilter("ignore", FutureWarning)  # CasADi's long notice about numpy functions, which do work
             return formula(*arguments)
     except (RuntimeError, NotImplementedError, TypeError) as error:

@@ -136,7 +136,7 @@ def _presolve(
         root = solution.x
         for _ in range(POLISHING):
             rest, jacobian = (np.asarray(v) for v in residual(root, start))
-            root = root - np.linalg.lstsq(jacobian, rest.ravel())[0]
+            root = root - np.linalg.lstsq(jacobian, rest.ravel(), rcond=None)[0]
         diagonal, order = _pivots(residual(root, start)[1])
         nearby, _ = _pivots(residual(root + 0.1 * (1 + np.abs(root)), start)[1])
         if diagonal.size and diagonal.min() < max(SINGULAR * diagonal.max(), VANISHING * np.nan_to_num(nearby).min()):

@@ -8,18 +8,32 @@ Source: Morelli and Klein, Aircraft System Identification, 2nd ed., chapters 5 a
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.data.intersample import Intersample
 from greybox.data.record import Record
 from greybox.data.text_table import number, one_line, text_table, with_error
+from greybox.formulation.input_assumptions import (
+    Inputs,
+    assumption_warning,
+    between_samples,
+    described_inputs,
+    effect_of,
+    other_assumptions,
+    require_inputs,
+)
+from greybox.formulation.time_criteria import bias_parameter
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.realization import Dynamics, dynamics
+from greybox.modeling.state_space import StateSpace
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.regression.linear_in_parameters import Equations, regressions
 from greybox.regression.regressors import Regressors, memory, regressors
@@ -33,7 +47,8 @@ POOR = 0.5  # R² below which most of the target's variation is not explained, a
 MARKED = 0.5
 PAIRS = 2  # antithetic pairs of added noise that measure the bias
 LONG = 20000  # samples from which one pair averages well enough
-REST = 1e-9  # of its size: an input that varies by less is constant but for rounding
+REST = 1e-9  # of its size: a signal that varies by less is constant but for rounding
+FLAT = 1e-6  # of its size: a regressor behind the low-pass filter that varies by less is constant
 SLOWER = 1.1  # times as long a memory of simulated states at the estimate as at the start: the rows are chosen anew
 FEW_RESIDUALS = 10  # independent ones beyond the estimates, below which standard errors are known to a quarter at best
 
@@ -81,6 +96,8 @@ class EquationError:
         How each state is known.
     cutoffs : mapping of signal name to float
         Of its smoothing, Hz.
+    inputs : mapping of name to str
+        How each input ran between its samples, in words.
     """
 
     name: str
@@ -98,6 +115,7 @@ class EquationError:
     cutoffs: Mapping[str, float]
     parameters: Mapping[str, Parameter]
     warnings: tuple[str, ...]
+    inputs: Mapping[str, str]
 
     def covariance_of(self, names: Sequence[str]) -> Array:
         """Return the covariance matrix of the named estimates."""
@@ -136,6 +154,7 @@ class EquationError:
         ]
         lines += [f"left out: {text}" for text in self.left_out]
         lines += ["", *(f"state {text}" for text in self.states)]
+        lines += [f"input {name} {text}" for name, text in self.inputs.items()]
         lines += ["", *(f"warning: {text}" for text in self.warnings), ""]
         lines += [
             "± is the standard error for colored residuals and exact regressors. Noise in the regressors biases the",
@@ -156,15 +175,16 @@ def equation_error(
     fixed: Mapping[str, float] | None = None,
     free: Sequence[str] = (),
     cutoff: float | None = None,
+    biases: Sequence[str] = (),
+    inputs: Inputs = "record",
 ) -> EquationError:
     """Estimate the parameters of an ODE from its measured states, equation by equation, by least squares.
 
     A state is known when the record has a signal of its name or an output that equals it (up to constants), when it is
     the derivative of a known state (``theta' = q``), or when it follows from a stable linear equation driven by known
     signals (a rotor lag), which is then simulated. Equations with other states are left out. All terms of an equation
-    pass the same low-pass filter, so that smoothing takes the same from both sides. Inputs are interpolated between
-    samples by cubic splines, so that a control that is held shows half a period more delay. A transfer function can be
-    used only when it has one pole.
+    pass the same low-pass filter, so that smoothing takes the same from both sides. Inputs that are not held are
+    interpolated between samples by cubic splines. A transfer function can be used only when it has one pole.
 
     Noise in the states biases the estimate; `EquationError.bias` says how far, but not what a controller adds that
     feeds the noise back to an input. An equation with a state that is simulated from its own target (`nu` from `r` in
@@ -184,15 +204,23 @@ def equation_error(
     cutoff : float, Hz, optional
         The band of all terms, e.g. below a vibration; by default half the lowest cutoff that the smoothed signals of
         an equation choose.
+    biases : sequence of str
+        Measured signals (states, outputs, inputs) with an unknown constant error, which becomes the parameter
+        ``<name>_bias``: measured less true.
+    inputs : "record", "linear" or "held"
+        How inputs run between their samples, as in `OutputError`: by default as the record says.
 
     Raises
     ------
     ValueError
-        When a name is not known, an input is missing, no input moves, sampling is not uniform, nothing is free or
+        When a name is not known, an input is missing, nothing moves, sampling is not uniform, nothing is free or
         determined, or no equation can be used.
     """
     _require(model, record, cutoff)
-    parameters = _problem_parameters(model, fixed or {}, [free] if isinstance(free, str) else free)
+    require_inputs(inputs)
+    biases = (biases,) if isinstance(biases, str) else tuple(biases)
+    declared = {**model.parameters, **_bias_parameters(model, record, biases)}
+    parameters = _problem_parameters(model, declared, fixed or {}, [free] if isinstance(free, str) else free)
     constants = {n: p.start for n, p in parameters.items() if p.fixed}
     unknown = {n: p for n, p in parameters.items() if not p.fixed}
     if not unknown:
@@ -202,24 +230,45 @@ def equation_error(
     record = regular(record)
     resting = _resting(model, system, record)
     start = np.array([p.start for p in unknown.values()])
-    equations = regressions(system, record.signals, constants, start)
+    equations = regressions(system, record.signals, constants, start, biases)
     _require_equations(model, equations, record)
     longest_delays = _longest_delays(system, parameters)
     names = (system.states, system.inputs)
     band = None if cutoff is None else 2 * math.pi * cutoff
+    between = dict(zip(system.inputs, between_samples(inputs, system.inputs, record), strict=True))
 
-    data = regressors(equations, names, record, start, longest_delays, band=band)
+    data = regressors(equations, names, record, start, longest_delays, between, band=band)
     projection = project(data, unknown, start)
     # Lags that turn out slower than at their start need more rows at the beginning to forget their initial values.
     if memory(equations, names, projection.vector) > SLOWER * memory(equations, names, start):
-        shorter = regressors(equations, names, record, projection.vector, longest_delays, data.cutoffs, band)
+        shorter = regressors(
+            equations, names, record, projection.vector, longest_delays, between, cutoffs=data.cutoffs, band=band
+        )
         if shorter.blocks(projection.vector):  # else the record is too short for that
             data = shorter
             start = projection.vector
             projection = project(data, unknown, start)
 
-    bias = _bias(data, projection, record, start, longest_delays, band)
-    return _result(f"{model.label}, {record.name or 'record'}", data, projection, bias, parameters, resting)
+    again = partial(regressors, equations, names, p=start, latest=longest_delays, cutoffs=data.cutoffs, band=band)
+    bias = _bias(data, projection, record, again)
+    warnings = [
+        *_assumed_inputs(projection, record, inputs, between, parameters, _delays(system), again),
+        *(() if biases else _constant_effects(data, projection, resting)),
+    ]
+    said = described_inputs(inputs, system.inputs, record)
+    return _result(f"{model.label}, {record.name or 'record'}", data, projection, bias, parameters, warnings, said)
+
+
+def _bias_parameters(model: Model, record: Record, biases: Sequence[str]) -> dict[str, Parameter]:
+    """Return the unknown constant errors of signals."""
+    states = model.states if isinstance(model, StateSpace) else ()
+    signals = dict.fromkeys((*states, *model.output_names, *model.input_names))
+    require_known(biases, [name for name in signals if name in record.signals], "measured signal", model.label)
+    result = {f"{name}_bias": bias_parameter(name, record) for name in biases}
+    taken = [name for name in result if name in model.parameters]
+    if taken:
+        raise ValueError(f"{model.label} declares {taken[0]!r}, which is also the name of a bias: rename it there.")
+    return result
 
 
 def _require(model: Any, record: Any, cutoff: Any) -> None:
@@ -231,16 +280,18 @@ def _require(model: Any, record: Any, cutoff: Any) -> None:
         raise ValueError(f"cutoff {cutoff!r} must be a number of Hz above 0.")
 
 
-def _problem_parameters(model: Model, fixed: Mapping[str, float], free: Sequence[str]) -> dict[str, Parameter]:
+def _problem_parameters(
+    model: Model, declared: Mapping[str, Parameter], fixed: Mapping[str, float], free: Sequence[str]
+) -> dict[str, Parameter]:
     """Apply `fixed` and `free` to the declared parameters."""
     if not isinstance(fixed, Mapping):
         raise TypeError(f"fixed is {fixed!r:.60}: give {{name: value}}, e.g. fixed=dict(fit.estimate).")
-    require_known(fixed, model.parameters, "parameter", model.label)
-    require_known(free, model.parameters, "parameter", model.label)
+    require_known(fixed, declared, "parameter", model.label)
+    require_known(free, declared, "parameter", model.label)
     both = [name for name in fixed if name in free]
     if both:
         raise ValueError(f"{both[0]!r} is both fixed and free: keep one of them.")
-    result = {n: replace(p, fixed=p.fixed and n not in free) for n, p in model.parameters.items()}
+    result = {n: replace(p, fixed=p.fixed and n not in free) for n, p in declared.items()}
     for name, value in fixed.items():
         low, high = result[name].bounds
         if not isinstance(value, (int, float, np.number)) or not low <= value <= high:
@@ -250,21 +301,22 @@ def _problem_parameters(model: Model, fixed: Mapping[str, float], free: Sequence
 
 
 def _resting(model: Model, system: Dynamics, record: Record) -> tuple[str, ...]:
-    """Return the inputs that are constant; raise when one is missing or all are."""
+    """Return the inputs that are constant; raise when one is missing, or nothing moves at all."""
     for name in system.inputs:
         if name not in record.signals:
             raise ValueError(
                 f"the record has no signal {name!r}, an input of {model.label}; it has {', '.join(record.signals)}: "
                 f"name it so with gb.prepare(..., signals={{{name!r}: ...}})."
             )
-    values = {name: record[name][np.isfinite(record[name])] for name in system.inputs}
-    resting = tuple(name for name, v in values.items() if v.size == 0 or np.ptp(v) <= REST * np.abs(v).max())
-    if system.inputs and len(resting) == len(system.inputs):
+    signals = dict.fromkeys((*system.inputs, *system.states, *system.outputs))
+    values = {name: record[name][np.isfinite(record[name])] for name in signals if name in record.signals}
+    resting = [name for name, v in values.items() if v.size == 0 or np.ptp(v) <= REST * np.abs(v).max()]
+    if len(resting) == len(values):
         raise ValueError(
             f"{' and '.join(resting)} of {model.label} {'is' if len(resting) == 1 else 'are'} constant in the record, "
-            "which carries no information on the effect: give a record with an excitation."
+            "which carries no information on the parameters: give a record with an excitation."
         )
-    return resting
+    return tuple(name for name in resting if name in system.inputs)
 
 
 def _require_equations(model: Model, equations: Equations, record: Record) -> None:
@@ -285,20 +337,23 @@ def _require_equations(model: Model, equations: Equations, record: Record) -> No
 
 def _longest_delays(system: Dynamics, parameters: Mapping[str, Parameter]) -> Array:
     """Return the largest delay of every input that the bounds allow (m,), s."""
-    highest = [p.start if p.fixed else p.bounds[1] for p in parameters.values()]
+    own = [parameters[name] for name in system.parameters]
+    highest = [p.start if p.fixed else p.bounds[1] for p in own]
     delays = np.asarray(system.delay(highest)).ravel()
     if not np.all(np.isfinite(delays)):
         raise ValueError("a free delay has no upper bound: declare Parameter(..., bounds=(0, the longest possible)).")
     return delays
 
 
+def _delays(system: Dynamics) -> set[str]:
+    """Return the parameters that the delays depend on."""
+    p = ca.SX.sym("p", len(system.parameters))
+    delay = system.delay(p)
+    return {name for k, name in enumerate(system.parameters) if ca.depends_on(delay, p[k])}
+
+
 def _bias(
-    data: Regressors,
-    projection: Projection,
-    record: Record,
-    start: Array,
-    longest_delays: Array,
-    band: float | None,
+    data: Regressors, projection: Projection, record: Record, again: Callable[..., Regressors]
 ) -> dict[str, float]:
     """Return how far noise like that of the signals moves the estimate, by adding it once more.
 
@@ -314,9 +369,41 @@ def _bias(
         for sign in (1, -1):
             added = {n: record[n] + sign * e for n, e in noise.items()}
             noisy = replace(record, signals={**record.signals, **added})
-            again = regressors(data.equations, data.names, noisy, start, longest_delays, data.cutoffs, band)
-            steps.append(projection.step(again))
+            steps.append(projection.step(again(record=noisy, between=data.between)))
     return dict(zip(projection.names, np.mean(steps, axis=0), strict=True))
+
+
+def _assumed_inputs(
+    projection: Projection,
+    record: Record,
+    inputs: Inputs,
+    between: Mapping[str, Intersample],
+    parameters: Mapping[str, Parameter],
+    delays: Collection[str],
+    again: Callable[..., Regressors],
+) -> Iterator[str]:
+    """Say by how much the estimate moves if inputs run otherwise between samples than was assumed."""
+    others = other_assumptions(inputs, between, record)
+    if not others:
+        return
+    step = projection.step(again(record=record, between={**between, **others}))
+    errors = np.sqrt(np.maximum(np.diag(projection.covariance), 0))
+    effect = effect_of({name: parameters[name] for name in projection.names}, step, errors, delays)
+    if effect:
+        yield assumption_warning("equation_error", inputs, between, others, effect)
+
+
+def _constant_effects(data: Regressors, projection: Projection, resting: Sequence[str]) -> Iterator[str]:
+    """Name parameters whose effect is constant, since an input is: a constant error looks the same."""
+    blocks = projection.search.blocks(projection.point)
+    for k, name in enumerate(data.equations.linear):
+        inputs = [n for n in data.equations.multiplied[name] if n in resting]
+        columns = [b.slopes[:, k] for b in blocks]
+        if inputs and name in projection.names and all(np.ptp(c) <= FLAT * np.abs(c).max() for c in columns):
+            yield (
+                f"the effect of {name} is constant, since {' and '.join(inputs)} "
+                f"{'is' if len(inputs) == 1 else 'are'}: a constant error of a sensor looks the same."
+            )
 
 
 def _result(
@@ -325,7 +412,8 @@ def _result(
     projection: Projection,
     bias: Mapping[str, float],
     parameters: Mapping[str, Parameter],
-    resting: tuple[str, ...],
+    warnings: Sequence[str],
+    inputs: Mapping[str, str],
 ) -> EquationError:
     unknown = [n for n, p in parameters.items() if not p.fixed]
     missing = {n: _why(n, data.equations, projection) for n in unknown if n not in projection.names}
@@ -352,7 +440,8 @@ def _result(
         states=tuple(str(state) for state in data.equations.states),
         cutoffs={n: c / (2 * math.pi) for n, c in data.cutoffs.items()},
         parameters=dict(parameters),
-        warnings=tuple(_warnings(used, projection, bias, errors, resting)),
+        warnings=(*warnings, *_warnings(used, projection, bias, errors)),
+        inputs=inputs,
     )
 
 
@@ -371,10 +460,8 @@ def _warnings(
     projection: Projection,
     bias: Mapping[str, float],
     errors: Mapping[str, float],
-    resting: Sequence[str],
 ) -> list[str]:
-    result = [f"the input {name} is constant: its effect cannot be told from an offset." for name in resting]
-    result += [
+    result = [
         f"{n} ended at its bound; the standard errors of the others treat it as known." for n in projection.at_bound
     ]
     result += [

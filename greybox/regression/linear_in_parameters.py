@@ -1,6 +1,6 @@
 """Which equations of a model become regressions: how each state is known, which parameters enter linearly."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -70,6 +70,10 @@ class Equations:
         (x, u, p) -> the derivative of the simulated states at zero (s,) and their matrix (s, s).
     delay : casadi.Function
         (p) -> delay of every input, s. In all three `p` holds the free parameters.
+    delayed : tuple of str
+        Inputs that have a delay.
+    multiplied : mapping of str to tuple of str
+        The inputs that all slopes of a linear parameter depend on, so that it has no constant effect while they move.
     left_out : tuple of str
         What was left out, and why.
     """
@@ -83,6 +87,7 @@ class Equations:
     simulated: ca.Function
     delay: ca.Function
     delayed: tuple[str, ...]
+    multiplied: Mapping[str, tuple[str, ...]]
     left_out: tuple[str, ...]
 
     @property
@@ -91,7 +96,13 @@ class Equations:
         return tuple(state.name for state in self.states if state.how == "simulated")
 
 
-def regressions(model: Dynamics, signals: Iterable[str], fixed: Mapping[str, float], start: np.ndarray) -> Equations:
+def regressions(
+    model: Dynamics,
+    signals: Iterable[str],
+    fixed: Mapping[str, float],
+    start: np.ndarray,
+    biases: Sequence[str] = (),
+) -> Equations:
     """Find out which states are known, and which equations then contain only known signals and parameters.
 
     Parameters
@@ -102,21 +113,32 @@ def regressions(model: Dynamics, signals: Iterable[str], fixed: Mapping[str, flo
         Of the parameters that are not estimated.
     start : (number of free parameters,) array
         Values at which simulated states must be stable, so that they forget their unknown initial values.
+    biases : sequence of str
+        Signals with a constant error, the parameter ``<signal>_bias`` after those of the model.
     """
-    return _Analysis(model, set(signals), fixed, start).result()
+    return _Analysis(model, set(signals), fixed, start, biases).result()
 
 
 class _Analysis:
     """Symbols of one model with the fixed parameters put in."""
 
-    def __init__(self, model: Dynamics, signals: set[str], fixed: Mapping[str, float], start: np.ndarray) -> None:
+    def __init__(
+        self,
+        model: Dynamics,
+        signals: set[str],
+        fixed: Mapping[str, float],
+        start: np.ndarray,
+        biases: Sequence[str],
+    ) -> None:
         self.model = model
         self.signals = signals
         self.start = start
         self.x = ca.SX.sym("x", len(model.states))
         self.u = ca.SX.sym("u", len(model.inputs))
-        self.free = tuple(name for name in model.parameters if name not in fixed)
+        names = (*model.parameters, *(f"{name}_bias" for name in biases))
+        self.free = tuple(name for name in names if name not in fixed)
         self.p = ca.SX.sym("p", len(self.free))
+        self.biases = {n: ca.SX(fixed.get(f"{n}_bias", self._symbol(f"{n}_bias"))) for n in biases}
         p = ca.vertcat(*[fixed.get(name, self._symbol(name)) for name in model.parameters], ca.SX(0, 1))
         self.f = ca.SX(model.derivative(self.x, self.u, p))
         self.h = ca.SX(model.output(self.x, self.u, p))
@@ -131,8 +153,10 @@ class _Analysis:
         """Go through the states, then the equations, then the parameters."""
         self._know_measured_states()
         self._know_simulated_states()
+        identities = self._identities()
+        self._correct_biases()
 
-        candidates = list(self._candidates())
+        candidates = list(self._candidates(identities))
         equations = tuple(equation for _, equation in candidates)
         rows = [row for row, _ in candidates]
         needed = set().union(*(self._behind(row) for row in rows))
@@ -161,6 +185,7 @@ class _Analysis:
             rows=ca.Function("rows", arguments, [ca.densify(base), ca.densify(slopes)]),
             simulated=ca.Function("simulated", arguments, [ca.densify(drive), ca.densify(matrix)]),
             delay=ca.Function("delay", [self.p], [ca.densify(self.delays)]),
+            multiplied={n: self._multiplied(slopes[:, k]) for k, n in enumerate(linear)},
             delayed=tuple(n for k, n in enumerate(self.model.inputs) if not self.delays[k].is_zero()),
             left_out=tuple(self.left_out),
         )
@@ -232,7 +257,29 @@ class _Analysis:
         values = values[np.all(np.isfinite(values), axis=1)]
         return bool(np.all(np.abs(values[:, 0]) <= ROUNDING * (1 + np.abs(values[:, 1:]).sum(axis=1))))
 
-    def _candidates(self) -> Iterable[tuple[ca.SX, Equation]]:
+    def _identities(self) -> set[str]:
+        """Return the outputs from which a state is known, which say nothing more of the parameters."""
+        sources = {state.source for state in self.states.values() if state.how == "signal"}
+        rows = zip(self.model.outputs, ca.vertsplit(self.h), strict=True)
+        return {name for name, row in rows if name in sources and not self._own_parameters(row)}
+
+    def _correct_biases(self) -> None:
+        """Put what is true in the place of what is measured with a bias: measured signals are x, u and outputs."""
+        if not self.biases:
+            return
+        true = ca.SX(self.x)
+        for state in self.states.values():
+            i = self.model.states.index(state.name)
+            bias = self.biases.get(state.source, ca.SX(0)) if state.how == "signal" else ca.SX(0)
+            if state.value is not None:  # affine in its source, so that what that is does not matter
+                true[i] += state.value(true, -bias) - state.value(self.x, 0)
+            else:
+                true[i] -= bias
+        u = self.u - ca.vertcat(ca.SX(0, 1), *[self.biases.get(n, ca.SX(0)) for n in self.model.inputs])
+        errors = ca.vertcat(ca.SX(0, 1), *[self.biases.get(n, ca.SX(0)) for n in self.model.outputs])
+        self.f, self.h = ca.substitute([self.f, self.h + errors], [self.x, self.u], [true, u])
+
+    def _candidates(self, identities: set[str]) -> Iterable[tuple[ca.SX, Equation]]:
         """Yield the right side and the description of every equation that can be used."""
         for k, name in enumerate(self.model.states):
             if name not in self.states:
@@ -240,7 +287,7 @@ class _Analysis:
             elif self.states[name].how != "simulated":
                 yield from self._candidate(self.f[k], name, "derivative")
         for k, name in enumerate(self.model.outputs):
-            if name in self.signals:
+            if name in self.signals and name not in identities:
                 yield from self._candidate(self.h[k], name, "output")
 
     def _candidate(
@@ -264,6 +311,11 @@ class _Analysis:
 
     def _inputs(self, row: ca.SX) -> list[str]:
         return [name for k, name in enumerate(self.model.inputs) if ca.depends_on(row, self.u[k])]
+
+    def _multiplied(self, slopes: ca.SX) -> tuple[str, ...]:
+        """Return the inputs in the slopes (k,) of a parameter; none where an equation has one without an input."""
+        inputs = [self._inputs(slope) for slope in ca.vertsplit(ca.SX(slopes)) if not slope.is_zero()]
+        return tuple(dict.fromkeys(n for some in inputs for n in some)) if all(inputs) else ()
 
     def _behind(self, row: ca.SX) -> set[str]:
         """Return the states that a row needs, with those that its simulated and derived states need."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.data.intersample import Intersample
 from greybox.data.record import Record
 from greybox.regression.least_squares import Block
 from greybox.regression.linear_in_parameters import Equations
@@ -34,6 +35,8 @@ class Regressors:
     states, derivatives : mapping of name to (n,) array
         Of the states that are known without simulation; NaN where they are not.
     inputs : mapping of name to (n,) array
+        As they act without their delay: what is held acts half a sample late, see `acting`.
+    between : mapping of name to Intersample
     outputs : mapping of name to (n,) array
         Of output equations.
     cutoffs, noise : mapping of signal name to float
@@ -50,6 +53,7 @@ class Regressors:
     states: Mapping[str, Array]
     derivatives: Mapping[str, Array]
     inputs: Mapping[str, Array]
+    between: Mapping[str, Intersample]
     outputs: Mapping[str, Array]
     cutoffs: Mapping[str, float]
     noise: Mapping[str, float]
@@ -85,7 +89,7 @@ class Regressors:
             derivatives=cut(self.derivatives),
             inputs=inputs,
             outputs=cut(self.outputs),
-            splines=_splines(time, inputs, self.splines),
+            splines=_splines(time, inputs, self.between, self.splines),
         )
 
     def blocks(self, p: Array) -> list[Block]:
@@ -123,10 +127,11 @@ class Regressors:
         return result
 
     def _late(self, delays: Array) -> Array:
-        """Return the inputs (m, n) as they arrive, by cubic interpolation between samples."""
+        """Return the inputs (m, n) as they arrive: by cubic interpolation between samples, linear for what is held."""
         rows = []
-        for name, delay in zip(self.names[1], delays, strict=True):
+        for name, longer in zip(self.names[1], delays, strict=True):
             late = self.inputs[name]
+            delay = longer + self.between[name].late
             if delay != 0:
                 late = np.full(self.time.size, np.nan)
                 for part, spline in self.splines[name]:
@@ -158,6 +163,8 @@ def regressors(
     record: Record,
     p: Array,
     latest: Array,
+    between: Mapping[str, Intersample],
+    *,
     cutoffs: Mapping[str, float] | None = None,
     band: float | None = None,
 ) -> Regressors:
@@ -171,6 +178,8 @@ def regressors(
         Start values, at which simulated states say how long they remember.
     latest : (number of inputs,) array, s
         The largest delays that are possible.
+    between : mapping of input name to Intersample
+        How the inputs run between samples.
     cutoffs : mapping of signal name to rad/s, optional
         By default each signal chooses its own.
     band : float, rad/s, optional
@@ -194,7 +203,11 @@ def regressors(
         states[known.name] = signal if known.value is None else _value(known.value, names[0], states, signal)
         derivatives[known.name] = _derivative(time, states[known.name])
 
-    inputs = {name: without_holes(time, record[name]) for name in names[1]}
+    inputs = {name: acting(time, without_holes(time, record[name]), between[name].held) for name in names[1]}
+    moved = [n for n in names[1] if n in equations.delayed or between[n].late]
+    longest = [
+        delay + (record.step if between[n].held else between[n].late) for n, delay in zip(names[1], latest, strict=True)
+    ]
     outputs = {e.target: without_holes(time, record[e.target]) for e in equations.equations if e.kind == "output"}
     bands = [SHARE * min((used[s] for s in e.signals), default=math.inf) for e in equations.equations]
     bands = [b if band is None else min(b, band) for b in bands]
@@ -205,25 +218,56 @@ def regressors(
         states=states,
         derivatives=derivatives,
         inputs=inputs,
+        between=between,
         outputs=outputs,
         cutoffs=used,
         noise=noise,
         bands=tuple(bands),
-        lateness=max(latest, default=0.0) + memory(equations, names, p),
-        splines=_splines(time, inputs, equations.delayed),
+        lateness=max(longest, default=0.0) + memory(equations, names, p),
+        splines=_splines(time, inputs, between, moved),
     )
 
 
-def _splines(
-    time: Array, inputs: Mapping[str, Array], delayed: Iterable[str]
-) -> dict[str, list[tuple[slice, Callable[[Array], Array]]]]:
-    """Return the cubic spline through every stretch of the delayed inputs."""
+def acting(time: Array, values: Array, held: bool) -> Array:
+    """Return an input (n,) as smooth samples of what it drives see it.
+
+    A state that integrates what is held is a straight line from sample to sample. The smooth curve through its samples
+    has the slope S(t - h/2) of the smooth curve S through those of the input, with oscillations that are larger by
+    1 / sinc(ωh/2) = 1 + (ωh)² / 24 + ..., which the second derivative of S adds: the pulse transfer function of an
+    integrator behind a zero-order hold is h / (z - 1), and jωh / (z - 1) = exp(-jωh/2) / sinc(ωh/2).
+    """
     from scipy.interpolate import CubicSpline  # noqa: PLC0415  (takes a quarter of a second to import)
 
-    def parts(values: Array) -> list[tuple[slice, Callable[[Array], Array]]]:
-        return [(s, CubicSpline(time[s], values[s])) for s in stretches(time, values) if s.stop > s.start + 1]
+    if not held:
+        return values
+    result = np.full(values.size, np.nan)
+    for s in stretches(time, values):
+        if s.stop > s.start + 1:
+            step = (time[s.stop - 1] - time[s.start]) / (s.stop - 1 - s.start)
+            spline = CubicSpline(time[s], values[s])
+            middle = np.maximum(time[s] - step / 2, time[s.start])
+            result[s] = spline(middle) - step**2 / 24 * spline(middle, 2)
+    return result
 
-    return {name: parts(inputs[name]) for name in delayed}
+
+def _splines(
+    time: Array, inputs: Mapping[str, Array], between: Mapping[str, Intersample], moved: Iterable[str]
+) -> dict[str, list[tuple[slice, Callable[[Array], Array]]]]:
+    """Return what interpolates every stretch of the inputs that act later.
+
+    That is a cubic spline. A held input whose delay is a fraction of a step changes within a step, which the samples of
+    what it drives show as the mean, in shares of this fraction, of what two neighboring values do: linear.
+    """
+    from scipy.interpolate import CubicSpline, make_interp_spline  # noqa: PLC0415  (takes a quarter of a second)
+
+    def parts(name: str) -> list[tuple[slice, Callable[[Array], Array]]]:
+        values = inputs[name]
+        rows = [s for s in stretches(time, values) if s.stop > s.start + 1]
+        if between[name].held:
+            return [(s, make_interp_spline(time[s], values[s], k=1)) for s in rows]
+        return [(s, CubicSpline(time[s], values[s])) for s in rows]
+
+    return {name: parts(name) for name in moved}
 
 
 def _value(function: object, names: tuple[str, ...], states: Mapping[str, Array], signal: Array) -> Array:

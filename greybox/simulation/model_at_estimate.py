@@ -1,19 +1,20 @@
 """A model at one estimate, as simulation and prediction take it: values, their covariance, and what the fit assumed."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
+from dataclasses import dataclass, field, replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.record import Record
+from greybox.formulation.input_assumptions import Inputs, between_samples, require_inputs
 from greybox.formulation.time_criteria import OutputError, PredictionError, TimeCriterion
 from greybox.modeling.model import Model, require_known
+from greybox.modeling.parameter import Parameter
 from greybox.modeling.realization import Dynamics, dynamics
 
 Array = NDArray[np.float64]
-Inputs = Literal["linear", "held"]
 
 
 class FittedTo(Protocol):
@@ -48,7 +49,9 @@ class FittedTo(Protocol):
 class Estimate(Protocol):
     """An answer that knows its model, as `greybox.Fit` does."""
 
-    def at_estimate(self, model: Model | None, *, inputs: Inputs | None, part: int | None) -> "ModelAtEstimate":
+    def at_estimate(
+        self, model: Model | None, *, inputs: Inputs | None, part: int | None, record: Record | None
+    ) -> "ModelAtEstimate":
         """Return a model, by default the one that was fitted, at the estimate of a part."""
         ...
 
@@ -71,6 +74,13 @@ class ModelAtEstimate:
         How inputs run between samples, which signals are biased, and whether innovations correct the states.
     part : FittedTo or None
         The record that the values were fitted to.
+    declared : mapping of name to Parameter
+        The model's parameters.
+    own : tuple of str
+        Names of values that belong to that record alone, not to the model: biases of its sensors, and parameters that
+        each record of the fit has for itself.
+    held : tuple of bool
+        Which inputs are held between samples, see `driven_by`.
     """
 
     label: str
@@ -80,6 +90,9 @@ class ModelAtEstimate:
     covariance: Array | None
     criterion: TimeCriterion
     part: FittedTo | None
+    declared: Mapping[str, Parameter] = field(default_factory=dict)
+    own: tuple[str, ...] = ()
+    held: tuple[bool, ...] = ()
 
     @property
     def p(self) -> Array:
@@ -99,6 +112,16 @@ class ModelAtEstimate:
         variance = np.diag(self.covariance)
         return np.flatnonzero(np.isnan(variance) | (variance > 0))
 
+    def driven_by(self, record: Record) -> "ModelAtEstimate":
+        """Return the model with the inputs of a record, as they run between its samples.
+
+        What neither the criterion nor the record says of an input, the record of the fit does.
+        """
+        assumed = self.part.data.hold if self.part is not None else {}
+        between = between_samples(self.criterion.inputs, self.system.inputs, record, assumed)
+        system = self.system.later([one.late for one in between])
+        return replace(self, system=system, held=tuple(one.held for one in between))
+
     def noise(self, outputs: tuple[str, ...]) -> Array | None:
         """Return the covariance (k, k) of the errors of these outputs, where the fit knows it."""
         if self.part is None or not set(outputs) <= set(self.part.outputs):
@@ -117,8 +140,9 @@ def model_at(
     *,
     inputs: Inputs | None = None,
     part: int | None = None,
+    record: Record | None = None,
 ) -> ModelAtEstimate:
-    """Bring model and estimate together; a `Fit` may stand for both.
+    """Bring model and estimate together; a `Fit` may stand for both, by default its part of this `record`.
 
     Raises
     ------
@@ -127,18 +151,20 @@ def model_at(
     LookupError
         If the model of a loaded fit cannot be imported.
     """
+    if inputs is not None:
+        require_inputs(inputs)
     if isinstance(model, Estimate):
         if values is not None:
             cure = "give the record by name, record=r" if isinstance(values, Record) else "leave the other out"
             raise TypeError(f"the model is a Fit, which has an estimate of its own: {cure}.")
-        return model.at_estimate(None, inputs=inputs, part=part)
+        return model.at_estimate(None, inputs=inputs, part=part, record=record)
     if not isinstance(model, Model):
         raise TypeError(f"model is {model!r:.80}: give an instance such as LinearTilt(), or a Fit.")
     if isinstance(values, Estimate):
-        return values.at_estimate(model, inputs=inputs, part=part)
+        return values.at_estimate(model, inputs=inputs, part=part, record=record)
     if not isinstance(values, Mapping):
         raise TypeError(f"values is {values!r:.60}: give {{name: value}} or a Fit.")
-    return _of_values(model, values, inputs or "linear")
+    return _of_values(model, values, inputs or "record")
 
 
 def _of_values(model: Model, given: Mapping[str, float], inputs: Inputs) -> ModelAtEstimate:
@@ -155,7 +181,9 @@ def _of_values(model: Model, given: Mapping[str, float], inputs: Inputs) -> Mode
     values = dict(model.values({n: v for n, v in given.items() if n in model.parameters}))
     values |= {name: float(given[name]) for name in added}
     criterion = criterion_of(inputs, tuple(b for b in biases if f"{b}_bias" in added), gains)
-    return ModelAtEstimate(model.label, system, tuple(values), np.array([*values.values()]), None, criterion, None)
+    return ModelAtEstimate(
+        model.label, system, tuple(values), np.array([*values.values()]), None, criterion, None, model.parameters
+    )
 
 
 def criterion_of(inputs: Inputs, biases: tuple[str, ...], gains: tuple[tuple[str, str], ...]) -> TimeCriterion:

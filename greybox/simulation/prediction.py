@@ -1,8 +1,8 @@
 """What a model predicts over windows of a record, with what was measured there."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +55,9 @@ class Prediction:
         Errors of predictions one sample ahead, from everything measured before in the window, in units of their
         theoretical standard deviations: white with unit variance for the right model. NaN where nothing was measured.
     notes : tuple of str
-        Why an error is not known, in sentences.
+        Why an error is not known, and what was estimated from the record, in sentences.
+    own : mapping of name to (value, standard error)
+        What was estimated from the record besides the states, since it belongs to the record: biases, trims.
     """
 
     label: str
@@ -72,6 +74,7 @@ class Prediction:
     trajectory: Array
     one_step: Array
     notes: tuple[str, ...] = ()
+    own: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.rows)

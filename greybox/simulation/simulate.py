@@ -1,17 +1,19 @@
 """Simulation and prediction of records with a model at one estimate."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from greybox.compiled.sampled_data import gapless
-from greybox.data.record import Record
+from greybox.data.record import Record, share_samples
 from greybox.data.text_table import counted
+from greybox.formulation.input_assumptions import Inputs
 from greybox.modeling.integrators import Integrator, RungeKutta
 from greybox.modeling.model import Model, require_known
-from greybox.simulation.model_at_estimate import Estimate, Inputs, ModelAtEstimate, model_at
+from greybox.simulation.model_at_estimate import Estimate, ModelAtEstimate, model_at
+from greybox.simulation.own_values import with_own_values
 from greybox.simulation.prediction import Prediction
 from greybox.simulation.simulator import DIVERGED, ERROR, Simulator, WindowSimulations, diverged
 from greybox.simulation.windows import Windows, cut, default_length, require_lengths
@@ -48,19 +50,20 @@ def simulate(
         With all inputs; by default that of the fit.
     initial : mapping of state to value, or to one value for each stretch without a gap
         Other states begin at zero. By default those of the fit where the record is its own, else zero.
-    inputs : "linear" or "held", optional
-        How inputs run between samples; by default as in the fit, else "linear".
+    inputs : "record", "linear" or "held", optional
+        How inputs run between samples; by default as in the fit, else as the record says, see `OutputError`.
     integrator : Integrator, optional
         `RungeKutta()` or, for stiff models, `Rosenbrock()`; unless it says how many substeps, they are halved until
         that changes no state by more than 1e-7 of its size in a sample.
     part : int, optional
-        Which part of the fit is meant; by default its first record.
+        Which part of the fit is meant; by default that of `record`, else its first record.
 
     Returns
     -------
     Record
-        At the times of `record`: the outputs as their sensors show them (biases included), then the states that do not
-        have the name of an output; NaN where an input is missing. A gap begins a new simulation. With a `Fit` also
+        At the times of `record`: the outputs as their sensors show them (biases included, those of the fit), then the
+        states that do not have the name of an output; NaN where an input is missing. A gap begins a new simulation.
+        With a `Fit` also
         ``<output>_error``: the standard error of an output, from those of the parameters (to first order) and, where
         they are those of the fit, of the initial states; NaN where an unstable model runs too long for that. A
         parameter at its bound is treated as known, as in the standard errors of the fit; an output that depends on a
@@ -73,9 +76,10 @@ def simulate(
         If an input is missing, the samples are not uniform, the simulation diverges, or a formula of the model is not
         finite.
     """
-    estimated = model_at(model, values, inputs=inputs, part=part)
+    estimated = model_at(model, values, inputs=inputs, part=part, record=_as_record(record))
     record = _record(record, estimated)
     _require_inputs(record, estimated)
+    estimated = estimated.driven_by(record)
     outputs = estimated.system.outputs
     stretches = gapless(record, estimated.system.inputs, ())
     if not stretches:
@@ -101,7 +105,7 @@ def simulate(
     return Record(record.time, columns, units, name=f"simulation of {estimated.label}{remark}")
 
 
-def predict(
+def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
     model: Model | Estimate,
     values: Mapping[str, float] | Estimate | None = None,
     record: Record | None = None,
@@ -111,6 +115,7 @@ def predict(
     inputs: Inputs | None = None,
     integrator: Integrator | None = None,
     part: int | None = None,
+    own: Sequence[str] | None = None,
 ) -> Prediction:
     """Predict the outputs over windows of a record, each from a state estimated over the lead-in before it.
 
@@ -120,11 +125,18 @@ def predict(
     fit, or, where that is not known, of the residuals in the lead-ins; with innovations (`PredictionError`) the lead-in
     corrects the states and the horizon does not.
 
+    On a record that the model was not fitted to, values that belong to a record and not to the model are estimated from
+    it (see `greybox.simulation.own_values`), and `Prediction.notes` say so: biases of sensors, parameters that each
+    record of the fit has for itself (`several`), and those that `own` names, such as trims.
+
     Parameters
     ----------
     horizon, lead : float, s
         Lengths of what is predicted and of what is measured before it, rounded to whole samples. By default 0.5 s or 10
         samples, whichever is longer, for the lead-in also at least twice the longest delay.
+    own : sequence of str, optional
+        Names of parameters, and of biases (``<signal>_bias``), to be estimated from the record; by default those named
+        above, on a record that the fit does not have; ``()`` for none, which keeps the values of the fit.
 
     The other parameters are those of `simulate`.
 
@@ -135,7 +147,7 @@ def predict(
         is longer than the lead-in, or the model has no finite value in a window.
     """
     require_lengths(**{n: v for n, v in (("horizon", horizon), ("lead", lead)) if v is not None})
-    estimated = model_at(model, values, inputs=inputs, part=part)
+    estimated = model_at(model, values, inputs=inputs, part=part, record=_as_record(record))
     record = _record(record, estimated)
     _require_inputs(record, estimated)
     horizon = default_length([record], SHORTEST) if horizon is None else horizon
@@ -148,19 +160,25 @@ def predict(
             f"it has {', '.join(record.signals)}."
         )
     windows = cut(record, estimated.system.inputs, outputs, lead=lead, horizon=horizon)
-    prediction, _, trouble = predict_windows(estimated, windows, outputs, integrator)
+    prediction, _, trouble = predict_windows(estimated, windows, outputs, integrator, own)
     if trouble:
         raise ValueError(f"{trouble}: {cure('horizon')}.")
     return prediction
 
 
 def predict_windows(
-    model: ModelAtEstimate, windows: Windows, outputs: tuple[str, ...], integrator: Integrator | None = None
+    model: ModelAtEstimate,
+    windows: Windows,
+    outputs: tuple[str, ...],
+    integrator: Integrator | None = None,
+    own: Sequence[str] | None = None,
 ) -> tuple[Prediction, NDArray[np.bool_], str]:
     """Predict `outputs`, which the record has, over given windows: the same ones for models that are compared.
 
+    Values `own` of the record are estimated first, by default those that the model has where the record is a new one.
     Returns also which windows (w,) are not finite, and what is not finite there, in words without an end.
     """
+    model = model.driven_by(windows.record)
     lead = windows.lead * windows.record.step
     horizon = windows.horizon * windows.record.step
     if np.max(model.delays, initial=0.0) >= lead:
@@ -168,8 +186,14 @@ def predict_windows(
             f"the delay of {model.label} is {np.max(model.delays):.3g} s and lead={lead:.3g} s does not cover it: "
             "give a longer lead."
         )
-    simulator = Simulator(model, model.criterion, outputs, integrator or RungeKutta())
+    if own is None:
+        own = () if model.part is None or share_samples(model.part.data, windows.record) else model.own
+    integrator = integrator or RungeKutta()
+    model, estimated = with_own_values(model, windows, outputs, integrator, (own,) if isinstance(own, str) else own)
+    simulator = Simulator(model, model.criterion, outputs, integrator)
     simulated = simulator.windows(windows)
+    notes = estimated.notes(windows.record.name or "the record") if estimated else ()
+    notes += (f"{_not_known(simulated.unknown, model)}.",) if simulated.unknown else ()
     ahead = slice(windows.lead, None)
     prediction = Prediction(
         label=model.label,
@@ -185,7 +209,8 @@ def predict_windows(
         noise=simulated.initial.noise,
         trajectory=np.moveaxis(simulated.states[:, ahead], -1, 0),
         one_step=np.moveaxis(simulated.one_step[:, ahead], -1, 0),
-        notes=(f"{_not_known(simulated.unknown, model)}.",) if simulated.unknown else (),
+        notes=notes,
+        own=estimated.by_name if estimated else {},
     )
     return prediction, simulated.not_finite, _trouble(simulated, windows, outputs, model)
 
@@ -230,6 +255,11 @@ def _not_known(unknown: tuple[str, ...], model: ModelAtEstimate) -> str:
         f"the standard errors of {model.label} are not known where they depend on {', '.join(unknown)}, which the data "
         "of the fit do not determine"
     )
+
+
+def _as_record(given: Any) -> Record | None:
+    """Return what is a record; anything else is refused later."""
+    return given if isinstance(given, Record) else None
 
 
 def _record(record: Record | None, model: ModelAtEstimate) -> Record:

@@ -1,7 +1,8 @@
 """A model run over stretches or windows of a record: outputs and states, accurate in time, and standard errors."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -65,6 +66,27 @@ class WindowSimulations:
 
 
 @dataclass(frozen=True, eq=False)
+class WindowLinearization:
+    """Windows linearized along their simulations, lead-ins included.
+
+    Attributes
+    ----------
+    initial : StateEstimates
+    residuals : (w, samples, k) array
+        Measured less simulated, zero where nothing was measured.
+    slopes : (w, samples, k, n + a) array
+        Derivatives of the outputs by the window's first state and by the active values, zero there.
+    used : (w, samples, k) bool array
+        Where something was measured, in windows that are finite.
+    """
+
+    initial: StateEstimates
+    residuals: Array
+    slopes: Array
+    used: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
 class _Run:
     """What one pass with a number of substeps gave, and the data (width, columns) that drove it.
 
@@ -99,6 +121,13 @@ class Simulator:
         self._integrator = integrator
         self._substeps = integrator.substeps or 0
         self._steps: dict[int, SampleStep] = {}
+        self._segments: dict[tuple[int, int, int, bytes], Segments] = {}
+
+    def at(self, q: Array) -> "Simulator":
+        """Return the same simulator at other values (declared,); what is compiled serves both."""
+        other = copy(self)
+        other._model = replace(self._model, q=q)
+        return other
 
     def free_run(
         self, stretch: Stretch, initial: Array, fitted_initial: bool
@@ -130,19 +159,61 @@ class Simulator:
     def windows(self, windows: Windows) -> WindowSimulations:
         """Estimate the state of every window from its lead-in, and run on from it."""
         model = self._model
+        n = len(model.system.states)
+        data, in_lead, result = self._from_lead_ins(windows, model.uncertain)
+        measured = np.moveaxis(data["measured"], 0, -1)
+        estimates = result.estimates
+        assert estimates is not None
+        segments = result.segments
+        slopes = segments.output_sensitivities(result.states, model.q, result.data)
+        error, unknown = _window_errors(estimates, slopes, in_lead, model, n)
+
+        residuals = measured - segments.by_segment(result.outputs)
+        by_state = slopes[..., :n]
+        if self._criterion.corrects_states:  # one step ahead, the corrections go on after the lead-in
+            present = np.isfinite(data["measured"])
+            corrected = _Run.of(segments, estimates.states, model.q, _columns(segments, data, present))
+            residuals = measured - segments.by_segment(corrected.outputs)
+            by_state = segments.output_sensitivities(corrected.states, model.q, corrected.data)[..., :n]
+        offset = estimates.mean - estimates.states
+        one_step = one_step_errors(residuals, by_state, offset, estimates.precision, estimates.noise)
+        outputs, states = (segments.by_segment(values) for values in (result.outputs, result.states))
+        return WindowSimulations(estimates, outputs, states, error, one_step, unknown)
+
+    def linearize_windows(self, windows: Windows, active: NDArray[np.integer]) -> WindowLinearization:
+        """Linearize every window by its state and the `active` values, from the state that its lead-in gives."""
+        data, _, result = self._from_lead_ins(windows, active)
+        assert result.estimates is not None
+        measured = np.moveaxis(data["measured"], 0, -1)
+        slopes = result.segments.output_sensitivities(result.states, self._model.q, result.data)
+        residuals = measured - result.segments.by_segment(result.outputs)
+        present = np.isfinite(measured)
+        finite = ~result.estimates.not_finite & np.all(np.isfinite(slopes), axis=(1, 2, 3))
+        finite &= np.all(np.isfinite(residuals) | ~present, axis=(1, 2))
+        used = present & finite[:, None, None]
+        return WindowLinearization(
+            result.estimates, np.where(used, residuals, 0.0), np.where(used[..., None], slopes, 0.0), used
+        )
+
+    def _from_lead_ins(
+        self, windows: Windows, active: NDArray[np.integer]
+    ) -> tuple[dict[str, Array], NDArray[np.bool_], _Run]:
+        """Run every window from the state that its lead-in gives; derivatives are to be by the `active` values.
+
+        Returns the data, which outputs were measured within lead-ins (k, w, samples), and the run.
+        """
+        model = self._model
         w, length = windows.rows.shape
         lead = windows.lead
-        n = len(model.system.states)
         data = sample_data(windows, model.system.inputs, self._outputs, model.delays)
         measured = np.moveaxis(data["measured"], 0, -1)
-        present = np.isfinite(data["measured"])
-        in_lead = present & (np.arange(length) < lead)
+        in_lead = np.isfinite(data["measured"]) & (np.arange(length) < lead)
         spread = np.array([_spread(windows.record[name]) for name in self._outputs])
         mask = np.moveaxis(in_lead[:, :, :lead], 0, -1)
         past = np.where(mask, measured[:, :lead], np.nan)
 
         def run(step: SampleStep) -> _Run:
-            lead_in = Segments(step, w, lead, np.zeros(0, dtype=int))
+            lead_in = self._segments_of(step, w, lead, np.zeros(0, dtype=int))
             before = _columns(lead_in, data, in_lead)
 
             def simulate(x: Array) -> Array:
@@ -160,26 +231,10 @@ class Simulator:
                 model.noise(self._outputs),
                 spread,
             )
-            whole = Segments(step, w, length, model.uncertain)
+            whole = self._segments_of(step, w, length, active)
             return _Run.of(whole, estimates.states, model.q, _columns(whole, data, in_lead), estimates)
 
-        result = self._accurate(windows.record.step, run)
-        estimates = result.estimates
-        assert estimates is not None
-        segments = result.segments
-        slopes = segments.output_sensitivities(result.states, model.q, result.data)
-        error, unknown = _window_errors(estimates, slopes, in_lead, model, n)
-
-        residuals = measured - segments.by_segment(result.outputs)
-        by_state = slopes[..., :n]
-        if self._criterion.corrects_states:  # one step ahead, the corrections go on after the lead-in
-            corrected = _Run.of(segments, estimates.states, model.q, _columns(segments, data, present))
-            residuals = measured - segments.by_segment(corrected.outputs)
-            by_state = segments.output_sensitivities(corrected.states, model.q, corrected.data)[..., :n]
-        offset = estimates.mean - estimates.states
-        one_step = one_step_errors(residuals, by_state, offset, estimates.precision, estimates.noise)
-        outputs, states = (segments.by_segment(values) for values in (result.outputs, result.states))
-        return WindowSimulations(estimates, outputs, states, error, one_step, unknown)
+        return data, in_lead, self._accurate(windows.record.step, run)
 
     def _accurate(self, step: float, run: Callable[[SampleStep], _Run]) -> _Run:
         """Run with more and more substeps until halving them changes no sample noticeably."""
@@ -213,11 +268,18 @@ class Simulator:
         change = fine - coarse
         return relative_change(np.where(np.isfinite(change), change, 0.0), state_sizes(x))
 
+    def _segments_of(self, step: SampleStep, count: int, length: int, active: NDArray[np.integer]) -> Segments:
+        """Return segments of this shape, whose functions are compiled once."""
+        key = (id(step), count, length, active.tobytes())
+        if key not in self._segments:
+            self._segments[key] = Segments(step, count, length, active)
+        return self._segments[key]
+
     def _step(self, substeps: int) -> SampleStep:
         if substeps not in self._steps:
             model = self._model
             self._steps[substeps] = sample_step(
-                model.system, self._criterion, self._outputs, model.names, self._integrator, substeps
+                model.system, model.held, self._criterion, self._outputs, model.names, self._integrator, substeps
             )
         return self._steps[substeps]
 
@@ -243,7 +305,7 @@ def _first_substeps(model: ModelAtEstimate, step: float) -> int:
     return stable_substeps(np.linalg.eigvals(matrix), step, reach=FIRST_REACH, most=MOST_AT_FIRST)
 
 
-def _columns(segments: Segments, data: Mapping[str, Array], present: Array) -> Array:
+def _columns(segments: Segments, data: Mapping[str, Array], present: NDArray[np.bool_]) -> Array:
     """Return the data of all windows as far as the segments reach, with the outputs that are `present` as measured."""
     rows = [data["whole"], data["around"], np.where(present, data["measured"], 0.0), present, data["step"]]
     joined = [row[:, :, : segments.length].reshape(len(row), -1) for row in rows]
@@ -311,7 +373,7 @@ def _depends(by_value: Array, q: Array) -> NDArray[np.bool_]:
 
 
 def _window_errors(
-    estimates: StateEstimates, slopes: Array, in_lead: Array, model: ModelAtEstimate, n: int
+    estimates: StateEstimates, slopes: Array, in_lead: NDArray[np.bool_], model: ModelAtEstimate, n: int
 ) -> tuple[Array, tuple[str, ...]]:
     """Return the standard errors (w, samples, k) of the outputs; the states follow the parameters by the lead-in."""
     by_state = slopes[..., :n]

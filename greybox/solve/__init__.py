@@ -1,9 +1,10 @@
 """From starts to minima.
 
-Begin with `multistart`. `ipopt` solves problems of frequency responses, `gauss_newton/` those with records, and
-`transcribed_program` hands records to IPOPT as one sparse program; an `outcome` is what one run leaves, `minima` groups
-the runs. `local_search` tries more than the starts, `discretization_error` refines the integration, `cost` evaluates a
-problem at given parameters. `constraints` and `quadratic_program` serve the Gauss-Newton steps.
+Begin with `multistart`, which chooses the solver, and `local_solver`, what every solver answers. `ipopt` solves
+problems of frequency responses, `gauss_newton/` those with records, and `transcribed_program` hands records to IPOPT as
+one sparse program; an `outcome` is what one run leaves, `minima` groups the runs. `local_search` tries more than the
+starts, `discretization_error` refines the integration, `cost` evaluates a problem at given parameters. `constraints`
+and `quadratic_program` serve the Gauss-Newton steps. `interruption` says what becomes of Ctrl-C.
 """
 
 from greybox.compiled.strategies import Strategies as Strategies

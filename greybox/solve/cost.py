@@ -7,7 +7,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import AnyProblem, compile_problem
 from greybox.compiled.transcription.method import Transcription
 from greybox.modeling.model import require_known
-from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.multistart import solver_for
 
 
 def cost(problem: AnyProblem, values: Mapping[str, float], method: Transcription | None = None) -> float:
@@ -23,13 +23,4 @@ def cost(problem: AnyProblem, values: Mapping[str, float], method: Transcription
     require_known(values, problem.parameters, "parameter", repr(problem.name))
     nlp = compile_problem(problem, method)
     point = np.array([values.get(name, problem.parameters[name].start) for name in nlp.names])
-    if not nlp.has_states:
-        weights = np.array([part.weight for part in nlp.response_parts])
-        return float(weights @ np.asarray(nlp.response_cost(point)).ravel())
-    for name, value, stated in zip(nlp.constants, point[len(nlp.free) :], nlp.constant_values, strict=True):
-        if value != stated:
-            raise ValueError(
-                f"{name} is fixed at {stated:g} here: give {value:g} to the problem, fixed={{{name!r}: ...}}."
-            )
-    profile = GaussNewton(nlp).profile(point[: len(nlp.free)])
-    return profile.cost if profile.converged else float("nan")
+    return solver_for(nlp).cost(point)

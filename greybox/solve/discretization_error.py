@@ -17,6 +17,8 @@ from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Part, Trajectory
 from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
 from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.interruption import stop_requested
+from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart, find_minima
 from greybox.solve.outcome import Outcome, Run
 
@@ -95,17 +97,21 @@ def discretization_error(nlp: Nlp, trajectories: Sequence[Trajectory]) -> Discre
 
 
 def refine_discretization(
-    nlp: Nlp, search: Multistart, solver: GaussNewton
-) -> tuple[Nlp, Multistart, GaussNewton, DiscretizationError | None]:
+    nlp: Nlp, search: Multistart, solver: LocalSolver
+) -> tuple[Nlp, Multistart, LocalSolver, DiscretizationError | None]:
     """Refine the steps until that does not matter, and follow the best minima; what the method fixes stays.
 
     Returns the error that is left too, where it was looked at.
     """
     error = None
+    if not any(part.substeps for part in nlp.parts):
+        return nlp, search, solver, error
     while search.minima and nlp.strategies.refined_substeps and nlp.method.scheme.substeps is None:
+        if stop_requested():
+            break
         best = solver.profile(search.minima[0].estimate, search.nodes)
         error = discretization_error(nlp, best.trajectories)
-        if not error.matters or max(part.substeps for part in nlp.record_parts) >= MOST_SUBSTEPS:
+        if not error.matters or max(part.substeps for part in nlp.parts) >= MOST_SUBSTEPS:
             break
         finer = replace(nlp, parts=tuple(part.refined(error.growth) for part in nlp.parts))
         finer_solver = GaussNewton(finer)

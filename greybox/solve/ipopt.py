@@ -1,7 +1,8 @@
-"""IPOPT on a problem of frequency responses alone: one sparse program in the parameters."""
+"""IPOPT on a problem without hidden unknowns, such as frequency responses: a dense program in the parameters."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -11,21 +12,63 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.response_part import SMOOTHING
-from greybox.solve.outcome import Outcome
+from greybox.solve.interruption import Response, responding, stop_requested
+from greybox.solve.local_solver import LocalSolver, Profile
+from greybox.solve.minima import Minimum
+from greybox.solve.outcome import INTERRUPTED, Outcome
+
+Array = NDArray[np.float64]
 
 CONVERGED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 INVALID = "Invalid_Number_Detected"
+STOPPED = "User_Requested_Stop"
 
 # Smoothings of the last runs, each begun at the end of the one before: at the kink of a zero residual IPOPT stalls when
 # the smoothing falls to the last one at once.
 POLISH = (1e-10, 1e-11, 1e-12, 1e-13)
 
+# Relative cost above the best up to which a minimum is polished too: smoothing moves costs by 6e-5 and may change the
+# order of close ones.
+CLOSE = 1e-2
+
 # The fits of the paper take some 30 iterations; what takes 500 does not converge.
 QUIET = {"print_level": 0, "sb": "yes", "max_iter": 500}
 
 
-class IpoptSolver:
+class StopCheck(ca.Callback):
+    """Ends IPOPT on a problem at the next iteration after Ctrl-C."""
+
+    def __init__(self, expressions: Mapping[str, Any]) -> None:
+        ca.Callback.__init__(self)
+        self._sizes = {name: value.numel() for name, value in expressions.items()}
+        self._sizes |= {f"lam_{name}": size for name, size in self._sizes.items()}
+        self.construct("stop_check", {})
+
+    def get_n_in(self) -> int:
+        """Return the number of results of a solver, of which this is told at every iteration."""
+        return ca.nlpsol_n_out()
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        """Return the shape of one of them."""
+        return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)], 1)
+
+    def has_eval_buffer(self) -> bool:
+        """Take memory as it is: with matrices made of it, an iteration would take a tenth longer."""
+        return True
+
+    def eval_buffer(self, arg: Any, res: Any) -> int:
+        """Answer whether to stop, 1 or 0."""
+        if res[0] is not None:
+            np.frombuffer(res[0])[0] = float(stop_requested())
+        return 0
+
+
+class IpoptSolver(LocalSolver):
     """IPOPT on one compiled problem, built once: the criterion that locates the minimum, if any, then its own."""
+
+    # A run takes some milliseconds, and the declared values of a transfer function are rarely better than others.
+    starts = 200
+    tries_declared_values = False
 
     def __init__(
         self, nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({}), like: "IpoptSolver | None" = None
@@ -33,9 +76,14 @@ class IpoptSolver:
         """Build the solver; one `like` it lends its derivatives."""
         self._nlp = nlp
         self._options = options
-        statements = [e for e in (nlp.locating, nlp.expressions) if e is not None]
-        known = [_derivatives(stage) for stage in like._stages] if like else [{} for _ in statements]
-        self._stages = [checked_nlpsol(e, options, given) for e, given in zip(statements, known, strict=True)]
+        programs = ((nlp.locating, nlp.locating_hessian), (nlp.program, nlp.program_hessian))
+        statements = [_statement(program) for program, _ in programs if program is not None]
+        known = [{"hess_lag": h} if h is not None else {} for program, h in programs if program is not None]
+        if like:
+            known = [_derivatives(stage) for stage in like._stages]
+        self._checks = [StopCheck(e) for e in statements]
+        each = zip(statements, known, self._checks, strict=True)
+        self._stages = [checked_nlpsol(e, options, given, check) for e, given, check in each]
         scale = nlp.scaling.to_solver
         self._bounds = {
             "lbx": scale(nlp.lower),
@@ -44,12 +92,8 @@ class IpoptSolver:
             "ubg": np.full(nlp.constraint.numel_out(), np.inf),
         }
 
-    def polishing(self) -> "IpoptSolver":
-        """Return a solver for the last runs, which takes the little that a kink leaves to gain for a solution."""
-        return IpoptSolver(self._nlp, {"acceptable_tol": 1e-4, "acceptable_iter": 3, **self._options}, like=self)
-
-    def run(self, start: NDArray[np.float64], smoothing: float = SMOOTHING) -> Outcome:
-        """Solve from `start` (p,)."""
+    def run(self, start: Array, smoothing: float = SMOOTHING) -> Outcome:
+        """Solve from the parameters `start` (p,)."""
         began = time.perf_counter()
         z: Any = self._nlp.scaling.to_solver(start)
         iterations, status = 0, ""
@@ -57,9 +101,58 @@ class IpoptSolver:
             z = stage(x0=z, p=smoothing, **self._bounds)["x"]
             stats = stage.stats()
             iterations, status = iterations + int(stats["iter_count"]), stats["return_status"]
+            if status == STOPPED:
+                status = INTERRUPTED
+                break
         estimate = self._nlp.scaling.to_parameters(np.asarray(z).ravel())
         estimate = np.clip(estimate, self._nlp.lower, self._nlp.upper)
         return Outcome(estimate, status, iterations, time.perf_counter() - began, status in CONVERGED)
+
+    def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
+        """Return the point x (p,): there is nothing hidden."""
+        z = self._nlp.scaling.to_solver(x)
+        trajectories = tuple(part.initial_trajectory(z) for part in self._nlp.parts)
+        return Profile(z, trajectories, float(self._nlp.costs(x[None])[0]), converged=True)
+
+    def cost(self, values: Array) -> float:
+        """Return the cost without smoothing at all values (k,)."""
+        return self._nlp.cost(values)
+
+    def judged(self, outcomes: list[Outcome]) -> list[Outcome]:
+        """Return the outcomes with their costs, without smoothing, and signatures."""
+        estimates = np.array([outcome.estimate for outcome in outcomes])
+        each = zip(outcomes, self._nlp.costs(estimates).tolist(), self._nlp.signatures(estimates), strict=True)
+        return [replace(outcome, cost=cost, signature=signature) for outcome, cost, signature in each]
+
+    def polished(self, minima: tuple[Minimum, ...]) -> tuple[Minimum, ...]:
+        """Return the minima, those close to the best solved with ever less smoothing; after Ctrl-C the best alone."""
+        if not minima or not any(part.is_smoothed for part in self._nlp.parts):
+            return minima
+        # The last runs take the little that a kink leaves to gain for a solution.
+        options = {"acceptable_tol": 1e-4, "acceptable_iter": 3, **self._options}
+        last = IpoptSolver(self._nlp, options, like=self)
+        close = minima[:1] if stop_requested() else [m for m in minima if m.cost <= (1 + CLOSE) * minima[0].cost]
+        with responding(Response.FINISH):
+            polished = [*(last._polish(m) for m in close), *minima[len(close) :]]
+        return tuple(sorted(polished, key=lambda m: m.cost))
+
+    def _polish(self, best: Minimum) -> Minimum:
+        """Solve once more from a minimum with ever less smoothing; keep what is a solution and no worse."""
+        for smoothing in POLISH:
+            outcome = self.run(best.estimate, smoothing)
+            cost = float(self._nlp.costs(outcome.estimate[None])[0])
+            if outcome.status not in CONVERGED or not cost <= best.cost:
+                break
+            best = replace(best, cost=cost, estimate=outcome.estimate)
+        return best
+
+
+def _statement(program: ca.Function) -> dict[str, Any]:
+    """Return ``x, p, f, g`` as `casadi.nlpsol` takes them, for a function (x, p) -> f, g."""
+    kind: Any = ca.SX if program.is_a("SXFunction") else ca.MX
+    x, p = (kind.sym(name, program.numel_in(k)) for k, name in enumerate("xp"))
+    f, g = program(x, p)
+    return {"x": x, "p": p, "f": f, "g": g}
 
 
 def _derivatives(solver: ca.Function) -> dict[str, ca.Function]:
@@ -70,16 +163,19 @@ def _derivatives(solver: ca.Function) -> dict[str, ca.Function]:
 
 
 def checked_nlpsol(
-    expressions: Mapping[str, Any], options: Mapping[str, Any], derivatives: Mapping[str, ca.Function]
+    expressions: Mapping[str, Any],
+    options: Mapping[str, Any],
+    derivatives: Mapping[str, ca.Function],
+    stop_check: StopCheck,
 ) -> ca.Function:
-    """Return IPOPT on a problem, quiet.
+    """Return IPOPT on a problem, quiet; the caller keeps the `stop_check`, of which CasADi keeps the address alone.
 
     Raises
     ------
     ValueError
         For an option that IPOPT does not take.
     """
-    settings = {**_settings({**QUIET, **options}), **derivatives}
+    settings = {**_settings({**QUIET, **options}), **derivatives, "iteration_callback": stop_check}
     try:
         return ca.nlpsol("ipopt", "ipopt", dict(expressions), settings)
     except RuntimeError:

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.interruption import stop_requested
 from greybox.solve.minima import same_cost
 from greybox.solve.outcome import Outcome
 
@@ -16,10 +17,10 @@ def with_neighbors(
 ) -> tuple[Array, list[Outcome]]:
     """Add runs from the neighborhood of the best end, as long as they find a lower cost."""
     converged = [outcome for outcome in outcomes if outcome.converged]
-    while converged:
+    while converged and not stop_requested():
         best = min(converged, key=lambda outcome: outcome.cost)
         points = _scaled(nlp, best.estimate)
-        tried = [(point, _run(nlp, solver, point, best)) for point in points]
+        tried = [(point, _run(nlp, solver, point, best)) for point in points if not stop_requested()]
         better = [(p, o) for p, o in tried if o.converged and o.cost < best.cost - same_cost(nlp, best.cost)]
         if not better:
             break

@@ -13,7 +13,7 @@ from greybox.solve.outcome import Run
 
 SAME_COST = 1e-4  # relative; the smoothing moves costs by up to 6e-5
 SAME_LIKELIHOOD = 1e-2  # of negative log-likelihoods: a tenth of a standard error is 5e-3
-SAME_RESPONSE = 1e-2  # root mean square of |P_a - P_b| / |P_b| over the data
+SAME_RESPONSE = 1e-2  # root mean square of the difference of two signatures, relative to the data or the response
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,30 +75,24 @@ class Multistart:
         )
 
 
-def find_minima(
-    nlp: Nlp, runs: Sequence[Run], signatures: Sequence[NDArray[np.float64] | None] = ()
-) -> tuple[Minimum, ...]:
+def find_minima(nlp: Nlp, runs: Sequence[Run], signatures: Sequence[NDArray[np.float64] | None]) -> tuple[Minimum, ...]:
     """Group the converged runs by cost and model response, best first.
 
-    Two runs are at one minimum when their costs and their responses agree, whatever the parameters. Where there are
-    records, each run brings its `signatures` (`Part.signature`), in the order of `runs`.
+    Two runs are at one minimum when their costs and their responses agree, whatever the parameters. Each run brings the
+    signature of its response (`Part.signature`); `signatures` has those of all starts, in their order.
     """
     order = sorted((run for run in runs if run.converged), key=lambda run: run.cost)
     if not order:
         return ()
-    if nlp.has_states:
-        responses = np.array([signatures[run.index] for run in order])
-    else:
-        responses = nlp.response_rows(np.array([run.estimate for run in order]))
+    responses = np.array([signatures[run.index] for run in order])
     costs = np.array([run.cost for run in order])
-    # What is simulated in time comes in units of the signals' spread.
-    floor = 1.0 if nlp.has_states else 1e-12 * np.abs(responses).max() + 1e-150
     ungrouped = np.ones(len(order), dtype=bool)
     minima = []
     while ungrouped.any():
         k = int(np.argmax(ungrouped))
-        relative = (responses - responses[k]) / np.maximum(np.abs(responses[k]), floor)
-        away = np.sqrt(np.mean(np.abs(relative) ** 2, axis=1))
+        # Signatures come in units of the measured signals.
+        relative = (responses - responses[k]) / np.maximum(np.abs(responses[k]), 1.0)
+        away = np.sqrt(np.mean(relative**2, axis=1))
         near = ungrouped & (costs - costs[k] <= same_cost(nlp, costs[k])) & (away <= SAME_RESPONSE)
         near[k] = True
         ungrouped &= ~near
@@ -111,9 +105,9 @@ def find_minima(
 
 def same_cost(nlp: Nlp, cost: float) -> float:
     """Return the difference of two costs up to which they count as the same."""
-    if nlp.has_states:
+    if any(part.is_likelihood for part in nlp.parts):
         return SAME_LIKELIHOOD + 1e-7 * abs(cost)
-    return SAME_COST * max(cost, 1e-3 * sum(len(part.problem.response) for part in nlp.response_parts))
+    return SAME_COST * max(cost, 5e-4 * sum(part.numbers for part in nlp.parts))
 
 
 def _variants(nlp: Nlp, members: Sequence[Run]) -> int:

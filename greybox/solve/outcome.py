@@ -12,6 +12,7 @@ Array = NDArray[np.float64]
 
 
 NOT_FINITE = "not finite at the start"  # status of a run that could not begin
+INTERRUPTED = "interrupted"  # status of the run that was at hand when Ctrl-C was pressed
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +55,7 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a solver leaves of one run; IPOPT's cost is evaluated later, without smoothing and for all runs at once.
+    """What a solver leaves of one run; see `LocalSolver.judged` for what is evaluated later, for all runs at once.
 
     Attributes
     ----------

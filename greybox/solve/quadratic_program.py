@@ -45,7 +45,8 @@ def solve_small_qp(hessian: Array, gradient: Array, normals: Array, limits: Arra
     if residual[p] > -1e-12:
         return step
     active = weights > 0
-    nearest = np.linalg.lstsq(rows[active], wanted[active])[0]  # the same once more without the loss of digits
+    # The same once more without the loss of digits.
+    nearest = np.linalg.lstsq(rows[active], wanted[active], rcond=None)[0]
     if np.any(rows @ nearest < wanted - 1e-9 * reach):
         nearest = -residual[:p] / residual[p] * reach
     return mapping @ (free + nearest)

@@ -1,4 +1,4 @@
-"""Records as one sparse nonlinear program for IPOPT: any transcription, the exact Hessian, and a second opinion.
+"""Hidden states as unknowns of one sparse program for IPOPT: any transcription, the exact Hessian, a second opinion.
 
 Where the residual covariance is estimated, IPOPT minimizes weighted squares and the weights follow from the last
 residuals, until both agree (relaxation); this is the minimum of the likelihood. Whole samples of estimated delays are
@@ -7,7 +7,7 @@ treated alike.
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -16,13 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.compiled.record_part import RecordPart
-from greybox.compiled.response_part import SMOOTHING
-from greybox.compiled.transcription.method import Transcribed
 from greybox.solve.gauss_newton.driver import GaussNewton
-from greybox.solve.gauss_newton.iterate import Iterate
-from greybox.solve.ipopt import CONVERGED, checked_nlpsol
-from greybox.solve.outcome import NOT_FINITE, Outcome
+from greybox.solve.interruption import stop_requested
+from greybox.solve.ipopt import CONVERGED, STOPPED, StopCheck, checked_nlpsol
+from greybox.solve.local_solver import LocalSolver, Profile
+from greybox.solve.outcome import INTERRUPTED, NOT_FINITE, Outcome
 
 Array = NDArray[np.float64]
 
@@ -34,40 +32,37 @@ RELAXATIONS = 100
 SAME = 1e-9
 
 
-class TranscribedProgram:
-    """IPOPT on one compiled problem that has records, built once for all starts."""
+class TranscribedProgram(LocalSolver):
+    """IPOPT on one compiled problem whose parts have hidden unknowns, built once for all starts."""
 
     def __init__(self, nlp: Nlp, gauss_newton: GaussNewton, options: Mapping[str, Any] = MappingProxyType({})) -> None:
-        """Transcribe all records as their method says; `gauss_newton` gives states to begin with."""
+        """Put the programs of all parts together; `gauss_newton` gives states to begin with."""
         self._nlp = nlp
         self._gauss_newton = gauss_newton
-        self._records = nlp.record_parts
         z = ca.MX.sym("z", len(nlp.free))
-        placed = [part.model.locate(z)[0] for part in self._records]
-        self._rows = [ca.MX.sym("rows", part.step.width, part.data.samples) for part in self._records]
-        self._weights = [ca.MX.sym("W", len(part.outputs), len(part.outputs)) for part in self._records]
-        self._transcribed: list[Transcribed] = [
-            part.transcribe(q, rows) for part, q, rows in zip(self._records, placed, self._rows, strict=True)
-        ]
-        parameters = ca.vertcat(*map(ca.vec, (*self._weights, *self._rows)))
-        unknowns = ca.vertcat(z, *[t.unknowns for t in self._transcribed])
+        self._programs = [part.program(z) for part in nlp.parts]
+        self._weights = [part.weight for part in nlp.parts]
+        each = list(zip(self._weights, self._programs, strict=True))
 
-        each = list(zip(self._records, self._weights, self._transcribed, placed, strict=True))
-        errors = [math.sqrt(part.weight) * ca.vec(weight @ t.residuals) for part, weight, t, _ in each]
-        error = ca.vertcat(*errors)
-        known = [_known_states(part, t, q) for part, _, t, q in each]
-        equations = ca.vertcat(*[t.equations for t in self._transcribed], *known)
-        expressions = nlp.expressions
-        responses = ca.Function("f", [expressions["x"], expressions["p"]], [expressions["f"]])(z, SMOOTHING)
-        limits = ca.Function("g", [expressions["x"]], [expressions["g"]])(z)
+        unknowns = ca.vertcat(z, *[program.unknowns for program in self._programs])
+        parameters = ca.vertcat(*[program.parameters for program in self._programs])
+        error = ca.vertcat(*[math.sqrt(weight) * program.error for weight, program in each])
+        rest = ca.MX(0.0)
+        for weight, program in each:
+            rest += weight * program.cost
+        equations = ca.vertcat(*[program.equations for program in self._programs])
+        _, limits = nlp.program(z, 0.0)
         constraints = ca.vertcat(equations, limits)
-        statement = {"x": unknowns, "p": parameters, "f": ca.sumsqr(error) / 2 + responses, "g": constraints}
+        statement = {"x": unknowns, "p": parameters, "f": ca.sumsqr(error) / 2 + rest, "g": constraints}
 
-        approximate = all(part.model.method.hessian == "gauss-newton" for part in self._records)
-        hessian = _gauss_newton_hessian(unknowns, parameters, error, responses, constraints) if approximate else {}
-        self._solver = checked_nlpsol(statement, options, hessian)
-        products = [t.residuals @ t.residuals.T for t in self._transcribed]
-        self._products = ca.Function("products", [unknowns, parameters], products)
+        approximate = nlp.method.hessian == "gauss-newton"
+        hessian = _gauss_newton_hessian(unknowns, parameters, error, rest, constraints) if approximate else {}
+        self._stop_check = StopCheck(statement)
+        self._solver = checked_nlpsol(statement, options, hessian, self._stop_check)
+
+        # Where the unknowns and parameters of each part end in those of the program.
+        self._unknown_ends = len(nlp.free) + np.cumsum([program.unknowns.numel() for program in self._programs])[:-1]
+        self._parameter_ends = np.cumsum([program.parameters.numel() for program in self._programs])[:-1]
 
         unbounded = np.full(unknowns.numel() - z.numel(), np.inf)
         low, high = nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper)
@@ -82,6 +77,14 @@ class TranscribedProgram:
         """Tell whether the model is finite at the parameters `start` (p,), near the data."""
         return self._gauss_newton.is_finite_at(start)
 
+    def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
+        """Return the best nodes at the parameters x (p,), as the Gauss-Newton solver finds them."""
+        return self._gauss_newton.profile(x, nodes)
+
+    def cost(self, values: Array) -> float:
+        """Return the smallest cost at all values (k,), as the Gauss-Newton solver finds it."""
+        return self._gauss_newton.cost(values)
+
     def run(self, start: Array) -> Outcome:
         """Solve from the parameters `start` (p,)."""
         began = time.perf_counter()
@@ -92,59 +95,39 @@ class TranscribedProgram:
             return Outcome(start, NOT_FINITE, 0, time.perf_counter() - began, False, math.inf)
 
         status, iterations, last, cost = "", 0, math.inf, math.inf
-        w: Any = np.concatenate([z, *self._initial_unknowns(first)])
-        settings = self._nlp.strategies
-        weights = [part.initial_weight(settings.assumed_error) for part in self._records]
+        each = zip(self._programs, first.trajectories, strict=True)
+        solution = np.concatenate([z, *[program.initial_unknowns(t) for program, t in each]])
+        share = self._nlp.strategies.assumed_error
+        w = np.concatenate([program.initial_parameters(z, share) for program in self._programs])
         for _ in range(RELAXATIONS):
-            placed = [part.place(w[:p]).data for part in self._records]
-            rows = [ca.DM(part.segments.in_order(data)) for part, data in zip(self._records, placed, strict=True)]
-            parameters = ca.vertcat(*map(ca.vec, (*map(ca.DM, weights), *rows)))
-            w = self._solver(x0=w, p=parameters, **self._bounds)["x"].full().ravel()
+            solution = self._solver(x0=solution, p=w, **self._bounds)["x"].full().ravel()
             stats = self._solver.stats()
             status, iterations = stats["return_status"], iterations + int(stats["iter_count"])
-            products = [value.full() for value in _as_list(self._products(w, parameters))]
-            cost = self._cost(w[:p], products)
-            # The data are the same object as long as no delay has passed a whole sample.
-            later = [part.place(w[:p]).data for part in self._records]
-            same = all(a is b for a, b in zip(placed, later, strict=True))
-            settled = abs(cost - last) <= SAME * max(1.0, abs(cost)) and same
+            cost, w, same_data = self._outcome(solution, w)
+            settled = abs(cost - last) <= SAME * max(1.0, abs(cost)) and same_data
             if settled or status not in CONVERGED or not math.isfinite(cost):
                 break
             last = cost
-            weights = [part.covariance.weight(s) for part, s in zip(self._records, products, strict=True)]
         else:
             status = "relaxations exceeded"
+        if status == STOPPED:
+            status = INTERRUPTED
 
-        estimate = np.clip(scaling.to_parameters(w[:p]), self._nlp.lower, self._nlp.upper)
+        estimate = np.clip(scaling.to_parameters(solution[:p]), self._nlp.lower, self._nlp.upper)
         converged = status in CONVERGED and math.isfinite(cost)
         signature = self._gauss_newton.signature(estimate) if converged else None
         if converged and signature is None:
-            status, converged = "no continuous states at the estimate", False
+            status, converged = INTERRUPTED if stop_requested() else "no continuous states at the estimate", False
         return Outcome(estimate, status, iterations, time.perf_counter() - began, converged, cost, signature)
 
-    def _initial_unknowns(self, iterate: Iterate) -> list[Array]:
-        """Return the unknowns of every record for the states along an iterate."""
-        trajectories = [t for part, t in zip(self._nlp.parts, iterate.trajectories, strict=True) if part.has_states]
-        each = zip(self._transcribed, self._records, trajectories, strict=True)
-        return [t.start(part.segments.in_order(trajectory.detail.states)) for t, part, trajectory in each]
-
-    def _cost(self, z: Array, products: list[Array]) -> float:
-        costs = [part.weight * part.covariance.cost(s) for part, s in zip(self._records, products, strict=True)]
-        return sum(costs) + float(self._nlp.costs(self._nlp.scaling.to_parameters(z)[None])[0])
-
-
-def _as_list(found: Any) -> list[ca.DM]:
-    return list(found) if isinstance(found, (tuple, list)) else [found]
-
-
-def _known_states(part: RecordPart, transcribed: Transcribed, q: ca.MX) -> ca.MX:
-    """Return known states at the first sample of the record less what they must be."""
-    count = int(part.data.begins_record.sum())
-    rows = np.flatnonzero(part.model.known_states).tolist()
-    if not rows:
-        return ca.MX(0, 1)  # no rows of a single one would be taken as a row without columns
-    wanted, _ = part.model.initial(q)
-    return ca.vec(transcribed.initial[rows, :count] - ca.repmat(wanted[rows], 1, count))
+    def _outcome(self, solution: Array, w: Array) -> tuple[float, Array, bool]:
+        """Return the cost of a solution, the parameters that follow, and whether no delay passed a whole sample."""
+        z = solution[: len(self._nlp.free)]
+        unknowns = np.split(solution, [len(z), *self._unknown_ends])[1:]
+        each = zip(self._programs, unknowns, np.split(w, self._parameter_ends), strict=True)
+        costs, following, same_data = zip(*[program.outcome(z, v, own) for program, v, own in each], strict=True)
+        cost = sum(weight * own for weight, own in zip(self._weights, costs, strict=True))
+        return float(cost), np.concatenate(following), all(same_data)
 
 
 def _gauss_newton_hessian(

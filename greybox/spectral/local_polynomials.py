@@ -72,8 +72,9 @@ PLACES = 24  # for bands with one residual
 LEAST_PLACES = 6
 
 # Noise falls or rises by a power of the frequency. The power is taken from an octave on either side, by least squares
-# on logarithms, whose scatter is π/√6 for one residual, with a prior of this standard deviation: with 3 the level at the
-# lowest frequencies scatters too much (squared errors there 1.37 times the variance, in place of 1.2).
+# on logarithms, whose scatter is π/√6 for one residual, with a prior of this standard deviation. With 2 the squared
+# errors of the three lowest points of a sweep are 1.39 times the stated variance, with 1 they are 1.24 times (white
+# noise; with AR(0.95) 1.32 and 1.37 times).
 STEEP = 1.0
 LOG_SCATTER = math.pi / math.sqrt(6)
 
@@ -489,7 +490,7 @@ def _noise(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths) -> 
     octaves = residuals(np.geomspace(center / 2, 2 * center, places))
     if not octaves:
         return None
-    slope = _slope(octaves)
+    slope = _slope(octaves, 1.5 * center / widths.noise)
 
     width = max(2 * half, math.ceil(NEIGHBORHOOD / widths.residuals) * widths.noise)
     near: list[_Residual] = []
@@ -538,12 +539,15 @@ def _residual(lines: Lines, center: float, half: float, bands: Sequence[Band]) -
     return _Residual(center, fitted.rows, float(np.sum(np.abs(projection @ y) ** 2)), fitted.number, projection)
 
 
-def _slope(residuals: Sequence[_Residual]) -> float:
-    """Return the slope of the noise, log power by log frequency, held back where few residuals tell it."""
+def _slope(residuals: Sequence[_Residual], apart: float) -> float:
+    """Return the slope of the noise, log power by log frequency, held back where few residuals tell it.
+
+    So many bands lie `apart`; where there are more residuals than that, they tell as much as these.
+    """
     omega = np.log([r.center for r in residuals])
     power = np.log(np.maximum([r.squares / r.number for r in residuals], np.finfo(float).tiny))
     omega = omega - omega.mean()
-    scatter = LOG_SCATTER / math.sqrt(residuals[0].number)
+    scatter = LOG_SCATTER / math.sqrt(residuals[0].number) * math.sqrt(max(len(residuals) / apart, 1.0))
     return float(omega @ power / (omega @ omega + (scatter / STEEP) ** 2))
 
 

@@ -1,13 +1,14 @@
 """Fits side by side: on their own data and on records that none of them has seen."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from greybox.data.record import Record
 from greybox.estimate.result import Fit
+from greybox.modeling.model import require_known
 from greybox.simulation.windows import require_lengths
 from greybox.validation.comparison import HELD_OUT, IDENTIFICATION, Comparison
-from greybox.validation.held_out import Predictions, not_held_out, predict_same_windows, window_lengths
+from greybox.validation.held_out import Predictions, not_held_out, predict_same_windows, require_own, window_lengths
 from greybox.validation.measures import fit_rows, prediction_rows
 from greybox.validation.same_data import check_fits, data_difference, labels_of, shared_data, why_not_comparable
 from greybox.validation.significance import verdicts
@@ -19,6 +20,8 @@ def compare(
     window: float | None = None,
     lead: float | None = None,
     labels: Sequence[str] = (),
+    removed_at: Mapping[str, float] | None = None,
+    own: Sequence[str] | None = None,
 ) -> Comparison:
     """Compare fits of different structures: which describes its data best, and which predicts others best.
 
@@ -28,9 +31,14 @@ def compare(
     no finite value are left out for all and counted. Whiteness and correlation with the inputs are those of predictions
     one sample ahead.
 
+    Where one model is another with terms removed (see `nested_test` for how that is decided), their fits to the same
+    data are held against one another by the likelihood ratio or, where costs are no likelihoods, by Wald's test; other
+    models in time by Vuong's test, and they describe their data equally well where AIC differs by less than 2 (Burnham
+    and Anderson, section 2.6). Where no test applies or decides, a sentence says that it cannot be told.
+
     Two models predict equally well where their mean squared errors differ by less than 0.1 % of the smaller one, or by
-    less than a millionth of the spread of an output (the accuracy of simulations): only beyond that does a test decide.
-    They describe their data equally well where AIC differs by less than 2 (Burnham and Anderson, section 2.6).
+    less than a millionth of the spread of an output (the accuracy of simulations), or where no test finds a difference
+    and the 95 % interval of it is within 10 %. What held-out records say stands beside what the data of the fits say.
 
     Parameters
     ----------
@@ -43,6 +51,11 @@ def compare(
         longest delay.
     labels : sequence of str, optional
         One for each fit; by default the names of the models.
+    removed_at : mapping of name to value, optional
+        At which parameters leave a larger model as a smaller one, where neither zero nor one does, see `nested_test`.
+    own : sequence of str, optional
+        What belongs to a record and not to a model, and is estimated from every held-out record before its windows are
+        predicted: names of parameters and biases, see `predict`, whose default is that here. It is said and counted.
 
     Raises
     ------
@@ -59,6 +72,9 @@ def compare(
     require_lengths(**{name: v for name, v in (("window", window), ("lead", lead)) if v is not None})
     names = tuple(labels) or labels_of(fits)
     held_out = _as_records(records)
+    require_known(removed_at or {}, {name: None for fit in fits for name in fit.free}, "free parameter", "each fit")
+
+    own = require_own(fits, own)
 
     different = data_difference(fits, names)
     if different and not held_out:
@@ -78,8 +94,9 @@ def compare(
 
     predictions: dict[str, Predictions] = {}
     for kind, of_fits in data.items():
-        predictions[kind], left_out = predict_same_windows(fits, names, of_fits, lengths, own=kind == IDENTIFICATION)
-        notes += left_out
+        fitted = kind == IDENTIFICATION
+        predictions[kind], said = predict_same_windows(fits, names, of_fits, lengths, fitted=fitted, own=own)
+        notes += said
 
     rows = fit_rows(fits, same_data=same_data, comparable=comparable)
     for kind, of_fits in predictions.items():
@@ -89,7 +106,10 @@ def compare(
         labels=names,
         data=shared_data(fits) if same_data else f"{different}: their costs are not compared",
         rows=tuple(rows),
-        statements=(*notes, *verdicts(fits, names, predictions, same_data=same_data, comparable=comparable)),
+        statements=(
+            *notes,
+            *verdicts(fits, names, predictions, same_data=same_data, comparable=comparable, removed_at=removed_at),
+        ),
         window=first.horizon if first else None,
         lead=first.lead if first else None,
         windows={kind: sum(len(p) for p in of_fits[0]) for kind, of_fits in predictions.items()},

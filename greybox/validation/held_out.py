@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.record import Record
+from greybox.data.record import Record, share_samples
 from greybox.data.text_table import counted
 from greybox.estimate.result import Fit, FittedRecord
 from greybox.simulation.model_at_estimate import ModelAtEstimate
@@ -46,27 +46,67 @@ def predict_same_windows(
     data: Sequence[Sequence[Record]],
     lengths: tuple[float, float],
     *,
-    own: bool,
+    fitted: bool,
+    own: Sequence[str] | None = None,
 ) -> tuple[Predictions, list[str]]:
     """Predict the records of `data` (of every fit, in the same order) by all fits over the same windows.
 
-    With `own` they are the records that each was fitted to, and the k-th is predicted with what that part assumed.
-    Returns the predictions, and in words which windows were left out.
+    With `fitted` they are the records that each was fitted to, and the k-th is predicted with what that part assumed.
+    On others each estimates values of the record's own, by default those of its fit, else those named `own` that it
+    has, see `greybox.predict`. Returns the predictions, and in words which windows were left out and what was
+    estimated.
     """
     window, lead = lengths
     by_record: list[list[Prediction]] = []
     notes: list[str] = []
     for k in range(len(data[0])):
-        models = [_own_model(fit, k) if own else fit.at_estimate() for fit in fits]
         record = _with_all_signals([records[k] for records in data])
+        models = [_own_model(fit, k) if fitted else fit.at_estimate(record=record) for fit in fits]
         inputs = dict.fromkeys(name for model in models for name in model.system.inputs)
         outputs = _shared_outputs(models, record)
         windows = cut(record, tuple(inputs), outputs, lead=lead, horizon=window, called="window")
 
-        predictions, note = _where_all_are_finite([predict_windows(m, windows, outputs) for m in models], labels)
+        owns = [() if fitted else _own(model, own) for model in models]
+        results = [predict_windows(m, windows, outputs, own=names) for m, names in zip(models, owns, strict=True)]
+        predictions, note = _where_all_are_finite(results, labels)
         by_record.append(predictions)
         notes += note
+        if not fitted:
+            notes += [
+                said if said.startswith("the standard errors") else f"{label}: {said}"
+                for label, made in zip(labels, predictions, strict=True)
+                for said in made.notes
+            ]
     return tuple(zip(*by_record, strict=True)), notes
+
+
+def _own(model: ModelAtEstimate, names: Sequence[str] | None) -> tuple[str, ...] | None:
+    """Return those of the named values that a model has; None for its own where none are named."""
+    if names is None:
+        return None
+    possible = {*model.names, *(f"{signal}_bias" for signal in (*model.system.outputs, *model.system.inputs))}
+    return tuple(name for name in names if name in possible)
+
+
+def require_own(fits: Sequence[Fit], own: Sequence[str] | None) -> tuple[str, ...] | None:
+    """Return the names of values that are to be estimated from held-out records, each of which some model must have.
+
+    Raises
+    ------
+    ValueError
+        For a name that none has.
+    """
+    if own is None:
+        return None
+    names = (own,) if isinstance(own, str) else tuple(own)
+    models = [fit.at_estimate() for fit in fits]
+    unknown = [name for name in names if not any(_own(model, (name,)) for model in models)]
+    if unknown:
+        known = dict.fromkeys(name for model in models for name in model.names)
+        raise ValueError(
+            f"own names {unknown[0]!r}, which no fit has; they have {', '.join(known)}, and a bias of any signal."
+        )
+    return names
 
 
 def _shared_outputs(models: Sequence[ModelAtEstimate], record: Record) -> tuple[str, ...]:
@@ -120,7 +160,8 @@ def _with_all_signals(records: Sequence[Record]) -> Record:
     if not more:
         return first
     units = {name: r.units.get(name, "") for r in records for name in r.signals}
-    return Record(first.time, {**first.signals, **more}, units, first.name, first.source, first.checksum)
+    hold = {name: seconds for r in records for name, seconds in r.hold.items()}
+    return Record(first.time, {**first.signals, **more}, units, first.name, first.source, first.checksum, hold=hold)
 
 
 def not_held_out(fits: Sequence[Fit], labels: Sequence[str], records: Sequence[Record]) -> list[str]:
@@ -129,9 +170,5 @@ def not_held_out(fits: Sequence[Fit], labels: Sequence[str], records: Sequence[R
         f"warning: {record.name or 'a record'} is not held out: {label} was fitted to samples of it."
         for record in records
         for fit, label in zip(fits, labels, strict=True)
-        if any(_overlap(part.data, record) for part in fit.records)
+        if any(share_samples(part.data, record) for part in fit.records)
     ]
-
-
-def _overlap(a: Record, b: Record) -> bool:
-    return a.checksum == b.checksum and a.time[0] <= b.time[-1] and b.time[0] <= a.time[-1]

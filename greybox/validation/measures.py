@@ -86,7 +86,8 @@ def _finite(values: Sequence[float]) -> tuple[float | None, ...]:
 
 def prediction_rows(kind: str, predictions: Predictions, fits: Sequence[Fit]) -> list[Row]:
     """Return the measures of every output over all windows of all records of a `kind` of data."""
-    rows: list[Row] = []
+    estimated = [sum(len(p.own) for p in of_fit) for of_fit in predictions]
+    rows = [Row(kind, "", "values estimated from the records", "", _finite(estimated))] if any(estimated) else []
     outputs = list(dict.fromkeys(name for prediction in predictions[0] for name in prediction.outputs))
     for name in outputs:
         holding = tuple(tuple(p for p in of_fit if name in p.outputs) for of_fit in predictions)

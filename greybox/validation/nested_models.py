@@ -1,13 +1,16 @@
 """Whether the terms that one model has more than another are needed."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from greybox.data.text_table import number, one_line
+from greybox.data.text_table import listed, number, one_line
 from greybox.estimate.result import Fit
 from greybox.validation.comparison import SIGNIFICANT, p_text
+from greybox.validation.nesting import Nesting, NotNestedError, nesting
 from greybox.validation.same_data import check_fits, data_difference, is_likelihood, labels_of, other_samples
 
 # How far twice the log-likelihood of the larger model may lie below that of the smaller: 1e-3, where 3.84 is
@@ -72,46 +75,97 @@ class NestedTest:
         return f"{verdict} ({statistic}, {p_text(self.p_value)}; {method})."
 
 
-def nested_test(small: Fit, large: Fit) -> NestedTest:
+def nested_test(small: Fit, large: Fit, *, removed_at: Mapping[str, float] | None = None) -> NestedTest:
     """Test whether the parameters that `large` has free and `small` has not are needed.
+
+    That `large` contains `small` is decided by the parameters that `small` fixes or ties within the bounds of `large`
+    and, where the two are different models, by their equations: they must agree at random points where the parameters
+    that `small` lacks are zero or one.
 
     The likelihood ratio is divided by the factor by which correlation of the residuals in time inflates the variance
     of these parameters, so that the test keeps its size there (the mean of the scaled statistic is that of chi-square,
     over its degrees of freedom F). Where the cost is no likelihood, the estimates of these parameters are compared with
-    their values in `small` by their covariance (Wald).
+    their values in `small` by their covariance (Wald). Where one of these values is on a bound, the statistic has half
+    of its distribution at one degree of freedom less; where several are, the p-value is an upper limit.
+
+    Parameters
+    ----------
+    small, large : Fit
+        Of the same data.
+    removed_at : mapping of name to value, optional
+        At which parameters leave the larger model as the smaller one, where neither zero nor one does, or where their
+        equations cannot be compared: ``{"T_rotor": 0.0}``. It is taken on trust.
 
     Raises
     ------
     ValueError
-        If the data differ, the free parameters of `small` are not among those of `large`, or `large` costs more.
+        If the data differ, `small` is not shown to be `large` with terms removed, or `large` costs more.
 
-    Sources: Rotnitzky and Jewell (1990), Biometrika 77; Satorra and Bentler (1994); Klein and Morelli, chapter 5.
+    Sources: Rotnitzky and Jewell (1990), Biometrika 77; Satorra and Bentler (1994); Klein and Morelli, chapter 5; Self
+    and Liang (1987), Journal of the American Statistical Association 82.
     """
     check_fits((small, large))
     labels = _labels(small, large)
     different = data_difference((small, large), labels) or other_samples((small, large), labels)
     if different:
         raise ValueError(f"{different}: a nested test needs fits of the same data.")
-    terms = _terms(small, large, labels)
 
-    covariance = large.covariance_of(terms)
-    if not np.all(np.isfinite(covariance)):
-        raise ValueError(f"the data do not determine {', '.join(terms)} of {labels[1]}: nothing can be tested.")
+    try:
+        place = nesting(small, large, labels, removed_at)
+    except NotNestedError as reason:
+        raise ValueError(
+            f"{labels[0]} (free: {', '.join(small.free)}) is not {labels[1]} (free: {', '.join(large.free)}) with "
+            f"terms removed, as far as can be shown: {reason}. Fix or leave out parameters of the larger, say at which "
+            "values they leave it, removed_at={name: value}, or compare others with gb.compare."
+        ) from None
+    return nested_test_at(place, small, large, labels)
 
-    r = len(terms)
+
+def nested_test_at(place: Nesting, small: Fit, large: Fit, labels: tuple[str, str]) -> NestedTest:
+    """Test a fit against a larger one in which it lies at this `place`.
+
+    Raises
+    ------
+    ValueError
+        If the data do not determine the terms, or `large` costs more.
+    """
+    r = place.dof
+    covariance = large.covariance_of(large.free)
+    at_bound = {q.name for q in large.quantities if q.at_bound and q.kind == "free"}
+    stuck = [name for name in place.terms if name in at_bound]
+    if stuck and not set(stuck) <= set(place.on_bound):
+        raise ValueError(f"{listed(stuck)} of {labels[1]} ended at a bound: widen it to test what it stands for.")
+    # A term that ended at the bound where the smaller model has it adds nothing, and has no error.
+    inside = [k for k, name in enumerate(large.free) if name not in stuck]
+    rows = [large.free.index(name) for name in stuck]
+    H = (place.directions @ _null_space(place.directions[rows]))[inside]
+    C = H.T @ np.nan_to_num(covariance[np.ix_(inside, inside)]) @ H
+    unknown = np.isnan(np.diag(covariance)) & np.any(place.directions != 0, axis=1)
+    unknown[rows] = False
+    if unknown.any() or not large.dof > 0 or (H.size and not np.all(np.linalg.eigvalsh(C) > 0)):
+        lost = [name for name, gone in zip(large.free, unknown, strict=True) if gone] or place.terms
+        raise ValueError(f"the data do not determine {listed(list(lost))} of {labels[1]}: nothing can be tested.")
+
+    scale = 1.0
     if is_likelihood(small) and is_likelihood(large) and large.white is not None:
         ratio = _likelihood_ratio(small, large, labels)
-        places = [large.free.index(name) for name in terms]
-        white = large.white[np.ix_(places, places)]
-        scale = float(np.trace(np.linalg.solve(white, covariance))) / r
+        if H.size:
+            white = H.T @ large.white[np.ix_(inside, inside)] @ H
+            scale = float(np.trace(np.linalg.solve(white, C))) / H.shape[1]
         statistic = max(ratio, 0.0) / (scale * r)
     else:
         ratio = math.nan
-        scale = 1.0
-        difference = np.array([large.estimate[name] - small.estimate.get(name, 0.0) for name in terms])
-        statistic = float(difference @ np.linalg.solve(covariance, difference)) / r
-    p_value = _p_value(statistic, r, large.dof)
-    return NestedTest(*labels, terms, ratio, scale, statistic, (r, large.dof), p_value)
+        moved = np.array([large.estimate[name] for name in large.free]) - place.point
+        difference = H.T @ moved[inside]
+        statistic = float(difference @ np.linalg.solve(C, difference)) / r if H.size else 0.0
+    p_value = _p_value(statistic, r, large.dof, on_bound=len(place.on_bound) == 1)
+    return NestedTest(*labels, place.terms, ratio, scale, statistic, (r, large.dof), p_value)
+
+
+def _null_space(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return orthonormal columns on which a matrix (m, r) of full row rank is zero."""
+    _, _, right = np.linalg.svd(matrix)
+    return right[len(matrix) :].T
 
 
 def _labels(small: Fit, large: Fit) -> tuple[str, str]:
@@ -121,16 +175,11 @@ def _labels(small: Fit, large: Fit) -> tuple[str, str]:
     held = [name for name in large.free if name not in small.free and name in small.estimate]
     if models[0] != models[1] or not held:
         return first, second
-    return f"{models[0]} with {', '.join(held)} fixed", models[1]
-
-
-def _terms(small: Fit, large: Fit, labels: tuple[str, str]) -> tuple[str, ...]:
-    if not set(small.free) < set(large.free):
-        raise ValueError(
-            f"{labels[0]} (free: {', '.join(small.free)}) is not {labels[1]} (free: {', '.join(large.free)}) with "
-            "terms removed: fix or leave out parameters of the larger, and compare others with gb.compare."
-        )
-    return tuple(name for name in large.free if name not in small.free)
+    kinds = {q.name: q.kind for q in small.quantities}
+    stated = [
+        f"{', '.join(n for n in held if kinds[n] == kind)} {kind}" for kind in dict.fromkeys(map(kinds.get, held))
+    ]
+    return f"{models[0]} with {' and '.join(stated)}", models[1]
 
 
 def _likelihood_ratio(small: Fit, large: Fit, labels: tuple[str, str]) -> float:
@@ -143,7 +192,15 @@ def _likelihood_ratio(small: Fit, large: Fit, labels: tuple[str, str]) -> float:
     return ratio
 
 
-def _p_value(statistic: float, r: int, dof: float) -> float:
+def _p_value(statistic: float, r: int, dof: float, *, on_bound: bool) -> float:
+    """Return the probability of as large a statistic; of a term on its bound, half of it with that term at rest."""
+    whole = _upper_tail(r * statistic, r, dof)
+    return 0.5 * (whole + _upper_tail(r * statistic, r - 1, dof)) if on_bound else whole
+
+
+def _upper_tail(total: float, r: int, dof: float) -> float:
     from scipy.special import chdtrc, fdtrc  # noqa: PLC0415  (takes a tenth of a second to import)
 
-    return float(chdtrc(r, r * statistic) if math.isinf(dof) else fdtrc(r, dof, statistic))
+    if r == 0:
+        return float(total <= 0)
+    return float(chdtrc(r, total) if math.isinf(dof) else fdtrc(r, dof, total / r))

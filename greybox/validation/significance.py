@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -13,9 +14,13 @@ from greybox.simulation.prediction import Prediction
 from greybox.statistics.metrics import mean_test, whiteness
 from greybox.validation.comparison import HELD_OUT, IDENTIFICATION, SIGNIFICANT, p_text
 from greybox.validation.held_out import Predictions
-from greybox.validation.same_data import count_unknowns
+from greybox.validation.nested_models import NestedTest, nested_test_at
+from greybox.validation.nesting import NotNestedError, nesting
+from greybox.validation.same_data import count_unknowns, is_likelihood, other_samples
 
 Array = NDArray[np.float64]
+
+ESTIMATION = "estimation"  # what the data that fits were made with say of them by their likelihoods
 
 # Windows below which predictions are not tested: the fewest for which `mean_test` estimates a correlation, and with two
 # the threshold of Student's t would be 12.7.
@@ -24,6 +29,10 @@ FEWEST_WINDOWS = 3
 # Predictions whose mean squared errors differ by less than this share of the smaller one (0.05 % in rms) are equally
 # good for any use, however significant the difference is in a long record.
 EQUAL_SQUARES = 1e-3
+
+# Share within which the 95 % interval of that difference must lie for models to be called equally good where no test
+# finds a difference: 5 % in rms, which no use of a model notices. Absence of evidence is none of absence.
+NEARLY_EQUAL_SQUARES = 0.1
 
 # Of an output's spread: ten times the local error that the simulator allows itself. Differences below it are rounding.
 SIMULATION_ACCURACY = 1e-6
@@ -40,6 +49,30 @@ NOT_WHITE = 0.01
 Pair = tuple[int, int]
 
 
+@dataclass(frozen=True)
+class Evidence:
+    """What one test says of a pair of models.
+
+    Attributes
+    ----------
+    better : int or None
+        1 where the first describes or predicts the data better, -1 where the second does, 0 where both do so equally
+        well; None where it cannot be told.
+    sentence : str
+    nested : NestedTest or None
+        The test, where one of them is the other with terms removed.
+    """
+
+    better: int | None
+    sentence: str
+    nested: NestedTest | None = None
+
+    @property
+    def reversed(self) -> "Evidence":
+        """The same for the pair in the other order."""
+        return replace(self, better=None if self.better is None else -self.better)
+
+
 def verdicts(
     fits: Sequence[Fit],
     labels: Sequence[str],
@@ -47,35 +80,97 @@ def verdicts(
     *,
     same_data: bool,
     comparable: bool,
+    removed_at: Mapping[str, float] | None = None,
 ) -> tuple[str, ...]:
     """Return the sentences of a comparison.
 
     `predictions` are those on the data of the fits and on held-out records, as far as there are; `comparable` says
-    whether the costs are.
+    whether the costs are. What held-out records say stands beside what the data of the fits say, not in its place.
     """
     sentences: list[str] = []
-    advantage: dict[Pair, float] = {}  # z of the last test of predictions, positive where the first of the pair wins
+    evidence: dict[str, dict[Pair, Evidence]] = {kind: {} for kind in (ESTIMATION, IDENTIFICATION, HELD_OUT)}
     for a, b in combinations(range(len(fits)), 2):
-        if same_data and all(len(fit.records) == len(fit.parts) for fit in (fits[a], fits[b])):
-            sentences.append(_likelihoods_sample_by_sample(fits, labels, (a, b)))
+        pair = (a, b)
+        found: dict[str, Evidence] = {}
+        if same_data:
+            found[ESTIMATION] = _estimation_evidence(fits, labels, pair, comparable, removed_at or {})
         for kind in (IDENTIFICATION, HELD_OUT):
             if kind in predictions:
-                z, sentence = _errors_window_by_window(labels, predictions[kind], (a, b), kind)
-                sentences.append(sentence)
-                advantage[a, b] = z
-                advantage[b, a] = -z
+                better, sentence = _errors_window_by_window(labels, predictions[kind], pair, kind)
+                found[kind] = Evidence(better, sentence)
+        for kind, said in found.items():
+            sentences += [said.sentence] if said.sentence else []
+            evidence[kind] |= {(a, b): said, (b, a): said.reversed}
 
     if comparable and predictions:
         sentences += _residuals_not_white(fits, labels)
     for k in range(len(fits)):
-        sentences += _terms(fits, labels, k, advantage)
+        sentences += _terms(fits, labels, k, evidence)
     if comparable:
         sentences += _no_likelihood(fits)
     return tuple(sentences)
 
 
-def _likelihoods_sample_by_sample(fits: Sequence[Fit], labels: Sequence[str], pair: Pair) -> str:
-    """Compare the likelihoods sample by sample, less half of the AIC's penalty.
+def _estimation_evidence(
+    fits: Sequence[Fit], labels: Sequence[str], pair: Pair, comparable: bool, removed_at: Mapping[str, float]
+) -> Evidence:
+    """Compare two fits by the data that both were made with.
+
+    Nested models by the likelihood ratio or Wald's test: the differences of their log-likelihoods have no normal
+    distribution, on which Vuong's test rests. Other models in time by that.
+    """
+    a, b = pair
+    two = (fits[a], fits[b])
+    undecided = ""
+    for small, large in ((a, b), (b, a)) if not other_samples(two, (labels[a], labels[b])) else ():
+        try:
+            test = _nested_test(fits, labels, (small, large), removed_at)
+        except NotNestedError as reason:
+            undecided = undecided or (str(reason) if reason.undecided else "")
+        except ValueError as error:
+            return Evidence(None, f"{_cannot_be_told(labels, pair)}: {error}")
+        else:
+            better = -1 if small == a else 1
+            sentence = f"{labels[large]} contains {labels[small]}, and {test}"
+            return Evidence(better if test.p_value < SIGNIFICANT else 0, sentence, test)
+    if undecided:
+        return Evidence(None, f"{_cannot_be_told(labels, pair)}: {undecided}{_aic_text(two) if comparable else ''}.")
+    if all(len(fit.records) == len(fit.parts) for fit in two):
+        return Evidence(*_likelihoods_sample_by_sample(fits, labels, pair))
+    return Evidence(None, "")
+
+
+def _cannot_be_told(labels: Sequence[str], pair: Pair) -> str:
+    return f"Which of {labels[pair[0]]} and {labels[pair[1]]} fits the data better cannot be told"
+
+
+def _nested_test(
+    fits: Sequence[Fit], labels: Sequence[str], order: Pair, removed_at: Mapping[str, float]
+) -> NestedTest:
+    """Test the first fit of the order against the second.
+
+    Raises
+    ------
+    NotNestedError, ValueError
+        If it is not shown to lie within it, or cannot be tested.
+    """
+    small, large = (fits[k] for k in order)
+    names = (labels[order[0]], labels[order[1]])
+    if len(small.free) > len(large.free):
+        raise NotNestedError(f"{names[1]} has fewer free parameters than {names[0]}")
+    stated = {name: value for name, value in removed_at.items() if name in large.free and name not in small.estimate}
+    return nested_test_at(nesting(small, large, names, stated), small, large, names)
+
+
+def _aic_text(fits: Sequence[Fit]) -> str:
+    if not all(is_likelihood(fit) for fit in fits):
+        return ""
+    values = [2 * (count_unknowns(fit) + fit.cost) for fit in fits]
+    return f" (AIC {number(values[0], 6)} and {number(values[1], 6)})"
+
+
+def _likelihoods_sample_by_sample(fits: Sequence[Fit], labels: Sequence[str], pair: Pair) -> tuple[int | None, str]:
+    """Compare the likelihoods of models that are not nested sample by sample, less half of the AIC's penalty.
 
     Where AIC differs by less than `EQUAL_AIC` nothing is tested: of one model fitted twice the differences are
     rounding. Sources: Vuong (1989), Econometrica 57; for errors that are correlated in time Rivers and Vuong (2002),
@@ -90,16 +185,19 @@ def _likelihoods_sample_by_sample(fits: Sequence[Fit], labels: Sequence[str], pa
     count = sum(int(np.isfinite(d).sum()) for d in differences)
     mean -= (count_unknowns(fits[a]) - count_unknowns(fits[b])) / max(count, 1)
 
-    equal = f"{labels[a]} and {labels[b]} fit the data equally well"
     aic = 2 * abs(mean) * count
     if aic < EQUAL_AIC:
-        return f"{equal} (AIC differs by {number(aic, 2)}; below {EQUAL_AIC:g} neither is preferred)."
+        return 0, (
+            f"{labels[a]} and {labels[b]} fit the data equally well (AIC differs by {number(aic, 2)}; below "
+            f"{EQUAL_AIC:g} neither is preferred)."
+        )
     z = mean / error if error > 0 else 0.0
     p = _two_sided(z)
     if not p < SIGNIFICANT:
-        return f"{equal} (Vuong, {p_text(p)})."
-    better, worse = pair if z > 0 else pair[::-1]
-    return f"{labels[better]} fits the data better than {labels[worse]} (Vuong, {p_text(p)})."
+        return None, (f"{_cannot_be_told(labels, pair)} (Vuong, {p_text(p)}; AIC differs by {number(aic, 2)}).")
+    better, worse = (a, b) if z > 0 else (b, a)
+    sentence = f"{labels[better]} fits the data better than {labels[worse]} (Vuong, {p_text(p)})."
+    return (1 if z > 0 else -1), sentence
 
 
 def _log_likelihoods(part: FittedRecord) -> Array:
@@ -120,12 +218,15 @@ def _log_likelihoods(part: FittedRecord) -> Array:
 
 def _errors_window_by_window(
     labels: Sequence[str], predictions: Predictions, pair: Pair, kind: str
-) -> tuple[float, str]:
-    """Compare the mean squared errors window by window, in units of the smaller noise; positive where the first wins.
+) -> tuple[int | None, str]:
+    """Compare the mean squared errors window by window, in units of the smaller noise, see `Evidence.better`.
 
     A mean difference below `EQUAL_SQUARES` of the smaller mean squared error, or below what simulations are accurate
-    to, is a tie whatever the test says: it may have the same sign in every window and yet be rounding.
-    Source: Diebold and Mariano (1995), Journal of Business and Economic Statistics 13.
+    to, is a tie whatever the test says: it may have the same sign in every window and yet be rounding. Beyond that two
+    models are equally good only where the interval of the difference lies within `NEARLY_EQUAL_SQUARES`; where the test
+    finds nothing and the interval is wider, nothing can be told.
+    Source: Diebold and Mariano (1995), Journal of Business and Economic Statistics 13; for few windows Harvey,
+    Leybourne and Newbold (1997), International Journal of Forecasting 13.
     """
     a, b = pair
     squares = [_mean_squares(one, other) for one, other in zip(predictions[a], predictions[b], strict=True)]
@@ -137,41 +238,55 @@ def _errors_window_by_window(
     their_data = "their own data" if kind == IDENTIFICATION else "held-out data"
 
     if every.size < FEWEST_WINDOWS:
-        return 0.0, (
+        return None, (
             f"{windows} cannot show whether {labels[a]} or {labels[b]} predicts {their_data} better: give a shorter "
             "window, or longer records."
         )
+    percent = number(100 * abs(second - first) / max(first, second, 1e-300), 2)
     if abs(second - first) <= max(EQUAL_SQUARES * min(first, second), rounding):
-        percent = 100 * abs(second - first) / max(first, second, 1e-300)
-        return 0.0, (
-            f"{both} predict {their_data} equally well: their mean squared errors differ by {number(percent, 2)} % "
+        return 0, (
+            f"{both} predict {their_data} equally well: their mean squared errors differ by {percent} % "
             f"({windows}), and below {100 * EQUAL_SQUARES:g} % neither is better."
         )
 
     mean, error = mean_test(differences)
+    error *= math.sqrt(every.size / (every.size - 1))
     z = mean / error if error > 0 else 0.0
     p = _two_sided(z, every.size - 1)
     if not p < SIGNIFICANT:
-        return 0.0, f"{both} predict {their_data} equally well ({windows}, {p_text(p)})."
-    better, worse = pair if z > 0 else pair[::-1]
-    percent = 100 * float(np.mean(np.sign(every) == np.sign(z)))
+        widest = abs(mean) + _quantile(every.size - 1) * error
+        if widest <= NEARLY_EQUAL_SQUARES * min(first, second):
+            return 0, (
+                f"{both} predict {their_data} equally well: their mean squared errors differ by less than "
+                f"{100 * NEARLY_EQUAL_SQUARES:g} % ({windows}, {p_text(p)})."
+            )
+        return None, (
+            f"Which of {both} predicts {their_data} better cannot be told: their mean squared errors differ by "
+            f"{percent} % ({windows}, {p_text(p)})."
+        )
+    better, worse = (a, b) if z > 0 else (b, a)
+    share = 100 * float(np.mean(np.sign(every) == np.sign(z)))
     its_data = "its own data" if kind == IDENTIFICATION else "held-out data"
-    return z, (
-        f"{labels[better]} predicts {its_data} better than {labels[worse]}, in {percent:.0f} % of the windows "
+    return (1 if z > 0 else -1), (
+        f"{labels[better]} predicts {its_data} better than {labels[worse]}, in {share:.0f} % of {windows} "
         f"({p_text(p)})."
     )
 
 
 def _mean_squares(one: Prediction, other: Prediction) -> tuple[Array, Array, Array]:
-    """Return the mean squared errors of both in every window (w,), and what of them is rounding, in units of noise."""
+    """Return the mean squared errors of both in every window (w,), and what of them is rounding, in units of noise.
+
+    Values that were estimated from the record make them smaller by their share of its numbers, which is undone.
+    """
     first, second, rounding = np.zeros((3, len(one)))
+    numbers = sum(int(np.isfinite(one.measured(output)).sum()) for output in one.outputs)
     for k, output in enumerate(one.outputs):
         noise = min(one.noise[k, k], other.noise[k, k])
         errors = np.array([one.residual(output), other.residual(output)])
         present = np.all(np.isfinite(errors), axis=0)
         sums = np.where(present, errors**2, 0.0).sum(axis=2) / (np.maximum(present.sum(axis=1), 1) * noise)
-        first += sums[0]
-        second += sums[1]
+        first += sums[0] * numbers / max(numbers - len(one.own), 1)
+        second += sums[1] * numbers / max(numbers - len(other.own), 1)
         rounding += (SIMULATION_ACCURACY * float(np.nanstd(one.data[output]))) ** 2 / noise
     return first, second, rounding
 
@@ -190,8 +305,10 @@ def _residuals_not_white(fits: Sequence[Fit], labels: Sequence[str]) -> Iterator
         )
 
 
-def _terms(fits: Sequence[Fit], labels: Sequence[str], k: int, advantage: Mapping[Pair, float]) -> Iterator[str]:
-    """Say of every parameter that another fit does not have whether these data determine it."""
+def _terms(
+    fits: Sequence[Fit], labels: Sequence[str], k: int, evidence: Mapping[str, Mapping[Pair, Evidence]]
+) -> Iterator[str]:
+    """Say of every parameter that another fit does not have free whether these data determine it."""
     quantities = {quantity.name: quantity for quantity in fits[k].quantities}
     for name in fits[k].free:
         without = [i for i, other in enumerate(fits) if i != k and name not in other.free]
@@ -200,27 +317,71 @@ def _terms(fits: Sequence[Fit], labels: Sequence[str], k: int, advantage: Mappin
         quantity = quantities[name]
         value, error = with_error(quantity.value, quantity.standard_error)
         stated = f"{name} = {value} ± {error} {quantity.unit}".rstrip() + f" ({labels[k]})"
+        # The value of the other models, where they agree on one.
+        held = {fits[i].estimate.get(name, 0.0) for i in without}
+        other = held.pop() if len(held) == 1 else 0.0
+        distance = abs(quantity.value - other)
+        from_other = "zero" if other == 0 else number(other)
         if quantity.at_bound:
             yield f"{stated}: ended at its bound, not determined."
         elif not math.isfinite(quantity.standard_error):
             yield f"{stated}: the data do not determine it."
-        elif abs(quantity.value) < NOT_ZERO * quantity.standard_error:
-            yield f"{stated}: not distinguishable from zero."
-        elif not advantage:
-            yield f"{stated}: distinguishable from zero."
+        elif _not_found(name, distance / quantity.standard_error, k, without, evidence):
+            yield f"{stated}: not distinguishable from {from_other}."
+        elif not any(evidence.values()):
+            yield f"{stated}: distinguishable from {from_other}."
         else:
-            yield f"{stated}: {_by_predictions([(labels[i], advantage[k, i]) for i in without])}"
+            yield f"{stated}: {_by_evidence(labels, k, without, evidence, from_other)}"
 
 
-def _by_predictions(others: Sequence[tuple[str, float]]) -> str:
-    """Say what predictions add to an estimate that is distinguishable from zero, given the z over the others."""
-    better = [label for label, z in others if z < 0]
-    if better:
-        return f"not zero, but {listed(better)}, without it, explains the data better."
-    equal = [label for label, z in others if z == 0]
-    if equal:
-        return f"not zero, but {listed(equal)}, without it, explains the data as well."
-    return "determined by these data."
+def _not_found(
+    name: str, t: float, k: int, without: Sequence[int], evidence: Mapping[str, Mapping[Pair, Evidence]]
+) -> bool:
+    """Tell whether a parameter is not distinguishable from its value elsewhere.
+
+    By the nested test where there is one of this parameter alone, else by its standard error.
+    """
+    found = [evidence.get(ESTIMATION, {}).get((k, i)) for i in without]
+    tests = [e.nested for e in found if e is not None and e.nested is not None and e.nested.terms == (name,)]
+    return any(not test.p_value < SIGNIFICANT for test in tests) if tests else t < NOT_ZERO
+
+
+def _by_evidence(
+    labels: Sequence[str],
+    k: int,
+    without: Sequence[int],
+    evidence: Mapping[str, Mapping[Pair, Evidence]],
+    value: str,
+) -> str:
+    """Say what comparisons with the models without a term add to an estimate that is not at its `value` there.
+
+    By the data of the fits, or by held-out records alone where the fits have different data; where the two contradict
+    one another both are said.
+    """
+    kind = next(kind for kind in (ESTIMATION, IDENTIFICATION, HELD_OUT) if evidence.get(kind))
+    if (
+        kind == ESTIMATION
+        and IDENTIFICATION in evidence
+        and not any(evidence[ESTIMATION][k, i].sentence for i in without)
+    ):
+        kind = IDENTIFICATION if evidence[IDENTIFICATION] else kind
+    better = {i: evidence[kind][k, i].better for i in without}
+    other, equal, unknown = ([labels[i] for i in without if better[i] == verdict] for verdict in (-1, 0, None))
+    explains = "predicts held-out data" if kind == HELD_OUT else "explains the data"
+    if other:
+        text = f"not {value}, but {listed(other)}, without it, {explains} better"
+    elif unknown:
+        text = f"not {value}, but whether {listed(unknown)}, without it, {explains} as well cannot be told"
+    elif equal:
+        text = f"not {value}, but {listed(equal)}, without it, {explains} as well"
+    else:
+        text = "determined by these data"
+
+    held_out = evidence.get(HELD_OUT, {}) if kind != HELD_OUT else {}
+    against = [labels[i] for i in without if (k, i) in held_out and held_out[k, i].better == -1 and better[i] != -1]
+    if against:
+        text += f", but {listed(against)}, without it, predicts held-out data better"
+    return f"{text}."
 
 
 def _no_likelihood(fits: Sequence[Fit]) -> Iterator[str]:
@@ -231,6 +392,12 @@ def _no_likelihood(fits: Sequence[Fit]) -> Iterator[str]:
             f"AIC and BIC do not exist for {' and '.join(sorted(rules))}, which is no likelihood: compare the costs; "
             "with the variance of every point, MaximumLikelihood() has them."
         )
+
+
+def _quantile(dof: float) -> float:
+    from scipy.special import stdtrit  # noqa: PLC0415  (takes a tenth of a second to import)
+
+    return float(stdtrit(dof, 1 - SIGNIFICANT / 2))
 
 
 def _two_sided(z: float, dof: float = math.inf) -> float:

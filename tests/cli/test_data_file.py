@@ -7,6 +7,7 @@ import pytest
 from command_line import refused, run
 
 import greybox as gb
+from greybox.cli.data_file import read_data
 from greybox.models.drag import Drag
 
 FLIGHT = files("greybox.problems") / "data" / "sitl_drag_hover.csv"
@@ -60,6 +61,66 @@ def test_a_table_that_is_no_record_of_the_model_is_a_sentence_with_the_way(capsy
     sentence = refused(capsys, *DRAG, path)
     assert words in sentence
     assert "make the record" not in words or "my.py with a function problem()" in sentence
+
+
+def spelled(text):
+    """Write a table with semicolons and decimal commas."""
+    return text.replace(",", ";").replace(".", ",")
+
+
+def test_a_table_with_decimal_commas_gives_the_same_fit(capsys, tmp_path):
+    path = tmp_path / "flight.csv"
+    path.write_text("# Flug 7; Böe\n" + spelled(FLIGHT.read_text()), encoding="latin-1")
+    options = ("--starts", "1", "--json", "--fix", "C_x=0")
+    expected = json.loads(run(capsys, *DRAG, FLIGHT, *options)[1])
+    assert json.loads(run(capsys, *DRAG, path, *options)[1])["estimate"] == expected["estimate"]
+
+
+def test_a_response_with_semicolons_is_recognized(capsys, tmp_path):
+    path = tmp_path / "response.csv"
+    omega = [0.5, 1.0, 2.0, 4.0, 8.0]
+    values = [1 / (0.25j * w + 1) for w in omega]
+    rows = [f"{w};{v.real:.9f};{v.imag:.9f}" for w, v in zip(omega, values, strict=True)]
+    path.write_text("# Böe\n" + spelled("omega_rad_s;alpha;beta\n" + "\n".join(rows)), encoding="latin-1")
+    options = ("--model", "polynomial:Polynomial(1, 0)", "--data", path, "--starts", "5", "--json")
+    estimate = json.loads(run(capsys, "fit", *options)[1])["estimate"]
+    assert list(estimate.values()) == pytest.approx([4.0, 4.0], rel=1e-5)
+
+
+def test_angle_of_attack_and_sideslip_are_no_response(tmp_path):
+    class Wind(gb.StateSpace):
+        """A lag."""
+
+        states, inputs, outputs = ("alpha",), ("beta",), ("alpha",)
+        T = gb.Parameter(1.0, bounds=(0.1, 10), unit="s", about="lag")
+
+        def derivative(self, x, u, p):
+            return ((u.beta - x.alpha) / p.T,)
+
+        def output(self, x, u, p):
+            return (x.alpha,)
+
+    path = tmp_path / "wind.csv"
+    path.write_text("time [s],alpha,beta\n0,1,2\n1,3,4\n2,5,6\n")
+    assert read_data(path, Wind())["beta"].tolist() == [2, 4, 6]
+
+
+def test_fit_says_of_a_record_what_inspect_says(capsys, tmp_path):
+    lines = FLIGHT.read_text().splitlines()
+    body = lines.index("time [s],theta [rad],v [m/s]") + 1
+    for line, column, cell in ((40, 1, "fault"), (60, 2, "inf")):
+        cells = lines[body + line].split(",")
+        cells[column] = cell
+        lines[body + line] = ",".join(cells)
+    lines[body + 80] = lines[body + 80].partition(",")[0]
+    path = tmp_path / "flight.csv"
+    path.write_text("\n".join(lines).replace("[m/s]", "[pixels]"))
+    found = json.loads(run(capsys, "inspect", path, "--json")[1])["findings"]
+    for word, text in zip(("fewer cells", "'fault'", "infinite"), found, strict=False):
+        assert word in text
+    warnings = json.loads(run(capsys, *DRAG, path, "--starts", "1", "--json", "--fix", "C_x=0")[1])["warnings"]
+    expected = [*found, "v was taken as it is, in 'pixels': the unit 'pixels' is not known."]
+    assert sorted(w for w in warnings if w.startswith("data of")) == sorted(f"data of 'flight': {x}" for x in expected)
 
 
 def test_a_log_with_many_messages_asks_for_a_problem_file(capsys):

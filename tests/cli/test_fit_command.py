@@ -1,6 +1,7 @@
 """`greybox fit`: the answer, its JSON, its files."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -71,6 +72,21 @@ def test_a_run_that_fails_has_status_1_and_its_reason(capsys, own):
     assert answer["estimate"] == {"K": None, "T": None}
 
 
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no limit of file sizes")
+def test_a_full_disk_costs_the_file_but_not_the_answer(tmp_path):
+    code = (
+        "import resource, sys; from greybox.cli.main import main; "
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192)); sys.exit(main(sys.argv[1:]))"
+    )
+    command = [sys.executable, "-c", code, "fit", "pitch_hover", "--starts", "3", "--out", "x.h5"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "a1" in done.stdout
+    expected = "greybox: x.h5 cannot be written (File too large): free space or choose another folder."
+    assert done.stderr.splitlines()[-1] == expected
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_stored_result_of_a_users_model_loads_without_it(capsys, own, tmp_path):
     name = own()
     assert run(capsys, "fit", name, "--out", tmp_path / "own.h5")[0] == 0
@@ -88,6 +104,9 @@ def test_a_stored_result_of_a_users_model_loads_without_it(capsys, own, tmp_path
     done = subprocess.run(command, cwd=tmp_path / "elsewhere", capture_output=True, text=True, check=True)
     assert "time constant" in done.stdout
     assert "MISSING the model Lag of the module" in done.stdout
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert "MISSING the model Lag of the module" in done.stdout
+    command = [sys.executable, "-c", code.replace("'own.h5'", f"'own.h5', models=['{name}']")]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
     assert "MISSING" not in done.stdout
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from greybox.compiled.condensing import _solver, solve_continuity
+from greybox.compiled.condensing import _solvers, solve_continuity
 
 
 def made(s, n, r, coupled, seed=0, definite=True):
@@ -91,7 +91,7 @@ def test_states_of_very_different_size(size):
 
 
 def test_work_grows_with_the_number_of_segments_not_with_its_square():
-    few, many = (_solver(s, 3, 4)._function.sz_w() for s in (400, 4000))  # room for the factors of the sparse QR
+    few, many = (_solvers.of(s, 3, 4)._function.sz_w() for s in (400, 4000))  # room for the factors of the sparse QR
     assert many < 11 * few
 
 

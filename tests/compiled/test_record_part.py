@@ -13,7 +13,7 @@ from greybox.compiled.compiled_problem import compile_problem
 def part_of(record, criterion=HELD, **options):
     nlp = compile_problem(gb.Problem(Spring(), record, criterion, **options))
     z = nlp.scaling.to_solver(np.array([SPRING.get(name, 0.035) for name in nlp.free]))
-    return nlp.record_parts[0], z
+    return nlp.parts[0], z
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ class Lag(gb.TransferFunction):
 def part_of_lag():
     measured = 2.5 / (1 + 0.4j * OMEGA)
     nlp = compile_problem(gb.Problem(Lag(), gb.FrequencyResponse(OMEGA, measured, input="u", output="y")))
-    return nlp, nlp.response_parts[0], measured
+    return nlp, nlp.parts[0], measured
 
 
 def test_the_signature_is_the_response_over_the_measured_one():

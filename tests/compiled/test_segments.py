@@ -19,7 +19,7 @@ def made():
     model = Spring()
     system = dynamics(model)
     criterion = gb.OutputError()
-    step = sample_step(system, criterion, system.outputs, tuple(model.parameters), gb.RungeKutta(), 2)
+    step = sample_step(system, [False], criterion, system.outputs, tuple(model.parameters), gb.RungeKutta(), 2)
     random = np.random.default_rng(0)
     q = np.array([p.start for p in model.parameters.values()])
     rows = np.zeros((step.width, COUNT * LENGTH))

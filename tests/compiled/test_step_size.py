@@ -34,7 +34,7 @@ def chosen(model, method=None):
     u = np.sign(np.sin(1.3 * TIME))
     record = gb.Record(TIME, {"u": u, "x": np.sin(TIME)})
     problem = gb.Problem(model, record, gb.OutputError(inputs="held"))
-    (part,) = compile_problem(problem, method or gb.MultipleShooting()).record_parts
+    (part,) = compile_problem(problem, method or gb.MultipleShooting()).parts
     return part.substeps, part.data.segment_length
 
 

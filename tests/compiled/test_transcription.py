@@ -129,6 +129,7 @@ def test_compiled_is_the_same(tmp_path, monkeypatch):
     plain, compiled = (gb.fit(problem(), starts=[{}], method=gb.MultipleShooting(compile=c)) for c in (False, True))
     assert compiled.cost == pytest.approx(plain.cost, abs=1e-6)
     assert len(list((tmp_path / "greybox").glob("*.so"))) == 1
+    assert (tmp_path / "greybox").stat().st_mode & 0o777 == 0o700
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "greybox").iterdir()}
     gb.fit(problem(), starts=[{}], method=gb.MultipleShooting(compile=True))
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "greybox").iterdir()} == before

@@ -1,11 +1,12 @@
 """One experiment on one time base: what is refused, its rate, gaps, parts and identity."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from greybox.data.record import GAP, Record, Recording
+from greybox.data.record import GAP, Record, Recording, share_samples
 
 TIME = np.arange(10) / 50
 SIGNAL = np.sin(TIME)
@@ -97,3 +98,49 @@ def test_a_recording_finds_signals_by_message_and_by_bare_name():
     both = Recording({"A": record(), "B": record()})
     with pytest.raises(KeyError, match=r"several messages have it: A, B; write MESSAGE\.u"):
         both.locate("u")
+
+
+def test_how_signals_run_between_samples_stays_with_them():
+    time = np.concatenate([np.arange(5.0), np.arange(20.0, 25.0)])
+    made = Record(time, {"u": time, "y": -time}, hold={"u": math.inf, "y": 0})
+    cuts = (made.between(1, 3), made.rows(np.arange(3)), *made.pieces, made.with_signals(z=time))
+    assert len(made.pieces) == 2
+    assert all(cut.hold == {"u": math.inf, "y": 0.0} for cut in (made, *cuts))
+    assert replace(made, signals={"y": time}).hold == {"y": 0.0}
+
+
+@pytest.mark.parametrize("hold", [-0.1, math.nan, "held", True, None])
+def test_a_hold_is_a_time(hold):
+    with pytest.raises(ValueError, match=r"hold gives 'u' the value .*: give math.inf for a signal that is held"):
+        Record(np.arange(3.0), {"u": np.arange(3.0)}, hold={"u": hold})
+
+
+def test_records_share_samples_where_their_times_overlap_in_one_file():
+    time = np.arange(100) / 10
+    flight = Record(time, {"u": np.sin(time), "y": np.cos(time)}, checksum="of the file")
+    first, second = flight.between(0, 4), flight.between(5, 9)
+    assert share_samples(flight, first)
+    assert share_samples(first, flight)
+    assert not share_samples(first, second)
+    assert not share_samples(second, first)
+    assert share_samples(first, flight.between(4, 5))
+    assert share_samples(flight.between(4, 5), first)
+    apart = flight.rows(np.r_[0:20, 60:100])  # what is in its gap is not in it
+    assert not share_samples(apart, flight.between(3, 5))
+    assert not share_samples(flight.between(3, 5), apart)
+    assert share_samples(apart, flight.between(1, 3))
+    assert share_samples(flight.between(5, 7), apart)
+
+
+def test_records_of_other_files_share_samples_where_their_values_are_equal():
+    time = np.arange(100) / 10
+    random = np.random.default_rng(0)
+    one = Record(time, {"u": np.sin(time), "y": random.normal(size=100)})
+    more = one.between(2, 8).with_signals(z=np.zeros(61))
+    assert more.checksum != one.checksum
+    assert share_samples(one, more)
+    assert share_samples(more, one)
+    another = Record(time, {"u": np.sin(time), "y": random.normal(size=100)})  # the same input, flown again
+    assert not share_samples(one, another)
+    assert not share_samples(one, Record(time, {"z": np.zeros(100)}))
+    assert not share_samples(one, Record(time + 50, {"u": np.sin(time)}))

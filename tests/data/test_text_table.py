@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from greybox.data.text_table import counted, is_number, listed, number, one_line, text_table, with_error
+from greybox.data.text_table import counted, is_number, listed, number, one_line, printable, text_table, with_error
 
 
 def test_columns_are_aligned():
@@ -62,3 +62,24 @@ def test_a_representation_is_one_short_line():
     assert one_line(1.0, "two\nlines") == "<float two lines>"
     assert len(one_line(1.0, "long " * 100)) < 120
     assert one_line(1.0, "long " * 100).endswith("...>")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("ω, rad/s² ± 3° 漢", "ω, rad/s² ± 3° 漢"),
+        ("a\u00a0b", "a\u00a0b"),
+        ("\x1b[2J\x07\x7f\x9b", r"\x1b[2J\x07\x7f\x9b"),
+        ("a\nb\tc\r", r"a\nb\tc\r"),
+        ("\u202egnp.exe\u2028\ufeff", r"\u202egnp.exe\u2028\ufeff"),
+        ("half \ud800", r"half \ud800"),
+    ],
+)
+def test_control_characters_are_written_out_and_nothing_else(text, expected):
+    assert printable(text) == expected
+    assert printable(printable(text)) == expected
+
+
+def test_lines_are_kept_where_a_text_has_some():
+    assert printable("a\n\tb\x1b", keep="\n\t") == "a\n\tb\\x1b"
+    assert text_table(["a"], [["x\x1b[2J"]]).splitlines()[-1] == r"x\x1b[2J"

@@ -49,10 +49,11 @@ def run(index, x, cost, converged=True, status="Solve_Succeeded"):
 def test_runs_that_did_not_converge_are_in_no_minimum():
     nlp = compile_problem(gb.Problem(Parabola(), GAIN))
     runs = [run(0, 1.0, 0.0, False, "Invalid_Number_Detected"), run(1, -0.9, 0.31), run(2, 0.9, 0.2), run(3, 0.9, 0.2)]
-    minima = find_minima(nlp, runs)
+    signatures = nlp.signatures(np.array([run.estimate for run in runs]))
+    minima = find_minima(nlp, runs, signatures)
     assert [m.runs for m in minima] == [(2, 3), (1,)]
     assert [m.cost for m in minima] == [0.2, 0.31]
-    assert find_minima(nlp, runs[:1]) == ()
+    assert find_minima(nlp, runs[:1], signatures) == ()
 
 
 def test_a_multistart_counts_its_failures_by_status():

@@ -99,7 +99,7 @@ def assert_same(a, b):
 def test_everything_comes_back(name, tmp_path):
     fit = gb.fit(problems()[name], starts=5)
     gb.save(fit, tmp_path / "a.h5")
-    loaded = gb.load(tmp_path / "a.h5")
+    loaded = gb.load(tmp_path / "a.h5", models=[Lag, Integrator])
     assert_same(fit, loaded)
     gb.save(loaded, tmp_path / "b.h5")
     assert_same(fit, gb.load(tmp_path / "b.h5"))
@@ -125,7 +125,7 @@ RECORDS = {
 def test_a_fitted_record_comes_back(name, tmp_path):
     fit = gb.fit(RECORDS[name], starts=2)
     gb.save(fit, tmp_path / "a.h5")
-    loaded = gb.load(tmp_path / "a.h5")
+    loaded = gb.load(tmp_path / "a.h5", models=[Spring])
     assert str(fit) == str(loaded)
     assert_array_equal(fit.white, loaded.white)
     for mine, other in zip(fit.records, loaded.records, strict=True):
@@ -383,26 +383,53 @@ class Mine(gb.TransferFunction):
 '''
 
 
-def test_a_model_whose_file_is_gone_is_needed_only_for_its_response(tmp_path, monkeypatch):
+def test_a_model_is_needed_only_for_its_response_and_only_if_it_is_handed_over(tmp_path, monkeypatch):
     import matplotlib as mpl
 
     mpl.use("Agg")
-    name = "a_model_file_that_will_be_gone"
-    (tmp_path / f"{name}.py").write_text(MODEL_FILE)
+    name = "a_model_file_of_ones_own"
+    file = tmp_path / f"{name}.py"
+    file.write_text(MODEL_FILE)
     monkeypatch.syspath_prepend(tmp_path)
-    model = importlib.import_module(name).Mine()
+    module = importlib.import_module(name)
+    model = module.Mine()
     fit = gb.fit(gb.Problem(model, measured(model, TWO_LAGS_OMEGA, noise=0.02)), starts=3)
     gb.save(fit, tmp_path / "a.h5")
-    (tmp_path / f"{name}.py").unlink()
-    monkeypatch.delitem(sys.modules, name)
-    importlib.invalidate_caches()
+
     loaded = gb.load(tmp_path / "a.h5")
     assert str(loaded) == str(fit)
     assert gb.plot(loaded) is not None
     with pytest.raises(LookupError, match=f"the model Mine of the module '{name}' is needed and was not found"):
         loaded.response([1.0, 2.0])
-    given = loaded.response([1.0, 2.0], model=model)
-    assert_array_equal(given.response, fit.response([1.0, 2.0]).response)
+
+    expected = fit.response([1.0, 2.0]).response
+    assert_array_equal(loaded.response([1.0, 2.0], model=model).response, expected)
+    for given in (module.Mine, str(file)):
+        again = gb.load(tmp_path / "a.h5", models=[given])
+        assert_array_equal(again.response([1.0, 2.0]).response, expected)
+    assert storage._models(model) == [model]
+    assert storage._models(module) == storage._models(file) == [module.Mine]
+    with pytest.raises(TypeError, match="models has 5: give model classes"):
+        gb.load(tmp_path / "a.h5", models=[5])
+
+
+@pytest.mark.parametrize("name", ["this", "evil_side_effect", "__main__", "greybox.cli.main"])
+def test_nothing_that_a_file_names_is_imported(tmp_path, monkeypatch, name):
+    """Not from the working directory, the standard library or greybox, nor what is already loaded."""
+    (tmp_path / "evil_side_effect.py").write_text("open('EXECUTED', 'w').close()\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def craft(file):
+        file["parts/0"].attrs["model"] = json.dumps({"class": f"{name}:Lag", "arguments": [], "keywords": {}})
+
+    before = {*sys.modules}
+    loaded = gb.load(edited(tmp_path, craft))
+    assert str(loaded) == str(LAG)
+    with pytest.raises(LookupError, match="is needed and was not found"):
+        loaded.response([1.0])
+    assert {*sys.modules} <= before | {"unicodedata"}
+    assert not (tmp_path / "EXECUTED").exists()
 
 
 def test_nothing_in_greybox_pickles_or_evaluates_text():

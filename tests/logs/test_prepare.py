@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import constants as c
 
 import greybox as gb
 from greybox.data.record import Record, Recording
 from greybox.logs.ardupilot import SecondOrderLowPass
-from greybox.logs.prepare import negative
+from greybox.logs.prepare import Derived, negative
 
 RANDOM = np.random.default_rng(0)
 
@@ -67,6 +68,40 @@ def test_units_become_si_and_angles_are_unwrapped():
     assert record["psi"] == pytest.approx(1.5 * record.time, abs=1e-9)
     assert record["theta"] == pytest.approx(np.radians(3.0))
     assert record["q"] == pytest.approx(np.pi)
+
+
+def test_units_of_flight_tests_become_si():
+    time = stamps(50, 4)
+    units = {"h": "ft", "V": "kt", "az": "g", "qbar": "psf", "T": "°C", "rotor": "RPM", "throttle": "%", "m": "slug"}
+    expected = {
+        "h": (c.foot, "m"),
+        "V": (c.knot, "m/s"),
+        "az": (c.g, "m/s²"),
+        "qbar": (c.pound_force / c.foot**2, "Pa"),
+        "rotor": (c.pi / 30, "rad/s"),
+        "throttle": (0.01, "1"),
+        "m": (c.slug, "kg"),
+    }
+    log = recording(A=(time, {name: 2 + wave(time) for name in units}, units))
+    record = gb.prepare(log, {name: f"A.{name}" for name in units})
+    for name, (factor, unit) in expected.items():
+        assert record.units[name] == unit
+        assert record[name] == pytest.approx(factor * (2 + wave(record.time)), rel=1e-6)
+    assert record.units["T"] == "K"
+    assert record["T"] == pytest.approx(c.zero_Celsius + 2 + wave(record.time), rel=1e-6)
+    assert record.findings == ("A.az: g was taken for 9.80665 m/s², not for gram.",)
+
+
+def test_a_unit_that_is_not_converted_is_named():
+    time = stamps(50, 4)
+    log = recording(A=(time, {"F": wave(time), "out": wave(time)}, {"F": "lb", "out": "pwm"}))
+    record = gb.prepare(log, {"force": "A.F", "u": "A.out"})
+    assert record.units == {"force": "lb", "u": "pwm"}
+    assert record["force"] == pytest.approx(wave(record.time), abs=1e-9)
+    assert record.findings == (
+        "A.F is in 'lb', as in the log, not in SI: lb may be a pound of mass or of force, write lbm or lbf.",
+        "A.out is in 'pwm', as in the log, not in SI: the unit 'pwm' is not known.",
+    )
 
 
 def test_nothing_is_invented_across_a_gap():
@@ -165,6 +200,8 @@ def test_the_digital_filter_model_is_the_digital_filter():
         ({"rate": np.nan}, ValueError, "rate nan must be"),
         ({"start": 100.0}, ValueError, "no stretch of time in common"),
         ({"interpolation": "magic"}, ValueError, "interpolation 'magic'"),
+        ({"interpolation": "hold"}, ValueError, "name signals that are held between samples in held"),
+        ({"held": "w"}, ValueError, "held names 'w', which is not among the signals"),
         ({"detrend": "all"}, ValueError, "detrend 'all'"),
     ],
 )
@@ -200,3 +237,68 @@ def test_known_filters_survive_a_second_preparation_and_are_noted():
     assert again.filters == {"q2": (SecondOrderLowPass(20.0),)}
     (note,) = [f for f in gb.spectral.check(first, output="q").findings if f.about == "filters"]
     assert "20 Hz low-pass" in note.text
+
+
+# --- how signals run between samples
+
+
+def staircase(rate, duration, hold=None, seed=0):
+    """A log of a control that is held, and the integral of the held control at any time."""
+    time = stamps(rate, duration)
+    values = np.random.default_rng(seed).normal(size=time.size)
+    log = Record(time, {"u": values, "y": np.zeros(time.size)}, name="A", hold={} if hold is None else {"u": hold})
+    ends = np.append(time[1:], time[-1] + 1 / rate)
+    area = np.append(0.0, np.cumsum(values * (ends - time)))
+    return log, lambda t: np.interp(t, np.append(time, ends[-1]), area)
+
+
+@pytest.mark.parametrize("rate", [50, 51, 80, 200])
+@pytest.mark.parametrize("start", [0.0, 0.013])
+def test_what_is_held_keeps_its_integral_at_its_own_rate_and_above(rate, start):
+    """Then a plant is driven by the same, however the new samples lie; nothing moves by half a step."""
+    log, area = staircase(50, 10, np.inf)
+    record = gb.prepare(log, {"u": "A.u"}, rate=rate, start=start, end=9.9)
+    assert record.hold == {"u": np.inf}
+    held = np.append(0.0, np.cumsum(record["u"]) / rate)
+    moments = np.append(record.time, record.time[-1] + 1 / rate)
+    assert held == pytest.approx(area(moments) - area(moments[0]), abs=1e-9)
+
+
+def test_at_its_own_samples_what_is_held_is_what_was_logged():
+    log, _ = staircase(50, 10, np.inf)
+    np.testing.assert_allclose(gb.prepare(log, {"u": "A.u"}, rate=50)["u"], log["u"], atol=1e-9)
+
+
+def test_below_its_rate_what_was_held_lasts_for_a_step_of_the_log():
+    time = stamps(400, 20)
+    log = Record(time, {"u": wave(time), "y": wave(time)}, name="A", hold={"u": 1 / 400, "y": 0.0})
+    record = gb.prepare(log, {"u": "A.u", "y": "A.y"}, rate=50)
+    assert record.hold == {"u": pytest.approx(1 / 400), "y": 0.0}
+    np.testing.assert_allclose(record["u"], record["y"], atol=1e-9)
+
+
+@pytest.mark.parametrize("rate", [25, 50, 100])
+def test_a_thinned_log_is_interpolated_and_its_hold_is_kept(rate):
+    time = stamps(50, 20)
+    log = Record(time, {"u": wave(time)}, name="A", hold={"u": 1 / 400})
+    record = gb.prepare(log, {"u": "A.u"}, rate=rate)
+    assert record.hold == {"u": 1 / 400}
+    assert record["u"][60:-60] == pytest.approx(wave(record.time[60:-60]), abs=1e-3)
+
+
+def test_what_the_log_does_not_say_is_stated_or_unknown():
+    log, _ = staircase(50, 10)
+    assert gb.prepare(log, {"u": "A.u"}).hold == {}
+    assert gb.prepare(log, {"u": "A.u", "minus": negative("A.u")}, held="u").hold == {"u": np.inf, "minus": np.inf}
+
+
+def test_a_signal_computed_from_several_runs_as_they_all_do():
+    time = stamps(50, 10)
+    signals = {name: wave(time) for name in ("a", "b", "c", "d")}
+    log = Record(time, signals, name="A", hold={"a": np.inf, "b": np.inf, "c": 0.0})
+
+    def product(*names):
+        return Derived(tuple(f"A.{name}" for name in names), lambda *x: np.prod(x, axis=0), "")
+
+    signals = {"held": product("a", "b"), "mixed": product("a", "c"), "unknown": product("c", "d"), "c": "A.c"}
+    assert gb.prepare(log, signals, rate=50).hold == {"held": np.inf, "c": 0.0}

@@ -1,6 +1,7 @@
 """How a stored result names its model, and what happens when that model is gone."""
 
 import json
+import sys
 
 import pytest
 from declared_models import Integrator, LagLagDelay
@@ -38,7 +39,7 @@ MODELS = [
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda m: m.label)
 def test_a_model_survives_json(model):
-    again = resolve(json.loads(json.dumps(reference(model))))
+    again = resolve(json.loads(json.dumps(reference(model))), (LagLagDelay, Outer.Inner, Integrator))
     assert type(again) is type(model)
     assert again.parameters == model.parameters
     expected, found = (gb.modeling.rational(m, pade=1, output=m.output_names[0]) for m in (model, again))
@@ -50,8 +51,14 @@ def test_a_model_survives_json(model):
     [
         ("gone_module_xyz:Tilt", "the model Tilt of the module 'gone_module_xyz' is needed and was not found"),
         ("greybox.models.tilt:Gone", "the model Gone of the module 'greybox.models.tilt' is needed and was not found"),
-        ("greybox.models.tilt:gb", "its gb is not a Model"),
-        ("math:sin", "its sin is not a Model"),
+        ("greybox.models.tilt:gb", "the model gb of the module"),
+        ("greybox.models.tilt:gb.TransferFunction", "the model gb.TransferFunction of the module"),
+        ("math:sin", "the model sin of the module"),
+        ("declared_models:LagLagDelay", "was not found"),
+        ("greybox.models:tilt", "was not found"),
+        ("greybox.models.tilt", "was not found"),
+        ("tilt:Tilt", "was not found"),
+        ("models.tilt:Tilt", "was not found"),
     ],
 )
 def test_a_model_that_is_gone_is_named_with_the_cure(name, words):
@@ -66,13 +73,57 @@ def test_a_model_defined_inside_a_function_is_gone_later():
 
     with pytest.raises(LookupError, match="Local"):
         resolve(json.loads(json.dumps(reference(Local()))))
+    assert type(resolve(reference(Local()), [Local])) is Local
+    ready = Local()
+    assert resolve(reference(Local()), [ready]) is ready
+
+
+def test_a_class_that_was_given_wins_and_its_module_does_not_matter():
+    class Tilt(LagLagDelay):
+        pass
+
+    stored = {"class": "greybox.models.tilt:Tilt", "arguments": [], "keywords": {}}
+    assert type(resolve(stored)).__module__ == "greybox.models.tilt"
+    Tilt.__qualname__ = "Tilt"
+    assert type(resolve(stored, [Tilt])) is Tilt
+
+
+@pytest.mark.parametrize("name", ["this", "antigravity", "wsgiref.handlers", "greybox.cli.main", "xml.dom.minidom"])
+def test_nothing_that_a_file_names_is_imported(name, monkeypatch):
+    monkeypatch.delitem(sys.modules, name, raising=False)
+    with pytest.raises(LookupError, match="is needed and was not found"):
+        resolve({"class": f"{name}:Model", "arguments": [], "keywords": {}})
+    assert name not in sys.modules
+
+
+def nested(depth):
+    stored = reference(Rotor())
+    for _ in range(depth):
+        stored = reference(Rotor() * Rotor()) | {"arguments": [{"model": stored}, {"model": reference(Rotor())}]}
+    return stored
+
+
+@pytest.mark.parametrize(
+    "stored",
+    [
+        reference(Polynomial(4, 1)) | {"arguments": [10**6, 1]},
+        reference(Polynomial(4, 1)) | {"arguments": [{"model": reference(Rotor())}, 1]},
+        reference(Polynomial(4, 1)) | {"keywords": {"radius": "wide"}},
+        reference(Rotor()) | {"arguments": [1]},
+        nested(5000),
+    ],
+)
+def test_arguments_that_no_model_has_are_a_lookup_error(stored):
+    with pytest.raises(LookupError, match="is needed and was not found"):
+        resolve(stored)
 
 
 def test_an_argument_that_is_no_plain_value_is_stored_as_text_and_said_to_be():
+    given = (Configured,)
     stored = json.loads(json.dumps(reference(Configured({"a": 1}))))
     with pytest.raises(LookupError, match=r"\{'a': 1\}, was stored as text only: give model="):
-        resolve(stored)
-    assert resolve(json.loads(json.dumps(reference(Configured([1, "b", None]))))).thing == (1, "b", None)
+        resolve(stored, given)
+    assert resolve(json.loads(json.dumps(reference(Configured([1, "b", None])))), given).thing == (1, "b", None)
 
 
 def test_a_class_that_no_longer_takes_its_arguments_is_a_lookup_error():

@@ -1,5 +1,7 @@
 """Equation error: known truths recovered, intervals that cover, unmeasured states, delays, gaps, and bad input."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -133,10 +135,48 @@ def test_a_virtual_flight_under_a_sampled_controller():
     noise = {"theta": 0.001, "q": 0.01, "v": 0.02}
     flight = {"controller": AttitudeController(), "excitation": {"reference": 0.15 * force(time)}}
     record = gb.virtual_flight(LinearTilt(), {**TILT, "a5": 0.3, "T_delay": 0.0042}, noise=noise, **flight)
-    held = 0.5 * record.step
-    assert_near(gb.regression.equation_error(LinearTilt(), record, fixed={"T_delay": 0.0042 + held}), TILT, 0.04)
+    assert_near(gb.regression.equation_error(LinearTilt(), record, fixed={"T_delay": 0.0042}), TILT, 0.04)
     free = gb.regression.equation_error(LinearTilt(), record, free="T_delay")
-    assert free.estimate["T_delay"] == pytest.approx(0.0042 + held, abs=4 * free.standard_error["T_delay"])
+    assert free.estimate["T_delay"] == pytest.approx(0.0042, abs=4 * free.standard_error["T_delay"])
+    linear = gb.regression.equation_error(LinearTilt(), record, free="T_delay", inputs="linear")
+    assert linear.estimate["T_delay"] - free.estimate["T_delay"] == pytest.approx(0.5 * record.step, rel=0.1)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.02, 0.031])
+def test_a_held_control_on_slow_samples(delay):
+    """Exact in the mean of the held input, delayed by a fraction of a step too; interpolation is 25 ms late."""
+    time = np.arange(800) / 20
+    flown = gb.virtual_flight(
+        Slider(), {**SLIDER, "mu": 0.0, "d": delay}, {"F": np.round(force(time), 1)}, rate=20.0, noise={"v": 0.0}
+    )
+    found = gb.regression.equation_error(Slider(), flown, fixed={"mu": 0.0}, free="d")
+    assert_near(found, {"k": 9.0, "c": 1.2, "b": 4.0}, 0.01)
+    assert found.estimate["d"] == pytest.approx(delay, abs=0.001)
+    assert found.inputs == {"F": "held until its next sample, as the record says"}
+    assert not any("held" in text for text in found.warnings)
+    interpolated = gb.regression.equation_error(Slider(), flown, fixed={"mu": 0.0}, free="d", inputs="linear")
+    assert interpolated.estimate["d"] - found.estimate["d"] == pytest.approx(0.025, abs=0.004)
+    (said,) = (text for text in interpolated.warnings if "held" in text)
+    assert said.startswith("the record says that F is held until its next sample, and equation_error takes it as")
+    assert "what the record says moves d by -0.02" in said
+
+
+def test_what_the_record_does_not_know_is_said_with_its_size():
+    record = measured(slider(delay=0.083), ("F", "x", "v"), 1e-3)
+    found = gb.regression.equation_error(Slider(), record, free="d")
+    (said,) = (text for text in found.warnings if "held" in text)
+    assert "the record does not say, and the data cannot tell" in said
+    assert "d by -0.005" in said  # half a step of 10 ms
+    assert "an assumption, else delays differ by half a step, 5 ms" in str(found)
+
+
+def test_a_log_of_every_fourth_control_acts_half_a_loop_later():
+    fast = np.arange(40 * 200) / 200
+    flown = gb.virtual_flight(Slider(), {**SLIDER, "mu": 0.0, "d": 0.03}, {"F": force(fast)}, rate=200.0)
+    rows = np.arange(0, len(flown), 4)
+    thinned = replace(flown.rows(rows), hold={**flown.hold, "F": 1 / 200})
+    found = gb.regression.equation_error(Slider(), thinned, fixed={"mu": 0.0}, free="d")
+    assert found.estimate["d"] == pytest.approx(0.03, abs=0.0005)
 
 
 def test_nonlinear_tilt():
@@ -444,7 +484,7 @@ def test_it_prints_itself(flown):
     ("change", "options", "sentence"),
     [
         ({"F": None}, {}, "the record has no signal 'F', an input of Slider; it has x, v"),
-        ({"F": 0.3}, {}, "F of Slider is constant in the record"),
+        ({"F": 0.3, "x": 0.1, "v": 0.0}, {}, "F and x and v of Slider are constant in the record"),
         ({"x": None, "v": None}, {}, r"no equation of Slider can be used \(v' \(the state v is not known\)\)"),
         ({"v": 0.0, "x": 0.0}, {"fixed": {"b": 4.0}}, "the record determines none of k, c, mu"),
         ({}, {"fixed": SLIDER}, "Slider has no free parameter here"),
@@ -452,6 +492,8 @@ def test_it_prints_itself(flown):
         ({}, {"free": ["nu"]}, "Slider has no parameter 'nu'"),
         ({}, {"fixed": {"d": 0.1}, "free": "d"}, "'d' is both fixed and free"),
         ({}, {"fixed": {"d": 7.0}}, r"fixed gives 'd' the value 7\.0: give a number within \(0, 0\.3\)"),
+        ({}, {"biases": "y"}, "Slider has no measured signal 'y'; it has x, v, F"),
+        ({}, {"inputs": "cubic"}, "inputs 'cubic' is not known: use 'linear' or 'held'"),
         ({}, {"cutoff": 0}, "cutoff 0 must be a number of Hz above 0"),
         ({}, {"cutoff": 0.01}, "no stretch without a gap is long enough: the longest piece of the record has 40 s"),
     ],
@@ -481,3 +523,87 @@ def test_bad_records(sliding):
 def test_a_transfer_function_of_higher_order_is_refused(flown):
     with pytest.raises(ValueError, match=r"Tilt needs derivatives of 'theta' .* declare it as a StateSpace"):
         gb.regression.equation_error(Tilt(), flown)
+
+
+# --- constant errors of sensors, and inputs that do not move
+
+
+class Short(gb.StateSpace):
+    """The short period of an airplane at an airspeed that is an input, with a measured acceleration."""
+
+    states = ("alpha", "q")
+    inputs = ("delta", "V")
+    outputs = ("alpha", "q", "az")
+    Z0 = gb.Parameter(0.0, bounds=(-5, 5), unit="m/s²")
+    Za = gb.Parameter(-1.0, bounds=(-10, 10), unit="1/s")
+    Ma = gb.Parameter(-5.0, bounds=(-50, 50), unit="1/s²")
+    Mq = gb.Parameter(-1.0, bounds=(-10, 10), unit="1/s")
+    Md = gb.Parameter(-5.0, bounds=(-50, 50), unit="1/s²")
+
+    def derivative(self, x, u, p):
+        return (x.q + (p.Z0 + p.Za * u.V * x.alpha) / u.V, p.Ma * x.alpha + p.Mq * x.q + p.Md * u.delta)
+
+    def output(self, x, u, p):
+        return (x.alpha, x.q, p.Z0 + p.Za * u.V * x.alpha)
+
+
+SHORT = {"Z0": -0.8, "Za": -1.4, "Ma": -7.0, "Mq": -2.0, "Md": -11.0}
+
+
+def short_period(seed=0, **biases):
+    """20 s with steps of the elevator at a constant airspeed of 60 m/s."""
+    time = np.arange(1000) / 50
+    delta = 0.03 * np.sign(np.sin(1.3 * time)) + 0.02 * np.sin(4 * time)
+    excitation = {"delta": delta, "V": np.full(time.size, 60.0)}
+    noise = {"alpha": 2e-4, "q": 5e-4, "az": 0.01}
+    flown = gb.virtual_flight(Short(), SHORT, excitation, rate=50.0, noise=noise, seed=seed)
+    return flown.with_signals(**{name: flown[name] + bias for name, bias in biases.items()})
+
+
+def test_constant_errors_of_sensors_are_estimated():
+    """Without them, what they look like takes them up. A state that is known through its signal is corrected too."""
+    biases = {"az": 0.7, "q": -0.01, "delta": 0.01}
+    without = gb.regression.equation_error(Short(), short_period(**biases))
+    assert abs(without.estimate["Z0"] - SHORT["Z0"]) > 4 * without.standard_error["Z0"]
+    for names in (("az", "q"), ("az", "delta")):
+        known = {name: biases[name] for name in names}
+        truth = {**SHORT, **{f"{name}_bias": bias for name, bias in known.items()}}
+        scaled = []
+        for seed in range(2):
+            found = gb.regression.equation_error(Short(), short_period(seed, **known), biases=names)
+            scaled.append([(found.estimate[n] - v) / found.standard_error[n] for n, v in truth.items()])
+        assert np.sqrt(np.mean(np.square(scaled))) < 1.5
+        assert np.abs(scaled).max() < 5
+    given = gb.regression.equation_error(Short(), short_period(**known), biases=names, fixed={"delta_bias": 0.01})
+    assert given.fixed["delta_bias"] == 0.01
+    assert_near(given, SHORT, 0.01)
+
+
+def test_biases_that_cannot_be_told_from_one_another_are_named():
+    found = gb.regression.equation_error(Short(), short_period(), biases=("az", "q", "alpha"))
+    assert {"Z0", "az_bias", "q_bias", "alpha_bias"} == set(found.missing)
+    assert_near(found, {name: SHORT[name] for name in ("Za", "Ma", "Mq", "Md")}, 0.01)
+
+
+def test_the_bias_of_a_position_from_which_the_velocity_is_known():
+    record = measured(slider(), ("F", "x"), 1e-4)
+    shifted = record.with_signals(x=record["x"] + 0.3)
+    found = gb.regression.equation_error(Slider(), shifted, biases="x", fixed={"d": 0.0})
+    assert_near(found, {**SLIDER, "x_bias": 0.3}, 0.02)
+
+
+def test_a_known_constant_input_is_no_fault():
+    """The airspeed never moves, and every parameter is determined all the same."""
+    found = gb.regression.equation_error(Short(), short_period())
+    assert_near(found, SHORT, 0.01)
+    assert found.warnings == ()
+
+
+def test_a_free_motion_needs_no_input_that_moves():
+    flown = gb.virtual_flight(
+        Short(), SHORT, {"delta": np.full(500, 0.02), "V": np.full(500, 60.0)}, rate=50.0, initial={"alpha": 0.1}
+    )
+    found = gb.regression.equation_error(Short(), flown)
+    assert_near(found, {name: SHORT[name] for name in ("Za", "Ma", "Mq")}, 0.02)
+    (said,) = found.warnings
+    assert said == "the effect of Md is constant, since delta is: a constant error of a sensor looks the same."

@@ -9,6 +9,7 @@ from lagged_plant import STEP, TIME, TRUTH, Lagged, flown, force
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
+from greybox.data.intersample import Intersample
 from greybox.modeling.realization import dynamics
 from greybox.regression.linear_in_parameters import regressions
 from greybox.regression.regressors import FEWEST, REMEMBERED, _linear_response, memory, regressors
@@ -18,7 +19,15 @@ def made(record=None, latest=0.1, **options):
     system = dynamics(Lagged())
     equations = regressions(system, ["u", "v"], {}, TRUTH)
     names = (system.states, system.inputs)
-    return regressors(equations, names, flown() if record is None else record, TRUTH, np.array([latest]), **options)
+    return regressors(
+        equations,
+        names,
+        flown() if record is None else record,
+        TRUTH,
+        np.array([latest]),
+        {"u": Intersample(False)},
+        **options,
+    )
 
 
 def test_at_the_truth_the_blocks_hold():

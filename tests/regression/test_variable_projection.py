@@ -7,6 +7,7 @@ import pytest
 from lagged_plant import TRUTH, Lagged, flown
 from numpy.testing import assert_allclose
 
+from greybox.data.intersample import Intersample
 from greybox.modeling.realization import dynamics
 from greybox.regression.least_squares import residuals, solve
 from greybox.regression.linear_in_parameters import regressions
@@ -22,7 +23,14 @@ def made(noise=0.0, seed=0, **bounds):
     v = record["v"] + noise * np.random.default_rng(seed).normal(size=len(record))
     system = dynamics(Lagged())
     equations = regressions(system, ["u", "v"], {}, START)
-    data = regressors(equations, (system.states, system.inputs), record.with_signals(v=v), START, np.array([0.1]))
+    data = regressors(
+        equations,
+        (system.states, system.inputs),
+        record.with_signals(v=v),
+        START,
+        np.array([0.1]),
+        {"u": Intersample(False)},
+    )
     parameters = {
         name: replace(p, start=start, bounds=bounds.get(name, p.bounds))
         for (name, p), start in zip(Lagged.parameters.items(), START.tolist(), strict=True)

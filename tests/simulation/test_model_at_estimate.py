@@ -21,7 +21,7 @@ def test_values_fill_in_the_declared_starts():
     assert model.covariance is None
     assert model.uncertain.size == 0
     assert model.noise(("position",)) is None
-    assert model.criterion == gb.OutputError(inputs="linear")
+    assert model.criterion == gb.OutputError()
 
 
 def test_biases_and_gains_come_by_their_names():

@@ -11,7 +11,7 @@ import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.models.tilt import Tilt
 from greybox.solve.minima import find_minima
-from greybox.solve.multistart import multistart
+from greybox.solve.multistart import multistart, solver_for
 
 NOISY = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.05))
 CRITERIA = [
@@ -82,11 +82,12 @@ def test_a_run_that_did_not_converge_never_wins_however_cheap_it_is():
     exact = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS)
     nlp = compile_problem(gb.Problem(LagLagDelay(), exact))
     truth = np.array(list(TWO_LAGS.values()))
-    stopped = multistart(nlp, truth[None], {"max_iter": 0})
+    stopped = multistart(nlp, solver_for(nlp, {"max_iter": 0}), truth[None])
     assert stopped.runs[0].status == "Maximum_Iterations_Exceeded"
     assert stopped.minima == ()
     worse = replace(stopped.runs[0], index=1, cost=9.0, converged=True, estimate=truth * 1.5)
-    (only,) = find_minima(nlp, [replace(stopped.runs[0], cost=0.0), worse])
+    runs = [replace(stopped.runs[0], cost=0.0), worse]
+    (only,) = find_minima(nlp, runs, nlp.signatures(np.array([run.estimate for run in runs])))
     assert (only.cost, only.runs) == (9.0, (1,))
 
 

@@ -9,14 +9,14 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.diagnostics.discretization import discretization_warnings
 from greybox.solve.discretization_error import discretization_error, refine_discretization
 from greybox.solve.gauss_newton.driver import GaussNewton
-from greybox.solve.multistart import multistart
+from greybox.solve.multistart import multistart, solver_for
 
 
 def point(problem, **values):
     """Return the compiled problem, its first record, and the solver's variables at these parameters."""
     nlp = compile_problem(problem)
     z = nlp.scaling.to_solver(np.array([values[name] for name in nlp.free]))
-    return nlp, nlp.record_parts[0], z
+    return nlp, nlp.parts[0], z
 
 
 def test_a_model_without_inputs_sampled_sparsely():
@@ -35,7 +35,7 @@ def coarse(record, substeps=None):
     """Return a fit whose substeps are few, as a choice by stability alone makes them."""
     problem = gb.Problem(Pendulum(), record)
     nlp = compile_problem(problem, gb.MultipleShooting(integrator=gb.RungeKutta(substeps=substeps)))
-    return nlp, multistart(nlp, np.array([[39.0, 0.1]]))
+    return nlp, multistart(nlp, solver_for(nlp), np.array([[39.0, 0.1]]))
 
 
 def test_too_few_substeps_are_told_from_their_shift(pendulum):
@@ -71,7 +71,7 @@ def test_substeps_are_refined_until_the_truth_is_found(pendulum):
 def test_an_undamped_oscillation_gets_substeps_by_its_frequency(pendulum):
     # One step of Runge-Kutta is stable up to |pole| · step = 2.7, and here, at 2.5, wrong.
     nlp = compile_problem(gb.Problem(Pendulum(), pendulum))
-    assert nlp.record_parts[0].substeps >= np.sqrt(39) * 0.4 / 0.7
+    assert nlp.parts[0].substeps >= np.sqrt(39) * 0.4 / 0.7
 
 
 class Airspeed(gb.StateSpace):

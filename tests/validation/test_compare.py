@@ -56,6 +56,52 @@ def test_slow_flight_does_not_determine_the_quadratic_term():
     assert "determined by these data" not in said
 
 
+def test_a_comparison_does_not_contradict_the_nested_test():
+    # A term of three to six standard errors: Vuong's test, which takes no account of nesting, found no difference.
+    significant = 0
+    for seed in range(60, 64):
+        record = flight({"a5": 0.2, "C_x": 0.05}, seed, duration=15.0, noise=0.25)
+        small, large = fitted(LinearDrag(), record), fitted(Drag(), record)
+        test = gb.validation.nested_test(small, large)
+        found = gb.compare(*((small, large) if seed % 2 else (large, small)))
+        assert str(test) in found.statements[0]
+        (said,) = [s for s in found.statements if s.startswith("C_x = ")]
+        assert not any("Vuong" in s for s in found.statements)
+        assert ("determined by these data" in said) == (test.p_value < 0.05)
+        assert "as well" not in said
+        significant += test.p_value < 0.05
+    assert significant > 2
+
+
+def test_too_few_held_out_windows_take_nothing_from_what_the_fits_show(quadratic):
+    right, wrong, other = quadratic
+    found = gb.compare(right, wrong, records=other.between(0, 2.5))
+    (said,) = [s for s in found.statements if s.startswith("C_x")]
+    assert "2 windows cannot show whether QuadraticDrag or LinearDrag predicts held-out data better" in str(found)
+    assert said.endswith("(QuadraticDrag): determined by these data.")
+    assert "as well" not in str(found)
+
+
+def test_the_user_may_say_what_removes_a_term(quadratic):
+    record = quadratic[0].parts[0].data
+    small, large = fitted(LinearDrag(), record), fitted(Shifted(), record)
+    assert "Vuong" in gb.compare(small, large).statements[0]
+    found = gb.compare(small, large, removed_at={"C": -0.5})
+    assert found.statements[0].startswith("Shifted contains LinearDrag, and C is needed")
+    assert gb.validation.nested_test(small, large, removed_at={"C": -0.5}).p_value < 1e-4
+    with pytest.raises(ValueError, match="each fit has no free parameter 'D'"):
+        gb.compare(small, large, removed_at={"D": 0.0})
+
+
+class Shifted(LinearDrag):
+    """Linear drag where C = -0.5."""
+
+    C = gb.Parameter(-0.4, bounds=(-2, 2))
+
+    def derivative(self, x, u, p):
+        return (gb.g * gb.tan(u.theta) - p.a5 * x.v - (p.C + 0.5) * abs(x.v) * x.v,)
+
+
 def test_the_table_is_plain(quadratic):
     found = gb.compare(*quadratic[:2], records=quadratic[2], labels=("a", "b"))
     assert json.loads(json.dumps(found.table, allow_nan=False)) == found.table

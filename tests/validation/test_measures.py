@@ -5,6 +5,7 @@ import pytest
 from drag_flights import QUADRATIC, LinearDrag, QuadraticDrag, fitted, flight
 
 import greybox as gb
+from greybox.statistics.metrics import LAGS, whiteness
 
 
 @pytest.fixture(scope="module")
@@ -35,3 +36,32 @@ def test_aic_and_bic_are_those_of_the_likelihood(quadratic):
     k = 1 + 1 + 1  # C_x, the initial state, the variance
     assert found.value("AIC", "QuadraticDrag") == pytest.approx(2 * k - 2 * logarithm, rel=1e-6)
     assert found.value("BIC", "QuadraticDrag") == pytest.approx(k * np.log(n) - 2 * logarithm, rel=1e-6)
+
+
+def test_errors_one_step_ahead_are_cut_where_the_record_has_gaps(quadratic):
+    right, wrong, other = quadratic
+    apart = other.rows(np.r_[0:260, 320:600])
+    found = gb.compare(right, wrong, records=apart)
+    expected = []
+    for prediction in (found.predictions["held-out"][k][0] for k in range(2)):
+        along = np.full(len(apart), np.nan)
+        along[prediction.rows.ravel()] = prediction.one_step[0].ravel()
+        expected.append(whiteness([along[:260], along[260:]]))
+    for name, test in zip(found.labels, expected, strict=True):
+        assert found.value("  white (p)", name, "held-out", "v") == pytest.approx(test.p_value)
+
+
+def test_gains_of_an_output_count_in_the_test_of_its_whiteness():
+    record = flight(QUADRATIC, 1, duration=15.0)
+    output, prediction = (
+        fitted(QuadraticDrag(), record, criterion=c) for c in (gb.OutputError(), gb.PredictionError())
+    )
+    found = gb.compare(output, prediction, labels=("output", "prediction"))
+    for label, fit, gains in zip(found.labels, (output, prediction), (0, 1), strict=True):
+        (made,) = found.predictions["identification"][found.labels.index(label)]
+        along = np.full(len(record), np.nan)
+        along[made.rows.ravel()] = made.one_step[0].ravel()
+        test = whiteness([along], fitted=gains)
+        assert test.dof == LAGS - gains
+        assert found.value("  white (p)", label, "identification", "v") == pytest.approx(test.p_value)
+        assert sum(o == "v" for _, o in fit.records[0].gains) == gains

@@ -1,8 +1,12 @@
 """Tests of terms that one model has more than another have their nominal size and find what is needed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
 from drag_flights import LINEAR, Drag, LinearDrag, fitted, flight
+from scipy.stats import f
 
 import greybox as gb
 
@@ -34,3 +38,64 @@ def test_a_nested_test_keeps_its_size_where_residuals_are_correlated():
         bare.append(found.likelihood_ratio > 3.84)
     assert np.mean(bare) > 0.2  # as if the residuals were white
     assert np.mean(scaled) < 0.125  # at 5 %: 97.5 % of such experiments with up to 80 of 80
+
+
+def test_a_value_on_a_bound_has_half_of_the_distribution_at_one_degree_less():
+    class NoThrust(Drag):
+        """Drag that cannot push."""
+
+        C_x = gb.Parameter(0.05, bounds=(0, 2))
+
+    stuck = loose = None
+    for seed in range(20, 40):
+        record = flight(LINEAR, seed, duration=6.0)
+        found = fitted(NoThrust(), record)
+        two_sided = gb.validation.nested_test(fitted(LinearDrag(), record), fitted(Drag(), record))
+        one_sided = gb.validation.nested_test(fitted(LinearDrag(), record), found)
+        if found.estimate["C_x"] > 1e-3:
+            loose = loose or (one_sided, two_sided)
+        else:
+            stuck = stuck or one_sided
+        if stuck and loose:
+            break
+    assert loose[0].p_value == pytest.approx(0.5 * loose[1].p_value, rel=0.01)
+    assert stuck.p_value > 0.5
+
+
+def test_of_responses_without_a_likelihood_the_estimates_are_compared():
+    data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.02)
+    large = gb.fit(gb.Problem(LagLagDelay(), data), starts=10)
+    value = large.estimate["tau"] + 2.5 * large.standard_error["tau"]
+    small = gb.fit(gb.Problem(LagLagDelay(), data, fixed={"tau": value}), starts=10)
+    found = gb.validation.nested_test(small, large)
+    assert np.isnan(found.likelihood_ratio)
+    assert found.statistic == pytest.approx(2.5**2, rel=1e-6)
+    assert found.p_value == pytest.approx(f.sf(2.5**2, 1, large.dof), rel=1e-6)
+    compared = gb.compare(small, large, labels=("held", "free"))
+    assert compared.statements[0].startswith("free contains held, and tau is needed: held is rejected")
+    (said,) = [s for s in compared.statements if s.startswith("tau")]
+    assert said.endswith("(free): determined by these data.")
+
+
+def test_a_tied_parameter_is_tested_along_what_leaves_the_tie():
+    record = flight({"a5": 0.2, "C_x": 0.05}, 8)
+    large = fitted(Drag(), record)
+    for factor, needed in ((0.25, False), (0.3, True)):
+        small = fitted(Drag(), record, tied={"C_x": lambda p, factor=factor: factor * p.a5})
+        found = gb.validation.nested_test(small, large)
+        assert (found.p_value < 0.05) == needed
+        # The distance from the tie in standard errors, squared, is nearly the ratio.
+        along = np.array([-factor, 1.0])
+        distance = along @ [large.estimate["a5"], large.estimate["C_x"]]
+        t = distance / np.sqrt(along @ large.covariance_of(["a5", "C_x"]) @ along)
+        assert found.statistic == pytest.approx(t**2, rel=0.05)
+        assert found.dof[0] == 1
+
+
+def test_a_worse_fit_of_the_larger_model_is_told():
+    record = flight(LINEAR, 3, duration=6.0)
+    small, large = fitted(LinearDrag(), record), fitted(Drag(), record)
+    with pytest.raises(ValueError, match="Drag costs more than LinearDrag, which it contains"):
+        gb.validation.nested_test(small, replace(large, cost=small.cost + 1))
+    said = gb.compare(small, replace(large, cost=small.cost + 1)).statements[0]
+    assert said.startswith("Which of LinearDrag and Drag fits the data better cannot be told: Drag costs more")

@@ -1,12 +1,15 @@
 """The sentences of a comparison, and the tests behind them, against brute force and a known truth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from drag_flights import LINEAR, QUADRATIC, Drag, LinearDrag, QuadraticDrag, fitted, flight
-from scipy.stats import multivariate_normal, norm
+from scipy.stats import multivariate_normal, norm, ttest_1samp
 
 import greybox as gb
 from greybox.validation import significance
+from greybox.validation.comparison import p_text
 from greybox.validation.held_out import Predictions
 
 
@@ -57,42 +60,135 @@ def test_squares_of_windows_are_those_of_the_residuals(fits):
 
 def test_the_winner_does_not_depend_on_the_order(fits):
     predictions: Predictions = tuple((gb.predict(fit),) for fit in fits)
-    z, sentence = significance._errors_window_by_window(("wrong", "right"), predictions, (0, 1), "held-out")
+    better, sentence = significance._errors_window_by_window(("wrong", "right"), predictions, (0, 1), "held-out")
     back, same = significance._errors_window_by_window(("wrong", "right"), predictions, (1, 0), "held-out")
-    assert z == pytest.approx(-back)
-    assert z < -2
+    assert (better, back) == (-1, 1)
     assert sentence == same
     assert sentence.startswith("right predicts held-out data better than wrong, in ")
 
 
-def test_too_few_windows_and_equal_ones_are_no_verdict(fits):
+def test_too_few_windows_are_no_verdict_and_equal_ones_a_tie(fits):
     few = tuple((gb.predict(fit, horizon=7.0),) for fit in fits)
-    z, sentence = significance._errors_window_by_window(("a", "b"), few, (0, 1), "identification")
-    assert (z, sentence[:33]) == (0, "2 windows cannot show whether a o")
+    better, sentence = significance._errors_window_by_window(("a", "b"), few, (0, 1), "identification")
+    assert (better, sentence[:33]) == (None, "2 windows cannot show whether a o")
     same = tuple((gb.predict(fits[1]),) for _ in range(2))
-    z, sentence = significance._errors_window_by_window(("a", "b"), same, (0, 1), "identification")
-    assert z == 0
+    better, sentence = significance._errors_window_by_window(("a", "b"), same, (0, 1), "identification")
+    assert better == 0
     assert sentence.startswith("a and b predict their own data equally well: their mean squared errors differ by 0 %")
+
+
+def shifted(prediction, errors):
+    """The same prediction with these errors (w,) throughout every window."""
+    return replace(prediction, predicted=prediction.measured("v")[None] - np.asarray(errors)[None, :, None])
+
+
+def test_no_difference_found_is_a_tie_only_where_its_interval_is_narrow(fits):
+    made = gb.predict(fits[1])
+    random = np.random.default_rng(0)
+    w = len(made)
+    sizes = 1 + 0.3 * random.normal(size=w)
+    close = sizes * (1 + 0.02 * random.normal(size=w))
+    wide = sizes * (1 + 0.5 * random.normal(size=w))
+    for other, expected, said in (
+        (close, 0, "equally well: their mean squared errors differ by less than 10 %"),
+        (wide, None, "cannot be told: their mean squared errors differ by "),
+    ):
+        pair = ((shifted(made, sizes),), (shifted(made, other),))
+        difference = other**2 - sizes**2
+        assert ttest_1samp(difference, 0).pvalue > 0.05
+        better, sentence = significance._errors_window_by_window(("a", "b"), pair, (0, 1), "held-out")
+        assert better == expected
+        assert said in sentence
+
+
+def test_few_windows_have_the_p_value_of_students_t(fits):
+    made = gb.predict(fits[1], horizon=2.0)
+    errors = np.linspace(1.0, 2.0, len(made))
+    worse = np.sqrt(errors**2 + np.array([1.0, 0.2, 0.6, 0.9, 0.3, 0.5, 1.1])[: len(made)])
+    pair = ((shifted(made, errors),), (shifted(made, worse),))
+    p = ttest_1samp(worse**2 - errors**2, 0).pvalue
+    better, sentence = significance._errors_window_by_window(("a", "b"), pair, (0, 1), "held-out")
+    assert better == 1
+    assert sentence == f"a predicts held-out data better than b, in 100 % of {len(made)} windows ({p_text(p)})."
 
 
 def test_one_model_fitted_twice_fits_equally_well(fits):
     found = significance._likelihoods_sample_by_sample((fits[1], fits[1]), ("a", "b"), (0, 1))
-    assert found == "a and b fit the data equally well (AIC differs by 0; below 2 neither is preferred)."
+    assert found == (0, "a and b fit the data equally well (AIC differs by 0; below 2 neither is preferred).")
 
 
-def test_a_term_is_judged_against_zero_and_by_predictions():
+class Spring(gb.StateSpace):
+    """Position and velocity of a mass on a spring, both measured."""
+
+    states, inputs, outputs = ("x", "v"), ("force",), ("x", "v")
+    stiffness = gb.Parameter(3.0, bounds=(0.1, 20))
+    damping = gb.Parameter(0.5, bounds=(0, 5))
+
+    def derivative(self, x, u, p):
+        return (x.v, u.force - p.stiffness * x.x - p.damping * x.v)
+
+    def output(self, x, u, p):
+        return (x.x, x.v)
+
+
+class DrySpring(Spring):
+    """The same with another kind of damping."""
+
+    def derivative(self, x, u, p):
+        return (x.v, u.force - p.stiffness * x.x - p.damping * gb.tanh(4 * x.v))
+
+
+def test_vuongs_test_of_correlated_outputs_is_that_of_their_joint_density():
+    time = np.arange(400) / 20
+    random = np.random.default_rng(4)
+    force = 2 * np.sign(np.sin(0.9 * time))
+    clean = gb.simulate(Spring(), {"stiffness": 4.0, "damping": 0.6}, gb.Record(time, {"force": force}))
+    error = 0.1 * random.multivariate_normal([0, 0], [[1.0, 0.7], [0.7, 1.0]], size=time.size).T
+    record = gb.Record(time, {"force": force, "x": clean["x"] + error[0], "v": clean["v"] + error[1]})
+    full = gb.OutputError(noise="full")
+    fits = [fitted(model, record, criterion=full) for model in (Spring(), DrySpring())]
+    densities = []
+    for fit in fits:
+        part = fit.records[0]
+        assert part.noise[0, 1] > 0.3 * part.noise[0, 0]
+        errors = np.array([part.residual(name) for name in part.outputs])
+        densities.append(multivariate_normal.logpdf(errors.T, cov=part.noise))
+        assert significance._log_likelihoods(part) == pytest.approx(densities[-1])
+        assert np.sum(densities[-1]) == pytest.approx(-fit.cost, rel=1e-6)
+    better, sentence = significance._likelihoods_sample_by_sample(fits, ("viscous", "dry"), (0, 1))
+    difference = densities[0] - densities[1]
+    assert np.sum(difference) > 10
+    assert better == 1
+    assert sentence.startswith("viscous fits the data better than dry (Vuong, p")
+    other, same = significance._likelihoods_sample_by_sample(fits, ("viscous", "dry"), (1, 0))
+    assert (other, same) == (-1, sentence)
+
+
+def test_a_term_is_judged_against_zero_and_by_the_models_without_it():
     linear = fitted(Drag(), flight(LINEAR, 3, duration=15.0))
     without = fitted(LinearDrag(), linear.parts[0].data)
     said = list(significance._terms((linear, without), ("Drag", "LinearDrag"), 0, {}))
     (term,) = said
     assert term.startswith("C_x = ")
     assert term.endswith("(Drag): not distinguishable from zero.")
-    assert (
-        significance._by_predictions([("a", -3.0), ("b", 0.0)])
-        == "not zero, but a, without it, explains the data better."
-    )
-    assert (
-        significance._by_predictions([("a", 3.0), ("b", 0.0)])
-        == "not zero, but b, without it, explains the data as well."
-    )
-    assert significance._by_predictions([("a", 3.0)]) == "determined by these data."
+
+
+@pytest.mark.parametrize(
+    ("estimation", "held_out", "said"),
+    [
+        ((1, 1), (None, 1), "determined by these data."),
+        ((1, 1), (None, -1), "determined by these data, but b, without it, predicts held-out data better."),
+        ((-1, 0), (1, 1), "not zero, but a, without it, explains the data better."),
+        ((1, None), (1, 1), "not zero, but whether b, without it, explains the data as well cannot be told."),
+        ((1, 0), (1, 1), "not zero, but b, without it, explains the data as well."),
+        (None, (1, None), "not zero, but whether b, without it, predicts held-out data as well cannot be told."),
+        (None, (-1, 1), "not zero, but a, without it, predicts held-out data better."),
+        (None, (1, 1), "determined by these data."),
+    ],
+)
+def test_held_out_evidence_stands_beside_that_of_the_fits(estimation, held_out, said):
+    def evidence(verdicts):
+        return {(2, i): significance.Evidence(v, "said") for i, v in enumerate(verdicts or ())}
+
+    found = {"estimation": evidence(estimation), "identification": {}, "held-out": evidence(held_out)}
+    assert significance._by_evidence(("a", "b", "c"), 2, (0, 1), found, "zero") == said

@@ -13,16 +13,16 @@ from greybox.solve.discretization_error import DiscretizationError, discretizati
 
 
 def discretization_warnings(
-    nlp: Nlp, trajectories: Sequence[Trajectory | None], error: DiscretizationError | None = None
+    nlp: Nlp, trajectories: Sequence[Trajectory], error: DiscretizationError | None = None
 ) -> Iterator[str]:
     """Say so where twice the steps would move the estimate noticeably."""
-    if not nlp.has_states:
+    count = max(part.substeps for part in nlp.parts)
+    if not count:
         return
-    error = error or discretization_error(nlp, [t for t in trajectories if t is not None])
+    error = error or discretization_error(nlp, trajectories)
     if not error.matters:
         return
     name = nlp.free[int(np.argmax(np.abs(error.shift)))]
-    count = max(part.substeps for part in nlp.record_parts)
     by = "without limit, since the model diverges"
     if math.isfinite(error.largest):
         by = f"by {error.largest:.2g} standard errors"

@@ -19,7 +19,7 @@ from greybox.estimate.diagnostics.identifiability import (
     no_degrees_of_freedom,
     not_determined,
 )
-from greybox.estimate.diagnostics.noise_level import biased_gains, unlikely_deviations, unlikely_variances
+from greybox.estimate.diagnostics.noise_level import biased_gains, unlikely_noise
 from greybox.solve.minima import Multistart
 
 
@@ -28,7 +28,7 @@ def warnings(
     search: Multistart,
     accuracy: Accuracy,
     pade_errors: Sequence[float | None],
-    trajectories: Sequence[Trajectory | None] = (),
+    trajectories: Sequence[Trajectory],
 ) -> tuple[str, ...]:
     """Return everything a reader should know before believing the estimate, most serious first."""
     best = search.minima[0]
@@ -42,8 +42,7 @@ def warnings(
         *several_estimates_of_one_response(search, accuracy),
         *coarse_pade(nlp, pade_errors),
         *biased_gains(nlp, accuracy),
-        *unlikely_variances(nlp, best),
+        *unlikely_noise(nlp, trajectories),
         *correlated_frequencies(nlp, best.estimate),
-        *unlikely_deviations(nlp, trajectories),
         *discontinuous_costs(nlp),
     )

@@ -36,12 +36,13 @@ def few_agreeing_starts(search: Multistart) -> Iterator[str]:
 def rival_minima(nlp: Nlp, search: Multistart) -> Iterator[str]:
     """Name another minimum that the data hardly tell from the best."""
     best = search.minima[0]
+    is_likelihood = any(part.is_likelihood for part in nlp.parts)
     for other in search.minima[1:]:
-        if nlp.has_states and other.cost <= best.cost + RIVAL_LIKELIHOOD:
+        if is_likelihood and other.cost <= best.cost + RIVAL_LIKELIHOOD:
             excess = other.cost - best.cost
             yield f"another minimum with a different response is only exp({excess:.2g}) times less likely."
             return
-        if not nlp.has_states and 0 < other.cost <= best.cost * (1 + RIVAL_COST):
+        if not is_likelihood and 0 < other.cost <= best.cost * (1 + RIVAL_COST):
             percent = 100 * (other.cost / best.cost - 1)
             yield f"another minimum costs only {percent:.2g} % more and has a different response."
             return

@@ -34,7 +34,7 @@ def harmonic_warnings(nlp: Nlp, x: Array, accuracy: Accuracy) -> Iterator[str]:
     everything = nlp.all_values(x)
     values = dict(zip(nlp.names, everything.tolist(), strict=True))
 
-    for part in nlp.response_parts:
+    for part in nlp.parts:
         problem = part.problem
         sine = problem.amplitude
         if sine is None or sine.harmonics >= MOST_HARMONICS:

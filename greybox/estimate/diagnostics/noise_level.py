@@ -1,14 +1,15 @@
 """Whether the noise is of the size that was assumed, and small enough for the criterion."""
 
 from collections.abc import Iterator, Sequence
+from functools import singledispatch
 
 import numpy as np
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.compiled.part import Trajectory
+from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
+from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import Accuracy
-from greybox.solve.minima import Minimum
 
 # Relative noise of a component from which the bias of the gain, `gain_bias` times its square, reaches 1 %.
 NOISY = 0.1
@@ -36,35 +37,40 @@ def biased_gains(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
             )
 
 
-def unlikely_variances(nlp: Nlp, best: Minimum) -> Iterator[str]:
-    """Say where the given variances of a response are far from those of the residuals."""
-    costs = nlp.part_costs(best.estimate)
-    for response, cost in zip(nlp.response_parts, costs, strict=True):
-        problem = response.problem
-        if not problem.criterion.known_noise:
-            continue
-        ratio = float(cost) / max(len(problem.response) - len(nlp.free) / 2, 0.5)
-        if LEAST_VARIANCE_RATIO <= ratio <= LARGEST_VARIANCE_RATIO:
-            continue
-        meaning = "the variances are too large."
-        if ratio > 1:
-            meaning = (
-                "the model is incomplete or the variances are too small; standard errors use the residual variance."
-            )
-        yield f"the residuals of {problem.name!r} are {ratio:.2g} times what the given variances say: {meaning}"
-
-
-def unlikely_deviations(nlp: Nlp, trajectories: Sequence[Trajectory | None]) -> Iterator[str]:
-    """Say where the given standard deviations of a record's outputs are far from those of the residuals."""
+def unlikely_noise(nlp: Nlp, trajectories: Sequence[Trajectory]) -> Iterator[str]:
+    """Say where the noise that was given with the data is far from what the residuals show."""
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
-        if not isinstance(part, RecordPart) or trajectory is None or part.covariance.known is None:
-            continue
-        deviations = np.sqrt(np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1))
-        for name, given, residual in zip(part.outputs, part.covariance.known, deviations, strict=True):
-            ratio = residual / given
-            if not LEAST_DEVIATION_RATIO <= ratio <= LARGEST_DEVIATION_RATIO:
-                yield (
-                    f"the residual of {name} in {part.problem.name!r} is {ratio:.2g} times the given standard "
-                    "deviation: the model is incomplete or the stated value is wrong; standard errors use the residual "
-                    "variance."
-                )
+        yield from unlikely_noise_of(part, trajectory, len(nlp.free))
+
+
+@singledispatch
+def unlikely_noise_of(part: Part, trajectory: Trajectory, unknowns: int) -> Iterator[str]:
+    """Say so of one part of a problem with so many unknowns."""
+    yield from ()
+
+
+@unlikely_noise_of.register
+def _(part: ResponsePart, trajectory: Trajectory, unknowns: int) -> Iterator[str]:
+    if not part.criterion.known_noise:
+        return
+    ratio = part.cost(trajectory, 0.0) / max(part.numbers / 2 - unknowns / 2, 0.5)
+    if LEAST_VARIANCE_RATIO <= ratio <= LARGEST_VARIANCE_RATIO:
+        return
+    meaning = "the variances are too large."
+    if ratio > 1:
+        meaning = "the model is incomplete or the variances are too small; standard errors use the residual variance."
+    yield f"the residuals of {part.name!r} are {ratio:.2g} times what the given variances say: {meaning}"
+
+
+@unlikely_noise_of.register
+def _(part: RecordPart, trajectory: Trajectory, unknowns: int) -> Iterator[str]:
+    if part.covariance.known is None:
+        return
+    deviations = np.sqrt(np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1))
+    for output, given, residual in zip(part.outputs, part.covariance.known, deviations, strict=True):
+        ratio = residual / given
+        if not LEAST_DEVIATION_RATIO <= ratio <= LARGEST_DEVIATION_RATIO:
+            yield (
+                f"the residual of {output} in {part.name!r} is {ratio:.2g} times the given standard deviation: the "
+                "model is incomplete or the stated value is wrong; standard errors use the residual variance."
+            )

@@ -1,15 +1,17 @@
-"""Why a run of a record cannot begin: which state or output of the model is not finite where, and what helps."""
+"""Why a run met a value that is not finite: which response, state or output of the model, where, and what helps."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import singledispatch
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.compiled.part import Trajectory
+from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
+from greybox.compiled.response_part import ResponsePart
 from greybox.modeling.integrators import Rosenbrock
 from greybox.solve.ipopt import INVALID
 from greybox.solve.minima import Multistart
@@ -29,35 +31,37 @@ class Trouble:
     what : str
         In a few words, the same for all runs with this trouble.
     why, cure : str
-        With time and values; what helps.
+        With time and values; what helps. Empty where `what` says all.
     """
 
     what: str
-    why: str
-    cure: str
+    why: str = ""
+    cure: str = ""
 
 
 def explained(nlp: Nlp, search: Multistart) -> Multistart:
-    """Return the search with a reason for every run that could not begin, as far as records are the reason."""
+    """Return the search with a reason for every run that met a value that is not finite, at its start or its end."""
     return replace(search, runs=tuple(_explained(nlp, run) for run in search.runs))
 
 
 def not_finite_warnings(nlp: Nlp, search: Multistart) -> Iterator[str]:
     """Say of the first run that could not begin why, where few runs converged."""
-    troubled = [run for run in search.runs if _is_candidate(nlp, run) and run.reason]
+    troubled = [run for run in search.runs if _is_candidate(run) and run.reason]
     if troubled and search.converged < FEW * len(search.runs):
         trouble = _trouble(nlp, troubled[0].start)
-        if trouble is not None:
+        if trouble is not None and trouble.cure:
             yield f"at {_values(nlp, troubled[0].start)} {trouble.why}: {trouble.cure}."
 
 
 def _explained(nlp: Nlp, run: Run) -> Run:
-    trouble = _trouble(nlp, run.start) if _is_candidate(nlp, run) else None
+    if not _is_candidate(run):
+        return run
+    trouble = _trouble(nlp, run.start) or _trouble(nlp, run.estimate)
     return run if trouble is None else replace(run, reason=trouble.what)
 
 
-def _is_candidate(nlp: Nlp, run: Run) -> bool:
-    return nlp.has_states and not run.converged and run.status in (NOT_FINITE, INVALID)
+def _is_candidate(run: Run) -> bool:
+    return not run.converged and run.status in (NOT_FINITE, INVALID)
 
 
 def _values(nlp: Nlp, start: Array) -> str:
@@ -68,15 +72,35 @@ def _values(nlp: Nlp, start: Array) -> str:
     return ", ".join(said[:NAMED]) + (" ..." if len(said) > NAMED else "")
 
 
-def _trouble(nlp: Nlp, start: Array) -> Trouble | None:
-    """Return what is not finite at the start (p,), of the first record with which it is so."""
-    z = nlp.scaling.to_solver(np.clip(start, nlp.lower, nlp.upper))
-    for part in nlp.record_parts:
-        with np.errstate(all="ignore"):
-            trajectory = part.initial_trajectory(z)
-            if not trajectory.finite:
-                return _located(part, trajectory)
+def _trouble(nlp: Nlp, x: Array) -> Trouble | None:
+    """Return what is not finite at the parameters x (p,), of the first part with which it is so."""
+    if not np.all(np.isfinite(x)):
+        return None
+    z = nlp.scaling.to_solver(np.clip(x, nlp.lower, nlp.upper))
+    with np.errstate(all="ignore"):
+        return next((trouble for part in nlp.parts if (trouble := trouble_of(part, z)) is not None), None)
+
+
+@singledispatch
+def trouble_of(part: Part, z: Array) -> Trouble | None:
+    """Return what of a part is not finite at the solver's point z (p,)."""
     return None
+
+
+@trouble_of.register
+def _(part: ResponsePart, z: Array) -> Trouble | None:
+    re, im = np.asarray(part.scaled_response(z)).reshape(2, -1)
+    lost = ~(np.isfinite(re) & np.isfinite(im))
+    if not lost.any():
+        return None
+    omega = part.data.omega[int(np.argmax(lost))]
+    return Trouble(f"no finite response at {'any frequency' if lost.all() else f'omega = {omega:g} rad/s'}")
+
+
+@trouble_of.register
+def _(part: RecordPart, z: Array) -> Trouble | None:
+    trajectory = part.initial_trajectory(z)
+    return None if trajectory.finite else _located(part, trajectory)
 
 
 def _located(part: RecordPart, trajectory: Trajectory) -> Trouble | None:

@@ -12,8 +12,9 @@ from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.kalman_gain import kalman_gain
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
+from greybox.data.record import Record
 from greybox.data.text_table import counted
-from greybox.estimate.result import FittedRecord
+from greybox.estimate.result import FittedRecord, FittedResponse
 from greybox.statistics.noise_ratio import noise_ratio
 
 MASKED = 0.05  # share of the samples of a record from which their loss is told
@@ -25,17 +26,24 @@ CERTAIN = 5.0  # standard deviations of the correlation of white residuals, beyo
 HUGE = 1e6  # what is beyond is rounding: there is no noise
 
 
+def finding_warnings(nlp: Nlp) -> tuple[str, ...]:
+    """Return what was found when the records were read: restarts of the clock, lost lines, text instead of numbers."""
+    pairs = [(part.name, part.data) for part in nlp.problem.parts if isinstance(part.data, Record)]
+    return tuple(f"data of {name!r}: {text}" for name, record in pairs for text in record.findings)
+
+
 def record_warnings(
-    nlp: Nlp, records: Sequence[FittedRecord], trajectories: Sequence[Trajectory | None]
+    nlp: Nlp, fitted: Sequence[FittedRecord | FittedResponse], trajectories: Sequence[Trajectory]
 ) -> tuple[str, ...]:
-    """Return what a reader should know of the records (in the order of `nlp.record_parts`) of an answer."""
-    pairs = list(zip(nlp.record_parts, records, strict=True))
+    """Return what a reader should know of the records among the parts of an answer."""
+    every = zip(nlp.parts, fitted, strict=True)
+    pairs = [(part, one) for part, one in every if isinstance(part, RecordPart) and isinstance(one, FittedRecord)]
     return (
         *(text for part, fitted in pairs for text in _unexplained(part, fitted, alone=len(pairs) == 1)),
         *_colored(pairs),
-        *_bounded(nlp, trajectories),
+        *_bounded(nlp, trajectories, alone=len(pairs) == 1),
         *(text for part, _ in pairs for text in _masked(nlp, part)),
-        *_resting(nlp),
+        *(_resting([part for part, _ in pairs]) if len(pairs) == len(nlp.parts) else ()),
         *_weights([_Residuals.of(part, fitted) for part, fitted in pairs if part.covariance.known is None]),
     )
 
@@ -86,13 +94,13 @@ def _colored(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
         )
 
 
-def _bounded(nlp: Nlp, trajectories: Sequence[Trajectory | None]) -> Iterator[str]:
+def _bounded(nlp: Nlp, trajectories: Sequence[Trajectory], *, alone: bool) -> Iterator[str]:
     """Say where a Kalman gain has reached the stability limit."""
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         gain = kalman_gain(part)
-        if gain is not None and trajectory is not None and gain.is_at_limit(trajectory):
+        if gain is not None and gain.is_at_limit(trajectory):
             name = gain.part.model.record.name or part.problem.name
-            where = "" if len(nlp.record_parts) == 1 else f" of {name!r}"
+            where = "" if alone else f" of {name!r}"
             yield (
                 f"the Kalman gain{where} reached the stability limit: the data show no process noise in a state that "
                 "it corrects, and the standard errors, which do not account for the limit, are too small; name fewer "
@@ -125,12 +133,12 @@ def _masked(nlp: Nlp, part: RecordPart) -> Iterator[str]:
     )
 
 
-def _resting(nlp: Nlp) -> Iterator[str]:
+def _resting(parts: Sequence[RecordPart]) -> Iterator[str]:
     """Say that nothing was excited, where that holds for all data."""
-    if not nlp.has_states or nlp.response_parts or not all(p.data.constant_inputs for p in nlp.record_parts):
+    if not all(part.data.constant_inputs for part in parts):
         return
-    inputs = dict.fromkeys(name for part in nlp.record_parts for name in part.system.inputs)
-    which = "the record" if len(nlp.record_parts) == 1 else "any record"
+    inputs = dict.fromkeys(name for part in parts for name in part.system.inputs)
+    which = "the record" if len(parts) == 1 else "any record"
     yield (f"the inputs never change in {which} ({', '.join(inputs)}): only the free response is informative.")
 
 

@@ -11,9 +11,8 @@ Formats
 Shared by several
     `messages` (messages of one type, and the records made of them), `time_stamps` (clock restarts, impossible and
     repeated stamps), `table_columns` (units in headings, the time column), `ardupilot_metadata` (vehicle, firmware,
-    parameters, modes, arming).
-Libraries that a damaged file can crash
-    `subprocess_reader` runs them in a subprocess, whose script is `subprocess_main`.
+    parameters, modes, arming), `controller_outputs` (which signals a controller holds), `named_arrays` (records of the
+    groups in HDF5, MATLAB and PX4 files, which `greybox.data.subprocess_reader` reads in a subprocess).
 """
 
 from collections.abc import Callable, Collection
@@ -22,6 +21,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from greybox.data.record import Recording
+from greybox.data.safe_files import require_file
+from greybox.data.text_table import printable
 
 HEAD = 4096  # bytes by which a format is recognized
 HDF5 = b"\x89HDF\r\n\x1a\n"  # at byte 0, 512, 1024, 2048 ... (a MATLAB 7.3 file has it at 512)
@@ -66,8 +67,9 @@ def _is_csv(head: bytes) -> bool:
     """Tell whether it is text with at least two lines and a separator in the first that is no comment."""
     if b"\0" in head or not head.strip():
         return False
-    lines = [line for line in head.splitlines() if line.strip() and not line.startswith(b"#")]
-    return len(lines) > 1 and any(separator in lines[0] for separator in b",;\t") and _is_text(head)
+    lines = [line for line in head.splitlines() if line.strip() and not line.startswith((b"#", b"%"))]
+    enough = len(lines) > 1 or (len(lines) == 1 and len(head) == HEAD)
+    return enough and any(separator in lines[0] for separator in b",;\t") and _is_text(head)
 
 
 def _is_text(head: bytes) -> bool:
@@ -110,7 +112,11 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     """
     path = Path(path)
     wanted = (messages,) if isinstance(messages, str) else messages
-    return import_module(f"greybox.logs.readers.{_format(path).module}").read(path, wanted)
+    reader = import_module(f"greybox.logs.readers.{_format(path).module}")
+    try:
+        return reader.read(path, wanted)
+    except ValueError as refused:
+        raise ValueError(printable(str(refused))) from None  # it may quote the file
 
 
 def _format(path: Path) -> Format:
@@ -127,10 +133,9 @@ def _format(path: Path) -> Format:
 
 def _head(path: Path) -> bytes:
     """Return the first bytes of a file that has some."""
-    if not path.exists():
-        raise FileNotFoundError(f"there is no file {path}.")
     if path.is_dir():
         raise IsADirectoryError(f"{path} is a folder: give the log file in it.")
+    require_file(path)
     try:
         with open(path, "rb") as file:
             head = file.read(HEAD)

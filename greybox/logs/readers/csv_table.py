@@ -1,26 +1,34 @@
 """Tables of measured signals as text: a header line, a time column, numeric columns; comma, semicolon or tab."""
 
-import csv
 import hashlib
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.data.delimited_text import MISSING, DecimalMark, DelimitedText, read_delimited
 from greybox.data.record import Recording
-from greybox.data.text_table import is_number
+from greybox.data.text_table import counted, is_number
 from greybox.logs.readers.messages import on_one_clock, records
-from greybox.logs.readers.table_columns import SECONDS, Heading, heading, seconds, table
+from greybox.logs.readers.table_columns import SECONDS, Heading, heading, name_list, seconds, table
+
+Floats = NDArray[np.float64]
+
+LONGEST = 30  # characters of a cell that is shown in a finding
 
 
 def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
     """Read a table with a header line into one record named after the file.
 
-    The separator is the first of ``;``, tab and comma that the header contains; with ``;`` or tab the numbers
-    may have a decimal comma. Units stand in the header: ``pitch [deg]`` or ``pitch (deg)``. Lines that start with
-    ``#`` are comments; empty cells, and words such as ``nan``, are missing samples.
+    The cells are separated by semicolons, tabs or commas; the numbers may have decimal commas, see
+    `greybox.data.delimited_text`. Units stand in the header: ``pitch [deg]`` or ``pitch (deg)``. So does how a signal
+    runs between its samples, where that is known: ``u [1 held]`` for the output of a controller, which holds it, and
+    ``pitch [deg sampled]`` for samples of what is continuous. Lines that start with ``#`` or ``%`` are comments; empty
+    cells, and words such as ``nan``, are missing samples.
 
     The time column is the first named time, t or timestamp (any case, with a unit in brackets or as in ``time_s``,
     ``time_ms``), or TimeUS, TimeMS as ArduPilot's tools write it; without a unit it is in seconds. Where there is none,
@@ -35,25 +43,26 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     Returns
     -------
     Recording
-        One record; columns that are not numeric are left out, and the findings say so.
+        One record. The findings name columns without numbers, which are left out, lines with fewer cells than the
+        header, which are skipped, and cells with text or infinite values.
 
     Raises
     ------
     ValueError
-        If there is no header, no time column, or no numeric column.
+        If there is no header, no time column, or no numeric column; if a line has more cells than the header, or its
+        decimal marks cannot be told from separators of thousands.
     OSError
         If the file cannot be opened.
     """
     path = Path(path)
     raw = path.read_bytes()
     checksum = hashlib.sha256(raw).hexdigest()
-    lines = [line for line in _decode(raw).splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    if len(lines) < 2:
+    text = read_delimited(path, raw)
+    if not text.lines:
         raise ValueError(f"{path} has no table: write a header line with names, then one line of numbers per sample.")
 
-    separator = next((s for s in ";\t" if s in lines[0]), ",")
-    headings = _headings(next(_rows(lines[:1], separator, path), []), lines[0], path)
-    columns, not_numeric, wrong_length = _columns(headings, lines[1:], separator, path)
+    headings = _headings(text)
+    columns, findings = _columns(headings, text)
     units = {h.name: h.unit for h in headings}
     group, left_out = table(path.stem, _time_first(headings, columns, path), units)
     groups, restarts = on_one_clock([group] if group else [])
@@ -61,98 +70,96 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     if not found:
         raise ValueError(f"{path} has no numeric column beside the time: it needs one for each signal.")
 
-    findings = []
-    if wrong_length:
-        findings.append(f"{wrong_length} of {len(lines) - 1} lines do not have as many cells as the header: skipped.")
-    findings += left_out
-    if not_numeric:
-        findings.append(f"columns without numbers were left out: {', '.join(not_numeric)}.")
-    return Recording(found, path.name, checksum, {}, (*findings, *restarts, *problems))
+    findings = (*findings, *left_out, *restarts, *problems)
+    found = {name: replace(record, findings=findings) for name, record in found.items()}
+    return Recording(found, path.name, checksum, {}, findings)
 
 
-def _decode(raw: bytes) -> str:
-    for encoding in ("utf-8-sig", "cp1252"):
-        try:
-            return raw.decode(encoding)
-        except UnicodeDecodeError:
-            continue
-    return raw.decode("utf-8", "replace")
-
-
-def _headings(cells: Sequence[str], line: str, path: Path) -> list[Heading]:
-    headings = [heading(cell) for cell in cells]
+def _headings(text: DelimitedText) -> list[Heading]:
+    headings = [heading(cell) for cell in text.header]
     names = [h.name for h in headings if h.name]
-    if not names or all(is_number(name) for name in names):
-        raise ValueError(f"{path} has no header line: its first line, {line[:60]!r}, must name the columns.")
-    twice = [name for name in names if names.count(name) > 1]
+    if not names or all(is_number(name.replace(",", ".")) for name in names):
+        line = text.separator.join(text.header)[:60]
+        raise ValueError(f"{text.path} has no header line: its first line, {line!r}, must name the columns.")
+    twice = next((name for name, count in Counter(names).items() if count > 1), None)
     if twice:
-        raise ValueError(f"{path} has two columns named {twice[0]!r}: give each column a name of its own.")
+        raise ValueError(f"{text.path} has two columns named {twice!r}: give each column a name of its own.")
     return headings
 
 
-def _columns(
-    headings: Sequence[Heading], lines: Sequence[str], separator: str, path: Path
-) -> tuple[dict[str, NDArray[np.float64]], list[str], int]:
-    """Return the numeric columns by name, the names of other non-empty ones, and how many lines have a wrong length."""
+def _columns(headings: Sequence[Heading], text: DelimitedText) -> tuple[dict[str, Floats], tuple[str, ...]]:
+    """Return the numeric columns by name, and findings."""
     try:
-        clean = np.loadtxt(lines, delimiter=separator, comments=None, ndmin=2)
+        clean = np.loadtxt(text.lines, delimiter=text.separator, comments=None, ndmin=2)
     except ValueError:
         clean = np.empty((0, 0))
     if clean.shape[1] == len(headings):
-        return {h.name: clean[:, i] for i, h in enumerate(headings) if h.name}, [], 0
+        columns = {h.name: clean[:, i] for i, h in enumerate(headings) if h.name}
+        return columns, _infinite(columns, text.line_numbers)
 
-    cells, wrong_length = _cells(_rows(lines, separator, path), len(headings))
+    rows = list(text.rows())
+    short = [number for number, row in rows if len(row) < len(headings)]
+    whole = [(number, row) for number, row in rows if len(row) == len(headings)]
+    numbers = [number for number, _ in whole]
+    mark = DecimalMark(text.path, whole)
+
     columns = {}
     not_numeric = []
-    for (name, _), column in zip(headings, cells, strict=True):
-        values = _numbers(column, separator)
+    text_cells: list[str] = []
+    for k, (name, _) in enumerate(headings):
+        cells = [row[k] for _, row in whole]
+        values, odd = _numbers(cells, mark)
         if name and values is not None:
             columns[name] = values
-        elif name and any(cell.strip() for cell in column):
+            if odd:
+                first = f"the first {cells[odd[0]][:LONGEST]!r} in line {numbers[odd[0]]}"
+                text_cells.append(f"{name} ({counted(len(odd), 'cell')}, {first})")
+        elif name and any(cells):
             not_numeric.append(name)
-    return columns, not_numeric, wrong_length
+    findings = []
+    if short:
+        findings.append(
+            f"{len(short)} of {len(rows)} lines have fewer cells than the header and were skipped, the first is line "
+            f"{short[0]}."
+        )
+    if text_cells:
+        findings.append(f"cells that are not numbers, which count as missing: {name_list(text_cells)}.")
+    if not_numeric:
+        findings.append(f"columns without numbers were left out: {name_list(not_numeric)}.")
+    return columns, (*findings, *_infinite(columns, numbers))
 
 
-def _rows(lines: Sequence[str], separator: str, path: Path) -> Iterator[list[str]]:
-    try:
-        yield from csv.reader(lines, delimiter=separator, skipinitialspace=True)
-    except csv.Error as problem:
-        raise ValueError(f"{path} is not a table of numbers ({problem}): save it as plain CSV.") from None
+def _numbers(cells: Sequence[str], mark: DecimalMark) -> tuple[Floats | None, list[int]]:
+    """Convert a column, NaN for missing cells, and return the rows with text; None for a column that is not numeric."""
+    values = np.full(len(cells), np.nan)
+    odd = []
+    filled = 0
+    for k, cell in enumerate(cells):
+        if cell.lower() in MISSING:
+            filled += bool(cell)
+            continue
+        filled += 1
+        try:
+            values[k] = mark.number(cell)
+        except ValueError:
+            odd.append(k)
+    if not filled or len(odd) > filled / 2:  # some damaged cells do not make a column text
+        return None, []
+    return values, odd
 
 
-def _cells(rows: Iterable[list[str]], width: int) -> tuple[list[list[str]], int]:
-    """Return the cells column by column, and how many lines have a wrong number of them."""
-    columns: list[list[str]] = [[] for _ in range(width)]
-    wrong_length = 0
-    for cells in rows:
-        if len(cells) == width + 1 and not cells[-1].strip():
-            cells.pop()  # a separator at the end of every line
-        if len(cells) == width:
-            for column, cell in zip(columns, cells, strict=True):
-                column.append(cell)
-        else:
-            wrong_length += 1
-    return columns, wrong_length
+def _infinite(columns: Mapping[str, Floats], line_numbers: Sequence[int]) -> tuple[str, ...]:
+    """Say which columns have infinite values, and where."""
+    places = {name: np.flatnonzero(np.isinf(values)) for name, values in columns.items()}
+    named = [
+        f"{name} ({counted(rows.size, 'cell')}, the first in line {line_numbers[rows[0]]})"
+        for name, rows in places.items()
+        if rows.size
+    ]
+    return (f"infinite values, which count as missing in a fit: {name_list(named)}.",) if named else ()
 
 
-def _numbers(cells: Sequence[str], separator: str) -> NDArray[np.float64] | None:
-    """Convert a column; NaN for empty cells; None for a column that is not numeric."""
-    try:
-        return np.array(cells, dtype=float)
-    except ValueError:
-        cleaned = [cell.strip() for cell in cells]
-    if separator != ",":
-        cleaned = [cell.replace(",", ".") for cell in cleaned]
-    filled = [cell for cell in cleaned if cell]
-    numeric = sum(map(is_number, filled))
-    if not filled or numeric < len(filled) / 2:  # some damaged cells do not make a column text
-        return None
-    return np.array([float(cell) if is_number(cell) else np.nan for cell in cleaned])
-
-
-def _time_first(
-    headings: Sequence[Heading], columns: Mapping[str, NDArray[np.float64]], path: Path
-) -> dict[str, NDArray[np.float64]]:
+def _time_first(headings: Sequence[Heading], columns: Mapping[str, Floats], path: Path) -> dict[str, Floats]:
     """Return the columns; where none is named as a time, the first serves if it increases and has a unit of time."""
     if any(seconds(h.name, h.unit) and h.name in columns for h in headings):
         return dict(columns)

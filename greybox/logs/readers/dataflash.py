@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from greybox.data.record import Recording
 from greybox.logs.readers import ardupilot_metadata
+from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.dataflash_index import Index, Layout, index, text
 from greybox.logs.readers.dataflash_units import Units, UnitTables, with_usual_units
 from greybox.logs.readers.messages import Messages, bare, merged, on_one_clock, records
@@ -67,8 +68,8 @@ def recording(
     groups, restarts = on_one_clock(groups)
 
     wanted = [g for g in groups if g.name not in ABOUT and (messages is None or g.name in messages)]
-    found, problems = records(wanted, path.name, checksum)
     metadata = ardupilot_metadata.metadata(groups)
+    found, problems = records(with_holds(wanted, metadata.get("parameters", {})), path.name, checksum)
     if not found and not metadata:
         raise ValueError(f"{path} holds no ArduPilot message that can be read; copy it from the vehicle again.")
     missing = _missing({g.name for g in groups}, messages)

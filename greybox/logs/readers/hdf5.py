@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.record import Recording
-from greybox.logs.readers import subprocess_reader
+from greybox.logs.readers import named_arrays
 
 
 def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
@@ -15,7 +15,8 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
 
     A group holds one record: a dataset ``time`` (or t, timestamp, time_ms ...; see `table_columns.seconds`), and
     vectors of the same length. Matrices with one sample per row (as MATLAB shows them, in MATLAB's files) give one
-    signal per column. Units are attributes ``unit`` or ``units`` of the datasets. A record is named after its group
+    signal per column. Units are attributes ``unit`` or ``units`` of the datasets, followed by the word held or sampled
+    where it is known how the signal runs between its samples. A record is named after its group
     (``flight/ATT``), one at the root after the file.
 
     Parameters
@@ -38,9 +39,9 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     path = Path(path)
     with open(path, "rb") as file:
         matlab = file.read(6) == b"MATLAB"
-    found = subprocess_reader.contents("hdf5", path)
+    found = named_arrays.contents("hdf5", path)
     rows = [variable._replace(values=_rows(variable.values, matlab)) for variable in found.variables]
-    return subprocess_reader.recording(path, found._replace(variables=rows), messages)
+    return named_arrays.recording(path, found._replace(variables=rows), messages)
 
 
 def _rows(values: NDArray[np.float64], matlab: bool) -> NDArray[np.float64]:

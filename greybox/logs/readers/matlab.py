@@ -4,7 +4,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 from greybox.data.record import Recording
-from greybox.logs.readers import subprocess_reader
+from greybox.logs.readers import named_arrays
 
 
 def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
@@ -33,4 +33,4 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     OSError
         If the file cannot be opened.
     """
-    return subprocess_reader.recording(Path(path), subprocess_reader.contents("matlab", Path(path)), messages)
+    return named_arrays.recording(Path(path), named_arrays.contents("matlab", Path(path)), messages)

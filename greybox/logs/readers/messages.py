@@ -28,6 +28,8 @@ class Messages:
     texts : mapping of str to sequence of str
         Columns of text.
     units : mapping of str to str
+    hold : mapping of str to float
+        For how long the values of a column lasted, as far as that is known, see `greybox.data.intersample`.
     instance : str
         The column, numeric or text, that distinguishes several senders; empty if there is one.
     """
@@ -39,6 +41,7 @@ class Messages:
     texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     instance: str = ""
+    hold: Mapping[str, float] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return self.order.size
@@ -152,7 +155,8 @@ def _record(name: str, part: Messages, source: str, checksum: str) -> Record | N
         time = time[rows]
         columns = {column: values[rows] for column, values in columns.items()}
     units = {column: part.units.get(column, "") for column in columns}
-    return Record(time, columns, units, name, source, checksum, findings=findings + time_stamps.gaps(name, time))
+    findings += time_stamps.gaps(name, time)
+    return Record(time, columns, units, name, source, checksum, hold=part.hold, findings=findings)
 
 
 def _dropped(name: str, dropped: int, time: Floats) -> str:

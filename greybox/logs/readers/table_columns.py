@@ -1,12 +1,13 @@
 """Tables of named columns, from any file: units in headings, the time column, and the messages made of them."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.logs.readers.messages import Messages
 
 Floats = NDArray[np.float64]
@@ -26,6 +27,7 @@ TIMES = ("time", "t", "timestamp", "timestamps", "tout")  # names of a time colu
 ARDUPILOT = {"timeus": 1e-6, "timems": 1e-3}
 BRACKETS = re.compile(r"^([^\[\]()]+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))$")
 SUFFIX = re.compile(r"^(.+)_(s|sec|ms|us|ns)$")
+BETWEEN = {"held": HELD, "sampled": CONTINUOUS}
 WIDEST = 64  # columns of a matrix that become signals of their own: a convention, to keep images out
 
 
@@ -70,6 +72,7 @@ def table(
     columns : mapping of str to array
         As read, in any real type; matrices with one sample per row give signals ``x[0]``, ``x[1]`` ..., one per column.
     units : mapping of str to str
+        A unit may be followed by how the signal runs between its samples, ``1 held`` or ``rad sampled``.
 
     Returns
     -------
@@ -84,20 +87,31 @@ def table(
     time = columns[timer].astype(float) * (seconds(timer, units.get(timer, "")) or 1.0)
     kept = {}
     labels = {}
+    hold = {}
     wrong_length = []
     for key, values in columns.items():
         if key == timer:
             continue
+        unit, seconds_held = _unit_and_hold(units.get(key, ""))
         for label, column in _split(key, values, time.size):
             kept[label] = column
-            labels[label] = units.get(key, "")
+            labels[label] = unit
+            if seconds_held is not None:
+                hold[label] = seconds_held
         if values.shape[:1] != time.shape:
             wrong_length.append(key)
     findings = []
     if wrong_length:
-        findings.append(f"{name}: left out, because their length is not that of the time: {_list(wrong_length)}.")
-    messages = Messages(name, np.arange(time.size), time, kept, {}, labels) if kept else None
+        findings.append(f"{name}: left out, because their length is not that of the time: {name_list(wrong_length)}.")
+    messages = Messages(name, np.arange(time.size), time, kept, {}, labels, hold=hold) if kept else None
     return messages, tuple(findings)
+
+
+def _unit_and_hold(text: str) -> tuple[str, float | None]:
+    """Split ``1 held`` into the unit and for how long a value lasts; None where that is not said."""
+    unit, _, word = text.strip().rpartition(" ")
+    hold = BETWEEN.get(word.lower())
+    return (text, None) if hold is None else (unit.strip(), hold)
 
 
 def _split(name: str, values: NDArray[np.generic], size: int) -> list[tuple[str, Floats]]:
@@ -111,5 +125,6 @@ def _split(name: str, values: NDArray[np.generic], size: int) -> list[tuple[str,
     return []
 
 
-def _list(names: list[str], most: int = 12) -> str:
+def name_list(names: Sequence[str], most: int = 12) -> str:
+    """Return names with commas between, and how many more there are."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from greybox.data.record import Recording
 from greybox.logs.readers import telemetry_metadata, time_stamps
 from greybox.logs.readers.ardupilot_metadata import unit
+from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.dataflash_index import text
 from greybox.logs.readers.messages import Messages, bare, records
 from greybox.logs.readers.telemetry_frames import KINDS, Frames, find_packets, payloads
@@ -64,8 +65,8 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     wanted = [k for k, name in names.items() if (name not in ABOUT if messages is None else name in messages)]
     groups = [_messages(data, frames, kind, time) for kind in wanted]
     checksum = hashlib.sha256(data).hexdigest()
-    found, problems = records(groups, path.name, checksum)
     about = telemetry_metadata.metadata(data, frames, time)
+    found, problems = records(with_holds(groups, about.get("parameters", {})), path.name, checksum)
     findings = (
         *_damage(frames),
         *restarts,

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.data.record import Record, Recording
-from greybox.logs.readers import subprocess_reader
+from greybox.logs.readers import named_arrays
 from greybox.logs.readers.ardupilot_metadata import armed_intervals
 from greybox.logs.readers.messages import bare
 
@@ -59,8 +59,8 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     asked = bare(messages)
     if find_spec("pyulog") is None:
         raise ValueError(f"{path} is a PX4 log, which needs pyulog: install it with pip install 'greybox-id[px4]'.")
-    found = subprocess_reader.contents("ulog", path, *(sorted({STATUS, *asked}) if asked else ()))
-    whole = subprocess_reader.recording(path, found, None)
+    found = named_arrays.contents("ulog", path, *(sorted({STATUS, *asked}) if asked else ()))
+    whole = named_arrays.recording(path, found, None, found.about["parameters"])
     topics = {name: name.partition("[")[0] for name in whole}
     about = {**_about(found.about), **(_states(whole[STATUS]) if STATUS in topics.values() else {})}
     kept = {name: record for name, record in whole.items() if asked is None or topics[name] in asked}

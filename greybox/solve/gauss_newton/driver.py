@@ -2,14 +2,15 @@
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.compiled.part import Part, Trajectory
+from greybox.compiled.part import Part
 from greybox.compiled.strategies import Strategies
 from greybox.solve.constraints import Limits
 from greybox.solve.gauss_newton.all_parts import AllParts
@@ -20,7 +21,9 @@ from greybox.solve.gauss_newton.line_search import line_search
 from greybox.solve.gauss_newton.merit import merit_function
 from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
 from greybox.solve.gauss_newton.stability import are_stable, best_gains, simulate_stable
-from greybox.solve.outcome import NOT_FINITE, Outcome
+from greybox.solve.interruption import stop_requested
+from greybox.solve.local_solver import LocalSolver, Profile
+from greybox.solve.outcome import INTERRUPTED, NOT_FINITE, Outcome
 
 Array = NDArray[np.float64]
 
@@ -34,18 +37,8 @@ SMOOTHING_ITERATIONS = 3
 ROUNDED = 1e3
 
 
-@dataclass(frozen=True, eq=False)
-class Profile:
-    """The best nodes of every part at given parameters: those of the smallest cost with exact continuity."""
-
-    z: Array
-    trajectories: tuple[Trajectory, ...]
-    cost: float
-    converged: bool
-
-
-class GaussNewton:
-    """The solver of one compiled problem that has records, built once for all starts."""
+class GaussNewton(LocalSolver):
+    """The solver of one compiled problem whose parts have hidden unknowns, built once for all starts."""
 
     def __init__(self, nlp: Nlp, parts: tuple[Part, ...] | None = None) -> None:
         """Build what every run shares; `parts` stand in for those of the problem."""
@@ -63,11 +56,10 @@ class GaussNewton:
     def _on_excerpts(self) -> "GaussNewton | None":
         """Return the solver on excerpts of long records, which lead to the neighborhood of the minimum."""
         settings = self._settings
-        samples = sum(part.data.samples for part in self._nlp.record_parts)
+        samples = sum(part.samples for part in self._nlp.parts)
         if samples <= settings.long_record or not settings.stretches_first:
             return None
-        excerpts = {id(part): part.excerpt(settings.long_record // 2) for part in self._nlp.record_parts}
-        return GaussNewton(self._nlp, tuple(excerpts.get(id(part), part) for part in self._nlp.parts))
+        return GaussNewton(self._nlp, tuple(part.excerpt(settings.long_record // 2) for part in self._nlp.parts))
 
     # --- runs ---------------------------------------------------------------------------------------------------------
 
@@ -79,6 +71,8 @@ class GaussNewton:
         before = 0
         if self._coarse is not None:
             first = self._coarse.run(start, iterations)
+            if first.status == INTERRUPTED:
+                return first
             z, before = self._nlp.scaling.to_solver(first.estimate), first.iterations
         progress = Progress(self._settings, near_solution=self._coarse is not None)
         outcome = self._solve(self._parts.from_data(z), progress, iterations)
@@ -146,6 +140,23 @@ class GaussNewton:
         found = status == "converged" and are_stable(self._parts, iterate)
         return Profile(z, iterate.trajectories, self._parts.cost(iterate, 0.0), found)
 
+    def cost(self, values: Array) -> float:
+        """Return the smallest cost at all values (k,) with exact continuity; NaN where there is none.
+
+        Raises
+        ------
+        ValueError
+            For another value of a fixed parameter: it is compiled in.
+        """
+        count = len(self._nlp.free)
+        for name, value, stated in zip(self._nlp.constants, values[count:], self._nlp.constant_values, strict=True):
+            if value != stated:
+                raise ValueError(
+                    f"{name} is fixed at {stated:g} here: give {value:g} to the problem, fixed={{{name!r}: ...}}."
+                )
+        found = self.profile(values[:count])
+        return found.cost if found.converged else math.nan
+
     def signature(self, x: Array) -> Array | None:
         """Return what `Outcome.signature` holds, at the best nodes for x (p,); None where there are none."""
         found = self.profile(x)
@@ -200,6 +211,8 @@ class GaussNewton:
         settings, parts = self._settings, self._parts
         initial_weights = parts.initial_weights()
         for iteration in range(iterations):
+            if stop_requested():
+                return iterate, INTERRUPTED, iteration
             weights = parts.residual_weights(iterate) if progress.is_exact else initial_weights
             if linearizations is None:
                 near = progress.last_decrease < settings.covariance_decrease and settings.covariance_curvature
@@ -339,6 +352,8 @@ class GaussNewton:
 
 def _limits(nlp: Nlp) -> Limits:
     """Return the bounds and constraints in the solver's variables."""
-    z, g = nlp.expressions["x"], nlp.expressions["g"]
+    kind: Any = ca.SX if nlp.program.is_a("SXFunction") else ca.MX
+    z = kind.sym("z", len(nlp.free))
+    _, g = nlp.program(z, 0.0)
     constraints = ca.Function("constraints", [z], [g, ca.densify(ca.jacobian(g, z))])
     return Limits(nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper), constraints)

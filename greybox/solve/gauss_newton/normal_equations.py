@@ -73,4 +73,4 @@ def largest_multiplier(force: Array, normals: Array, slack: Array) -> float:
     active = slack <= ACTIVE
     if not active.any():
         return 0.0
-    return float(np.abs(np.linalg.lstsq(normals[active].T, force)[0]).max())
+    return float(np.abs(np.linalg.lstsq(normals[active].T, force, rcond=None)[0]).max())

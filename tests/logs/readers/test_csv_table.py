@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -61,9 +64,36 @@ def test_numbers_survive(saved, values, separator):
 
 
 def test_rows_of_another_length_are_counted(saved):
-    recording = saved("t,x\n0,1\n1\n2,3,4\n3,5\n")
+    recording = saved("t,x\n0,1\n1\n\n2\n3,5\n")
     assert recording["flight"]["x"].tolist() == [1, 5]
-    assert recording.findings == ("2 of 4 lines do not have as many cells as the header: skipped.",)
+    finding = "2 of 4 lines have fewer cells than the header and were skipped, the first is line 3."
+    assert recording.findings == recording["flight"].findings == (finding,)
+
+
+def test_text_and_infinite_cells_are_named_with_their_lines(saved):
+    rows = [f"{k},{k},{k}" for k in range(20)]
+    rows[4], rows[7], rows[9] = "4,fault,4", "7,n/a,inf", "9,stall,-inf"
+    recording = saved("t,x,y\n# u\n" + "\n".join(rows))
+    assert np.flatnonzero(np.isnan(recording["flight"]["x"])).tolist() == [4, 7, 9]
+    assert recording.findings == (
+        "cells that are not numbers, which count as missing: x (2 cells, the first 'fault' in line 7).",
+        "infinite values, which count as missing in a fit: y (2 cells, the first in line 10).",
+    )
+    plain = saved("t,x\n0,1\n1,inf\n")
+    assert plain.findings == ("infinite values, which count as missing in a fit: x (1 cell, the first in line 3).",)
+
+
+def test_a_hundred_thousand_columns_take_seconds_of_the_processor(tmp_path):
+    """Each step is linear in the columns; a quadratic one took 60 s."""
+    names = [f"c{k}" for k in range(100_000)]
+    path = tmp_path / "wide.csv"
+    path.write_text("\n".join([",".join(["time", *names]), *(",".join([f"{k}"] * 100_001) for k in range(2))]))
+    limited = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_CPU, (20, 20)); import greybox as gb;"
+        "print(len(gb.read(sys.argv[1])['wide'].signals))"
+    )
+    done = subprocess.run([sys.executable, "-c", limited, path], capture_output=True, text=True, check=True)
+    assert done.stdout == "100000\n"
 
 
 def test_separators_at_the_end_of_lines_and_quotes(saved):

@@ -1,6 +1,7 @@
 """The choice of the reader, and what damaged files may do."""
 
 import importlib.util
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -8,6 +9,7 @@ from pathlib import Path
 import pytest
 from synthetic_logs import samples
 
+import greybox as gb
 from greybox.logs.readers import FORMATS, read
 
 ROOT = Path(__file__).parents[3]
@@ -37,6 +39,15 @@ def test_a_file_that_is_not_there(tmp_path):
 def test_a_folder(tmp_path):
     with pytest.raises(OSError, match="is a folder: give the log file in it"):
         read(tmp_path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes")
+def test_a_pipe_is_refused_before_it_blocks(tmp_path):
+    path = tmp_path / "log.csv"
+    os.mkfifo(path)
+    for reader in (read, gb.read_response):
+        with pytest.raises(OSError, match=r"log\.csv is a pipe or a device: copy what it gives to a file"):
+            reader(path)
 
 
 @pytest.mark.parametrize(

@@ -94,4 +94,4 @@ def test_trajectories_of_the_wind_are_told_from_the_truth():
     assert parts.is_continuous(iterate)
     far = parts.at(iterate.z, [nodes + 1.0 for nodes in iterate.nodes])
     assert not parts.is_continuous(far)
-    assert nlp.has_states
+    assert nlp.parts[0].has_states

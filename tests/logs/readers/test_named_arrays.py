@@ -1,6 +1,4 @@
-"""HDF5 and MATLAB files, which are read in a subprocess."""
-
-import time
+"""HDF5 and MATLAB files: their groups are records."""
 
 import h5py
 import numpy as np
@@ -8,7 +6,7 @@ import pytest
 from scipy.io import savemat
 from synthetic_logs import hdf5, matlab
 
-from greybox.logs.readers import read, subprocess_reader
+from greybox.logs.readers import read
 
 T = 0.01 * np.arange(200)
 
@@ -112,26 +110,3 @@ def test_an_array_too_large_to_be_true_is_not_read(made, tmp_path):
     recording = read(tmp_path / "made.h5")
     assert recording.findings == ("huge: it cannot be read, the file is damaged there.",)
     np.testing.assert_array_equal(recording["made"]["x"], T)
-
-
-def hang(tmp_path, monkeypatch, code):
-    """Read with a subprocess that does something else."""
-    script = tmp_path / "script.py"
-    script.write_text(code)
-    monkeypatch.setattr(subprocess_reader, "SCRIPT", script)
-    monkeypatch.setattr(subprocess_reader, "PATIENCE", 0.5)
-    path = tmp_path / "bad.h5"
-    path.write_bytes(hdf5())
-    read(path)
-
-
-def test_a_reading_that_hangs_is_ended(tmp_path, monkeypatch):
-    began = time.perf_counter()
-    with pytest.raises(ValueError, match="took longer than 1 s"):
-        hang(tmp_path, monkeypatch, "while True: pass")
-    assert time.perf_counter() - began < 10
-
-
-def test_a_reading_that_crashes_is_a_sentence(tmp_path, monkeypatch):
-    with pytest.raises(ValueError, match="the library that reads it crashed"):
-        hang(tmp_path, monkeypatch, "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")

@@ -1,0 +1,15 @@
+"""Print the lowest declared version of everything that greybox and its tests need, as constraints for pip."""
+
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+project = tomllib.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))["project"]
+extras = project["optional-dependencies"]
+for requirement in [*project["dependencies"], *extras["px4"], *extras["test"]]:
+    floor = re.fullmatch(r"([\w-]+)>=([\w.]+)", requirement)
+    if floor:
+        print(f"{floor[1]}=={floor[2]}")
+    elif not requirement.startswith("greybox-id["):
+        sys.exit(f"{requirement!r} declares no lowest version: write NAME>=VERSION.")

@@ -1,0 +1,361 @@
+"""What runs in the subprocess of `subprocess_reader`: the libraries that a damaged or crafted file can lead astray.
+
+Run as a script: ``subprocess_main.py KIND FILE [TOPIC ...]`` with the kinds of `KINDS`. It writes a line of JSON to
+standard output, ``{"items": [...], "findings": [...], "about": {...}, "shapes": [...]}``, then the numbers of all
+arrays, 8 bytes each. It imports nothing of greybox.
+
+`hdf5_objects` is the one place where an HDF5 file is opened: it reaches nothing outside that file.
+"""
+
+import contextlib
+import importlib
+import io
+import json
+import math
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+SMALL = 2**24  # bytes: arrays of 16 MB together are accepted from a log of any size; and characters of text
+# Bytes of arrays, at 8 a number, per byte of a log. Deflate reaches 1032, which turns a mail into gigabytes; compressed
+# flights reach 10, and files of mostly constant signals stay below this.
+EXPANSION = 100
+MEMORY = 2**27  # bytes that the process may use in addition to what it used before, besides those of arrays
+# Processor time: s, and more for a large file at bytes per s. A saved fit of 0.1 MB takes 0.02 s; HDF5 and MATLAB files
+# of arrays run at 200 MB/s, compressed ones and those of many small objects at 10 MB/s.
+SECONDS = 0.6
+SPEED = 4e6
+MOST = 20_000  # arrays, each of which costs a header even when it is empty
+LINKS = 50_000  # in all groups of a file; a saved fit of a record has about 50
+ATTRIBUTES = 100  # of a group or dataset; a saved fit has 20
+DEEPEST = 8  # structs within structs, groups within groups
+HARD, SOFT = 0, 1  # types of links, H5L_type_t of the HDF5 library
+REFUSED = 3  # the exit status for a file that names other files, or more than it can hold
+OPAQUE = ("MatlabOpaque", "MatlabFunction")  # scipy's stand-ins for timetable, timeseries, table and other objects
+PROBLEMS = (OSError, RuntimeError, ValueError, TypeError, KeyError, OverflowError, MemoryError)
+
+
+class RefusedError(Exception):
+    """What an honest file does not hold; the whole file is refused, not only the part in question."""
+
+
+class Collector:
+    """What is found in a file, as far as its size is plausible."""
+
+    def __init__(self, room: int) -> None:
+        self.room = room
+        self.letters = SMALL
+        self.links = LINKS
+        self.allow_memory: Callable[[int], None] = lambda _: None
+        self.items: list[dict[str, Any]] = []
+        self.arrays: list[np.ndarray] = []
+        self.findings: list[str] = []
+        self.about: dict[str, Any] = {}
+
+    def reserve(self, numbers: int) -> bool:
+        """Tell whether there is room for so many numbers, and take it."""
+        fits = 8 * numbers <= self.room and len(self.arrays) < MOST
+        self.room -= 8 * numbers if fits else 0
+        self.allow_memory(8 * numbers if fits else 0)
+        return fits
+
+    def text(self, text: str) -> str:
+        """Return a text for which there is room."""
+        self.letters -= len(text)
+        if self.letters < 0:
+            raise RefusedError(f"its texts have more than {SMALL} characters")
+        return text
+
+    def add(self, path: str, values: np.ndarray, **about: Any) -> None:
+        """Keep an array."""
+        self.arrays.append(np.ascontiguousarray(values, dtype="<f8"))
+        self.items.append({"path": path, **about})
+
+    def write(self) -> None:
+        """Write everything to standard output."""
+        shapes = [array.shape for array in self.arrays]
+        head = {"items": self.items, "findings": self.findings, "about": self.about, "shapes": shapes}
+        out = sys.stdout.buffer
+        out.write(json.dumps(head).encode() + b"\n")
+        for array in self.arrays:
+            out.write(array.data if array.size else b"")
+
+
+def hdf5_objects(path: str, found: Collector) -> Iterator[tuple[str, Any]]:
+    """Yield the groups and datasets of an HDF5 file by path, each once.
+
+    Soft links are not followed, so there is no loop. Refused are links to other files, datasets whose numbers lie in
+    other files (external storage, virtual datasets), and more links or levels than a file of measurements has.
+    """
+    import h5py  # noqa: PLC0415 (only one of these libraries is needed)
+
+    with h5py.File(path, "r") as file:
+        seen: set[int] = set()
+        addresses: set[int] = set()
+        waiting: list[tuple[str, Any]] = [("", file["/"])]
+        while waiting:
+            name, thing = waiting.pop()
+            if hash(thing) in seen:  # which is that of its address in the file
+                continue
+            seen.add(hash(thing))
+            if isinstance(thing, h5py.Dataset):
+                _require_own_storage(name, thing)
+            yield name, thing
+            if isinstance(thing, h5py.Group):
+                waiting += reversed([*_members(name, thing, found, addresses)])
+
+
+def _members(path: str, group: Any, found: Collector, addresses: set[int]) -> Iterator[tuple[str, Any]]:
+    """Yield what the hard links of a group lead to, and not twice what is at one address."""
+    found.links -= len(group)
+    if found.links < 0:
+        raise RefusedError(f"it has more than {LINKS} links")
+    for name in group:
+        place = f"{path}/{name}".lstrip("/")
+        link = group.id.links.get_info(name.encode("utf-8", "surrogateescape"))
+        if link.type not in (HARD, SOFT):
+            raise RefusedError(f"{place} is a link to another file")
+        if link.type == HARD and link.u not in addresses:
+            addresses.add(link.u)
+            if place.count("/") > DEEPEST:
+                raise RefusedError(f"it has more than {DEEPEST} levels of groups")
+            yield place, group[name]
+
+
+def _require_own_storage(name: str, dataset: Any) -> None:
+    import h5py  # noqa: PLC0415
+
+    created = dataset.id.get_create_plist()
+    if created.get_layout() == h5py.h5d.VIRTUAL or created.get_external_count():
+        raise RefusedError(f"the numbers of {name} lie in another file")
+
+
+def _stored(dataset: Any) -> int:
+    """Return how many numbers of 8 bytes reading a dataset takes at least; a chunk is read as a whole."""
+    largest = max(math.prod(dataset.shape), math.prod(dataset.chunks or ()))
+    return math.ceil(largest * max(dataset.dtype.itemsize / 8, len(dataset.dtype.names or "1")))
+
+
+def hdf5(path: str, found: Collector, _: list[str]) -> None:
+    """Collect the numeric datasets, and the fields of tables."""
+    for name, thing in hdf5_objects(path, found):
+        if hasattr(thing, "dtype"):
+            try:
+                _keep_dataset(name, thing, found)
+            except PROBLEMS:
+                found.findings.append(f"{name}: it cannot be read, the file is damaged there.")
+
+
+def _keep_dataset(name: str, dataset: Any, found: Collector) -> None:
+    if dataset.shape is None:
+        return
+    fields = dataset.dtype.names
+    numeric = dataset.dtype.kind in "biuf" or (fields and dataset.ndim == 1)
+    if not numeric or not 1 <= dataset.ndim <= 2 or not dataset.size:
+        return
+    if not found.reserve(_stored(dataset)):
+        raise ValueError
+    values = dataset[()]
+    if not fields:
+        found.add(name, values, unit=_text(dataset.attrs, "unit") or _text(dataset.attrs, "units"))
+    for field in fields or ():
+        if values[field].dtype.kind in "biuf" and values[field].ndim == 1:
+            found.add(f"{name}/{field}", values[field], unit="")
+
+
+def sealed(path: str, found: Collector, _: list[str]) -> None:
+    """Collect everything that `sealed_files` writes: attributes, numbers, and lists of texts."""
+    for name, thing in hdf5_objects(path, found):
+        about = {"attributes": _attributes(thing, found)}
+        if not hasattr(thing, "dtype"):
+            found.items.append({"path": name, "holds": "members", **about})
+        elif thing.shape is not None and thing.ndim <= 2 and found.reserve(_stored(thing)):
+            _keep_values(name, thing, found, about)
+        else:
+            raise RefusedError(f"{name} is larger than the file")
+
+
+def _keep_values(name: str, dataset: Any, found: Collector, about: dict[str, Any]) -> None:
+    if _is_number(dataset.dtype):
+        found.add(name, dataset[()], holds="numbers", **about)
+    elif _is_text(dataset.dtype) and dataset.ndim == 1:
+        texts = [found.text(text) for text in dataset.asstr()[()]]
+        found.items.append({"path": name, "holds": "texts", "texts": texts, **about})
+    else:
+        raise RefusedError(f"{name} holds neither numbers nor texts")
+
+
+def _attributes(thing: Any, found: Collector) -> dict[str, Any]:
+    """Return the texts and numbers among the attributes."""
+    if len(thing.attrs) > ATTRIBUTES:
+        raise RefusedError(f"a group in it has more than {ATTRIBUTES} attributes")
+    known = {}
+    for name in thing.attrs:
+        stored = thing.attrs.get_id(name)
+        if stored.shape != ():
+            continue
+        if _is_text(stored.dtype):
+            known[name] = found.text(str(thing.attrs[name]))
+        elif _is_number(stored.dtype):
+            known[name] = thing.attrs[name].item()
+    return known
+
+
+def _is_number(dtype: Any) -> bool:
+    return dtype.kind in "biuf" and dtype.itemsize <= 8
+
+
+def _is_text(dtype: Any) -> bool:
+    """Tell whether it is text of any length, as greybox writes it."""
+    import h5py  # noqa: PLC0415
+
+    string = h5py.check_string_dtype(dtype)
+    return string is not None and string.length is None
+
+
+def _text(attributes: Any, name: str) -> str:
+    """Return a text attribute; empty if there is none, or it is something else."""
+    try:
+        value = attributes.get(name, "")
+        value = value.item() if isinstance(value, np.ndarray) and value.size == 1 else value
+        return value.decode("utf-8", "replace") if isinstance(value, bytes) else value if isinstance(value, str) else ""
+    except PROBLEMS:
+        return ""
+
+
+def matlab(path: str, found: Collector, _: list[str]) -> None:
+    """Collect the numeric vectors and matrices of the workspace and of the structs in it; scipy's warnings too."""
+    from scipy.io import loadmat  # noqa: PLC0415 (only one of these libraries is needed)
+
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        contents = loadmat(path, simplify_cells=True)
+    found.findings += sorted({f"scipy says: {str(w.message).splitlines()[0]:.160}" for w in said})
+    _keep_struct("", contents, found)
+
+
+def _keep_struct(group: str, contents: Mapping[str, Any], found: Collector) -> None:
+    simulink = _simulink(contents)
+    for key, value in {**contents, **simulink}.items():
+        if key.startswith("__") or (simulink and key == "signals"):
+            continue
+        if isinstance(value, Mapping):
+            if group.count("/") < DEEPEST:
+                _keep_struct(f"{group}{key}/", value, found)
+        elif type(value).__name__ in OPAQUE:
+            found.findings.append(f"{key}: only MATLAB can read this object (a timetable?); save it as a struct.")
+        elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.ndim in (1, 2) and value.size:
+            if not found.reserve(value.size):
+                raise ValueError("its arrays are too large for its size")
+            found.add(f"{group}{key}", value, unit="")
+
+
+def _simulink(contents: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the signals of a "structure with time": ``signals`` holds one or several of ``values`` and ``label``."""
+    signals = contents.get("signals") if "time" in contents else None
+    several = [signals] if isinstance(signals, Mapping) else signals if isinstance(signals, list | np.ndarray) else []
+    columns = {}
+    for i, signal in enumerate(several):
+        if isinstance(signal, Mapping) and isinstance(signal.get("values"), np.ndarray):
+            label = signal.get("label", "")
+            columns[label if isinstance(label, str) and label else f"signal{i + 1}"] = signal["values"]
+    return columns
+
+
+def ulog(path: str, found: Collector, topics: list[str]) -> None:
+    """Collect the topics of a PX4 log, their fields and what the log says about the vehicle."""
+    from pyulog import ULog  # noqa: PLC0415 (only one of these libraries is needed)
+
+    with contextlib.redirect_stdout(io.StringIO()):
+        log = ULog(path, topics or None)
+    several = {topic.name for topic in log.data_list if topic.multi_id}
+    for topic in log.data_list:
+        name = f"{topic.name}[{topic.multi_id}]" if topic.name in several else topic.name
+        for field, values in topic.data.items():
+            if not found.reserve(values.size):
+                raise ValueError("its arrays are too large for its size")
+            found.add(f"{name}/{field}", values, unit="us" if field == "timestamp" else "")
+    parameters = {**log.initial_parameters, **{name: value for _, name, value in log.changed_parameters}}
+    found.about = {
+        "parameters": parameters,
+        "defaults": log.get_default_parameters(0),
+        "texts": [(line.timestamp, line.message) for line in log.logged_messages],
+        "info": {key: value for key, value in log.msg_info_dict.items() if isinstance(value, str | int | float)},
+    }
+
+    if log.file_corruption:
+        found.findings.append("parts of the file are damaged and were skipped.")
+    if log.dropouts:
+        lost = sum(dropout.duration for dropout in log.dropouts) / 1e3
+        found.findings.append(f"the logger lost data {len(log.dropouts)} times, {lost:.2f} s in total.")
+
+
+def _limit_time(size: int) -> None:
+    """Let a damaged file end with a signal, and leave no image of the memory, where the system supports limits."""
+    try:
+        import resource  # noqa: PLC0415 (not on Windows)
+        import signal  # noqa: PLC0415
+    except ImportError:
+        return
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    signal.setitimer(signal.ITIMER_PROF, SECONDS + size / SPEED)
+
+
+def _allow_memory(more: int) -> None:
+    """Let what follows take memory for arrays of so many bytes, and end with a MemoryError if it takes much more."""
+    try:
+        import resource  # noqa: PLC0415 (not on Windows)
+    except ImportError:
+        return
+    # An array is in memory as it is stored, as it is written, and once more on the way.
+    most = _memory() + MEMORY + 3 * more
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
+
+
+def _memory() -> int:
+    """Return the address space that this process uses, bytes; elsewhere than on Linux what it uses at most."""
+    try:
+        with open("/proc/self/statm", encoding="ascii") as file:
+            return int(file.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return 2**32
+
+
+KINDS = {
+    "hdf5": ("h5py", hdf5),
+    "sealed": ("h5py", sealed),
+    "matlab": ("scipy.io", matlab),
+    "ulog": ("pyulog", ulog),
+}
+
+
+def main() -> None:
+    """Write the contents of a file to standard output, or exit with the reason why not."""
+    kind, path, *wanted = sys.argv[1:]
+    library, collect = KINDS[kind]
+    size = os.path.getsize(path)
+    # greybox compresses nothing; a truth value, which takes one byte in a file, takes eight here.
+    found = Collector(8 * size if kind == "sealed" else max(SMALL, EXPANSION * size))
+    try:
+        importlib.import_module(library)
+        _limit_time(size)
+        # Libraries that take a file as a whole need memory for all of it at once.
+        _allow_memory(0 if library == "h5py" else found.room)
+        if library == "h5py":
+            found.allow_memory = _allow_memory
+        collect(path, found, wanted)
+        found.write()
+    except RefusedError as reason:
+        sys.stderr.write(str(reason))
+        sys.exit(REFUSED)
+    except Exception as problem:  # the libraries raise whatever their parsers stumble over
+        sys.exit(f"{type(problem).__name__}: {problem}")
+
+
+if __name__ == "__main__":
+    main()

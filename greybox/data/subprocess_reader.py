@@ -1,0 +1,76 @@
+"""Files that are read in a subprocess: HDF5, MATLAB, PX4, and the results that greybox saved as HDF5.
+
+A damaged or crafted file can send the HDF5 library into an endless loop, crash it or scipy's MATLAB reader, and make
+all of them, and pyulog, exhaust the memory; little of that can be caught in Python. So `subprocess_main` reads the file
+in another process, with a limit of its time and, where the system has one, of its memory. That costs about 0.15 s per
+file, 0.3 s for MATLAB.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.data.subprocess_main import REFUSED
+from greybox.data.text_table import printable
+
+SCRIPT = Path(__file__).with_name("subprocess_main.py")
+
+# Time limit: s, and more for a large file at bytes per s. It ends what waits; `subprocess_main` ends what computes, by
+# its processor time, much earlier. On a busy machine, starting Python and scipy took 1.7 s and reading ran at 30 MB/s
+# (HDF5 and MATLAB, 32 MB).
+PATIENCE = 10.0
+SPEED = 2e6
+TOO_LONG = -getattr(signal, "SIGPROF", 0)  # the exit status of a process that used up its processor time
+
+
+def read_in_subprocess(kind: str, path: Path, *wanted: str) -> tuple[dict[str, Any], list[NDArray[np.float64]]]:
+    """Return what the function of this `kind` in `subprocess_main` says of a file, and its numeric arrays.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read, or not within the limits of time and memory.
+    """
+    line, _, raw = _run([kind, str(path.absolute()), *wanted], path).partition(b"\n")
+    head = json.loads(line)
+    numbers = np.frombuffer(raw, dtype="<f8")
+    arrays = []
+    offset = 0
+    for shape in head.pop("shapes"):
+        size = int(np.prod(shape))
+        arrays.append(numbers[offset : offset + size].reshape(shape))
+        offset += size
+    return head, arrays
+
+
+def _run(arguments: list[str], path: Path) -> bytes:
+    """Return what the other process writes."""
+    limit = PATIENCE + path.stat().st_size / SPEED
+    command = [sys.executable, "-P", "-W", "ignore", str(SCRIPT), *arguments]
+    environment = {
+        **os.environ,
+        "OPENBLAS_NUM_THREADS": "1",  # every thread of it reserves memory
+        "HDF5_PLUGIN_PRELOAD": "::",  # a file cannot have the HDF5 library load plugins
+    }
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=limit, check=False, env=environment)
+    except subprocess.TimeoutExpired:
+        raise ValueError(f"{path} is damaged: reading it took longer than {limit:.0f} s.") from None
+    said = printable(done.stderr.decode("utf-8", "replace").strip())
+    if done.returncode == REFUSED:
+        raise ValueError(f"{path} is not read: {said}.")
+    if done.returncode == TOO_LONG:
+        raise ValueError(f"{path} is damaged: reading it takes too long for its size.")
+    if done.returncode < 0:
+        raise ValueError(f"{path} is damaged: the library that reads it crashed; export or copy it again.")
+    if done.returncode:
+        reason = said or "for no stated reason"
+        raise ValueError(f"{path} is damaged or of another format ({reason:.160}): export or copy it again.")
+    return done.stdout

@@ -1,0 +1,83 @@
+"""Which signals of a log are outputs of a controller, which holds them, and which are samples of what is continuous.
+
+A flight controller sets its outputs and setpoints once in every pass of its loop, and they keep their values until the
+next one. A log has every pass or, thinned, only some: then a value lasted for one pass, not until the next sample of
+the log. The period of the loop is a parameter of the vehicle.
+
+Sources: the `LoggerMessage` comments in ArduPilot's LogStructure.h, Log.cpp and AP_SystemID.cpp; SCHED_LOOP_RATE at
+https://ardupilot.org/copter/docs/parameters.html; the message definitions of MAVLink, common.xml; the topics of PX4,
+https://docs.px4.io/main/en/msg_docs/, and IMU_GYRO_RATEMAX among its parameters.
+"""
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from greybox.data.intersample import CONTINUOUS, HELD
+from greybox.logs.readers.messages import Messages
+
+# Message and fields; of what is in neither table, it is not known.
+OUTPUTS = {
+    "ATT|ANG": "Des(Roll|Pitch|Yaw)",
+    "RATE": "[RPYA](Des|Out)|AOutSlew",
+    "PID[RPYASNE]": "Tar|Err|P|I|D|D?FF",
+    "RCO[U23]": r"C\d+",
+    "MOTB": "LiftMax|ThLimit|ThrAvMx|ThrOut",
+    "CTUN": "ABst|ThO|ThH",
+    "AETR": ".*",
+    "SIDD": "Targ|F",
+    "PSC[NED]": "[DT][PVA][NED]",
+    "SERVO_OUTPUT_RAW": r"servo\d+_raw",
+    "ACTUATOR_CONTROL_TARGET": r"controls\[\d+\]",
+    "ATTITUDE_TARGET": r"q\[\d\]|body_(roll|pitch|yaw)_rate|thrust",
+    "NAV_CONTROLLER_OUTPUT": "nav_(roll|pitch)",
+    "PID_TUNING": "desired|FF|P|I|D",
+    "actuator_(outputs|motors|servos|controls.*)": r"(output|control)\[\d+\]",
+    "vehicle_(attitude|rates|thrust|torque)_setpoint": r"(?!timestamp).*",
+}
+SAMPLES = {
+    "ATT|ANG": "Roll|Pitch|Yaw",
+    "RATE": "[RPYA]",
+    "PID[RPYASNE]": "Act",
+    "IMU|IMT|ACC|GYR": "(Gyr|Acc)[XYZ]",
+    "SIDD": "[GA][xyz]",
+    "PSC[NED]": "[PVA][NED]",
+    "(XKF|NKF)1": "Roll|Pitch|Yaw|[VP][NED]",
+    "AHR2": "Roll|Pitch|Yaw",
+    "ATTITUDE": "(roll|pitch|yaw)(speed)?",
+    "(RAW|SCALED|HIGHRES)_IMU2?": "[xyz](acc|gyro)",
+    "LOCAL_POSITION_NED": "v?[xyz]",
+    "PID_TUNING": "achieved",
+    "vehicle_attitude": r"q\[\d\]|(roll|pitch|yaw)speed",
+    "vehicle_angular_velocity": r"xyz\[\d\]",
+    "vehicle_local_position": "v?[xyz]|heading",
+    "sensor_combined": r"(gyro_rad|accelerometer_m_s2)\[\d\]",
+}
+
+LOOP_RATES = ("SCHED_LOOP_RATE", "IMU_GYRO_RATEMAX")  # Hz; of ArduPilot, of PX4 (0 there: the sensor's own rate)
+SLOWEST_LOOP = 50.0  # Hz, the lowest SCHED_LOOP_RATE: a log that is slower has not every pass
+
+
+def with_holds(groups: Iterable[Messages], parameters: Mapping[str, float]) -> list[Messages]:
+    """Return the messages with what is known of how long their values lasted, given the vehicle's parameters."""
+    rates = [parameters[name] for name in LOOP_RATES if parameters.get(name, 0) > 0]
+    period = 1 / rates[0] if rates else math.nan
+    return [replace(group, hold=_holds(group, period)) for group in groups]
+
+
+def _holds(group: Messages, period: float) -> dict[str, float]:
+    holds = {name: CONTINUOUS for name in group.columns if _is_among(SAMPLES, group.name, name)}
+    if math.isnan(period):
+        steps = np.diff(group.time) if group.time is not None and len(group) > 1 else np.full(1, math.inf)
+        if np.median(steps) > 1 / SLOWEST_LOOP:
+            return holds
+        period = HELD
+    return holds | {name: period for name in group.columns if _is_among(OUTPUTS, group.name, name)}
+
+
+def _is_among(table: Mapping[str, str], message: str, field: str) -> bool:
+    message = message.partition("[")[0]
+    return any(re.fullmatch(key, message) and re.fullmatch(fields, field) for key, fields in table.items())

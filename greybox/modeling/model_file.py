@@ -1,0 +1,53 @@
+"""Models in files: a user's own Python file as a module, and the models that a module defines."""
+
+import importlib.util
+import inspect
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from greybox.modeling.model import Model
+
+
+def module_from_file(path: Path) -> ModuleType:
+    """Import a user's own file under its own name, as Python does where the file is in the working directory.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it has the name of another module.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no file {path}.")
+    folder = str(path.resolve().parent)
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+    loaded = sys.modules.get(path.stem)
+    if loaded is not None and Path(getattr(loaded, "__file__", "") or "").resolve() == path.resolve():
+        return loaded
+    if loaded is not None or path.stem in sys.stdlib_module_names:
+        raise ValueError(f"{path} has the name of another Python module, {path.stem!r}: rename the file.")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[path.stem]
+        raise
+    return module
+
+
+def models_of(module: ModuleType) -> list[type[Model]]:
+    """Return the concrete model classes that a module defines."""
+    return [thing for thing in vars(module).values() if _is_own_model(thing, module)]
+
+
+def _is_own_model(thing: Any, module: ModuleType) -> bool:
+    own = isinstance(thing, type) and issubclass(thing, Model) and thing.__module__ == module.__name__
+    return own and not inspect.isabstract(thing)

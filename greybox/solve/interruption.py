@@ -1,0 +1,95 @@
+"""Ctrl-C: noted at once, obeyed where work can end in order.
+
+An exception that a signal handler raises is swallowed by CasADi while IPOPT evaluates a function: that run counts as
+failed and the search goes on; in a root finder it becomes a RuntimeError. Solvers therefore ask `stop_requested` at
+every iteration, and end the run at hand.
+
+Only the main thread receives signals, and only Python's own handler, which raises KeyboardInterrupt, is replaced: a
+program that has another one, or none, keeps it. Elsewhere nothing here has an effect.
+"""
+
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import Enum, auto
+from types import FrameType
+
+
+class Response(Enum):
+    """What becomes of Ctrl-C."""
+
+    RAISE = auto()  # KeyboardInterrupt at once
+    STOP = auto()  # noted; solvers see it and end
+    FINISH = auto()  # noted; what has begun is finished
+
+
+# Seconds within which a second signal is the same Ctrl-C: programs such as timeout(1) hand on what they receive, and
+# the terminal sends it to all of them.
+ECHO = 0.5
+
+
+class _State(threading.local):
+    listening = False
+    noted = False
+    noted_at = 0.0  # s, on the monotonic clock
+    response = Response.RAISE
+
+
+_state = _State()
+
+
+def stop_requested() -> bool:
+    """Tell whether the search at hand shall end, since Ctrl-C was pressed."""
+    return _state.noted and _state.response is Response.STOP
+
+
+def take_interrupt() -> bool:
+    """Tell whether Ctrl-C was pressed since listening began or since the last call."""
+    noted, _state.noted = _state.noted, False
+    return noted
+
+
+@contextmanager
+def listening() -> Iterator[None]:
+    """Note Ctrl-C within; an error that comes after one was caused by it, and is a KeyboardInterrupt.
+
+    A second Ctrl-C raises KeyboardInterrupt in any case: whoever presses again does not want to wait.
+    """
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    if _state.listening or not in_main_thread or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+    _state.listening = True
+    _state.noted = False
+    signal.signal(signal.SIGINT, _note)
+    try:
+        yield
+    except Exception as error:
+        if _state.noted:
+            raise KeyboardInterrupt from error
+        raise
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        _state.listening = False
+        _state.noted = False
+
+
+@contextmanager
+def responding(response: Response) -> Iterator[None]:
+    """Respond to Ctrl-C in this way within."""
+    before, _state.response = _state.response, response
+    try:
+        yield
+    finally:
+        _state.response = before
+
+
+def _note(_number: int, _frame: FrameType | None) -> None:
+    now = time.monotonic()
+    again = _state.noted and now - _state.noted_at > ECHO
+    if not _state.noted:
+        _state.noted, _state.noted_at = True, now
+    if again or _state.response is Response.RAISE:
+        raise KeyboardInterrupt

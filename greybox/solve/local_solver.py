@@ -1,0 +1,64 @@
+"""What every solver answers: a run from one start, and what a search from many starts asks besides."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.compiled.part import Trajectory
+from greybox.solve.minima import Minimum
+from greybox.solve.outcome import Outcome
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """The best hidden unknowns of every part at given parameters: those of the smallest cost."""
+
+    z: Array
+    trajectories: tuple[Trajectory, ...]
+    cost: float
+    converged: bool
+
+
+class LocalSolver(ABC):
+    """A solver of one compiled problem, built once for all starts.
+
+    Attributes
+    ----------
+    starts : int
+        How many are tried where nothing is said.
+    tries_declared_values : bool
+        Whether the declared values are the first of a number of starts.
+    """
+
+    starts: ClassVar[int] = 20
+    tries_declared_values: ClassVar[bool] = True
+
+    @abstractmethod
+    def run(self, start: Array) -> Outcome:
+        """Solve from the parameters `start` (p,)."""
+
+    @abstractmethod
+    def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
+        """Return the best nodes at the parameters x (p,); `nodes`, if given, are known to be the best."""
+
+    @abstractmethod
+    def cost(self, values: Array) -> float:
+        """Return the smallest cost at all values (k,), the constants among them; NaN where there is none."""
+
+    def is_finite_at(self, start: Array) -> bool:
+        """Tell whether a run can begin at the parameters `start` (p,)."""
+        return True
+
+    def judged(self, outcomes: list[Outcome]) -> list[Outcome]:
+        """Return the outcomes with costs and signatures, where a run leaves them to be evaluated for all at once."""
+        return outcomes
+
+    def polished(self, minima: tuple[Minimum, ...]) -> tuple[Minimum, ...]:
+        """Return the minima, best first, without what a run's tolerances and smoothing cost."""
+        return minima

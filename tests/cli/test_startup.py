@@ -1,0 +1,123 @@
+"""The command line as a process of its own: Ctrl-C, and standard output that is not UTF-8, closed, or full."""
+
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+
+import pytest
+from command_line import OWN, RECORD
+
+import greybox as gb
+
+# The command line presses Ctrl-C itself, at the third start.
+PRESSED = """
+import os, signal
+from greybox.solve.{module} import {solver} as Solver
+
+run, begun = Solver.run, []
+
+def pressed(self, *arguments):
+    begun.append(arguments)
+    if len(begun) == 3:
+        os.kill(os.getpid(), signal.SIGINT)
+    return run(self, *arguments)
+
+Solver.run = pressed
+"""
+SOLVERS = {
+    "response": (OWN, PRESSED.format(module="ipopt", solver="IpoptSolver")),
+    "record": (RECORD, PRESSED.format(module="gauss_newton.driver", solver="GaussNewton")),
+}
+
+
+def heed_ctrl_c():
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # which parallel tests ignore, and processes inherit that
+
+
+def greybox(*arguments, **options):
+    command = [sys.executable, "-m", "greybox", *map(str, arguments)]
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
+    return subprocess.run(command, check=False, preexec_fn=heed_ctrl_c, **options)
+
+
+@pytest.mark.parametrize(("kind", "as_json"), [("response", False), ("record", True)])
+def test_ctrl_c_prints_and_saves_the_best_fit_so_far(tmp_path, kind, as_json):
+    (tmp_path / "own.py").write_text("".join(SOLVERS[kind]))
+    (tmp_path / "fits").mkdir()
+    saved = tmp_path / "fits" / "fit.h5"
+    options = ["--json"] if as_json else []
+    done = greybox("fit", "own.py", "--starts", 20_000, "--out", saved, *options, cwd=tmp_path)
+    assert done.returncode == 130
+    assert done.stderr == b"greybox: interrupted.\n"
+    assert list(saved.parent.iterdir()) == [saved]
+
+    fit = gb.load(saved)
+    assert [run.converged for run in fit.runs] == [True, True, False]
+    if as_json:
+        answer = json.loads(done.stdout)
+        assert answer["estimate"] == pytest.approx(fit.estimate)
+        assert answer["error"] == "interrupted."
+    else:
+        text = done.stdout.decode()
+        assert "interrupted after 3 of 20000 starts" in text
+        assert str(saved) in text
+
+
+def with_pressing_module(folder, name):
+    """An environment in which the import of a module presses Ctrl-C."""
+    (folder / f"{name}.py").write_text(
+        "import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(0.1)\n"
+    )
+    return {**os.environ, "PYTHONPATH": str(folder)}
+
+
+def test_ctrl_c_during_the_first_imports_has_no_traceback(tmp_path):
+    done = greybox("list", "--json", env=with_pressing_module(tmp_path, "casadi"))
+    assert done.returncode == 130
+    assert done.stderr == b"greybox: interrupted.\n"
+    assert json.loads(done.stdout) == {"error": "interrupted."}
+
+
+def test_ctrl_c_while_a_figure_is_drawn_leaves_the_fit(tmp_path):
+    environment = with_pressing_module(tmp_path, "matplotlib")
+    done = greybox(
+        "fit", "pitch_hover", "--starts", 2, "--plot", "x.png", "--out", "x.h5", env=environment, cwd=tmp_path
+    )
+    assert done.returncode == 130
+    assert done.stderr == b"greybox: interrupted.\n"
+    assert done.stdout.endswith(b"saved x.h5\nx.png is not drawn\n")
+    assert {path.name for path in tmp_path.iterdir()} - {"__pycache__"} == {"matplotlib.py", "x.h5"}
+
+
+@pytest.mark.parametrize("options", [[], ["--json"]], ids=["text", "json"])
+def test_an_answer_in_ascii(options):
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = greybox("list", "tilt:Tilt", *options, env=environment)
+    assert (done.returncode, done.stderr) == (0, b"")
+    text = done.stdout.decode("ascii")
+    if options:
+        assert {row["unit"] for row in json.loads(text)["parameters"]} >= {"1/s²"}
+    else:
+        assert "1/s^2" in text
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
+@pytest.mark.parametrize("arguments", [["--help"], ["list", "--json"]])
+def test_a_full_disk_under_standard_output_is_said(arguments):
+    with open("/dev/full", "wb") as full:
+        done = greybox(*arguments, stdout=full)
+    assert done.returncode == 1
+    assert done.stderr == b"greybox: cannot write to standard output: No space left on device.\n"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows does not remove the folder of a process")
+def test_a_working_directory_that_was_removed_is_said(tmp_path):
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    inside = f"cd {shlex.quote(str(gone))} && rmdir ../gone && {sys.executable} -m greybox fit pitch_hover --out x.h5"
+    done = subprocess.run(["sh", "-c", inside], capture_output=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == b"greybox: the working directory was removed: change to one that exists.\n"

@@ -1,0 +1,47 @@
+"""Streams that do not take every text."""
+
+import errno
+import io
+
+import pytest
+
+from greybox.cli.terminal import has_all_characters, make_writable, write
+
+
+def stream(encoding, monkeypatch):
+    """Standard output into memory, in an encoding."""
+    made = io.TextIOWrapper(io.BytesIO(), encoding=encoding, newline="\n")
+    monkeypatch.setattr("sys.stdout", made)
+    make_writable()
+    return made
+
+
+@pytest.mark.parametrize(
+    ("encoding", "shown"),
+    [
+        ("utf-8", "ã3 = 8 ± 1 rad/s² → ω, µ \\udcff"),
+        ("cp1252", "ã3 = 8 ± 1 rad/s² -> omega, µ \\udcff"),
+        ("latin-1", "ã3 = 8 ± 1 rad/s² -> omega, µ \\udcff"),
+        ("ascii", "a3 = 8 +- 1 rad/s^2 -> omega, u \\udcff"),
+    ],
+)
+def test_what_an_encoding_does_not_have_is_spelled(monkeypatch, encoding, shown):
+    out = stream(encoding, monkeypatch)
+    assert write("ã3 = 8 ± 1 rad/s² → ω, µ \udcff", out) == ""
+    assert out.buffer.getvalue().decode(encoding) == shown + "\n"
+    assert has_all_characters(out) == (encoding == "utf-8")
+
+
+class Broken(io.StringIO):
+    def __init__(self, error):
+        super().__init__()
+        self.error = error
+
+    def flush(self):
+        raise self.error
+
+
+def test_what_stands_in_the_way_is_returned():
+    assert write("text", None) == ""
+    assert write("text", Broken(BrokenPipeError())) == ""
+    assert write("text", Broken(OSError(errno.ENOSPC, "No space left on device"))) == "No space left on device"

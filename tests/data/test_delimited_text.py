@@ -1,0 +1,112 @@
+"""Tables as spreadsheets, loggers and numpy write them: one truth in every spelling, and no number read wrongly."""
+
+import io
+import itertools
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+import greybox as gb
+
+RANDOM = np.random.default_rng(3)
+TRUTH = np.column_stack([0.02 * np.arange(1, 31), RANDOM.normal(size=(30, 2)).round(5)])
+NAMES = ("time [s]", "pitch [deg]", "Böe")
+RESPONSE = ("omega_rad_s", "alpha", "beta")
+
+
+def spelled(names, table, separator=",", comma=False, end="\n", before="", between=""):
+    """Write a table of numbers in one of the usual ways."""
+    rows = [separator.join(names), *(separator.join(f"{value!r}" for value in row.tolist()) for row in table)]
+    text = end.join([*rows[:3], *([between] if between else []), *rows[3:], ""])
+    head, _, body = text.partition(end)
+    return before + head + end + (body.replace(".", ",") if comma else body)
+
+
+def saved(folder, text, encoding="utf-8", name="flight.csv"):
+    path = folder / name
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+SPELLINGS = [
+    {"separator": s, "comma": c, "end": e, "before": b, "between": m}
+    for s, c, e, (b, m) in itertools.product(
+        ",;\t",
+        (False, True),
+        ("\n", "\r\n", "\r"),
+        (("", ""), ("# made by a logger\n", "# here the wind rose, 5.5 m/s")),
+    )
+    if not (c and s == ",")
+]
+
+
+@pytest.mark.parametrize("how", SPELLINGS, ids=lambda how: repr(how["separator"] + "," * how["comma"] + how["end"]))
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1"])
+def test_one_truth_in_every_spelling(tmp_path, how, encoding):
+    record = gb.read(saved(tmp_path, spelled(NAMES, TRUTH, **how), encoding))["flight"]
+    assert list(record.signals) == ["pitch", "Böe"]
+    assert_array_equal(np.column_stack([record.time, record["pitch"], record["Böe"]]), TRUTH)
+    response = gb.read_response(saved(tmp_path, spelled((*RESPONSE[:2], "beta"), TRUTH, **how), encoding))
+    assert_array_equal(np.column_stack([response.omega, response.alpha, response.beta]), TRUTH)
+
+
+def test_the_header_that_numpy_writes_is_a_comment(tmp_path):
+    text = io.StringIO()
+    np.savetxt(text, TRUTH, delimiter=",", header="flight 7\ntime,u,y")
+    assert_array_equal(gb.read(saved(tmp_path, text.getvalue()))["flight"]["y"], TRUTH[:, 2])
+    text = text.getvalue().replace("time,u,y", ",".join(RESPONSE))
+    assert_array_equal(gb.read_response(saved(tmp_path, text)).beta, TRUTH[:, 2])
+
+
+def test_separators_that_excel_states_and_adds(tmp_path):
+    text = "sep=;\n" + spelled(NAMES, TRUTH, ";", comma=True).replace("\n", ";;\n")
+    assert_array_equal(gb.read(saved(tmp_path, text))["flight"]["pitch"], TRUTH[:, 1])
+    quoted = "t;x\n" + "".join(f'"0,{k}";"{k},5"\n' for k in range(5))
+    assert_array_equal(gb.read(saved(tmp_path, quoted))["flight"]["x"], np.arange(5) + 0.5)
+
+
+def test_a_typographic_minus_is_a_minus(tmp_path):
+    assert_array_equal(gb.read(saved(tmp_path, "t,x\n0,−1.5\n1,2\n"))["flight"]["x"], [-1.5, 2])
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        (["1,5;2;3", "2.5;3;4"], r"line 2, has '1,5' where line 3 has '2\.5': write all numbers with one decimal mark"),
+        (["1;2.5;3", "2;1,000;4"], r"line 3, has '1,000' where line 2 has '2\.5'"),
+        (["1;2;3", "2;1,000;4"], "line 3: '1,000' may have a decimal comma or separate thousands"),
+        (["1;2;3", "2;1.234,5;4"], r"line 3: '1\.234,5' separates thousands"),
+        (["1;2;3", "2;1,234.5;4"], r"line 3: '1,234\.5' separates thousands"),
+        (["1;2;3", "2;3;4;5"], "line 3, has 4 cells where the header has 3: name all columns"),
+        (["1,5,2,5,3", "2,5,3,5,4"], "line 2, has 5 cells where the header has 3"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["record", "response"])
+def test_what_can_be_read_in_two_ways_is_refused_with_its_line(tmp_path, rows, words, kind):
+    separator = ";" if ";" in rows[0] else ","
+    names = ("time", "u", "y") if kind == "record" else RESPONSE
+    path = saved(tmp_path, "\n".join([separator.join(names), *rows, ""]))
+    with pytest.raises(ValueError, match=words):
+        gb.read(path) if kind == "record" else gb.read_response(path)
+
+
+def test_a_comma_in_a_text_column_decides_nothing(tmp_path):
+    record = gb.read(saved(tmp_path, "t;x;note\n0;0.5;calm, then gusts\n1;1.5;gain 3, 4\n"))["flight"]
+    assert_array_equal(record["x"], [0.5, 1.5])
+
+
+def test_digits_with_underscores_are_no_numbers(tmp_path):
+    with pytest.raises(ValueError, match="line 2: beta is '1_5', which is not a number"):
+        gb.read_response(saved(tmp_path, "omega_rad_s,alpha,beta\n1,2,1_5\n"))
+    recording = gb.read(saved(tmp_path, "t,x\n0,1\n1,1_5\n2,2\n"))
+    assert_array_equal(recording["flight"]["x"], [1, np.nan, 2])
+    assert recording.findings == (
+        "cells that are not numbers, which count as missing: x (1 cell, the first '1_5' in line 3).",
+    )
+
+
+def test_utf_16_is_refused_with_the_cure(tmp_path):
+    for read in (gb.read, gb.read_response):
+        with pytest.raises(ValueError, match=r"is not a CSV text file .* UTF-16 .*: save it as UTF-8"):
+            read(saved(tmp_path, "t,x\n0,1\n1,2\n", "utf-16"))

@@ -1,0 +1,76 @@
+"""The subprocess in which files are read: what ends it, and what it may not do."""
+
+import time
+
+import h5py
+import numpy as np
+import pytest
+
+from greybox.data import subprocess_main, subprocess_reader
+from greybox.data.subprocess_reader import read_in_subprocess
+
+
+@pytest.fixture
+def reading(tmp_path, monkeypatch):
+    """Read a file with a subprocess that does something else."""
+    path = tmp_path / "bad.h5"
+    path.write_bytes(b"contents")
+
+    def read(code, patience=0.5):
+        script = tmp_path / "script.py"
+        script.write_text(code)
+        monkeypatch.setattr(subprocess_reader, "SCRIPT", script)
+        monkeypatch.setattr(subprocess_reader, "PATIENCE", patience)
+        return read_in_subprocess("hdf5", path)
+
+    return read
+
+
+def test_a_reading_that_waits_is_ended(reading):
+    began = time.perf_counter()
+    with pytest.raises(ValueError, match="took longer than 1 s"):
+        reading("import time; time.sleep(60)")
+    assert time.perf_counter() - began < 10
+
+
+def test_a_reading_that_crashes_is_a_sentence(reading):
+    with pytest.raises(ValueError, match="the library that reads it crashed"):
+        reading("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+
+
+LIMITED = f"""
+import sys
+sys.path.insert(0, {str(subprocess_main.__file__).rpartition("/")[0]!r})
+import subprocess_main
+subprocess_main._limit_time(1000)
+subprocess_main._allow_memory(1000)
+"""
+
+
+@pytest.mark.skipif(not subprocess_reader.TOO_LONG, reason="the system has no limit of processor time")
+def test_a_reading_that_computes_without_end_is_ended_by_its_processor_time(reading):
+    with pytest.raises(ValueError, match="reading it takes too long for its size"):
+        reading(LIMITED + "while True: pass", patience=30.0)
+
+
+@pytest.mark.skipif(not subprocess_reader.TOO_LONG, reason="the system has no limit of memory")
+def test_a_reading_that_takes_memory_without_end_is_ended(reading):
+    with pytest.raises(ValueError, match="is damaged"):
+        reading(LIMITED + "kept = bytearray(300_000_000)", patience=30.0)
+
+
+def test_a_reason_is_printed_without_what_a_terminal_obeys(reading):
+    with pytest.raises(ValueError, match="damaged or of another format") as caught:
+        reading(r"import sys; sys.exit('\x1b[2J \x9b31m no')")
+    assert caught.value.args[0].isprintable()
+
+
+def test_numbers_come_back_exactly(tmp_path):
+    values = np.array([[0.1, -0.0, np.nan], [np.inf, 5e-324, 1.7e308]])
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["x"] = values
+        file["y"] = np.arange(4, dtype="i2")
+    head, (x, y) = read_in_subprocess("hdf5", tmp_path / "a.h5")
+    assert [item["path"] for item in head["items"]] == ["x", "y"]
+    assert x.tobytes() == values.tobytes()
+    assert y.tolist() == [0, 1, 2, 3]

@@ -1,0 +1,91 @@
+"""Units against the constants of scipy, which follow CODATA and NIST, and against conversions done by hand."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import constants as c
+
+from greybox.data.units import to_si
+
+KNOWN = [
+    ("ft", c.foot, "m"),
+    ("ft/s", c.foot, "m/s"),
+    ("ft/s²", c.foot, "m/s²"),
+    ("ft/s/s", c.foot, "m/s²"),
+    ("ft s^-2", c.foot, "m/s²"),
+    ("in", c.inch, "m"),
+    ("nmi", c.nautical_mile, "m"),
+    ("kt", c.knot, "m/s"),
+    ("KTS", c.knot, "m/s"),
+    ("mph", c.mph, "m/s"),
+    ("g", c.g, "m/s²"),
+    ("mG", 1e-3 * c.g, "m/s²"),
+    ("lbm", c.pound, "kg"),
+    ("lbf", c.pound_force, "N"),
+    ("slug", c.slug, "kg"),
+    ("slug*ft^2", c.slug * c.foot**2, "kg·m²"),
+    ("slug-ft²", c.slug * c.foot**2, "kg·m²"),
+    ("slug/ft**3", c.slug / c.foot**3, "kg/m³"),
+    ("psf", c.pound_force / c.foot**2, "Pa"),
+    ("lbf/ft²", c.pound_force / c.foot**2, "N/m²"),
+    ("psi", c.psi, "Pa"),
+    ("hPa", 100, "Pa"),
+    ("hp", c.hp, "W"),
+    ("rpm", 2 * math.pi / 60, "rad/s"),
+    ("RPM", 2 * math.pi / 60, "rad/s"),
+    ("rev/min", 2 * math.pi / 60, "rad/s"),
+    ("%", 0.01, "1"),
+    ("%/s", 0.01, "1/s"),
+    ("deg/s/s", c.degree, "rad/s²"),
+    ("cdeg/s", 0.01 * c.degree, "rad/s"),
+    ("1e-07 deg", 1e-7 * c.degree, "rad"),
+    ("cm/s²", 0.01, "m/s²"),
+    ("km/h", c.kmh, "m/s"),
+    ("mAh", 3.6, "A·s"),
+    ("N.m", 1, "N·m"),
+    ("kg m²/s", 1, "kg·m²/s"),
+    ("Pa/(m s)", 1, "Pa/(m·s)"),
+    ("1/min", 1 / 60, "1/s"),
+]
+
+
+@pytest.mark.parametrize(("unit", "factor", "si"), KNOWN, ids=[unit for unit, *_ in KNOWN])
+def test_factors(unit, factor, si):
+    conversion = to_si(unit)
+    assert conversion.factor == pytest.approx(factor, rel=1e-9)
+    assert (conversion.zero, conversion.si) == (0, si)
+    assert to_si(si) == to_si(to_si(si).si)
+    assert not to_si(si).changes
+
+
+@pytest.mark.parametrize(
+    ("unit", "scale"), [("°C", "Celsius"), ("degC", "Celsius"), ("deg F", "Fahrenheit"), ("°R", "Rankine"), ("K", "K")]
+)
+def test_temperatures(unit, scale):
+    values = np.array([-40.0, 0.0, 15.0, 100.0])
+    expected = c.convert_temperature(values, scale, "K")
+    np.testing.assert_allclose(to_si(unit).apply(values), expected, rtol=1e-12)
+    assert to_si(unit).si == "K"
+
+
+def test_a_difference_of_temperatures_has_no_zero():
+    assert (to_si("degF/s").factor, to_si("degF/s").zero) == (pytest.approx(5 / 9), 0)
+
+
+@pytest.mark.parametrize("unit", ["lb", "LBS", "lb/ft²", "lb*s"])
+def test_pounds_may_be_two_things(unit):
+    with pytest.raises(ValueError, match="may be a pound of mass or of force, write lbm or lbf"):
+        to_si(unit)
+
+
+@pytest.mark.parametrize("unit", ["pwm", "satellites", "g/s", "10/s", "m/", "(m", "m)", "m^x", "a b c", "MS"])
+def test_what_is_not_known_is_not_guessed(unit):
+    with pytest.raises(ValueError, match="is not known"):
+        to_si(unit)
+
+
+def test_what_may_be_something_else_says_so():
+    assert to_si("g").remark == "g was taken for 9.80665 m/s², not for gram"
+    assert to_si("C").remark == "C was taken for degrees Celsius, not for coulomb"
+    assert not to_si("m").remark

@@ -1,0 +1,85 @@
+"""What SECURITY.md promises of saved fits: a reduced form of `benchmarks/fuzz_results.py`."""
+
+import importlib.util
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from crafted_results import craft
+
+import greybox as gb
+from greybox.data.sealed_files import seal
+
+ROOT = Path(__file__).parents[2]
+
+# One of each kind; the benchmark has them all.
+KINDS = [
+    "external link",
+    "external text",
+    "external pipe",
+    "virtual dataset",
+    "8 TB declared",
+    "4 GB never written",
+    "a chunk of 2 GB",
+    "a chunk that inflates",
+    "soft link to itself",
+    "hard links",
+    "deep groups",
+    "escapes",
+    "a module",
+    "a model of order 1e6",
+    "deep JSON",
+    "numbers for names",
+    "a minimum far away",
+    "references",
+    "not finite",
+]
+
+
+@pytest.fixture(scope="module")
+def fuzzer():
+    spec = importlib.util.spec_from_file_location("fuzz_results", ROOT / "benchmarks" / "fuzz_results.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def whole(fuzzer, tmp_path_factory):
+    path = tmp_path_factory.mktemp("sound") / "sound.h5"
+    fuzzer.sound(path)
+    return path
+
+
+def test_a_sound_file_is_read(fuzzer, whole):
+    assert fuzzer._tried(whole) == ("read", "")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
+@pytest.mark.parametrize("name", KINDS)
+def test_a_crafted_file_is_refused_in_a_sentence_or_harmless(fuzzer, whole, tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("pipe")
+    craft(name, whole, tmp_path / "crafted.h5")
+    word, details = fuzzer._tried(tmp_path / "crafted.h5")
+    assert word in ("read", "refused"), details
+    assert not Path("EXECUTED").exists()
+
+
+def test_damaged_files_that_were_sealed_again_end_in_a_sentence_or_print(fuzzer, whole, tmp_path):
+    raw = whole.read_bytes()
+    path = tmp_path / "damaged.h5"
+    for number in range(8):
+        path.write_bytes(fuzzer.mutated(np.random.default_rng((11, number)), raw))
+        seal(path, "fit")
+        word, details = fuzzer._tried(path)
+        assert word in ("read", "refused"), (number, word, details)
+
+
+def test_names_are_printed_without_what_a_terminal_obeys(whole, tmp_path):
+    craft("escapes", whole, tmp_path / "crafted.h5")
+    fit = gb.load(tmp_path / "crafted.h5")
+    assert str(fit).replace("\n", "").isprintable()
+    assert fit.name == r"\x1b]0;PWNED\x07\x1b[2J\x1b[31mhello"
+    assert fit.parts[0].label == r"\x1b]52;c;ZXZpbA==\x07x\x1b[1A\x1b[2Kfake"

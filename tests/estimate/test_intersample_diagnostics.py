@@ -1,0 +1,151 @@
+"""Held and interpolated controls: the record decides; where it does not know, the size of the assumption is said."""
+
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from declared_models import Lag
+from numpy.testing import assert_allclose
+
+import greybox as gb
+from greybox.models.controller import AttitudeController
+from greybox.models.tilt import LinearTilt
+
+TRUTH = {"a1": -14.6, "a2": 3.0, "a3": 8.5, "a4": 295.0, "a5": 0.16, "T_rotor": 0.048, "T_delay": 0.01}
+FREE = ("a1", "a2", "a3", "a4", "T_delay")
+SWEEP = gb.experiment.sweep(0.5, 15, duration=20, rate=100, amplitude=0.12, dwell=1, signal="reference")
+
+
+def flown(seed=0, **options):
+    """The paper's pitch axis in its closed loop, as `virtual_flight` returns it."""
+    noise = {"theta": 0.002, "v": 0.03}
+    options = {"controller": AttitudeController(rate=100), "noise": noise, "seed": seed, **options}
+    return gb.virtual_flight(LinearTilt(), TRUTH, SWEEP, **options)
+
+
+def fitted(record, criterion=None, **options):
+    problem = gb.Problem(LinearTilt(), record, criterion, free=["T_delay"], **options)
+    return gb.fit(problem, starts=[{name: TRUTH[name] for name in FREE}], progress=False)
+
+
+def said_of_inputs(found):
+    return [text for text in found.warnings if "held" in text]
+
+
+@pytest.fixture(scope="module")
+def unknown():
+    return replace(flown(), hold={})
+
+
+@pytest.fixture(scope="module")
+def assumed(unknown):
+    return fitted(unknown)
+
+
+def test_a_virtual_flight_gives_the_truth_by_default():
+    """The intervals of all parameters, the delay's among them, are right; interpolation moves it by ten errors."""
+    scaled = []
+    for seed in range(4):
+        found = fitted(flown(seed))
+        scaled.append([(found.estimate[n] - TRUTH[n]) / found.standard_error[n] for n in FREE])
+        assert not said_of_inputs(found)
+    assert np.abs(np.mean(scaled, axis=0)).max() < 3 / math.sqrt(4)
+    assert 0.5 < np.sqrt(np.mean(np.square(scaled))) < 1.5
+    assert "inputs     u held until its next sample, as the record says\n" in str(found)
+
+
+def test_the_size_of_the_assumption_is_what_the_other_fit_gives(unknown, assumed):
+    (said,) = said_of_inputs(assumed)
+    held = fitted(unknown, gb.OutputError(inputs="held"))
+    assert held.cost == pytest.approx(assumed.cost, abs=1.0)  # the data cannot tell
+    assert "the record does not say, and the data cannot tell, whether it is held" in said
+    by = float(re.search(r"T_delay by (\S+) s", said)[1])
+    assert by == pytest.approx(held.estimate["T_delay"] - assumed.estimate["T_delay"], abs=6e-5)
+    assert by == pytest.approx(-0.005, abs=3e-4)
+    assert "OutputError(..., inputs='held')" in said
+    assert "inputs     u interpolated, an assumption, else delays differ by half a step, 5 ms\n" in str(assumed)
+    assert not said_of_inputs(held)
+
+
+def test_with_a_fixed_delay_the_shift_of_the_others_is_said(unknown):
+    fixed = {name: TRUTH[name] for name in ("T_delay", "T_rotor", "a5")}
+    starts = [{name: TRUTH[name] for name in FREE[:-1]}]
+    linear, held = (
+        gb.fit(gb.Problem(LinearTilt(), record, fixed=fixed), starts, progress=False)
+        for record in (unknown, replace(unknown, hold={"u": math.inf}))
+    )
+    (said,) = said_of_inputs(linear)
+    by = float(re.search(r"a4 by (\S+) 1/s²", said)[1])
+    assert by == pytest.approx(held.estimate["a4"] - linear.estimate["a4"], rel=0.05)
+
+
+def test_a_criterion_against_the_record_is_said():
+    (said,) = said_of_inputs(fitted(flown(), gb.OutputError(inputs="linear")))
+    assert said.startswith("the record says that u is held until its next sample, and OutputError takes it as interp")
+    assert re.search(r"what the record says moves T_delay by -0.00(5|49)", said)
+    assert said.endswith("leave out inputs='linear' to follow it.")
+
+
+def test_several_records_are_said_together(unknown):
+    halves = (unknown.between(0, 7), replace(unknown.between(7, 15), hold={"u": math.inf}))
+    problem = gb.several(LinearTilt(), halves, free=["T_delay"])
+    found = gb.fit(problem, [{name: TRUTH[name] for name in FREE}], progress=False)
+    assert len(said_of_inputs(found)) == 1
+    assert "u interpolated, an assumption" in str(found)
+    assert "u held until its next sample, as the record says" in str(found)
+
+
+def test_a_log_of_every_fourth_control():
+    """Each value lasted for a quarter of a step: interpolated, an eighth of a step later."""
+    fast = flown(controller=AttitudeController(rate=400))
+    rows = np.arange(0, len(fast), 4)
+    thinned = replace(fast.rows(rows), hold={**fast.hold, "u": 1 / 400})
+    found = fitted(thinned)
+    assert abs(found.estimate["T_delay"] - 0.01) < 3 * found.standard_error["T_delay"]
+    assert found.records[0].between == {"u": "interpolated, 1.25 ms late, as the record says"}
+
+
+def test_a_saved_fit_knows_it(tmp_path, assumed):
+    found = fitted(flown())
+    for fit, name in ((found, "held"), (assumed, "assumed")):
+        gb.save(fit, tmp_path / f"{name}.h5")
+        loaded = gb.load(tmp_path / f"{name}.h5")
+        assert loaded.records[0].between == fit.records[0].between
+        assert loaded.records[0].data.hold == fit.records[0].data.hold
+        assert str(loaded) == str(fit)
+
+
+def test_simulation_and_prediction_follow_the_record_then_the_fit():
+    """Of a lag, whose held and interpolated inputs have exact solutions by their steps."""
+    time = np.arange(200) / 20
+    u = np.sign(np.sin(2 * time))
+    values = {"K": 3.0, "T": 0.4}
+
+    def exact(hold):
+        a, y = math.exp(-1 / 8), [0.0]
+        mean = u[:-1] if hold else None
+        for k in range(199):
+            if hold:
+                y.append(a * y[-1] + 3 * (1 - a) * mean[k])
+            else:  # a ramp from u[k] to u[k + 1]
+                slope = u[k + 1] - u[k]
+                b = 1 - 8 * (1 - a)
+                y.append(a * y[-1] + 3 * ((1 - a) * u[k] + b * slope))
+        return np.array(y)
+
+    unknown = gb.Record(time, {"u": u, "y": exact(hold=True)})
+    known = replace(unknown, hold={"u": math.inf})
+    held, linear = (gb.simulate(Lag(), values, record)["y"] for record in (known, unknown))
+    assert_allclose(held, exact(hold=True), atol=1e-6)
+    assert_allclose(linear, exact(hold=False), atol=1e-6)
+    assert_allclose(gb.simulate(Lag(), values, known, inputs="linear")["y"], linear, atol=1e-9)
+    windows = {"horizon": 1.0, "lead": 1.0}
+    assert gb.predict(Lag(), values, known, **windows).rms("y") < 1e-5
+    assert gb.predict(Lag(), values, unknown, **windows).rms("y") > 1e-2
+
+    noisy = known.with_signals(y=known["y"] + 0.01 * np.random.default_rng(0).normal(size=200))
+    fit = gb.fit(gb.Problem(Lag(), noisy), 3, progress=False)
+    assert_allclose([fit.estimate["K"], fit.estimate["T"]], [3, 0.4], rtol=0.02)
+    assert gb.predict(fit, record=unknown, **windows).rms("y") < 0.02  # the other record does not know: as in the fit

@@ -1,0 +1,24 @@
+"""Fits in several threads at once are the same as one after the other."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
+from sampled_lag import lag_problem
+
+import greybox as gb
+
+RESPONSE = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2))
+RECORDS = [lag_problem(seed, samples=300) for seed in range(3)]
+
+
+def fitted(problem):
+    fit = gb.fit(problem, starts=3, progress=False)
+    return fit.cost, fit.estimate, fit.standard_error, [run.cost for run in fit.runs]
+
+
+def test_fits_of_records_and_of_responses_in_four_threads():
+    problems = [*RECORDS, RESPONSE]
+    one_by_one = [fitted(problem) for problem in problems]
+    with ThreadPoolExecutor(4) as threads:
+        at_once = list(threads.map(fitted, 3 * problems))
+    assert at_once == 3 * one_by_one

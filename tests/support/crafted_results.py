@@ -1,0 +1,180 @@
+"""Result files as somebody who means harm could send them: a sound one, changed and sealed again."""
+
+import json
+import shutil
+import zlib
+
+import h5py
+import numpy as np
+
+from greybox.data.sealed_files import seal
+
+SECRET = "first line of a file that nobody was to see\n"
+
+
+def replaced(place, **options):
+    """Put another dataset in the place of one."""
+
+    def change(file):
+        del file[place]
+        file.create_dataset(place, **options)
+
+    return change
+
+
+def attributes(place="/", **values):
+    def change(file):
+        for name, value in values.items():
+            file[place].attrs[name] = value
+
+    return change
+
+
+def linked(place, link):
+    def change(file):
+        del file[place]
+        file[place] = link
+
+    return change
+
+
+def model(target, arguments=(), keywords=None):
+    stored = {"class": target, "arguments": arguments, "keywords": keywords or {}}
+    return attributes("parts/0", model=json.dumps(stored))
+
+
+def virtual(file):
+    shape = file["covariance/values"].shape
+    del file["covariance/values"]
+    layout = h5py.VirtualLayout(shape=shape, dtype="f8")
+    layout[:] = h5py.VirtualSource("other.h5", "x", shape=shape)
+    file.create_virtual_dataset("covariance/values", layout)
+
+
+def external_numbers(name):
+    def change(file):
+        shape = file["covariance/values"].shape
+        del file["covariance/values"]
+        size = 8 * shape[0] * shape[1]
+        file.create_dataset("covariance/values", shape=shape, dtype="f8", external=[(name, 0, size)])
+
+    return change
+
+
+def compressed_zeros(file):
+    """1 GB of zeros in a file of 1 MB."""
+    del file["covariance/values"]
+    made = file.create_dataset(
+        "covariance/values", shape=(16000, 8000), dtype="f8", chunks=(4000, 4000), compression="gzip"
+    )
+    made[:4000, :4000] = 0
+    _, chunk = made.id.read_direct_chunk((0, 0))
+    for row in range(0, 16000, 4000):
+        for column in range(0, 8000, 4000):
+            made.id.write_direct_chunk((row, column), chunk)
+
+
+def inflated_chunk(file):
+    """A chunk that holds far more than its size says."""
+    del file["covariance/values"]
+    made = file.create_dataset("covariance/values", shape=(4, 4), dtype="f8", chunks=(4, 4), compression="gzip")
+    packed = zlib.compressobj(1)
+    zeros = bytes(2**24)
+    made.id.write_direct_chunk((0, 0), b"".join(packed.compress(zeros) for _ in range(20)) + packed.flush())
+
+
+def many_parts(link):
+    def change(file):
+        for k in range(2, 20_000):
+            file[f"parts/{k}"] = h5py.SoftLink("/parts/0") if link == "soft" else file["parts/0"]
+
+    return change
+
+
+def many_attributes(file):
+    group = file.create_group("more", track_order=True)
+    for k in range(2000):
+        group.attrs[f"a{k}"] = k
+
+
+def deep(file):
+    group = file
+    for _ in range(500):
+        group = group.create_group("g")
+
+
+def escapes(file):
+    file.attrs["name"] = "\x1b]0;PWNED\x07\x1b[2J\x1b[31mhello"
+    file.attrs["starts"] = "\u202efdp.\x9b2J"
+    file["quantities/unit"][0] = "\x1b[8m"
+    for key in file["parts"]:
+        file[f"parts/{key}"].attrs["label"] = "\x1b]52;c;ZXZpbA==\x07x\x1b[1A\x1b[2Kfake"
+        file[f"parts/{key}"].attrs["rule"] = "rule\r\n\x08\x7f"
+
+
+def written(place, value):
+    return lambda file: file[place].__setitem__(0, value)
+
+
+ARRAY = "covariance/values"
+CRAFTED = {
+    "external link": linked(ARRAY, h5py.ExternalLink("other.h5", "x")),
+    "external link to a group": linked("parts", h5py.ExternalLink("other.h5", "/")),
+    "external text": replaced("warnings", shape=(1,), dtype="S64", external=[("secret.txt", 0, 64)]),
+    "external numbers": external_numbers("secret.txt"),
+    "external pipe": external_numbers("pipe"),
+    "virtual dataset": virtual,
+    "8 TB declared": replaced(ARRAY, shape=(10**6, 10**6), dtype="f8", chunks=(1000, 1000)),
+    "4 GB declared": replaced(ARRAY, shape=(23_000, 23_000), dtype="f8", chunks=(1000, 1000)),
+    "4 GB never written": replaced(ARRAY, shape=(23_000, 23_000), dtype="f8"),
+    "a chunk of 2 GB": replaced("runs/cost", shape=(1,), maxshape=(None,), dtype="f8", chunks=(2**28,)),
+    "1 GB of zeros": compressed_zeros,
+    "a chunk that inflates": inflated_chunk,
+    "soft link to itself": linked("covariance", h5py.SoftLink("/covariance")),
+    "hard link to the root": lambda file: file.__setitem__("parts/0/root", file["/"]),
+    "soft links": many_parts("soft"),
+    "hard links": many_parts("hard"),
+    "many attributes": many_attributes,
+    "deep groups": deep,
+    "escapes": escapes,
+    "a text of 100 MB": written("quantities/unit", "m" * 10**8),
+    "a name of 1 MB": attributes(name="\x1b" * 2**15),
+    "a million texts": replaced("warnings", shape=(10**6,), dtype=h5py.string_dtype()),
+    "a module": model("evil_side_effect:X"),
+    "a standard module": model("this:X"),
+    "a model of order 1e6": model("greybox.models.polynomial:Polynomial", [10**6, 1]),
+    "no class": model("nothing"),
+    "deep JSON": attributes("parts/0", model="[" * 60_000 + "]" * 60_000),
+    "a list for a model": attributes("parts/0", model="[1, 2]"),
+    "names for arguments": model("greybox.models.tilt:Tilt", {"a": 1}),
+    "a list for versions": attributes(versions="[1]"),
+    "texts for costs": attributes(costs='{"a": "b"}'),
+    "a number for names": attributes("runs", free="5"),
+    "numbers for names": attributes("runs", free="[1, 2, 3, 4, 5, 6]"),
+    "bytes for a name": attributes(name=np.void(b"abc")),
+    "a layout below zero": attributes(layout=-1),
+    "no finite cost": attributes(cost=float("nan"), seconds=float("inf")),
+    "two equal names": lambda file: file["quantities/name"].__setitem__(0, file["quantities/name"][1]),
+    "a minimum that is not there": written("runs/minimum", 99),
+    "a minimum far away": written("runs/minimum", 2**40),
+    "complex numbers": replaced(ARRAY, data=np.ones((4, 4)) * 1j),
+    "references": lambda file: replaced(ARRAY, data=np.array([file.ref] * 4, dtype=h5py.ref_dtype))(file),
+    "records for numbers": replaced(ARRAY, data=np.array([(1, b"a")], dtype=[("a", "f8"), ("b", "S1")])),
+    "another shape": replaced(ARRAY, data=np.ones((1, 1))),
+    "another rank": replaced("quantities/value", data=np.ones((3, 2, 2))),
+    "a group for numbers": lambda file: (file.__delitem__(ARRAY), file.create_group(ARRAY)),
+    "not finite": replaced("quantities/value", data=np.full(3, np.inf)),
+}
+
+
+def craft(name, sound, path):
+    """Write the crafted file `name`, made of the sound one, and what it tries to reach beside it."""
+    shutil.copy(sound, path)
+    folder = path.parent
+    (folder / "secret.txt").write_text(SECRET * 20)
+    with h5py.File(folder / "other.h5", "w") as file:
+        file["x"] = np.eye(4) * 1e6
+    (folder / "evil_side_effect.py").write_text("open('EXECUTED', 'w').close()\n")
+    with h5py.File(path, "a") as file:
+        CRAFTED[name](file)
+    seal(path, "fit")

@@ -1,0 +1,202 @@
+"""Models are nested when the equations of one are those of the other with terms removed, whatever their names say."""
+
+import numpy as np
+import pytest
+from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
+from drag_flights import Drag, LinearDrag, QuadraticDrag, fitted, flight
+
+import greybox as gb
+from greybox.validation.nesting import NotNestedError, nesting
+
+NAMES = ("small", "large")
+
+
+@pytest.fixture(scope="module")
+def record():
+    return flight({"a5": 0.2, "C_x": 0.05}, 8, duration=6.0)
+
+
+FITS = {}
+
+
+def place(record, small, large, removed_at=None, **options):
+    """How one model lies within another, both fitted to a record, each only once."""
+    fits = []
+    for i, model in enumerate((small, large)):
+        of_model = {k: v[i] for k, v in options.items() if v[i]}
+        key = f"{type(model).__name__} {of_model}"
+        if key not in FITS:
+            FITS[key] = fitted(model, record, **of_model)
+        fits.append(FITS[key])
+    return nesting(*fits, NAMES, removed_at)
+
+
+class OtherDrag(Drag):
+    """The parameters of `Drag`, and no value of `C_x` that makes it linear."""
+
+    def derivative(self, x, u, p):
+        return (gb.g * gb.tan(u.theta) - p.a5 * x.v - (p.C_x + 0.3) * abs(x.v) * x.v,)
+
+
+class PositiveDrag(Drag):
+    """Drag that is never linear, by its bounds."""
+
+    C_x = gb.Parameter(0.05, bounds=(0.01, 2))
+
+
+class PowerDrag(LinearDrag):
+    """Drag with an exponent, which is one where the drag is linear."""
+
+    n = gb.Parameter(1.5, bounds=(0.5, 3))
+
+    def derivative(self, x, u, p):
+        return (gb.g * gb.tan(u.theta) - p.a5 * x.v * gb.exp((p.n - 1) * gb.log(abs(x.v) + 1e-9)),)
+
+
+class SaturatingDrag(LinearDrag):
+    """Friction of Coulomb's kind, of which the width has no effect without its size."""
+
+    c = gb.Parameter(0.1, bounds=(-2, 2))
+    v_s = gb.Parameter(0.5, bounds=(0.01, 5))
+
+    def derivative(self, x, u, p):
+        return (gb.g * gb.tan(u.theta) - p.a5 * x.v - p.c * gb.tan(x.v / (20 * p.v_s)),)
+
+
+class LaggedDrag(LinearDrag):
+    """With a second state that a gain of zero removes."""
+
+    states = ("v", "w")
+    k = gb.Parameter(0.1, bounds=(-1, 1))
+
+    def derivative(self, x, u, p):
+        return (gb.g * gb.tan(u.theta) - p.a5 * x.v + p.k * x.w, x.v - 2 * x.w)
+
+
+class RenamedDrag(Drag):
+    """The same in a state of another name."""
+
+    states = ("speed",)
+
+    def derivative(self, x, u, p):
+        return (gb.g * gb.tan(u.theta) - p.a5 * x.speed - p.C_x * abs(x.speed) * x.speed,)
+
+    def output(self, x, u, p):
+        return (x.speed,)
+
+
+class LagLag(gb.TransferFunction):
+    """Two lags without a delay."""
+
+    K, T1, T2 = LagLagDelay.K, LagLagDelay.T1, LagLagDelay.T2
+
+    def response(self, s, p):
+        return p.K / ((p.T1 * s + 1) * (p.T2 * s + 1))
+
+
+def test_a_term_that_is_zero_fixed_or_tied_makes_a_model_nested(record):
+    removed = place(record, LinearDrag(), Drag())
+    assert removed.terms == ("C_x",)
+    assert removed.point[1] == 0.0
+    assert removed.dof == 1
+    held = place(record, Drag(), Drag(), fixed=({"C_x": 0.04}, None))
+    assert held.point[1] == 0.04
+    tied = place(record, Drag(), Drag(), tied=({"C_x": lambda p: 0.25 * p.a5}, None))
+    along = float(tied.directions[:, 0] @ [1.0, 0.25])
+    assert along == pytest.approx(0.0, abs=1e-9)  # the others leave the tie
+    assert place(record, LinearDrag(), PowerDrag()).point[1] == 1.0
+    assert place(record, QuadraticDrag(), Drag()).terms == ("a5",)
+
+
+def test_biases_and_gains_of_a_criterion_are_terms_that_are_zero(record):
+    output = gb.OutputError()
+    found = place(record, Drag(), Drag(), criterion=(output, gb.PredictionError()))
+    assert found.terms == ("K_v_v",)
+    assert found.point[-1] == 0.0
+    assert place(record, LinearDrag(), Drag(), criterion=(output, gb.OutputError(biases=["theta"]))).dof == 2
+    with pytest.raises(NotNestedError, match="differ in their noise") as caught:
+        place(record, LinearDrag(), Drag(), criterion=(output, gb.OutputError(noise={"v": 0.1})))
+    assert caught.value.undecided
+    with pytest.raises(NotNestedError, match="run differently between samples"):
+        place(record, LinearDrag(), Drag(), criterion=(output, gb.OutputError(inputs="held")))
+    with pytest.raises(NotNestedError, match="small has gains or biases that large has not"):
+        place(record, LinearDrag(), Drag(), criterion=(gb.PredictionError(), output))
+
+
+def test_names_alone_do_not_make_models_nested(record):
+    with pytest.raises(NotNestedError, match="large is not small where C_x is 0 or 1") as caught:
+        place(record, LinearDrag(), OtherDrag())
+    assert not caught.value.undecided
+    with pytest.raises(NotNestedError, match="large holds a5 fixed and small has a5 free"):
+        place(record, LinearDrag(), QuadraticDrag())
+    with pytest.raises(NotNestedError, match=r"C_x = 0, as in small, is outside the bounds \(0.01, 2\) of large"):
+        place(record, LinearDrag(), PositiveDrag())
+    with pytest.raises(NotNestedError, match="every free parameter of large is free in small"):
+        place(record, LinearDrag(), LinearDrag())
+    # What the user says is taken on trust.
+    assert place(record, LinearDrag(), OtherDrag(), removed_at={"C_x": -0.3}).point[1] == -0.3
+    with pytest.raises(ValueError, match="large has no free parameter 'k'"):
+        place(record, LinearDrag(), Drag(), removed_at={"k": 0.0})
+
+
+def test_states_are_met_by_their_names(record):
+    found = place(record, LinearDrag(), LaggedDrag())
+    assert found.terms == ("k",)
+    assert found.initial_states == 1
+    assert found.dof == 2
+    with pytest.raises(NotNestedError, match="large is not small where C_x is 0 or 1"):
+        place(record, LinearDrag(), RenamedDrag())
+    assert place(record, LinearDrag(), RenamedDrag(), removed_at={"C_x": 0.0}).dof == 1
+
+
+def test_a_term_without_effect_where_another_is_zero_is_told(record):
+    with pytest.raises(NotNestedError, match="v_s of large has no effect where c is as in small") as caught:
+        place(record, LinearDrag(), SaturatingDrag())
+    assert caught.value.undecided
+    with pytest.raises(NotNestedError, match="v_s of large has no effect where c is as in small"):
+        place(record, SaturatingDrag(), SaturatingDrag(), fixed=({"c": 0.0, "v_s": 0.5}, None))
+    assert place(record, LinearDrag(), SaturatingDrag(), fixed=(None, {"v_s": 0.5})).terms == ("c",)
+
+
+def test_a_parameter_of_every_record_is_one_of_all_where_they_are_equal(record):
+    records = [record, flight({"a5": 0.2, "C_x": 0.05}, 9, duration=12.0)]
+    one, own = (gb.fit(gb.several(Drag(), records, own=names), starts=1, progress=False) for names in ((), ("C_x",)))
+    found = nesting(one, own, NAMES)
+    assert found.terms == ("C_x_1", "C_x_2")
+    assert found.dof == 1
+    alike = np.array([name.startswith("C_x") for name in own.free], dtype=float)
+    along = float(found.directions[:, 0] @ alike)
+    assert along == pytest.approx(0.0, abs=1e-9)
+    with pytest.raises(NotNestedError):
+        nesting(own, one, NAMES)
+
+
+def test_models_of_responses_are_nested_by_their_responses():
+    data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.02)
+    large = gb.fit(gb.Problem(LagLagDelay(), data), starts=10)
+    small = gb.fit(gb.Problem(LagLagDelay(), data, fixed={"tau": 0.05}), starts=10)
+    assert nesting(small, large, NAMES).terms == ("tau",)
+    with pytest.raises(NotNestedError):
+        nesting(gb.fit(gb.Problem(Lag(), data), starts=10), large, NAMES)
+    found = nesting(gb.fit(gb.Problem(LagLag(), data), starts=10), large, NAMES)
+    assert found.terms == found.on_bound == ("tau",)
+
+
+def test_loaded_fits_are_nested_by_their_names_or_by_the_models_given(record, tmp_path):
+    for name, model, options in (
+        ("linear", LinearDrag(), {}),
+        ("drag", Drag(), {}),
+        ("held", Drag(), {"fixed": {"C_x": 0.04}}),
+        ("lagged", LaggedDrag(), {}),
+    ):
+        gb.save(fitted(model, record, **options), tmp_path / f"{name}.h5")
+    linear, drag, held, lagged = (gb.load(tmp_path / f"{name}.h5") for name in ("linear", "drag", "held", "lagged"))
+    assert nesting(held, drag, NAMES).point[1] == 0.04
+    with pytest.raises(NotNestedError, match="their models are not at hand") as caught:
+        nesting(linear, drag, NAMES)
+    assert caught.value.undecided
+    with pytest.raises(NotNestedError) as caught:
+        nesting(drag, lagged, NAMES)
+    assert not caught.value.undecided
+    linear, drag = (gb.load(tmp_path / f"{name}.h5", models=[LinearDrag, Drag]) for name in ("linear", "drag"))
+    assert nesting(linear, drag, NAMES).terms == ("C_x",)
