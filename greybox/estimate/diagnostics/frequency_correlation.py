@@ -37,7 +37,9 @@ def correlated_frequencies(nlp: Nlp, x: Array) -> Iterator[str]:
     from scipy.special import betaincc  # noqa: PLC0415 - scipy takes longer to import than this package
 
     values = nlp.all_values(x)
-    for part in nlp.response_parts:
+    for part in nlp.parts:
+        if not isinstance(part, ResponsePart):
+            continue
         found = neighbor_correlation(*_residuals(part, values, len(nlp.free)))
         if found is None:
             continue
@@ -95,7 +97,7 @@ def neighbor_correlation(residuals: NDArray[np.complex128], jacobian: Array) -> 
 
 def _residuals(part: ResponsePart, values: Array, free: int) -> tuple[NDArray[np.complex128], Array]:
     """Return the residuals over their sizes by frequency, (n,), and their derivatives, (2n, free)."""
-    data = part.problem.response
+    data = part.data
     order = np.argsort(data.omega)
     size = np.abs(data.response)
     if data.variance is not None and part.criterion.known_noise:
