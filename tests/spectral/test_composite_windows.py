@@ -84,7 +84,7 @@ def test_default_frequencies_are_the_excited_ones():
     got = spectral_response(flown, points=25)
     windowed = spectral_response(flown, points=25, windows=[22.0, 5.0])
     assert 20 <= len(got) <= 60
-    assert len(windowed) == 25
+    assert 20 <= len(windowed) <= 25
     for response in (got, windowed):
         assert response.omega[0] < HZ * 0.15
         assert HZ * 5 < response.omega[-1] < HZ * 7.5
