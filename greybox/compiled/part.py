@@ -101,6 +101,31 @@ class Condensed:
 
 
 @dataclass(frozen=True, eq=False)
+class ColoredErrors:
+    """What correlation of the errors of a record in time makes of an estimate.
+
+    Attributes
+    ----------
+    meat : (k, k) array
+        Of the sandwich, for all values.
+    dof : float
+        Degrees of freedom of the variances that follow.
+    correlation_times : (outputs,) array
+        Of the errors, s.
+    duration : float
+        Of the longest gapless stretch, s.
+    is_long_enough : bool
+        Whether that is long enough, against the correlation times, for the spectrum of the errors to be known.
+    """
+
+    meat: Array
+    dof: float
+    correlation_times: Array
+    duration: float
+    is_long_enough: bool
+
+
+@dataclass(frozen=True, eq=False)
 class Information:
     """What a part says about all values x (k,) of a problem, free ones first, for the covariance of the estimate.
 
@@ -116,6 +141,9 @@ class Information:
         the covariance B⁻¹ M B⁻¹ of an M-estimator, see `greybox.formulation.frequency_criteria`.
     relative_noise : float
         Standard deviation of one component of the relative error of a frequency response; NaN for a record.
+    colored : function of B⁻¹ (p, p) or None
+        For a record whose errors are taken as correlated in time: what that makes of it, given the covariance of the
+        free parameters for white errors times the weight of the part. `spread` takes them as white.
     """
 
     part: "Part"
@@ -123,6 +151,7 @@ class Information:
     numbers: int
     spread: Callable[[float], tuple[float, Array]]
     relative_noise: float
+    colored: Callable[[Array], ColoredErrors] | None = None
 
 
 class Program(ABC):

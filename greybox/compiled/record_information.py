@@ -1,42 +1,91 @@
-"""How many independent numbers a record counts for where its residuals are correlated in time.
+"""What a record says of the parameters where its residuals are correlated in time.
 
 J is the Jacobian of the weighted residuals by p directions of the parameters, the initial states fitted along; e are
-the residuals. For errors with the autocorrelation of the residuals, Jᵀe has the covariance M (the *meat*); for white
-ones it is JᵀJ.
+the residuals. For errors with the spectrum of the residuals, Jᵀe has the covariance M (the *meat*); for white ones it
+is JᵀJ. Correlated residuals count as fewer independent numbers: as many as make the parameters take from white ones
+what they take from these.
 """
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from greybox.statistics.residual_spectrum import colored_information
 
-# Of the largest eigenvalue in units in which every parameter has curvature one: below is rounding.
-RANK = 1e-12
+Array = NDArray[np.float64]
 
 # Degrees of freedom that correlation leaves, at least: twice as many as Student's t needs for a finite variance.
 FEWEST = 4
 
+# Correlation times in the longest stretch below which no spectrum is known well enough where it matters. About ten are
+# needed; the correlation time found in so short a record is too short by a fifth in the mean.
+FEWEST_TIMES = 12.0
 
-def correlation_factor(white: Array, meat: Array) -> float:
-    """Return how many times more of the residuals the parameters take than they would of white ones, at least 1.
+# Correlation times per degree of freedom of an exponential correlation's spectrum at zero frequency: the coefficient φ
+# of n samples has the variance (1 - φ²)/n, so that the relative variance of 1/(1 - φ)² is 8 times per n.
+TIMES_PER_DOF = 4.0
 
-    Of n residuals with covariance Σ, p parameters take tr(JᵀΣJ (JᵀJ)⁻¹), which is p σ² where they are white.
+
+@dataclass(frozen=True, eq=False)
+class RecordErrors:
+    """The meat (p, p), the degrees of freedom of the variances, and the correlation times (k,) of the errors, samples.
+
+    `is_long_enough` tells whether the longest stretch has as many of these times as their spectrum needs.
+    """
+
+    meat: Array
+    dof: float
+    correlation_times: Array
+    is_long_enough: bool
+
+
+def colored_errors(
+    weighted: Sequence[Array], residuals: Sequence[Array], inverse: Array, weight: Array, initial_states: int
+) -> RecordErrors:
+    """Return what the correlation of the residuals makes of an estimate.
 
     Parameters
     ----------
-    white : (p, p) array
-        JᵀJ times the variance of the weighted residuals.
-    meat : (p, p) array
+    weighted : sequence of (k, p, n) arrays
+        WᵀW dy/dθ, one for every stretch, initial states fitted along.
+    residuals : sequence of (k, n) arrays
+    inverse : (p, p) array
+        The covariance of the estimate for white errors of covariance (WᵀW)⁻¹, other data included.
+    weight : (k, k) array
+        W.
+    initial_states : int
+        Fitted along.
     """
-    size = 1 / np.sqrt(np.where(np.diag(white) > 0, np.diag(white), 1.0))
-    values, vectors = np.linalg.eigh(white * size * size[:, None])
-    visible = values > RANK * max(values.max(initial=0.0), 1e-300)
-    basis = size[:, None] * vectors[:, visible] / np.sqrt(values[visible])
-    taken = float(np.trace(basis.T @ meat @ basis))
-    return max(taken / max(int(visible.sum()), 1), 1.0) if np.isfinite(taken) else 1.0
+    noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)
+    found = colored_information(weighted, residuals, inverse, noise)
+    numbers = sum(int(np.count_nonzero(e)) for e in residuals)
+
+    # What the parameters take from these residuals and would take from white ones of the same variance.
+    bread = sum(np.einsum("kpn,kl,lqn->pq", J, noise, J, optimize=True) for J in weighted)
+    paid = float(np.sum(inverse * bread))
+    squares = sum(float(np.sum((weight @ e) ** 2)) for e in residuals) / max(numbers, 1)
+    factor = max(found.taken / max(paid * squares, 1e-300), 1.0)
+
+    independent = independent_numbers(numbers, initial_states, math.ceil(paid), factor)
+    meat = found.meat * independent / (independent - initial_states)
+    left = max(independent - initial_states - paid, 0.5)
+    if not found.corrected:
+        meat = meat * (left + paid) / left
+    dof = 1 / (1 / left + found.uncertainty / 2)
+    slowest = float(found.correlation_times.max())
+    times = max(e.shape[1] for e in residuals) / slowest if slowest > 0 else math.inf
+    if times < FEWEST_TIMES:
+        dof = min(dof, max(times / TIMES_PER_DOF, 1.0))
+    return RecordErrors(meat, dof, found.correlation_times, times >= FEWEST_TIMES)
 
 
 def independent_numbers(measured: int, initial_states: int, parameters: int, factor: float) -> float:
-    """Return as how many independent numbers the measured ones count, given the `correlation_factor`."""
+    """Return as how many independent numbers the measured ones count.
+
+    `factor` is how many times more of the residuals the parameters take than they would of white ones.
+    """
     most = measured / (initial_states + parameters + FEWEST)
     return max(measured / min(factor, max(most, 1.0)), initial_states + 0.5)

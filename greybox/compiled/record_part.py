@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from greybox.compiled.condensing import solve_continuity
 from greybox.compiled.initial_states import InitialStates, at_samples
-from greybox.compiled.part import Condensed, Information, Part, Program, Trajectory
-from greybox.compiled.record_information import correlation_factor, independent_numbers
+from greybox.compiled.part import ColoredErrors, Condensed, Information, Part, Program, Trajectory
+from greybox.compiled.record_information import colored_errors, independent_numbers
 from greybox.compiled.residual_covariance import (
     ResidualCovariance,
     followed_by_covariance,
@@ -37,7 +37,6 @@ from greybox.modeling.model import Names
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import traced
-from greybox.statistics.residual_autocorrelation import colored_information
 
 Array = NDArray[np.float64]
 
@@ -414,13 +413,13 @@ class RecordPart(Part):
     ) -> Condensed:
         """Eliminate the nodes, see `greybox.compiled.condensing`.
 
-        Where gaps are allowed, `damping` holds the nodes, relative to their curvature (Levenberg-Marquardt).
+        `damping` holds the nodes that are free, relative to their curvature (Levenberg-Marquardt).
         """
         b = linearization
         gaps = trajectory.gaps
         slope = trajectory.detail.placed.slope
         node_damping = np.zeros_like(gaps)
-        if damping and np.all(continuity_variance > 0):
+        if damping:
             node_damping = damping * self._node_curvature(b, continuity_variance)
             b = replace(b, node_hessian=b.node_hessian + node_damping[:, :, None] * np.eye(self.states))
 
@@ -455,8 +454,13 @@ class RecordPart(Part):
         )
 
     def _node_curvature(self, b: Linearization, continuity_variance: Array) -> Array:
-        """Return the second derivatives of outputs and continuity penalty by every node state, (s, n)."""
+        """Return the second derivatives of outputs and continuity penalty by every node state that is free, (s, n).
+
+        Where continuity is exact these are the first ones of every stretch.
+        """
         coupled = self.data.coupled
+        if not np.all(continuity_variance > 0):
+            return np.where(self.data.begins_stretch[:, None], b.node_hessian.diagonal(axis1=1, axis2=2), 0.0)
         penalty = np.where(coupled[:, None], (b.transition**2 / continuity_variance[:, None]).sum(axis=1), 0.0)
         penalty[1:] += np.where(coupled[:-1, None], 1 / continuity_variance, 0.0)
         return b.node_hessian.diagonal(axis1=1, axis2=2) + penalty
@@ -521,28 +525,44 @@ class RecordPart(Part):
 
         weight = part.covariance.weight(trajectory.products)
         triangle, white, weighted = part._jacobian(trajectory, weight)
-        factor, score = 1.0, white
-        if not self.model.criterion.errors_are_white:
-            residuals = self.data.unpadded(part.residuals(trajectory))
-            score = colored_information(self.data.unpadded(weighted), residuals)
-            scaled = weight @ trajectory.products @ weight.T / np.maximum(self.covariance.counts, 1)
-            factor = correlation_factor(white * np.trace(scaled) / len(self.outputs), score)
-        elif part.covariance.known is not None:  # what was given is not what the residuals show
+        score = white
+        if part.covariance.known is not None:  # what was given is not what the residuals show
             variance = np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1)
             score = np.einsum("k,kpt,kqt->pq", variance, weighted, weighted)
         initial = self.unknown_initial_states
-        independent = independent_numbers(self.numbers, initial, len(white), factor)
-        score = score * independent / (independent - initial)
+        independent = independent_numbers(self.numbers, initial, len(white), 1.0)
+
+        def of_all_values(matrix: Array) -> Array:
+            result = np.zeros((len(values), len(values)))
+            result[np.ix_(columns, columns)] = matrix * dz_dx * dz_dx[:, None]
+            return result
 
         jacobian = np.zeros((len(triangle), len(values)))
         jacobian[:, columns] = triangle * dz_dx
-        meat = np.zeros((len(values), len(values)))
-        meat[np.ix_(columns, columns)] = score * dz_dx * dz_dx[:, None]
+        meat = of_all_values(score * independent / (independent - initial))
 
         def spread(correction: float) -> tuple[float, Array]:
             return 1.0, meat * correction**2
 
-        return Information(self, jacobian, round(independent) - initial, spread, math.nan)
+        def colored(inverse: Array) -> ColoredErrors:
+            found = colored_errors(
+                self.data.unpadded(weighted),
+                self.data.unpadded(part.residuals(trajectory)),
+                np.pad(inverse, (0, len(columns) - len(inverse))) * dz_dx * dz_dx[:, None],
+                weight,
+                initial,
+            )
+            return ColoredErrors(
+                meat=of_all_values(found.meat),
+                dof=found.dof,
+                correlation_times=found.correlation_times * longest.step,
+                duration=len(longest) * longest.step,
+                is_long_enough=found.is_long_enough,
+            )
+
+        longest = max(self.data.stretches, key=len)
+        by_output = not self.model.criterion.errors_are_white
+        return Information(self, jacobian, self.numbers - initial, spread, math.nan, colored if by_output else None)
 
     def _jacobian(self, trajectory: Trajectory, weight: Array) -> tuple[Array, Array, Array]:
         """Return a triangular factor (p, p) of the Jacobian of the weighted residuals, JᵀJ, and WᵀJ (k, p, samples)."""

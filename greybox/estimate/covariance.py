@@ -2,14 +2,14 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.compiled.part import Information, Trajectory
+from greybox.compiled.part import ColoredErrors, Information, Trajectory
 from greybox.formulation.held_estimate import HeldEstimate
 
 Array = NDArray[np.float64]
@@ -68,6 +68,8 @@ class Accuracy:
         The standard deviation of one component of the relative error, of every part.
     white : (p, p) array or None
         The covariance of the free parameters if the cost were the likelihood of white errors: the inverse bread.
+    correlation : (parts,) tuple of ColoredErrors or None
+        What correlation in time makes of each record; None for responses, and where errors are taken as white.
     """
 
     names: tuple[str, ...]
@@ -81,6 +83,7 @@ class Accuracy:
     active: tuple[str, ...]
     noise: Array
     white: Array | None = None
+    correlation: tuple[ColoredErrors | None, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,11 +118,12 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
     seen, blind = _directions(unit, active * size, [nlp.free.index(name) for name in at_bound])
     dof = sum(part.numbers for part in parts) - seen.shape[1]
     covariance, contributions, inverse = np.full((k, k), np.nan), (), None
+    correlation: tuple[ColoredErrors | None, ...] = (None,) * len(parts)
     size = np.concatenate([size, np.ones(k - p)])
     blind = np.vstack([blind, np.zeros((k - p, blind.shape[1]))])
     if dof > 0 and all(np.all(np.isfinite(share.bread)) for share in shares):
         basis = seen * size[:p, None]
-        shares = _corrected(parts, shares, basis)
+        shares, correlation, dof = _corrected(parts, shares, basis)
         inverse, slope = _inverse(shares, basis)
         contributions, unknown = _contributions(nlp, shares, inverse, slope)
         covariance = sum((c for c, _ in contributions), np.zeros((k, k)))
@@ -143,6 +147,7 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
         active=holding,
         noise=np.array([part.relative_noise for part in parts]),
         white=inverse,
+        correlation=correlation,
     )
 
 
@@ -185,25 +190,31 @@ def _corrected(
     parts: Sequence[Information],
     shares: Sequence[_Share],
     basis: Array,
-) -> list[_Share]:
+) -> tuple[list[_Share], tuple[ColoredErrors | None, ...], float]:
     """Scale the noise of every part for the parameters that it pays: pᵢ = tr(B⁻¹ Bᵢ) of the p in all.
 
     2nᵢ residuals then have 2nᵢ - pᵢ degrees of freedom, as if the part had been fitted alone with pᵢ parameters.
+    Records whose errors are correlated in time have their own. Returns these, and the degrees of freedom of all parts,
+    too.
     """
     inverse, _ = _inverse(shares, basis)
     p = len(inverse)
-    paid = [float(np.trace(inverse @ share.bread[:, :p])) for share in shares]
-    numbers = [part.numbers for part in parts]
-    left = [max(n - q, 0.5) for n, q in zip(numbers, paid, strict=True)]
-    return [
-        _share(
-            part,
-            p=p,
-            correction=math.sqrt(max(n, m) / m),
-            dof=math.inf if part.part.problem.criterion.known_noise else m,
-        )
-        for part, n, m in zip(parts, numbers, left, strict=True)
-    ]
+    result: list[_Share] = []
+    correlation: list[ColoredErrors | None] = []
+    degrees = 0.0
+    for part, share in zip(parts, shares, strict=True):
+        problem = part.part.problem
+        left = max(part.numbers - float(np.trace(inverse @ share.bread[:, :p])), 0.5)
+        colored = None if part.colored is None else part.colored(problem.weight * inverse)
+        correlation.append(colored)
+        if colored is not None:
+            degrees += colored.dof
+            result.append(replace(share, meat=problem.weight**2 * colored.meat[:p, :p], dof=colored.dof))
+            continue
+        degrees += left
+        dof = math.inf if problem.criterion.known_noise else left
+        result.append(_share(part, p=p, correction=math.sqrt(max(part.numbers, left) / left), dof=dof))
+    return result, tuple(correlation), degrees
 
 
 def _inverse(shares: Sequence[_Share], basis: Array) -> tuple[Array, Array]:

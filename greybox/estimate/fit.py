@@ -97,7 +97,8 @@ def fit(
     method : MultipleShooting, SingleShooting or Collocation, optional
         How records are transcribed and solved; `MultipleShooting()` by default.
     solver_options : mapping
-        Options of IPOPT, e.g. ``{"max_iter": 100, "tol": 1e-9}``.
+        ``{"max_iter": 100, "tol": 1e-9}``, and where IPOPT solves all its other options. For records `tol` is that of
+        the decrease of the cost and of half the squared length of a step in standard errors, 1e-8 by default.
     progress : bool or function
         A bar on a terminal for anything longer than two seconds; or a function of finished and all runs.
 
@@ -149,12 +150,13 @@ def _fitted_from(
     movable = not isinstance(rule, Listed)
     with responding(Response.STOP):
         if callable(progress) or not progress:
-            search = multistart(nlp, solver, points, solver_options, progress or None, movable)
+            search = multistart(nlp, solver, points, progress or None, movable)
         else:
             with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
-                search = multistart(nlp, solver, points, solver_options, lambda done, _: _advance(bar, done), movable)
+                search = multistart(nlp, solver, points, lambda done, _: _advance(bar, done), movable)
         search = explained(nlp, search)
         nlp, search, solver, error = refine_discretization(nlp, search, solver)
+        search = solver.polished(search)
     if not search.runs:
         return None
     with responding(Response.FINISH):
@@ -205,7 +207,7 @@ def assemble(
             *not_finite_warnings(nlp, search),
             *finding_warnings(nlp),
             *(discretization_warnings(nlp, trajectories, error) if found else ()),
-            *(record_warnings(nlp, parts, trajectories) if found else ()),
+            *(record_warnings(nlp, parts, trajectories, accuracy) if found else ()),
             *(intersample_warnings(nlp, best, accuracy) if found else ()),
             *(harmonic_warnings(nlp, best, accuracy) if found else ()),
             *(warnings(nlp, search, accuracy, pade_errors, trajectories) if found else ()),

@@ -21,7 +21,7 @@ from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import dynamics
 from greybox.modeling.sine import Sine
 from greybox.simulation.model_at_estimate import ModelAtEstimate, criterion_of
-from greybox.solve.minima import Minimum, Multistart
+from greybox.solve.minima import Minimum, Multistart, agreeing_runs
 from greybox.solve.outcome import Run
 from greybox.statistics.metrics import fit_percent, rms
 
@@ -214,8 +214,8 @@ class Fit:
     dof : float
         Numbers in the data less the directions of parameter space that they determine. A record counts as its
         equivalent number of independent residuals, less its unknown initial states, whether its noise is given or not,
-        since standard errors use the residual variance. Infinite where all data are frequency responses with given
-        variances (`MaximumLikelihood`).
+        since standard errors use the residual variance; fewer where the spectrum of the residuals is uncertain.
+        Infinite where all data are frequency responses with given variances (`MaximumLikelihood`).
     cost : float
         The criterion minimized, without smoothing; NaN when no start converged.
     costs : mapping of str to float
@@ -271,8 +271,10 @@ class Fit:
 
     @property
     def agreeing(self) -> int:
-        """How many starts reached the best minimum."""
-        return len(self.minima[0].runs) if self.minima else 0
+        """How many runs ended at a cost that cannot be told from the best one: 0.1 in log-likelihood, or its equal."""
+        numbers = sum(2 * len(part.data) for part in self.responses)
+        is_likelihood = any(part.is_likelihood for part in self.parts)
+        return len(agreeing_runs(self.runs, self.minima, numbers=numbers, is_likelihood=is_likelihood))
 
     @property
     def criterion(self) -> str:
@@ -504,7 +506,7 @@ def _error_condition(fit: Fit) -> str:
     conditions = "; ".join(dict.fromkeys(part.condition for part in fit.parts))
     if math.isinf(fit.dof):
         return conditions
-    return f"{conditions}; Student's t with {counted(fit.dof, 'degree of', 'degrees of')} freedom"
+    return f"{conditions}; Student's t with {counted(round(fit.dof), 'degree of', 'degrees of')} freedom"
 
 
 def _other_criteria(fit: Fit) -> list[str]:

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Part, Trajectory
 from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
-from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver
-from greybox.solve.minima import Multistart, find_minima
+from greybox.solve.minima import Minimum, Multistart, find_minima
 from greybox.solve.outcome import Outcome, Run
 
 Array = NDArray[np.float64]
@@ -32,6 +31,15 @@ RIVALS = 3
 
 # Relative difference of parameters up to which two runs of one minimum have one end, and move together.
 SAME_END = 0.01
+
+# Shift by twice the steps, in standard errors, from which an end is no solution of the differential equations where
+# another end is one: refinement has left the best a tenth of this.
+ALIAS = 1.0
+
+# Ends that are looked at, at most: one look takes as long as two iterations.
+JUDGED = 10
+
+TOO_COARSE = "integration too coarse"  # status of a run that ended at an alias
 
 # Of the largest eigenvalue of the Hessian in units of its diagonal, below which a direction is not determined.
 RANK = 1e-12
@@ -72,10 +80,15 @@ class DiscretizationError:
         return substep_growth(self.largest, self.accepted, self.order)
 
 
-def discretization_error(nlp: Nlp, trajectories: Sequence[Trajectory]) -> DiscretizationError:
-    """Return what twice the steps would do to the estimate that the best `trajectories` belong to, to first order."""
+def discretization_error(
+    nlp: Nlp, trajectories: Sequence[Trajectory], fine: Sequence[Part] | None = None
+) -> DiscretizationError:
+    """Return what twice the steps would do to the estimate that the best `trajectories` belong to, to first order.
+
+    `fine` are the parts with twice the steps, if they were built before.
+    """
     p = len(nlp.free)
-    fine = [part.refined(2, compiled=False) for part in nlp.parts]
+    fine = fine or _finer_parts(nlp)
     finer = [refined.trajectory(t.z, t.nodes) for refined, t in zip(fine, trajectories, strict=True)]
     each = list(zip(nlp.parts, trajectories, fine, finer, strict=True))
     same = [part is refined or _is_rounding(t, other) for part, t, refined, other in each]
@@ -101,28 +114,95 @@ def refine_discretization(
 ) -> tuple[Nlp, Multistart, LocalSolver, DiscretizationError | None]:
     """Refine the steps until that does not matter, and follow the best minima; what the method fixes stays.
 
-    Returns the error that is left too, where it was looked at.
+    What is a minimum of the integrator alone is then no minimum any more. Returns the error that is left too, where it
+    was looked at.
     """
     error = None
-    if not any(part.substeps for part in nlp.parts):
+    if not any(part.substeps for part in nlp.parts) or not search.minima:
         return nlp, search, solver, error
-    while search.minima and nlp.strategies.refined_substeps and nlp.method.scheme.substeps is None:
+    fine = _finer_parts(nlp)
+    while nlp.strategies.refined_substeps and nlp.method.scheme.substeps is None:
         if stop_requested():
             break
         best = solver.profile(search.minima[0].estimate, search.nodes)
-        error = discretization_error(nlp, best.trajectories)
+        error = discretization_error(nlp, best.trajectories, fine)
         if not error.matters or max(part.substeps for part in nlp.parts) >= MOST_SUBSTEPS:
             break
         finer = replace(nlp, parts=tuple(part.refined(error.growth) for part in nlp.parts))
-        finer_solver = GaussNewton(finer)
+        finer_solver = solver.refined(finer)
         followed = _followed(finer, search, finer_solver)
         if followed is None:
             break
-        nlp, search, solver = finer, followed, finer_solver
-    return nlp, search, solver, error
+        nlp, search, solver, fine = finer, followed, finer_solver, _finer_parts(finer)
+    search, is_same_best = _without_aliases(nlp, search, solver, fine)
+    return nlp, search, solver, error if is_same_best else None
 
 
-def _followed(nlp: Nlp, search: Multistart, solver: GaussNewton) -> Multistart | None:
+def _finer_parts(nlp: Nlp) -> tuple[Part, ...]:
+    """Return the parts with twice the steps, for a look at them."""
+    return tuple(part.refined(2, compiled=False) for part in nlp.parts)
+
+
+def _without_aliases(
+    nlp: Nlp, search: Multistart, solver: LocalSolver, fine: Sequence[Part]
+) -> tuple[Multistart, bool]:
+    """Return the search without the minima that finer steps move by standard errors, and whether the best is the same.
+
+    Too long steps can turn a fast mode into a slow one: such an alias costs no more than the true parameters, or even
+    less, and may have their response. It is left only where there is nothing else.
+    """
+    limit = search.minima[0].cost + nlp.strategies.rival_cost
+    rivals = [run for m in search.minima if m.cost <= limit for run in (search.runs[k] for k in m.runs)]
+    ends = _distinct_ends(nlp, rivals)
+    if len(ends) < 2:
+        return search, True
+    aliases, sound = set(), False
+    for group in ends[:JUDGED]:
+        at_end = solver.profile(group[0].estimate)
+        is_alias = at_end.converged and discretization_error(nlp, at_end.trajectories, fine).largest > ALIAS
+        sound = sound or not is_alias
+        aliases |= {run.index for run in group} if is_alias else set()
+    if not aliases or not sound:
+        return search, True
+
+    runs = tuple(
+        replace(run, converged=False, status=TOO_COARSE) if run.index in aliases else run for run in search.runs
+    )
+    minima, nodes = [], search.nodes
+    for minimum in search.minima:
+        left = tuple(k for k in minimum.runs if k not in aliases)
+        if left:
+            first = runs[left[0]]
+            variants = len(_distinct_ends(nlp, [runs[k] for k in left]))
+            is_first = minimum.runs[0] == left[0]
+            estimate, cost = (minimum.estimate, minimum.cost) if is_first else (first.estimate, first.cost)
+            minima.append(Minimum(cost, estimate, left, min(minimum.variants, variants)))
+    minima.sort(key=lambda m: m.cost)
+    is_same_best = minima[0].runs[0] == search.minima[0].runs[0]
+    if not is_same_best:
+        nodes = tuple(t.nodes for t in solver.profile(minima[0].estimate).trajectories)
+    return replace(search, runs=runs, minima=tuple(minima), nodes=nodes), is_same_best
+
+
+def _distinct_ends(nlp: Nlp, runs: Sequence[Run]) -> list[list[Run]]:
+    """Return the runs in groups of one end each, in their order."""
+    groups: list[tuple[Array, list[Run]]] = []
+    for run in runs:
+        z = nlp.scaling.to_solver(run.estimate)
+        near = (group for other, group in groups if _is_same_end(z, other))
+        group = next(near, None)
+        if group is None:
+            groups.append((z, [run]))
+        else:
+            group.append(run)
+    return [group for _, group in groups]
+
+
+def _is_same_end(a: Array, b: Array) -> bool:
+    return bool(np.all(np.abs(a - b) <= SAME_END * (np.abs(b) + 1e-3)))
+
+
+def _followed(nlp: Nlp, search: Multistart, solver: LocalSolver) -> Multistart | None:
     """Return the search with its best minima, as far as they are rivals, moved to those of `nlp`; None if none is.
 
     The runs that ended there move with them, so that runs and minima tell the same costs. What is no rival stays.
@@ -147,18 +227,12 @@ def _followed(nlp: Nlp, search: Multistart, solver: GaussNewton) -> Multistart |
     return replace(search, runs=runs, minima=minima, nodes=ends[minima[0].runs[0]].nodes)
 
 
-def _ends(nlp: Nlp, solver: GaussNewton, runs: Sequence[Run]) -> dict[int, Outcome]:
+def _ends(nlp: Nlp, solver: LocalSolver, runs: Sequence[Run]) -> dict[int, Outcome]:
     """Return where the runs of one minimum end with the steps of `nlp`; those of one end move together."""
-    found: list[tuple[Array, Outcome]] = []
     ends = {}
-    for run in runs:
-        z = nlp.scaling.to_solver(run.estimate)
-        near = (o for other, o in found if np.all(np.abs(z - other) <= SAME_END * (np.abs(other) + 1e-3)))
-        outcome = next(near, None)
-        if outcome is None:
-            outcome = solver.run(run.estimate)
-            found.append((z, outcome))
-        ends[run.index] = outcome
+    for group in _distinct_ends(nlp, runs):
+        outcome = solver.run(group[0].estimate)
+        ends |= {run.index: outcome for run in group}
     return ends
 
 

@@ -14,7 +14,7 @@ from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.response_part import SMOOTHING
 from greybox.solve.interruption import Response, responding, stop_requested
 from greybox.solve.local_solver import LocalSolver, Profile
-from greybox.solve.minima import Minimum
+from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.outcome import INTERRUPTED, Outcome
 
 Array = NDArray[np.float64]
@@ -124,17 +124,22 @@ class IpoptSolver(LocalSolver):
         each = zip(outcomes, self._nlp.costs(estimates).tolist(), self._nlp.signatures(estimates), strict=True)
         return [replace(outcome, cost=cost, signature=signature) for outcome, cost, signature in each]
 
-    def polished(self, minima: tuple[Minimum, ...]) -> tuple[Minimum, ...]:
-        """Return the minima, those close to the best solved with ever less smoothing; after Ctrl-C the best alone."""
+    def refined(self, nlp: Nlp) -> "IpoptSolver":
+        """Return the solver of another problem with the same options."""
+        return IpoptSolver(nlp, self._options)
+
+    def polished(self, search: Multistart) -> Multistart:
+        """Return the search with the minima close to the best (after Ctrl-C: the best) solved with less smoothing."""
+        minima = search.minima
         if not minima or not any(part.is_smoothed for part in self._nlp.parts):
-            return minima
+            return search
         # The last runs take the little that a kink leaves to gain for a solution.
         options = {"acceptable_tol": 1e-4, "acceptable_iter": 3, **self._options}
         last = IpoptSolver(self._nlp, options, like=self)
         close = minima[:1] if stop_requested() else [m for m in minima if m.cost <= (1 + CLOSE) * minima[0].cost]
         with responding(Response.FINISH):
             polished = [*(last._polish(m) for m in close), *minima[len(close) :]]
-        return tuple(sorted(polished, key=lambda m: m.cost))
+        return replace(search, minima=tuple(sorted(polished, key=lambda m: m.cost)))
 
     def _polish(self, best: Minimum) -> Minimum:
         """Solve once more from a minimum with ever less smoothing; keep what is a solution and no worse."""

@@ -1,4 +1,10 @@
-"""What a search on records tries besides its starts: the neighborhood of the best end."""
+"""What a search on records tries besides its starts: unfinished runs go on, and the neighborhood of the best is tried.
+
+All of it is decided as the runs end, in the order of the starts. A search that has more starts, and begins with the
+same ones, therefore tries all that a shorter one does, and never ends at a higher cost.
+"""
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,35 +12,74 @@ from numpy.typing import NDArray
 from greybox.compiled.compiled_problem import Nlp
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.interruption import stop_requested
+from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import same_cost
-from greybox.solve.outcome import Outcome
+from greybox.solve.outcome import NOT_FINITE, Outcome
 
 Array = NDArray[np.float64]
 
 
-def with_neighbors(
-    nlp: Nlp, solver: GaussNewton, starts: Array, outcomes: list[Outcome]
-) -> tuple[Array, list[Outcome]]:
-    """Add runs from the neighborhood of the best end, as long as they find a lower cost."""
-    converged = [outcome for outcome in outcomes if outcome.converged]
-    while converged and not stop_requested():
-        best = min(converged, key=lambda outcome: outcome.cost)
-        points = _scaled(nlp, best.estimate)
-        tried = [(point, _run(nlp, solver, point, best)) for point in points if not stop_requested()]
-        better = [(p, o) for p, o in tried if o.converged and o.cost < best.cost - same_cost(nlp, best.cost)]
-        if not better:
-            break
-        point, outcome = min(better, key=lambda pair: pair[1].cost)
-        starts, outcomes, converged = np.vstack([starts, point]), [*outcomes, outcome], [outcome]
-    return starts, outcomes
+class LocalSearch:
+    """The runs of a search so far, in the order of the starts.
 
+    Attributes
+    ----------
+    further_starts, further_outcomes : lists
+        Of the runs that began elsewhere than at the starts.
+    """
 
-def _run(nlp: Nlp, solver: GaussNewton, point: Array, best: Outcome) -> Outcome:
-    settings = nlp.strategies
-    simulated = None
-    if settings.simulated_neighbors and best.nodes is not None:
-        simulated = solver.run_simulated(point, best.nodes, settings.neighbor_iterations)
-    return simulated or solver.run(point, settings.neighbor_iterations)
+    def __init__(self, nlp: Nlp, solver: LocalSolver, *, neighbors: bool) -> None:
+        """Begin a search; with `neighbors` the neighborhood of every new best end is tried."""
+        self._nlp = nlp
+        self._solver = solver
+        self._neighbors = neighbors and nlp.strategies.scaled_neighbors
+        self._best: Outcome | None = None
+        self.further_starts: list[Array] = []
+        self.further_outcomes: list[Outcome] = []
+
+    def run(self, start: Array) -> Outcome:
+        """Run the solver from a start (p,), and try what its end suggests."""
+        outcome = self._solver.run(start)
+        if not isinstance(self._solver, GaussNewton):
+            return outcome
+        if self._nlp.strategies.continued_runs and self._is_unfinished(outcome) and not stop_requested():
+            outcome = self._solver.continued(outcome)
+        if self._is_best(outcome):
+            self._best = outcome
+            if self._neighbors:
+                self._try_neighbors(self._solver)
+        return outcome
+
+    def _is_unfinished(self, outcome: Outcome) -> bool:
+        if outcome.converged or outcome.status == NOT_FINITE or not math.isfinite(outcome.cost):
+            return False
+        return self._best is None or outcome.cost < self._best.cost
+
+    def _is_best(self, outcome: Outcome) -> bool:
+        """Tell whether the outcome is better than all before, by more than the same end found again."""
+        if not outcome.converged:
+            return False
+        return self._best is None or outcome.cost < self._best.cost - same_cost(self._nlp, self._best.cost)
+
+    def _try_neighbors(self, solver: GaussNewton) -> None:
+        """Add runs from the neighborhood of the best end, as long as they find a lower cost."""
+        while self._best is not None and not stop_requested():
+            best = self._best
+            points = _scaled(self._nlp, best.estimate)
+            tried = [(point, self._run_near(solver, point, best)) for point in points if not stop_requested()]
+            better = [(point, outcome) for point, outcome in tried if self._is_best(outcome)]
+            if not better:
+                break
+            point, self._best = min(better, key=lambda pair: pair[1].cost)
+            self.further_starts.append(point)
+            self.further_outcomes.append(self._best)
+
+    def _run_near(self, solver: GaussNewton, point: Array, best: Outcome) -> Outcome:
+        settings = self._nlp.strategies
+        simulated = None
+        if settings.simulated_neighbors and best.nodes is not None:
+            simulated = solver.run_simulated(point, best.nodes, settings.neighbor_iterations)
+        return simulated or solver.run(point, settings.neighbor_iterations)
 
 
 def _scaled(nlp: Nlp, best: Array) -> list[Array]:

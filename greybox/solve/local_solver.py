@@ -8,8 +8,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Trajectory
-from greybox.solve.minima import Minimum
+from greybox.solve.minima import Multistart
 from greybox.solve.outcome import Outcome
 
 Array = NDArray[np.float64]
@@ -59,6 +60,10 @@ class LocalSolver(ABC):
         """Return the outcomes with costs and signatures, where a run leaves them to be evaluated for all at once."""
         return outcomes
 
-    def polished(self, minima: tuple[Minimum, ...]) -> tuple[Minimum, ...]:
-        """Return the minima, best first, without what a run's tolerances and smoothing cost."""
-        return minima
+    @abstractmethod
+    def refined(self, nlp: Nlp) -> "LocalSolver":
+        """Return the solver of the same problem with finer steps."""
+
+    def polished(self, search: Multistart) -> Multistart:
+        """Return the search with its best minimum as exact as the arithmetic allows, not only as a run's tolerances."""
+        return search

@@ -13,6 +13,7 @@ from greybox.solve.outcome import Run
 
 SAME_COST = 1e-4  # relative; the smoothing moves costs by up to 6e-5
 SAME_LIKELIHOOD = 1e-2  # of negative log-likelihoods: a tenth of a standard error is 5e-3
+TOLD_APART = 0.1  # of a unit of log-likelihood
 SAME_RESPONSE = 1e-2  # root mean square of the difference of two signatures, relative to the data or the response
 
 
@@ -73,6 +74,22 @@ class Multistart:
             f"{self.converged} of {counted(len(self.runs), 'run')} converged",
             counted(len(self.minima), "minimum", "minima"),
         )
+
+
+def agreeing_runs(
+    runs: Sequence[Run], minima: Sequence[Minimum], *, numbers: int, is_likelihood: bool
+) -> tuple[int, ...]:
+    """Return the runs that ended at a cost which cannot be told from that of the best minimum, by their index.
+
+    That is a tenth of a unit of log-likelihood. A cost of `numbers` real numbers whose noise is unknown is proportional
+    to the noise, or to its square: the likelihood is that of n log(cost), of which a unit is cost / n.
+    """
+    if not minima:
+        return ()
+    best = minima[0].cost
+    limit = best + TOLD_APART * (1.0 if is_likelihood else abs(best) / max(numbers, 1))
+    close = {run.index for run in runs if run.converged and run.cost <= limit}
+    return tuple(sorted(close | set(minima[0].runs)))
 
 
 def find_minima(nlp: Nlp, runs: Sequence[Run], signatures: Sequence[NDArray[np.float64] | None]) -> tuple[Minimum, ...]:

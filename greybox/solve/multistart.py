@@ -2,8 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -11,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.strategies import with_options
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.interruption import stop_requested
 from greybox.solve.ipopt import IpoptSolver
-from greybox.solve.local_search import with_neighbors
+from greybox.solve.local_search import LocalSearch
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart, find_minima
 from greybox.solve.outcome import Outcome, Run
@@ -25,60 +25,58 @@ Array = NDArray[np.float64]
 ProgressReport = Callable[[int, int], None]
 """Called with the number of finished and of all runs."""
 
-# Measured numbers up to which IPOPT continues runs that did not converge: 10 000 samples with three outputs, whose
-# program builds in about three seconds (600 000 samples took 158 s, and the time grows faster than linearly).
-TRANSCRIBED_SIZE = 30_000
-
 # Shares of the way from a start at which the model is finite to one at which it is not, halved until it is.
 SHARES = 0.5 ** np.arange(1, 7)
 
 
 def solver_for(nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({})) -> LocalSolver:
-    """Return the solver of a problem: Gauss-Newton steps or IPOPT where parts have hidden unknowns, else IPOPT."""
+    """Return the solver of a problem: Gauss-Newton steps or IPOPT where parts have hidden unknowns, else IPOPT.
+
+    Raises
+    ------
+    ValueError
+        For options that the solver does not take.
+    """
     if not any(part.has_states for part in nlp.parts):
         return IpoptSolver(nlp, options)
-    solver = GaussNewton(nlp)
-    return TranscribedProgram(nlp, solver, options) if nlp.by_ipopt else solver
+    if nlp.by_ipopt:
+        return TranscribedProgram(nlp, GaussNewton(nlp), options)
+    return GaussNewton(nlp, settings=with_options(nlp.strategies, options))
 
 
 def multistart(
     nlp: Nlp,
     solver: LocalSolver,
     starts: Array,
-    solver_options: Mapping[str, Any] = MappingProxyType({}),
     progress: ProgressReport | None = None,
     movable: bool = True,
 ) -> Multistart:
-    """Run the solver from every row of `starts` (r, p), group the runs into minima, and polish the best.
+    """Run the solver from every row of `starts` (r, p) and group the runs into minima.
 
-    Starts that are `movable` go to where a run can begin. Every run is kept. A run that fails is a result with its
-    status; it is never ranked before one that converged. When a stop is requested (`greybox.solve.interruption`) the
-    run at hand is the last.
+    Starts that are `movable` go to where a run can begin. Every run is kept; runs from elsewhere, see
+    `greybox.solve.local_search`, follow those of the starts. A run that fails is a result with its status; it is never
+    ranked before one that converged. When a stop is requested (`greybox.solve.interruption`) the run at hand is the
+    last.
     """
     began = time.perf_counter()
-    settings = nlp.strategies
     points: Iterable[Array] = starts
-    if movable and settings.moved_starts:
+    if movable and nlp.strategies.moved_starts:
         points = _moved_to_finite(nlp, solver, starts)
+    search = LocalSearch(nlp, solver, neighbors=len(starts) > 1)
     tried: list[Array] = []
     outcomes = []
     for start in points:
         if stop_requested():
             break
         tried.append(start)
-        outcomes.append(solver.run(start))
+        outcomes.append(search.run(start))
         if progress is not None:
             progress(len(tried), len(starts))
 
-    starts = np.reshape(tried, (len(tried), len(nlp.free)))
+    outcomes = [*outcomes, *search.further_outcomes]
     outcomes = solver.judged(outcomes) if outcomes else []
-    if isinstance(solver, GaussNewton) and not stop_requested():
-        if settings.ipopt_fallback and not any(outcome.converged for outcome in outcomes):
-            outcomes = _continued_by_ipopt(nlp, solver, outcomes, solver_options)
-        if len(starts) > 1 and settings.scaled_neighbors:
-            starts, outcomes = with_neighbors(nlp, solver, starts, outcomes)
-    runs = _as_runs(starts, outcomes)
-    minima = solver.polished(find_minima(nlp, runs, [outcome.signature for outcome in outcomes]))
+    runs = _as_runs([*tried, *search.further_starts], outcomes)
+    minima = find_minima(nlp, runs, [outcome.signature for outcome in outcomes])
     nodes = outcomes[minima[0].runs[0]].nodes if minima else None
     return Multistart(runs, minima, time.perf_counter() - began, nodes)
 
@@ -105,27 +103,7 @@ def _toward(nlp: Nlp, solver: LocalSolver, start: Array, home: Array) -> Array:
     return next((point for point in points if solver.is_finite_at(point)), start)
 
 
-def _continued_by_ipopt(
-    nlp: Nlp, solver: GaussNewton, outcomes: list[Outcome], options: Mapping[str, Any]
-) -> list[Outcome]:
-    """Continue with IPOPT from the best ends where Gauss-Newton steps did not converge from any start."""
-    settings = nlp.strategies
-    ended = [k for k, outcome in enumerate(outcomes) if math.isfinite(outcome.cost)]
-    best = sorted(ended, key=lambda k: outcomes[k].cost)[: settings.ipopt_runs]
-    if not best or sum(part.numbers for part in nlp.parts) > TRANSCRIBED_SIZE:
-        return outcomes
-    ipopt = TranscribedProgram(nlp, solver, {"max_iter": settings.ipopt_iterations, **options})
-    return [_continued(ipopt, o) if k in best else o for k, o in enumerate(outcomes)]
-
-
-def _continued(ipopt: TranscribedProgram, before: Outcome) -> Outcome:
-    """Return where IPOPT ends from the end of a run, or that run where IPOPT does not converge either."""
-    after = ipopt.run(before.estimate)
-    spent = {"iterations": before.iterations + after.iterations, "seconds": before.seconds + after.seconds}
-    return replace(after if after.converged else before, **spent)
-
-
-def _as_runs(starts: Array, outcomes: list[Outcome]) -> tuple[Run, ...]:
+def _as_runs(starts: Sequence[Array], outcomes: list[Outcome]) -> tuple[Run, ...]:
     return tuple(
         Run(
             index=k,

@@ -85,6 +85,10 @@ class TranscribedProgram(LocalSolver):
         """Return the smallest cost at all values (k,), as the Gauss-Newton solver finds it."""
         return self._gauss_newton.cost(values)
 
+    def refined(self, nlp: Nlp) -> GaussNewton:
+        """Return the Gauss-Newton solver with finer steps, which is near the minimum already."""
+        return self._gauss_newton.refined(nlp)
+
     def run(self, start: Array) -> Outcome:
         """Solve from the parameters `start` (p,)."""
         began = time.perf_counter()

@@ -1,6 +1,6 @@
 """Statistics of residuals and signals, independent of any model.
 
-`residual_autocorrelation` is what standard errors in time use where residuals are correlated; `noise_ratio` tells a
-smooth signal from noise; `metrics` holds fit percent, variance accounted for, Theil's coefficient and tests of
-whiteness.
+`residual_spectrum` is what standard errors in time use where residuals are correlated; `residual_autocorrelation` makes
+a series white; `noise_ratio` tells a smooth signal from noise; `metrics` holds fit percent, variance accounted for,
+Theil's coefficient and tests of whiteness, of correlation with the input, and of feedback.
 """

@@ -153,6 +153,33 @@ def input_correlation(residuals: Sequence[ArrayLike], inputs: Sequence[ArrayLike
     return _tested(statistic, int(kept.sum()), r, NORMAL_99 / math.sqrt(pairs[1]))
 
 
+def feedback_correlation(
+    residuals: Sequence[ArrayLike], inputs: Sequence[ArrayLike], lags: int = LAGS
+) -> CorrelationTest:
+    """Test whether an input responds to residuals 1 to `lags` samples before: feedback.
+
+    Both are made white first, each by an autoregression of its own, so that neither the color of the residuals nor that
+    of the input, nor dynamics that the model lacks, looks like a response.
+    Source: Haugh (1976), Checking the independence of two covariance-stationary time series, JASA 71.
+    """
+    e, u = ([np.asarray(s, dtype=float) for s in group] for group in (residuals, inputs))
+    n = sum(int((np.isfinite(a) & np.isfinite(b)).sum()) for a, b in zip(e, u, strict=True))
+    if n < 3:
+        return _unknown(lags)
+    e, u = (
+        [_filtered(s, autoregression([np.nan_to_num(s) for s in group])) for s in group]
+        for group in ([s - float(np.nanmean(np.concatenate(group))) for s in group] for group in (e, u))
+    )
+    sums, pairs = _lagged(u, e, lags)
+    sizes = [rms(np.concatenate(group)) for group in (e, u)]
+    used = pairs[1:] > 0
+    if not (sizes[0] > 0 and sizes[1] > 0 and used.any()):
+        return _unknown(lags)
+    r = sums[1:] / np.maximum(pairs[1:], 1) / (sizes[0] * sizes[1])
+    statistic = float(np.sum(pairs[1:] * r**2))
+    return _tested(statistic, int(used.sum()), r, NORMAL_99 / math.sqrt(pairs[1]))
+
+
 def mean_test(stretches: Sequence[ArrayLike]) -> tuple[float, float]:
     """Return the mean of a correlated series and its standard error, by the spectrum of an autoregression at zero.
 

@@ -101,6 +101,11 @@ def test_condensing_is_the_dense_elimination(made, relaxed, damping):
     if damping and relaxed:
         P = np.linalg.inv(penalty)
         assert_allclose(condensed.damping.ravel(), damping * np.diag(J.T @ J + A.T @ P @ A), rtol=1e-3)
+    elif damping:  # of the first states alone: continuity gives the others
+        first = part.data.begins_stretch
+        own = np.diag(J.T @ J).reshape(condensed.damping.shape)[first]
+        assert_allclose(condensed.damping[first], damping * own, rtol=1e-3)
+        assert not condensed.damping[~first].any()
     else:
         assert not condensed.damping.any()
     kkt = np.block([[H, A.T], [A, -penalty]])

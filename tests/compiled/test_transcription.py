@@ -1,12 +1,9 @@
 """Single shooting, multiple shooting and direct collocation are interchangeable on one problem."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.solve.gauss_newton.driver import GaussNewton
 
 
 class Cart(gb.StateSpace):
@@ -149,19 +146,6 @@ def test_ipopt_confirms_the_descended_minimum():
         problem(), starts=[{n: fit.estimate[n] for n in fit.free}], method=gb.MultipleShooting(hessian="exact")
     )
     assert again.cost == pytest.approx(fit.cost, abs=1e-6)
-
-
-def test_where_gauss_newton_does_not_converge_ipopt_takes_over(monkeypatch):
-    cost = gb.fit(problem(), starts=[{}]).cost
-    run = GaussNewton.run
-    monkeypatch.setattr(
-        GaussNewton, "run", lambda self, x, n=99: replace(run(self, x), converged=False, status="stalled")
-    )
-    monkeypatch.setattr(GaussNewton, "run_simulated", lambda *_: None)
-    fit = gb.fit(problem(), starts=[{"k": 15.0, "c": 4.0, "b": 9.0}, {}])
-    assert fit.converged
-    assert [r.status for r in fit.runs] == ["Solve_Succeeded"] * 2
-    assert fit.cost == pytest.approx(cost, abs=1e-5)
 
 
 @pytest.mark.parametrize(

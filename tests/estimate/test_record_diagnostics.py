@@ -299,29 +299,51 @@ class Drift(gb.StateSpace):
         return (x.x,)
 
 
-def drifting(loop, n=6000, step=0.01):
-    """A disturbance of the state; with a `loop` the input answers to it."""
-    random = np.random.default_rng(0)
+def drifting(loop, n=6000, step=0.01, gust=0.07, sensor=0.002, seed=0):
+    """A disturbance of the state; with a `loop` the input answers to the measured state."""
+    random = np.random.default_rng(seed)
     x, states, inputs = 0.0, [], []
     for k in range(n):
-        states.append(x + 0.002 * random.normal())
-        inputs.append(np.sign(np.sin(0.5 * step * k)) - loop * x)
-        x += step * (3.0 * inputs[-1] - 3.0 * x) + 0.07 * random.normal()
+        states.append(x + sensor * random.normal())
+        inputs.append(np.sign(np.sin(0.5 * step * k)) - loop * states[-1])
+        x += step * (3.0 * inputs[-1] - 3.0 * x) + gust * random.normal()
     return gb.Record(step * np.arange(n), {"u": inputs, "x": states})
 
 
 def colors(record, criterion):
     fit = gb.fit(gb.Problem(Drift(), record, criterion), starts=3, progress=False)
-    return fit, [text for text in fit.warnings if "from one sample to the next" in text]
+    return fit, [text for text in fit.warnings if "from one sample to the next" in text or "feedback responds" in text]
 
 
 def test_a_disturbance_in_a_closed_loop_is_told_and_the_criterion_for_it_does_better():
     record = drifting(loop=2.0)
     biased, (said,) = colors(record, gb.OutputError(inputs="held"))
-    assert "the residuals are correlated from one sample to the next (0.9" in said
+    assert said.startswith("feedback responds to errors that are correlated in time (u to x)")
     assert said.endswith("compare with criterion=PredictionError().")
     better, _ = colors(record, gb.PredictionError(inputs="held"))
     assert abs(better.estimate["b"] - 3.0) < abs(biased.estimate["b"] - 3.0) / 3
+
+
+def test_a_small_disturbance_under_sensor_noise_in_a_closed_loop_is_told():
+    """Of which the correlation of successive residuals shows little."""
+    told = []
+    for seed in range(5):
+        record = drifting(loop=2.0, n=2000, gust=0.01, sensor=0.05, seed=seed)
+        fit, said = colors(record, gb.OutputError(inputs="held"))
+        residual = fit.records[0].residual("x")
+        assert abs(residual[1:] @ residual[:-1] / (residual @ residual)) < 0.5
+        told.append(len(said))
+    assert sum(told) >= 4
+
+
+@pytest.mark.parametrize(("loop", "gust"), [(2.0, 0.0), (0.0, 0.05)])
+def test_nothing_is_told_where_output_error_is_not_biased(loop, gust):
+    """Feedback of white sensor noise alone, and process noise without feedback; at most 1 % of fits may be told of."""
+    told = 0
+    for seed in range(8):
+        record = drifting(loop=loop, n=600, step=0.03, gust=gust, sensor=0.05, seed=seed)
+        told += len(colors(record, gb.OutputError(inputs="held"))[1])
+    assert told <= 1
 
 
 def test_prediction_errors_of_signals_that_were_smoothed_are_told_not_to_be_white():

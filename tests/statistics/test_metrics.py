@@ -87,6 +87,27 @@ def test_input_correlation_is_rejected_as_often_as_said_for_colored_inputs_and_r
     assert np.abs(tested.correlations).argmax() == 1
 
 
+def test_feedback_is_found_and_the_color_of_either_signal_is_not_taken_for_it():
+    p_values = []
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        u = lfilter([1], [1, -0.9], rng.standard_normal(600))
+        # What a model without dynamics from u would leave, besides errors of their own.
+        e = lfilter([1], [1, -0.6], rng.standard_normal(600)) + lfilter([0, 0.5], [1, -0.8], u)
+        p_values.append(metrics.feedback_correlation([e[:350], e[350:]], [u[:350], u[350:]], lags=8).p_value)
+    assert 0.01 < np.mean(np.array(p_values) < 0.05) < 0.1
+
+    rng = np.random.default_rng(0)
+    e = lfilter([1], [1, -0.9], rng.standard_normal(600))
+    command = np.repeat(rng.standard_normal(60), 10)
+    found = metrics.feedback_correlation([e], [command - 0.3 * np.roll(e, 2)], lags=8)
+    assert found.p_value < 1e-6
+    assert np.abs(found.correlations).argmax() == 1
+    e[50:90] = np.nan
+    assert metrics.feedback_correlation([e], [command - 0.3 * np.roll(np.nan_to_num(e), 2)], lags=8).p_value < 1e-6
+    assert math.isnan(metrics.feedback_correlation([e], [np.ones(600)]).p_value)
+
+
 def test_a_mean_of_correlated_values_has_the_error_of_their_spectrum_at_zero():
     """An autoregression of 0.8 multiplies the variance of the mean by (1 + 0.8) / (1 - 0.8) = 9."""
     means = []

@@ -12,6 +12,7 @@ from greybox.estimate.diagnostics.global_minimum import (
     few_agreeing_starts,
     rival_minima,
     several_estimates_of_one_response,
+    unfinished_runs,
 )
 from greybox.estimate.diagnostics.identifiability import (
     at_bounds,
@@ -37,7 +38,8 @@ def warnings(
         *held_without_error(nlp, accuracy),
         *no_degrees_of_freedom(nlp),
         *at_bounds(nlp, best, accuracy),
-        *few_agreeing_starts(search),
+        *few_agreeing_starts(nlp, search),
+        *unfinished_runs(search),
         *rival_minima(nlp, search),
         *several_estimates_of_one_response(search, accuracy),
         *coarse_pade(nlp, pade_errors),

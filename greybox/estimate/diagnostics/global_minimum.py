@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.estimate.covariance import Accuracy
-from greybox.solve.minima import Multistart
+from greybox.solve.discretization_error import TOO_COARSE
+from greybox.solve.minima import Multistart, agreeing_runs
 
 # Share of agreeing starts below which the best minimum is in doubt. On the paper's tables 75 to 100 % of the starts
 # reach it; one that only one start in ten finds may well hide another that none has found.
@@ -21,16 +22,30 @@ RIVAL_COST = 0.01
 RIVAL_LIKELIHOOD = 3.0
 
 
-def few_agreeing_starts(search: Multistart) -> Iterator[str]:
+def few_agreeing_starts(nlp: Nlp, search: Multistart) -> Iterator[str]:
     """Say so where few starts reached the best minimum, or most failed."""
     count = len(search.runs)
-    agreeing = len(search.minima[0].runs)
+    numbers = sum(part.numbers for part in nlp.parts)
+    is_likelihood = any(part.is_likelihood for part in nlp.parts)
+    agreeing = len(agreeing_runs(search.runs, search.minima, numbers=numbers, is_likelihood=is_likelihood))
     if count == 1:
         yield "one start only: whether this is the global minimum is not known; use more starts."
     elif agreeing == 1 or agreeing < FEW_STARTS * count:
         yield f"only {agreeing} of {count} starts reached the best minimum: a better one may exist; use more starts."
     if search.converged < MOST_RUNS * count:
         yield f"only {search.converged} of {count} runs converged ({search.failures})."
+
+
+def unfinished_runs(search: Multistart) -> Iterator[str]:
+    """Name a run that ended at a lower cost than the answer, and did not converge."""
+    best = search.minima[0].cost
+    unfinished = [run for run in search.runs if not run.converged and run.status != TOO_COARSE and run.cost < best]
+    if unfinished:
+        lowest = min(unfinished, key=lambda run: run.cost)
+        yield (
+            f"run {lowest.index} ended at a lower cost, {lowest.cost:.6g} instead of {best:.6g}, but did not converge "
+            f"({lowest.status}): give it more iterations, solver_options={{'max_iter': ...}}, or start there."
+        )
 
 
 def rival_minima(nlp: Nlp, search: Multistart) -> Iterator[str]:

@@ -11,17 +11,21 @@ from numpy.typing import NDArray
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.kalman_gain import kalman_gain
 from greybox.compiled.part import Trajectory
+from greybox.compiled.record_information import FEWEST_TIMES
 from greybox.compiled.record_part import RecordPart
 from greybox.data.record import Record
 from greybox.data.text_table import counted
+from greybox.estimate.covariance import Accuracy
 from greybox.estimate.result import FittedRecord, FittedResponse
+from greybox.statistics.metrics import feedback_correlation, whiteness
 from greybox.statistics.noise_ratio import noise_ratio
 
 MASKED = 0.05  # share of the samples of a record from which their loss is told
 LITTLE = 10.0  # fit in percent below which a model reproduces almost nothing
 SHARE = 0.5  # of the fit that noise allows, from which a model reproduces what it can
 FACTOR = 5.0  # between standard deviations of one output in several records
-COLORED, GREY = 0.9, 0.2  # correlation of successive residuals of output and prediction error that is told
+GREY = 0.2  # correlation of successive prediction errors that is told
+BIASED = 0.01  # share of fits without a bias by feedback in which one is told
 CERTAIN = 5.0  # standard deviations of the correlation of white residuals, beyond which there is one
 HUGE = 1e6  # what is beyond is rounding: there is no noise
 
@@ -33,19 +37,40 @@ def finding_warnings(nlp: Nlp) -> tuple[str, ...]:
 
 
 def record_warnings(
-    nlp: Nlp, fitted: Sequence[FittedRecord | FittedResponse], trajectories: Sequence[Trajectory]
+    nlp: Nlp,
+    fitted: Sequence[FittedRecord | FittedResponse],
+    trajectories: Sequence[Trajectory],
+    accuracy: Accuracy,
 ) -> tuple[str, ...]:
     """Return what a reader should know of the records among the parts of an answer."""
     every = zip(nlp.parts, fitted, strict=True)
     pairs = [(part, one) for part, one in every if isinstance(part, RecordPart) and isinstance(one, FittedRecord)]
     return (
+        *_short(nlp, accuracy),
         *(text for part, fitted in pairs for text in _unexplained(part, fitted, alone=len(pairs) == 1)),
+        *_fed_back(pairs),
         *_colored(pairs),
         *_bounded(nlp, trajectories, alone=len(pairs) == 1),
         *(text for part, _ in pairs for text in _masked(nlp, part)),
         *(_resting([part for part, _ in pairs]) if len(pairs) == len(nlp.parts) else ()),
         *_weights([_Residuals.of(part, fitted) for part, fitted in pairs if part.covariance.known is None]),
     )
+
+
+def _short(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
+    """Name records that are too short for the correlation of their errors to be known."""
+    for part, found in zip(nlp.parts, accuracy.correlation, strict=False):
+        if not isinstance(part, RecordPart) or found is None or found.is_long_enough:
+            continue
+        slowest = int(np.argmax(found.correlation_times))
+        time = float(found.correlation_times[slowest])
+        where = "" if len(nlp.parts) == 1 else f" in {part.model.record.name or part.problem.name!r}"
+        yield (
+            f"the residuals of {part.outputs[slowest]}{where} stay correlated for about {time:.2g} s, and the longest "
+            f"stretch without a gap lasts only {found.duration / time:.2g} times as long, less than "
+            f"{FEWEST_TIMES:g}: how large slow errors are cannot be known from it, so the standard errors are rough "
+            f"({counted(max(round(found.dof), 1), 'degree of', 'degrees of')} freedom); use a longer record."
+        )
 
 
 def _unexplained(part: RecordPart, fitted: FittedRecord, *, alone: bool) -> Iterator[str]:
@@ -71,26 +96,56 @@ def _unexplained(part: RecordPart, fitted: FittedRecord, *, alone: bool) -> Iter
 
 
 def _colored(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
-    """Say where residuals are correlated in time more than the standard errors of the criterion account for."""
-    measured, predicted = [], []
+    """Say where prediction errors are correlated in time, which their standard errors do not account for."""
+    predicted = []
     for part, fitted in pairs:
-        by_output = not part.model.criterion.errors_are_white
+        if not part.model.criterion.errors_are_white:
+            continue
         for output in fitted.outputs:
             value, count = _successive(fitted.residual(output))
-            if abs(value) > max(COLORED if by_output else GREY, CERTAIN / math.sqrt(max(count, 1))):
+            if abs(value) > max(GREY, CERTAIN / math.sqrt(max(count, 1))):
                 where = "" if len(pairs) == 1 else f" in {fitted.data.name or fitted.name!r}"
-                (measured if by_output else predicted).append(f"{value:.3g} for {output}{where}")
-    if measured:
-        yield (
-            f"the residuals are correlated from one sample to the next ({', '.join(measured)}), as process noise such "
-            "as gusts would cause: if feedback responds to it, the estimate is biased beyond its standard errors; "
-            "compare with criterion=PredictionError()."
-        )
+                predicted.append(f"{value:.3g} for {output}{where}")
     if predicted:
         yield (
             f"the prediction errors are not white ({', '.join(predicted)} from one sample to the next): the signals "
             "were low-passed, a state that the noise reaches is not corrected, or the model is incomplete; the "
             "standard errors, which assume white prediction errors, are then wrong."
+        )
+
+
+def _fed_back(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
+    """Say where feedback responds to errors that are correlated in time: output error is then biased.
+
+    Output error needs errors that are independent of past inputs. Feedback makes later inputs depend on the errors,
+    which does no harm as long as they are white: then no error depends on an earlier one, nor on the inputs that
+    responded to it. So two tests must reject: residuals against past outputs (are they white?), and inputs against past
+    residuals (is there feedback?). Each is made at the level that keeps the share of fits with a false alarm below
+    `BIASED`, however many outputs and inputs there are, since without a bias one of the two hypotheses holds.
+    """
+    tested = [(part, fitted) for part, fitted in pairs if not part.model.criterion.errors_are_white]
+    outputs = sum(len(fitted.outputs) for _, fitted in tested)
+    found = []
+    for part, fitted in tested:
+        ends = np.cumsum([len(piece) for piece in fitted.data.pieces])[:-1]
+        inputs = {name: np.split(fitted.data[name], ends) for name in part.system.inputs}
+        where = "" if len(pairs) == 1 else f" in {fitted.data.name or fitted.name!r}"
+        for output in fitted.outputs:
+            residuals = np.split(fitted.residual(output), ends)
+            if not whiteness(residuals).p_value < BIASED / outputs:
+                continue
+            responses = {name: feedback_correlation(residuals, u).p_value for name, u in inputs.items()}
+            found += [
+                f"{name} to {output}{where}"
+                for name, p_value in responses.items()
+                if p_value < BIASED / (outputs * len(inputs))
+            ]
+    if found:
+        yield (
+            f"feedback responds to errors that are correlated in time ({', '.join(found)}), as where a controller acts "
+            "on process noise such as gusts: the estimate of OutputError is then biased, which its standard errors do "
+            f"not show (told falsely of at most {100 * BIASED:g} % of fits); compare with "
+            "criterion=PredictionError()."
         )
 
 

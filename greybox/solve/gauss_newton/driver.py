@@ -2,6 +2,7 @@
 
 import math
 import time
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -23,6 +24,7 @@ from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
 from greybox.solve.gauss_newton.stability import are_stable, best_gains, simulate_stable
 from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver, Profile
+from greybox.solve.minima import Multistart, same_cost
 from greybox.solve.outcome import INTERRUPTED, NOT_FINITE, Outcome
 
 Array = NDArray[np.float64]
@@ -33,6 +35,18 @@ DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 # Iterations of the nodes alone that smooth the states for another solver to begin with.
 SMOOTHING_ITERATIONS = 3
 
+# Iterations of a run that is continued, at most: of the narrow valleys among NIST's problems, Bennett5 takes 1300.
+MOST_ITERATIONS = 2000
+
+# Steps that polish the best minimum, at most: those of a model that hardly explains the data shrink by a third only.
+POLISHING = 50
+
+# Half the squared length of a step, in standard errors, that changes none of a parameter's first nine digits.
+EXACT = 1e-18
+
+# Decrease and half squared length of an undamped step from which the best minimum is polished by damped ones first.
+LONG_STEP = 1e-7
+
 # A step of up to a thousand times the tolerance that no line search can take any more is rounding of the merit.
 ROUNDED = 1e3
 
@@ -40,10 +54,10 @@ ROUNDED = 1e3
 class GaussNewton(LocalSolver):
     """The solver of one compiled problem whose parts have hidden unknowns, built once for all starts."""
 
-    def __init__(self, nlp: Nlp, parts: tuple[Part, ...] | None = None) -> None:
-        """Build what every run shares; `parts` stand in for those of the problem."""
+    def __init__(self, nlp: Nlp, parts: tuple[Part, ...] | None = None, *, settings: Strategies | None = None) -> None:
+        """Build what every run shares; `parts` and `settings` stand in for those of the problem."""
         self._nlp = nlp
-        self._settings: Strategies = nlp.strategies
+        self._settings: Strategies = settings or nlp.strategies
         self._limits = _limits(nlp)
         self._parts = AllParts(parts or nlp.parts, self._limits, self._settings)
         gains = [gain for gain in self._parts.gains if gain is not None]
@@ -59,7 +73,12 @@ class GaussNewton(LocalSolver):
         samples = sum(part.samples for part in self._nlp.parts)
         if samples <= settings.long_record or not settings.stretches_first:
             return None
-        return GaussNewton(self._nlp, tuple(part.excerpt(settings.long_record // 2) for part in self._nlp.parts))
+        excerpts = tuple(part.excerpt(settings.long_record // 2) for part in self._nlp.parts)
+        return GaussNewton(self._nlp, excerpts, settings=settings)
+
+    def refined(self, nlp: Nlp) -> "GaussNewton":
+        """Return the solver of the same problem with finer steps."""
+        return GaussNewton(nlp, settings=self._settings)
 
     # --- runs ---------------------------------------------------------------------------------------------------------
 
@@ -93,6 +112,83 @@ class GaussNewton(LocalSolver):
             return None
         outcome = self._solve(iterate, Progress.exact(self._settings), iterations)
         return replace(outcome, seconds=time.perf_counter() - began)
+
+    @DIVERGING
+    def continued(self, outcome: Outcome) -> Outcome:
+        """Go on from the end of a run that did not converge, with many more iterations."""
+        if outcome.nodes is None:
+            return outcome
+        began = time.perf_counter()
+        samples = sum(part.samples for part in self._nlp.parts)
+        most = max(min(self._settings.continued_samples // max(samples, 1), MOST_ITERATIONS), 1)
+        iterations = max(most, self._settings.max_iterations)
+        iterate = self._parts.at(self._nlp.scaling.to_solver(outcome.estimate), outcome.nodes)
+        after = self._solve(iterate, Progress.exact(self._settings), iterations)
+        spent = {
+            "iterations": outcome.iterations + after.iterations,
+            "seconds": outcome.seconds + time.perf_counter() - began,
+        }
+        return replace(after if after.converged or after.cost < outcome.cost else outcome, **spent)
+
+    @DIVERGING
+    def polished(self, search: Multistart) -> Multistart:
+        """Return the search with its best minimum moved by undamped steps, as long as they grow shorter.
+
+        They are judged by their length in standard errors: the cost no longer shows them. In a narrow curved valley,
+        where the first of them is long, damped ones come before.
+        """
+        if not search.minima or search.nodes is None or not self._settings.polished_minimum:
+            return search
+        best = search.minima[0]
+        start = self._parts.at(self._nlp.scaling.to_solver(best.estimate), search.nodes)
+        try:
+            end, remaining = self._undamped(start)
+            if remaining > LONG_STEP:
+                progress = Progress.exact(self._settings)
+                progress.undamped_decrease = LONG_STEP
+                later, _, _ = self._descend(end, progress, POLISHING, states_only=False, restarted=True)
+                end, _ = self._undamped(later)
+        except np.linalg.LinAlgError:
+            return search
+        cost = self._parts.cost(end, 0.0)
+        # What leads to another cost has left the minimum, as where a predictor ends at its stability limit.
+        rounding = self._settings.cost_rounding * max(1.0, abs(best.cost))
+        if not best.cost - same_cost(self._nlp, best.cost) <= cost <= best.cost + rounding:
+            return search
+        estimate = np.clip(self._nlp.scaling.to_parameters(end.z), self._nlp.lower, self._nlp.upper)
+        minimum = replace(best, cost=min(cost, best.cost), estimate=estimate)
+        return replace(search, minima=(minimum, *search.minima[1:]), nodes=tuple(end.nodes))
+
+    def _undamped(self, iterate: Iterate) -> tuple[Iterate, float]:
+        """Return where undamped steps lead that grow shorter, and the decrease and half squared length of the next."""
+        progress = Progress.exact(self._settings)
+        highest = self._parts.cost(iterate) + self._settings.cost_rounding * max(1.0, abs(self._parts.cost(iterate)))
+        last, end = math.inf, iterate
+        for k in range(POLISHING):
+            weights = self._parts.residual_weights(iterate)
+            linearizations = self._parts.linearize(iterate, weights, covariance_curvature=True)
+            if k == 0:
+                progress.begin(iterate, self._parts.gap_variances(linearizations))
+            step = self._step(iterate, linearizations, progress, states_only=False)
+            remaining = abs(step.decrease) + step.distance
+            if not remaining < last:
+                break
+            last, end = remaining, iterate
+            if remaining < EXACT:
+                break
+            iterate = self._continuous(self._parts.moved(iterate, step, 1.0), step, progress)
+            within = iterate.finite and self._parts.cost(iterate) <= highest
+            if not within or not self._parts.is_continuous(iterate) or not are_stable(self._parts, iterate):
+                break
+        return end, last
+
+    def _continuous(self, iterate: Iterate, step: Step, progress: Progress) -> Iterate:
+        """Close what gaps curvature has left, to rounding."""
+        for _ in range(self._settings.gap_closings):
+            if not iterate.finite or self._parts.is_continuous(iterate):
+                break
+            iterate = self._parts.close_gaps(iterate, step, progress.multipliers, 0.0)
+        return iterate
 
     def _solve(self, iterate: Iterate, progress: Progress, iterations: int | None) -> Outcome:
         nlp = self._nlp
@@ -214,16 +310,15 @@ class GaussNewton(LocalSolver):
             if stop_requested():
                 return iterate, INTERRUPTED, iteration
             weights = parts.residual_weights(iterate) if progress.is_exact else initial_weights
-            if linearizations is None:
-                near = progress.last_decrease < settings.covariance_decrease and settings.covariance_curvature
-                linearizations = parts.linearize(iterate, weights, covariance_curvature=near)
+            near = progress.last_decrease < settings.covariance_decrease and settings.covariance_curvature
+            linearizations = linearizations or parts.linearize(iterate, weights, covariance_curvature=near)
             alone = states_only or progress.state_iterations > 0
             step = self._step(iterate, linearizations, progress, states_only=alone)
             linearizations = None
 
             merit = merit_function(parts, weights, progress)
             before = merit(iterate)
-            settled = self._is_settled(iterate, step, before, progress)
+            settled = self._is_settled(iterate, step, before, progress, states_only=alone)
             if settled and step.distance <= settings.tolerance:
                 return iterate, "converged", iteration
             trial, length = line_search(parts, iterate, step, merit, before, progress)
@@ -239,7 +334,9 @@ class GaussNewton(LocalSolver):
             gained = 0.0 if trial is None else before - merit(trial)
             iterate = trial or iterate
             ratio = gained / step.decrease if step.decrease > 0 else 1.0
-            progress.damping = next_damping(settings, progress.damping, length, ratio)
+            if length == 1 and progress.damping:
+                progress.full_damping = progress.damping
+            progress.damping = next_damping(settings, progress.damping, length, ratio, progress.full_damping)
             if not progress.is_exact:
                 iterate = self._tighten(iterate, step, progress, gained, length, before, states_only=states_only)
                 continue
@@ -267,12 +364,23 @@ class GaussNewton(LocalSolver):
         held = self._is_discontinuous & progress.delays_held
         return gauss_newton_step(self._parts, iterate, linearizations, progress, held=held, states_only=states_only)
 
-    def _is_settled(self, iterate: Iterate, step: Step, before: float, progress: Progress) -> bool:
+    def _is_settled(
+        self, iterate: Iterate, step: Step, before: float, progress: Progress, *, states_only: bool
+    ) -> bool:
         """Tell whether little is left to gain, also by a step that is not damped."""
         settings = self._settings
         small = max(settings.tolerance, settings.cost_rounding * abs(before))
         little = (1 + progress.damping) * step.decrease <= small
-        return progress.is_exact and little and self._parts.is_continuous(iterate)
+        if not (progress.is_exact and little and self._parts.is_continuous(iterate)):
+            return False
+        return not progress.damping or self._is_confirmed(iterate, step, progress, states_only=states_only)
+
+    def _is_confirmed(self, iterate: Iterate, damped: Step, progress: Progress, *, states_only: bool) -> bool:
+        """Tell whether what an undamped step would gain is small against the standard errors."""
+        undamped = copy(progress)
+        undamped.damping, undamped.multipliers = 0.0, list(progress.multipliers)
+        step = self._step(iterate, list(damped.linearizations), undamped, states_only=states_only)
+        return step.decrease <= progress.undamped_decrease
 
     def _tighten(
         self,

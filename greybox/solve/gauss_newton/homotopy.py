@@ -22,6 +22,10 @@ Array = NDArray[np.float64]
 EXACTNESS = 1.2
 
 
+# Half the square of a thirtieth of a standard error.
+UNDAMPED_DECREASE = 5e-4
+
+
 @dataclass(eq=False)
 class Progress:
     """What an iteration hands to the next.
@@ -45,6 +49,10 @@ class Progress:
         On violated constraints.
     damping : float
         Levenberg-Marquardt damping, relative to the diagonal of the Hessian.
+    full_damping : float
+        That of the last step that was taken in full.
+    undamped_decrease : float
+        Decrease that an undamped step may still promise where damped steps have come to rest.
     last_decrease : float
         Predicted by the last full undamped step, or half its squared length where that is more; NaN without.
     delays_held : bool
@@ -62,6 +70,8 @@ class Progress:
     multipliers: list[Array] = field(default_factory=list)
     constraint_penalty: float = math.nan
     damping: float = 0.0
+    full_damping: float = math.nan
+    undamped_decrease: float = UNDAMPED_DECREASE
     last_decrease: float = math.nan
     delays_held: bool = False
     start: tuple[Array, Nodes] | None = None
@@ -73,6 +83,8 @@ class Progress:
         self.near_solution = self.near_solution or not settings.continuity_homotopy
         self.last_scale = settings.last_gap
         self.constraint_penalty = settings.constraint_penalty
+        # A shortened step was damped by the line search already: a hundredth of the damping of a poor one is enough.
+        self.full_damping = 1e-2 * settings.first_damping
         if self.state_iterations < 0:
             self.state_iterations = settings.state_iterations
         if not settings.states_first:

@@ -13,16 +13,17 @@ SETTINGS = Strategies()
     [
         (0.0, 1.0, 0.9, 0.0),  # a good full step needs none
         (0.1, 1.0, 0.9, 0.01),
-        (1e-7, 1.0, 0.9, 0.0),  # and drops what is negligible
+        (1e-12, 1.0, 1.0, 0.0),  # what is negligible is dropped
         (0.0, 1.0, 0.1, 0.01),  # a poor full step asks for some
         (0.1, 1.0, 0.1, 1.0),
-        (0.0, 0.1, 0.9, 1e-4),  # a step cut short for a little
+        (0.0, 0.1, 0.9, 1e-4),  # a step cut short for that of the last full one
+        (1e-6, 0.1, 0.9, 1e-4),
         (0.1, 0.1, 0.9, 1.0),
         (0.1, 0.4, 0.9, 0.1),  # one that was halved keeps it
     ],
 )
 def test_it_follows_the_step(damping, length, ratio, after):
-    assert next_damping(SETTINGS, damping, length, ratio) == pytest.approx(after)
+    assert next_damping(SETTINGS, damping, length, ratio, last_full=1e-4) == pytest.approx(after)
 
 
 def test_a_failed_line_search_raises_it_by_two_steps():

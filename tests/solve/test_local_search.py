@@ -1,0 +1,92 @@
+"""What is tried besides the starts: a longer search never ends higher, and what did not converge goes on."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hard_models import THRUST, Lanczos, conversion, thrust
+from nist import certified
+
+import greybox as gb
+from greybox.solve.minima import Minimum, agreeing_runs
+from greybox.solve.outcome import Run
+
+
+def lanczos():
+    """Three decays in noise, of which one start in six finds the minimum."""
+    time = np.arange(24) * 0.05
+    truth = np.array([0.1, 0.9, 1.5]) @ np.exp(-np.outer([1.0, 3.0, 5.0], time))
+    data = truth + 1e-4 * np.random.default_rng(2).normal(size=24)
+    known = {"e": lambda p: p.b1, "f": lambda p: p.b3, "g": lambda p: p.b5}
+    return gb.Problem(Lanczos(), gb.Record(time, {"y": data}), gb.OutputError(initial=known))
+
+
+def test_more_starts_of_one_rule_never_report_a_higher_cost():
+    costs = [gb.fit(lanczos(), starts=n, seed=4, progress=False).cost for n in (2, 3, 5)]
+    assert all(np.isfinite(costs))
+    assert all(later <= earlier + 1e-6 for earlier, later in itertools.pairwise(costs))
+
+
+def test_a_run_that_ends_unfinished_and_lowest_goes_on_to_the_minimum():
+    case = certified("Lanczos3")
+    start = case.starts[0]
+    short = gb.fit(case.problem, starts=[start], solver_options={"max_iter": 30}, progress=False)
+    assert short.converged
+    assert short.runs[0].iterations > 30
+    stopped = gb.MultipleShooting(strategies=gb.solve.Strategies(max_iterations=30, continued_runs=False))
+    left = gb.fit(case.problem, starts=[start, case.starts[1]], method=stopped, progress=False)
+    assert [run.status for run in left.runs] == ["iterations exceeded", "converged"]
+
+
+def test_an_unfinished_run_below_the_answer_is_named():
+    case = certified("Bennett5")
+    stopped = gb.MultipleShooting(strategies=gb.solve.Strategies(max_iterations=150, continued_runs=False))
+    held = case.problem.with_(fixed={"b2": 40.0})
+    (answer,) = gb.fit(held, starts=[{}], progress=False).runs
+    fit = gb.fit(case.problem, starts=[case.starts[1]], method=stopped, progress=False)
+    assert not fit.converged
+    assert fit.runs[0].cost < answer.cost
+
+
+def test_the_limits_of_iterations_and_tolerance_are_options():
+    problem = certified("ENSO").problem
+    start = [certified("ENSO").starts[0]]
+    loose = gb.fit(problem, starts=start, solver_options={"tol": 1e-2}, progress=False)
+    tight = gb.fit(problem, starts=start, solver_options={"tol": 1e-10}, progress=False)
+    assert loose.runs[0].iterations < tight.runs[0].iterations
+    with pytest.raises(ValueError, match="'mu_strategy' is not known to the Gauss-Newton solver: give max_iter or tol"):
+        gb.fit(problem, starts=start, solver_options={"mu_strategy": "adaptive"}, progress=False)
+    with pytest.raises(ValueError, match="'max_iter' is 0: give a whole number"):
+        gb.fit(problem, starts=start, solver_options={"max_iter": 0}, progress=False)
+
+
+def test_initial_states_that_are_hardly_seen_hinder_nothing():
+    # They are the four motors' speeds, all near 0.7, of which one output shows the sum.
+    found = gb.fit(thrust(), starts=[{}, THRUST], progress=False)
+    assert found.converged
+    for name, value in THRUST.items():
+        assert abs(found.estimate[name] - value) < 4 * found.standard_error[name]
+    assert all(abs(float(found.records[0].initial[name][0]) - 0.7) < 0.1 for name in ("r1", "r2", "r3", "r4"))
+
+
+def test_an_alias_of_the_integrator_is_no_answer():
+    # 101 and 76 turn four substeps of RK4 a sample into a slow pole, with the cost and response of the true values.
+    starts = [{"k1": 101.0, "k2": 76.0}, {"k1": 1.0, "k2": 1.0}]
+    found = gb.fit(conversion(), starts=starts, progress=False)
+    assert found.estimate["k1"] == pytest.approx(0.8125, rel=1e-3)
+    assert [run.converged for run in found.runs] == [False, True]
+    assert found.runs[0].status == "integration too coarse"
+    assert not any("parameter vectors" in text for text in found.warnings)
+    alone = gb.fit(conversion(), starts=starts[:1], progress=False)
+    assert any(text.startswith("the integration is too coarse") for text in alone.warnings)
+
+
+def test_runs_agree_whose_costs_cannot_be_told_apart():
+    def run(k, cost, converged=True):
+        return Run(k, np.zeros(1), np.zeros(1), cost, "s", converged, 1, 0.1)
+
+    runs = [run(0, 10.0), run(1, 10.09), run(2, 10.2), run(3, 10.05, False), run(4, 10.0004)]
+    minima = [Minimum(10.0, np.zeros(1), (0,), 1)]
+    assert agreeing_runs(runs, minima, numbers=200, is_likelihood=True) == (0, 1, 4)
+    assert agreeing_runs(runs, minima, numbers=200, is_likelihood=False) == (0, 4)
+    assert agreeing_runs(runs, (), numbers=200, is_likelihood=True) == ()

@@ -1,0 +1,35 @@
+"""Certified regressions: the minimum to six digits from NIST's own starts, through `gb.fit` as static models."""
+
+import numpy as np
+import pytest
+from nist import FORMULAS, certified
+
+import greybox as gb
+
+# From the first of their starts these end in a flat region far from the certified values.
+ELSEWHERE = {("MGH10", 0), ("MGH17", 0)}
+
+
+def digits(values, reference):
+    """Return how many digits of every value are right, at least."""
+    return min(-np.log10(max(abs(values[name] / value - 1), 1e-15)) for name, value in reference.items())
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+def test_the_certified_values_are_found_from_the_certified_starts(name):
+    case = certified(name)
+    for k, start in enumerate(case.starts):
+        if (name, k) in ELSEWHERE:
+            continue
+        fit = gb.fit(case.problem, starts=[start], progress=False)
+        assert fit.converged, (k, fit.status)
+        assert digits(fit.estimate, case.values) > 6, k
+
+
+@pytest.mark.parametrize(("name", "k"), sorted(ELSEWHERE))
+def test_where_the_first_start_leads_elsewhere_the_second_decides(name, k):
+    case = certified(name)
+    alone = gb.fit(case.problem, starts=[case.starts[k]], progress=False)
+    both = gb.fit(case.problem, starts=list(case.starts), progress=False)
+    assert both.cost < alone.cost - 1
+    assert digits(both.estimate, case.values) > 6
