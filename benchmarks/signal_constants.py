@@ -1,13 +1,14 @@
-"""What the constants of sine detection and of composite windows decide, each at other values than the one in use.
+"""What the constants of sine detection and of spectral estimates decide, each at other values than the one in use.
 
-python benchmarks/signal_constants.py [detection] [windows]
+python benchmarks/signal_constants.py [detection] [windows] [polynomials]
 
 Detection: of 15 spoiled schedules of six sines and 20 noisy pairs (signal to noise 6 to 100), those found entirely; of
 24 sweeps, those in which no sine was found, and those that were found as one sweep; of 16 signals without a sine
 (noise, random walks, squares, steps), those in which none of 3 s was found; and sines of any length found in them.
 
-Windows: root mean square error in percent of the response of a resonance of 6 rad/s, damped by 0.3 and by 0.05, from 12
-records of 60 s with a sweep and 12 with white noise, output noise 0.02, 12 frequencies from 1.5 to 12 rad/s.
+Windows and polynomials: root mean square error in percent of the response of a resonance of 6 rad/s, damped by 0.3 and
+by 0.05, from 12 records of 60 s with a sweep and 12 with white noise, output noise 0.02, 12 frequencies from 1.5 to 12
+rad/s.
 """
 
 import math
@@ -18,7 +19,7 @@ import numpy as np
 from scipy.signal import freqz, lfilter
 
 from greybox.logs import sine_detection
-from greybox.spectral import composite_windows
+from greybox.spectral import composite_windows, local_polynomials
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 from resonance_records import RATE, flown_sweep, record, resonance
@@ -44,11 +45,18 @@ DETECTION = {
     "HEIGHTS": (np.array([0.01]), np.array([0.1]), np.array([0.5]), np.array([0.01, 0.1, 0.5])),
 }
 WINDOWS = {
-    "LONGEST": (2, 5),
-    "SHORTEST": (6, 12, 48),
-    "LENGTHS": (2, 3, 9),
     "LEAKAGE_TERMS": (0, 1),
     "SHARPNESS": (1, 2, 8, 40),
+}
+LENGTHS = np.geomspace(22, 2.75, 5)  # s, from a third of the record to a 24th
+POLYNOMIALS = {
+    "TRANSIENT_ORDER": (0, 2),
+    "VISIBLE": (0.46, 46.0),
+    "CERTAIN": (5.0, 92.0),
+    "LEAST_RESIDUALS": (2, 6),
+    "NEIGHBORHOOD": (4, 30),
+    "STEEP": (0.1, 10.0),
+    "WIDEST": (0.1, 0.8),
 }
 
 
@@ -114,20 +122,21 @@ def detection_row(label):
     )
 
 
-def window_error(damping, kind):
+def window_error(damping, kind, windows):
     b, a = resonance(6.0, damping)
     squares = []
     for seed in range(12):
         rng = np.random.default_rng(seed)
         u = rng.standard_normal(60 * RATE) if kind == "noise" else flown_sweep()
         y = lfilter(b, a, u) + 0.02 * rng.standard_normal(u.size)
-        got = composite_windows.spectral_response(record(u=u, theta=y), omega=np.geomspace(1.5, 12, 12))
+        omega = np.geomspace(1.5, 12, 12)
+        got = composite_windows.spectral_response(record(u=u, theta=y), omega=omega, windows=windows)
         squares.append(np.abs(got.response / freqz(b, a, got.omega / RATE)[1] - 1) ** 2)
     return 100 * math.sqrt(np.mean(squares))
 
 
-def window_row(label):
-    errors = [window_error(damping, kind) for kind in ("sweep", "noise") for damping in (0.3, 0.05)]
+def window_row(label, windows=LENGTHS):
+    errors = [window_error(damping, kind, windows) for kind in ("sweep", "noise") for damping in (0.3, 0.05)]
     print(f"{label:34} " + " ".join(f"{error:10.2f}" for error in errors), flush=True)
 
 
@@ -142,7 +151,7 @@ def vary(module, constants, row):
 
 
 def main():
-    chosen = sys.argv[1:] or ["detection", "windows"]
+    chosen = sys.argv[1:] or ["detection", "windows", "polynomials"]
     if "detection" in chosen:
         print(f"{'':34} {'schedules':9} {'noisy':6} {'no sine':8} {'one sweep':10} {'none':8} {'spurious':9}")
         print(f"{'of':34} {15:9} {20:6} {24:8} {24:10} {16:8}")
@@ -150,6 +159,9 @@ def main():
     if "windows" in chosen:
         print(f"\n{'':34} {'sweep 0.3':>10} {'sweep 0.05':>10} {'noise 0.3':>10} {'noise 0.05':>10}")
         vary(composite_windows, WINDOWS, window_row)
+    if "polynomials" in chosen:
+        print(f"\n{'':34} {'sweep 0.3':>10} {'sweep 0.05':>10} {'noise 0.3':>10} {'noise 0.05':>10}")
+        vary(local_polynomials, POLYNOMIALS, lambda label: window_row(label, None))
 
 
 if __name__ == "__main__":

@@ -32,6 +32,7 @@ from greybox.estimate.diagnostics.intersample import intersample_warnings
 from greybox.estimate.diagnostics.not_finite import explained, not_finite_warnings
 from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
 from greybox.estimate.fitted_record import fitted_record, stated
+from greybox.estimate.harmonic_numbers import are_open, with_enough_harmonics, with_more_harmonics
 from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit, FittedRecord, FittedResponse
 from greybox.formulation.frequency_criteria import evaluate
@@ -39,7 +40,7 @@ from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Chained, Listed, Sobol, Starts, as_starts
 from greybox.formulation.sum import Sum
-from greybox.modeling.harmonic_balance import response_of_test
+from greybox.modeling.periodic_motions import response_of_test
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
 from greybox.solve.interruption import Response, listening, responding, take_interrupt
 from greybox.solve.local_solver import LocalSolver
@@ -142,6 +143,8 @@ def _fitted_from(
 ) -> Fit | None:
     """Return the fit from these starts, or after Ctrl-C from those that were done; None if there are none."""
     began = time.perf_counter()
+    open_parts = are_open(problem)
+    problem = with_enough_harmonics(problem)
     nlp = compile_problem(problem, method)
     parameters = problem.parameters
     solver = solver_for(nlp, solver_options)
@@ -154,6 +157,7 @@ def _fitted_from(
         else:
             with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
                 search = multistart(nlp, solver, points, lambda done, _: _advance(bar, done), movable)
+        nlp, search, solver = with_more_harmonics(nlp, search, solver, open_parts, solver_options)
         search = explained(nlp, search)
         nlp, search, solver, error = refine_discretization(nlp, search, solver)
         search = solver.polished(search)

@@ -14,10 +14,10 @@ from greybox.data.record import Record, share_samples
 from greybox.data.text_table import alternatives, counted, listed, number, one_line, text_table, with_error
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.input_assumptions import Inputs, described_inputs
-from greybox.modeling.harmonic_balance import response_of_test
 from greybox.modeling.model import Model
 from greybox.modeling.model_reference import reference, resolve
 from greybox.modeling.pade_delay import delay_order
+from greybox.modeling.periodic_motions import response_of_test
 from greybox.modeling.realization import dynamics
 from greybox.modeling.sine import Sine
 from greybox.simulation.model_at_estimate import ModelAtEstimate, criterion_of

@@ -7,14 +7,15 @@ written with `functions`. One formula has several readings:
   `rational` numerator, denominator and delay (`function_of_s` is what these two share).
 - `pade_delay` approximates a delay by a rational function or by states.
 - `linear_response` is the frequency response, with `linearization` of an ODE at its operating point (`trim`) and
-  `elimination` of the states; `harmonic_balance` is the response to a `sine` of finite amplitude.
+  `elimination` of the states.
+- `harmonic_balance` is the response to a `sine` of finite amplitude, with `formula_structure` for what is linear and
+  where a formula switches; `periodic_motions` tells which motion is meant where there are several.
 - `realization` turns a model into differential equations, `integrators` and `implicit_integrators` step
   them, and `step_size` is the rule for the number of their steps.
 
 `model_reference` names a model in a stored result, `model_file` finds the models in a file of one's own.
 """
 
-from greybox.modeling.harmonic_balance import harmonic_response as harmonic_response
 from greybox.modeling.implicit_integrators import ImplicitIntegrator as ImplicitIntegrator
 from greybox.modeling.integrators import Integrator as Integrator
 from greybox.modeling.integrators import Rosenbrock as Rosenbrock
@@ -24,6 +25,7 @@ from greybox.modeling.linearization import LinearSystem as LinearSystem
 from greybox.modeling.linearization import linearize as linearize
 from greybox.modeling.model import Model as Model
 from greybox.modeling.parameter import Parameter as Parameter
+from greybox.modeling.periodic_motions import harmonic_response as harmonic_response
 from greybox.modeling.rational import rational as rational
 from greybox.modeling.sine import Sine as Sine
 from greybox.modeling.state_space import StateSpace as StateSpace

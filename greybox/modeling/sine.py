@@ -24,10 +24,9 @@ class Sine:
         setpoint sines (3.14) do with the angle. All other signals then have harmonics.
     amplitude : float or (n,) array, in the signal's unit
         Half the distance from peak to peak; one for all frequencies or one for each.
-    harmonics : int
-        How many harmonics of the other signals are modeled: enough when more do not change the response; a fit warns
-        when more would change its estimate. For a kink, as in the drag ``|v| v`` of a fast oscillation, 3 suffice, for
-        a strong one 5 to 9.
+    harmonics : int, optional
+        How many harmonics of the other signals are modeled. By default as many as change the response by more than
+        0.03 %, at most 50; with a number of one's own, a fit warns when more would change its estimate.
 
     Raises
     ------
@@ -37,7 +36,7 @@ class Sine:
 
     signal: str
     amplitude: float | NDArray[np.float64]
-    harmonics: int = 3
+    harmonics: int | None = None
 
     def __post_init__(self) -> None:
         """Check the values and make them read-only."""
@@ -55,6 +54,8 @@ class Sine:
             )
         amplitude.setflags(write=False)
         object.__setattr__(self, "amplitude", amplitude if amplitude.ndim else float(amplitude))
+        if self.harmonics is None:
+            return
         whole = isinstance(self.harmonics, (int, np.integer)) and not isinstance(self.harmonics, bool)
         if not whole or not 1 <= self.harmonics <= MOST_HARMONICS:
             raise ValueError(f"harmonics {self.harmonics!r} must be a whole number from 1 to {MOST_HARMONICS}.")
@@ -62,13 +63,15 @@ class Sine:
     def __repr__(self) -> str:
         low, high = np.min(self.amplitude), np.max(self.amplitude)
         size = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
-        return one_line(self, self.signal, f"amplitude {size}", counted(self.harmonics, "harmonic"))
+        number = "as many harmonics as matter" if self.harmonics is None else counted(self.harmonics, "harmonic")
+        return one_line(self, self.signal, f"amplitude {size}", number)
 
     @property
     def plain(self) -> dict[str, Any]:
         """The fields for JSON."""
         amplitude = self.amplitude.tolist() if isinstance(self.amplitude, np.ndarray) else self.amplitude
-        return {"signal": self.signal, "amplitude": amplitude, "harmonics": int(self.harmonics)}
+        harmonics = None if self.harmonics is None else int(self.harmonics)
+        return {"signal": self.signal, "amplitude": amplitude, "harmonics": harmonics}
 
     def amplitudes(self, omega: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the amplitude at every frequency, (n,).

@@ -4,9 +4,9 @@ Sines, one after another
     Begin with `single_sine`: the finite-frequency estimate of the paper, (3.15)-(3.16). `demodulation` gives the
     complex amplitudes it is made of; `frequency_points` holds what each test gave, with warnings and tables.
 Sweeps, noise and multisines
-    Begin with `welch`: the estimate with windows of one length, its variance and coherence. `composite_windows`
-    combines several lengths (sweeps, noise); `multisine_lines` uses whole periods; `uniform_stretches` cuts records at
-    gaps.
+    Begin with `composite_windows`, whose `spectral_response` is for sweeps and noise: by `local_polynomials` in bands
+    of the transform of the whole record, or by windows of several lengths. `welch` is the estimate with windows of one
+    length, its variance and coherence; `multisine_lines` uses whole periods; `uniform_stretches` cuts records at gaps.
 Before the fit
     `test_quality` tells whether a test is worth one.
 """

@@ -1,7 +1,9 @@
-"""Frequency responses of sweeps and noise: estimates with windows of several lengths, combined.
+"""Frequency responses of sweeps and noise: by local polynomials, or by windows of several lengths.
 
-A short window averages more but smears a resonance; a long one resolves it. The combination is COMPOSITE of CIFER
-(Tischler and Remple, Aircraft and Rotorcraft System Identification, 2nd ed., chapter 10).
+By default `greybox.spectral.local_polynomials` estimates, whose error falls faster with the length of the record and
+whose points are independent. Windows are there for comparison with COMPOSITE of CIFER (Tischler and Remple, Aircraft
+and Rotorcraft System Identification, 2nd ed., chapter 10): a short window averages more but smears a resonance, a long
+one resolves it, and the combination weighs them.
 """
 
 import math
@@ -13,28 +15,31 @@ from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
+from greybox.spectral.local_polynomials import Lines, lines_of, points_at, tiled_points
 from greybox.spectral.uniform_stretches import UniformStretch, uniform_stretches
 from greybox.spectral.welch import HZ, PERIODS, WindowedPoint, estimates, response_at, transforms
 
 Array = NDArray[np.float64]
 
-# Errors below are those of `benchmarks/signal_constants.py`, of a resonance damped by 0.05 in a sweep of 60 s (and by
-# 0.3), with the values in use 1.6 % (0.8 %).
+# Periods in the longest stretch: below, a band of polynomials would reach to the frequencies that removing a trend
+# changes.
+LOWEST = 6
 
-# Window lengths: five, as is usual with CIFER, from a third to a 24th of the longest stretch. With a fifth as the
-# longest, the mode is smeared: 7.0 % (0.8 %). With a sixth as the shortest, the average is over fewer windows: 1.9 %
-# (1.0 %). With two lengths: 1.6 % (1.2 %).
-LENGTHS = 5
-LONGEST = 3
-SHORTEST = 24
+HIGHEST = 0.4  # of the sampling rate
 
+# Errors below are those of `benchmarks/signal_constants.py` with five windows from a third of the record to a 24th, of
+# a resonance damped by 0.05 in a sweep of 60 s (and by 0.3), with the values in use 1.6 % (0.8 %).
 LEAKAGE_TERMS = 2  # with one 4.8 % (1.1 %), with none 9.3 % (2.2 %)
-COHERENT = 0.6  # below, a point of the automatic grid is left out: Tischler and Remple, section 5.5
+
 # Weight of a window length by its relative random error ε: (ε / ε_min)**-4, COMPOSITE of CIFER. With the exponent 1,
 # 6.1 % (1.2 %); with 8 and more it makes no difference.
 SHARPNESS = 4
 
+COHERENT = 0.6  # below, a point of the automatic grid is left out: Tischler and Remple, section 5.5
+
 SAMPLES = 8  # in a window, at least: two periods (`PERIODS`) of four samples
+
+SMOOTHED = 0.3  # octaves or so over which the excitation is averaged, as a share of the frequency
 
 # Of the largest ω S(ω), which a logarithmic sweep keeps constant: 20 dB below it the excitation ends. For white noise
 # of 60 s through a resonance of 1 Hz, the grid begins at 0.64 Hz with 0.03, at 0.17 Hz with 0.01, and with 0.003 it
@@ -56,12 +61,18 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     detrend: Literal["linear", "constant", "none"] = "linear",
     name: str = "",
 ) -> FrequencyResponse:
-    """Estimate a frequency response from sweeps or noise, by Hann windows of several lengths.
+    """Estimate a frequency response from sweeps or noise.
 
-    Every length gives an estimate with its variance; smearing a resonance raises the residuals of a short window. They
-    are combined at each frequency with the weights (ε / ε_min)⁻⁴ of their relative random errors ε, as in COMPOSITE of
-    CIFER (there the spectra are combined, here the responses). Stretches between gaps or missing samples are
-    transformed separately and averaged, as are several records.
+    By default response and transients are polynomials in bands of the transform of the whole record (see
+    `greybox.spectral.local_polynomials`): bands become narrower until the polynomials hold, and each gives three points
+    whose errors are independent, so that a likelihood may use them.
+
+    With `windows`, Hann windows of these lengths. Every length gives an estimate with its variance, and they are
+    combined at each frequency with the weights (ε / ε_min)⁻⁴ of their relative random errors ε, as in COMPOSITE of
+    CIFER (there the spectra are combined, here the responses). Points closer than the resolution, about 1.5 / length
+    in Hz, have correlated errors; a fit says so.
+
+    Stretches between gaps or missing samples are transformed separately and used together, as are several records.
 
     Parameters
     ----------
@@ -74,10 +85,13 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
         Further inputs that act on the output and are correlated with this one; their part is removed (partial
         coherence, Bendat and Piersol, section 7.3).
     omega : (n,) array, rad/s, optional
-        By default `points` log spaced frequencies where the excitation is strong.
+        By default frequencies where the excitation is strong. Where given ones are closer than the resolution, about
+        8 / duration in Hz for a band of three points, the errors of neighbors are correlated.
     points : int
+        About so many frequencies: there are fewer where the record does not resolve them, and more at resonances. With
+        `windows` exactly so many, log spaced.
     windows : sequence of float, s, optional
-        Window lengths; by default five, from a third of the longest stretch to a 24th.
+        Window lengths.
     overlap : float
         The share of a window that the next one repeats.
     detrend : {"linear", "constant", "none"}
@@ -88,10 +102,12 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     Returns
     -------
     FrequencyResponse
-        With coherence, variance E|P̂ - P|² and its degrees of freedom; points with too few windows are left out. The
-        coherence is partial, without leakage and conditioned inputs; with an instrument it is the lower one of
-        instrument with input and with output. The variance of the combination is that of fully correlated parts, an
-        upper bound. It assumes noise that is as strong in the quiet windows as in the excited ones.
+        With coherence, variance E|P̂ - P|² and its degrees of freedom; points that leave too little to judge the noise
+        by are left out. The coherence is partial, without transients and conditioned inputs; with an instrument it is
+        the lower one of instrument with input and with output. The variance assumes noise that is as strong in the
+        quiet parts of a record as in the excited ones. That of combined windows is the one of fully correlated parts,
+        an upper bound, and contains the square of the difference from the longest window where noise does not explain
+        it.
 
     Raises
     ------
@@ -101,29 +117,40 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
         For a signal that a record does not hold.
     """
     stretches = uniform_stretches(records, [input, output, instrument or input, *conditioned], detrend)
-    lengths = _window_lengths(stretches, windows)
     if not 0 <= overlap < 1:
         raise ValueError(f"overlap is {overlap:g}: it must be at least 0 and below 1.")
-    grid = _excited_frequencies(stretches, lengths, points) if omega is None else _checked(omega, lengths[0])
+    lengths = [] if windows is None else _window_lengths(stretches, windows)
+    longest = max(s.values.shape[1] * s.step for s in stretches)
+    lowest = PERIODS * HZ / lengths[0] if lengths else LOWEST * HZ / longest
+    lines = lines_of(stretches)
+    if omega is None:
+        ends = _excited_band(lines, lowest, HIGHEST * HZ / max(s.step for s in stretches))
+        grid = np.geomspace(*ends, max(points, 2))
+    else:
+        grid = np.atleast_1d(np.asarray(omega, dtype=float))
+        _check_periods(grid, lowest, lengths[0] if lengths else longest)
 
-    per_length = [
-        estimates(transforms(stretches, length, overlap, grid, leakage_terms=LEAKAGE_TERMS), grid * length)
-        for length in lengths
-    ]
-    combined = [_combined(row) for row in zip(*per_length, strict=True)]
-    response = response_at(grid, combined, (input, output, name), stretches)
+    if lengths:
+        per_length = [
+            estimates(transforms(stretches, length, overlap, grid, leakage_terms=LEAKAGE_TERMS), grid * length)
+            for length in lengths
+        ]
+        found = [_combined(row) for row in zip(*per_length, strict=True)]
+    elif omega is None:
+        grid, found = tiled_points(lines, float(grid[0]), float(grid[-1]), points)
+    else:
+        found = points_at(lines, grid)
 
+    response = response_at(grid, found, (input, output, name), stretches)
     coherent = response.coherence >= COHERENT  # type: ignore[operator]
     return response.where(coherent) if omega is None and coherent.any() else response
 
 
-def _window_lengths(stretches: Sequence[UniformStretch], windows: Sequence[float] | None) -> list[float]:
+def _window_lengths(stretches: Sequence[UniformStretch], windows: Sequence[float]) -> list[float]:
     """Window lengths, s, the longest first."""
     longest = max(s.values.shape[1] * s.step for s in stretches)
     shortest = SAMPLES * max(s.step for s in stretches)
-    if windows is None:
-        windows = list(np.geomspace(longest / LONGEST, longest / SHORTEST, LENGTHS))
-    if not windows or min(windows) < shortest or max(windows) > longest:
+    if len(windows) == 0 or min(windows) < shortest or max(windows) > longest:
         raise ValueError(
             f"windows of {', '.join(f'{w:.4g}' for w in windows) or 'no'} s do not fit: give lengths from "
             f"{shortest:.4g} to {longest:.4g} s, from {SAMPLES} samples to the longest stretch, or record longer."
@@ -131,30 +158,34 @@ def _window_lengths(stretches: Sequence[UniformStretch], windows: Sequence[float
     return sorted(windows, reverse=True)
 
 
-def _checked(omega: ArrayLike, longest: float) -> Array:
-    grid = np.atleast_1d(np.asarray(omega, dtype=float))
-    lowest = PERIODS * HZ / longest
-    too_low = grid[~(grid >= lowest * (1 - 1e-9))]
+def _check_periods(omega: Array, lowest: float, longest: float) -> None:
+    too_low = omega[~(omega >= lowest * (1 - 1e-9))]
     if too_low.size:
         raise ValueError(
-            f"omega = {too_low[0]:g} rad/s has fewer than {PERIODS} periods in the longest window of {longest:.4g} s: "
-            f"leave out what is below {lowest:.4g} rad/s, lengthen the windows or record longer."
+            f"omega = {too_low[0]:g} rad/s has fewer than {round(lowest * longest / HZ)} periods in the longest "
+            f"stretch or window, {longest:.4g} s: leave out what is below {lowest:.4g} rad/s, or record longer."
         )
-    return grid
 
 
-def _excited_frequencies(stretches: Sequence[UniformStretch], lengths: Sequence[float], points: int) -> Array:
-    """Return log spaced frequencies around the strongest excitation, up to the first gap in it on either side."""
-    fine = np.geomspace(PERIODS * HZ / lengths[0], 0.4 * HZ / max(s.step for s in stretches), 200)
-    spectra = transforms(stretches, lengths[len(lengths) // 2], 0.8, fine)
-    power = np.sum(np.abs(spectra.r) ** 2, axis=0) * fine
-    power = np.convolve(np.pad(power, 4, mode="edge"), np.ones(9) / 9, mode="valid")  # noise has holes by chance
+def _excited_band(lines: Lines, lowest: float, highest: float) -> tuple[float, float]:
+    """Return the band around the strongest excitation, up to the first gap in it on either side."""
+    if lowest >= highest:
+        raise ValueError(
+            f"the records are too short: their lowest frequency, {lowest:.4g} rad/s, is above the highest that the "
+            f"sampling allows, {highest:.4g} rad/s; record longer."
+        )
+    fine = np.geomspace(lowest, highest, 200)
+    reach = np.maximum(fine * SMOOTHED / 2, PERIODS * lines.spacing)  # noise has holes by chance
+    first = np.searchsorted(lines.omega, fine - reach)
+    last = np.searchsorted(lines.omega, fine + reach)
+    total = np.concatenate([[0.0], np.cumsum(np.abs(lines.values[2]) ** 2)])
+    power = fine * (total[last] - total[first]) / np.maximum(last - first, 1)
 
     weak = np.flatnonzero(power < EXCITED * power.max())
     strongest = int(power.argmax())
-    first = int(max(weak[weak < strongest], default=-1)) + 1
-    last = int(min(weak[weak > strongest], default=fine.size)) - 1
-    return np.geomspace(fine[first], fine[last], points)
+    left = int(max(weak[weak < strongest], default=-1)) + 1
+    right = int(min(weak[weak > strongest], default=fine.size)) - 1
+    return float(fine[left]), float(fine[right])
 
 
 def _combined(estimates: Sequence[WindowedPoint]) -> WindowedPoint:
@@ -170,4 +201,7 @@ def _combined(estimates: Sequence[WindowedPoint]) -> WindowedPoint:
     deviation = float(weight @ np.sqrt([e.variance for e in known]))
     dof = float(weight @ [e.dof for e in known])
     coherence = float(weight @ [e.coherence for e in known])
-    return WindowedPoint(complex(weight @ response), deviation**2, dof, coherence)
+    combined = complex(weight @ response)
+    # Short windows smear; the longest hardly. Noise explains a squared difference up to the variance of the longest.
+    smeared = max(abs(combined - known[0].response) ** 2 - known[0].variance, 0.0)
+    return WindowedPoint(combined, deviation**2 + smeared, dof, coherence)

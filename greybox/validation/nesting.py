@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from greybox.data.text_table import counted, listed
 from greybox.estimate.result import Fit, FittedRecord, FittedResponse, Quantity
-from greybox.modeling.harmonic_balance import response_of_test
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.model_reference import resolve
 from greybox.modeling.pade_delay import delay_order
+from greybox.modeling.periodic_motions import response_of_test
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.transfer_function import TransferFunction

@@ -8,6 +8,27 @@ from sampled_lag import lag_problem
 import greybox as gb
 
 RESPONSE = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2))
+
+
+class Slider(gb.StateSpace):
+    """Velocity under thrust and drag."""
+
+    states, inputs, outputs = ("v",), ("thrust",), ("v",)
+    drag = gb.Parameter(0.2, bounds=(0.01, 2), scale="log")
+
+    def derivative(self, x, u, p):
+        return (u.thrust - p.drag * abs(x.v) * x.v,)
+
+    def output(self, x, u, p):
+        return (x.v,)
+
+
+SINE = gb.modeling.Sine("thrust", 1.0, harmonics=3)
+TESTED = gb.Problem(
+    Slider(),
+    gb.modeling.harmonic_response(Slider(), {"drag": 0.4}, [0.3, 0.6, 1.2], amplitude=SINE),
+    amplitude=SINE,
+)
 RECORDS = [lag_problem(seed, samples=300) for seed in range(3)]
 
 
@@ -16,8 +37,8 @@ def fitted(problem):
     return fit.cost, fit.estimate, fit.standard_error, [run.cost for run in fit.runs]
 
 
-def test_fits_of_records_and_of_responses_in_four_threads():
-    problems = [*RECORDS, RESPONSE]
+def test_fits_of_records_of_responses_and_of_sine_tests_in_four_threads():
+    problems = [*RECORDS, RESPONSE, TESTED]
     one_by_one = [fitted(problem) for problem in problems]
     with ThreadPoolExecutor(4) as threads:
         at_once = list(threads.map(fitted, 3 * problems))

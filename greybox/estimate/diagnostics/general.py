@@ -6,6 +6,7 @@ from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Trajectory
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.delay_approximation import coarse_pade
+from greybox.estimate.diagnostics.frequency_correlation import correlated_frequencies
 from greybox.estimate.diagnostics.global_minimum import (
     discontinuous_costs,
     few_agreeing_starts,
@@ -44,5 +45,6 @@ def warnings(
         *coarse_pade(nlp, pade_errors),
         *biased_gains(nlp, accuracy),
         *unlikely_noise(nlp, trajectories),
+        *correlated_frequencies(nlp, best.estimate),
         *discontinuous_costs(nlp),
     )

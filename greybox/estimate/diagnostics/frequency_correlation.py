@@ -1,0 +1,108 @@
+"""Whether the errors of a response are correlated along frequency.
+
+Standard errors take the errors of the points as independent. They are not where points are closer than the resolution
+of the transform that they come from, nor where the model leaves a part of the response out. The residuals show both: of
+independent errors, neighbors have no product on average but for what the fitted parameters take away.
+
+With z the residuals over their size, real and imaginary parts below each other, the correlation of neighbors is
+r = zᵀWz / zᵀz. Of normal errors with the parameters taken away, z = Me, r is independent of zᵀz and has the mean
+tr MW / k and the variance 2 (tr (MW)² - (tr MW)² / k) / (k (k + 2)), k = tr M (Durbin and Watson (1950), Biometrika
+37, who hold a beta distribution against it).
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.response_part import ResponsePart
+
+Array = NDArray[np.float64]
+
+# Of fits with independent errors, the share that is warned.
+SIZE = 0.01
+
+# Fewest residuals, beyond the parameters: with fewer the beta distribution is not a good approximation.
+LEAST_LEFT = 4
+
+DEPENDENT = 1e-9  # of the largest singular value of a Jacobian with unit columns: rounding errors
+
+# Of the largest measured magnitude: points below, which may be zero, have no relative error.
+LEAST_MAGNITUDE = 1e-9
+
+
+def correlated_frequencies(nlp: Nlp, x: Array) -> Iterator[str]:
+    """Name the responses whose residuals at the estimate `x` (p,) are correlated from one frequency to the next."""
+    from scipy.special import betaincc  # noqa: PLC0415 - scipy takes longer to import than this package
+
+    values = nlp.all_values(x)
+    for part in nlp.parts:
+        if not isinstance(part, ResponsePart):
+            continue
+        found = neighbor_correlation(*_residuals(part, values, len(nlp.free)))
+        if found is None:
+            continue
+        r, mean, variance = found
+        # A beta distribution on [-1, 1] of this mean and variance.
+        middle = (1 + mean) / 2
+        total = middle * (1 - middle) / (variance / 4) - 1
+        if betaincc(middle * total, (1 - middle) * total, (1 + r) / 2) < SIZE:
+            yield (
+                f"the residuals of {part.problem.name!r} are correlated along frequency ({r - mean:.2f} from one point "
+                "to the next): its points are closer than their resolution, or the model leaves something out; "
+                "the standard errors, which take them as independent, are too small."
+            )
+
+
+def neighbor_correlation(residuals: NDArray[np.complex128], jacobian: Array) -> tuple[float, float, float] | None:
+    """Return the correlation of neighbors, and its mean and variance if the errors are independent.
+
+    Parameters
+    ----------
+    residuals : (n,) complex array
+        In the order of frequency, over their sizes.
+    jacobian : (2n, p) array
+        Their derivatives by the parameters that were fitted, real parts first.
+
+    Returns
+    -------
+    (float, float, float) or None
+        None where too few are left, or all are zero.
+    """
+    n = residuals.size
+    length = np.linalg.norm(jacobian, axis=0)
+    left, singular, _ = np.linalg.svd(jacobian[:, length > 0] / length[length > 0], full_matrices=False)
+    basis = left[:, singular > DEPENDENT * max(singular, default=0.0)]
+    k = 2 * n - basis.shape[1]
+    total = np.sum(np.abs(residuals) ** 2)
+    if k < LEAST_LEFT or n < 2 or not total > 0:
+        return None
+
+    def neighbors(columns: Array) -> Array:
+        """W times columns: the mean of both neighbors, real and imaginary parts apart."""
+        halves = columns.reshape(2, n, -1)
+        result = np.zeros_like(halves)
+        result[:, 1:] += halves[:, :-1] / 2
+        result[:, :-1] += halves[:, 1:] / 2
+        return result.reshape(columns.shape)
+
+    turned = neighbors(basis)
+    inner = basis.T @ turned
+    trace = -np.trace(inner)
+    trace_of_square = (n - 1) - 2 * np.sum(turned**2) + np.sum(inner**2)  # tr W² = 4 (n - 1) / 4
+    r = float(np.sum(residuals[1:] * residuals[:-1].conj()).real / total)
+    return r, float(trace / k), float(2 * (trace_of_square - trace**2 / k) / (k * (k + 2)))
+
+
+def _residuals(part: ResponsePart, values: Array, free: int) -> tuple[NDArray[np.complex128], Array]:
+    """Return the residuals over their sizes by frequency, (n,), and their derivatives, (2n, free)."""
+    data = part.data
+    order = np.argsort(data.omega)
+    size = np.abs(data.response)
+    if data.variance is not None and part.criterion.known_noise:
+        size = np.sqrt(data.variance)
+    order = order[size[order] > LEAST_MAGNITUDE * size.max()]
+    sensitivity = part.sensitivity(values)[order, :free] / size[order, None]
+    residuals = (part.response(values) - data.response)[order] / size[order]
+    return residuals, np.vstack([sensitivity.real, sensitivity.imag])

@@ -1,0 +1,573 @@
+"""Frequency responses of sweeps and noise, band by band: the local polynomial method.
+
+At the lines of the discrete Fourier transform of a whole stretch, input and output obey Y = P U + T + V. T is what
+began before the stretch or lasts beyond it; it is as smooth as P (Pintelon and Schoukens, System Identification, 2nd
+ed., chapter 7). In a band of lines both are polynomials, found by least squares, or with an instrument r from outside
+the loop by instrumental variables. Nothing is windowed, so nothing is smeared: what is left is the error of the
+polynomials, which falls with the fourth power of the width of the band, where that of windows falls with the square.
+
+Resolution
+    A quadratic that is fitted over a band holds three values. They are read at the three Gauss nodes of the band, where
+    the errors of a fitted polynomial are uncorrelated, and where a cubic would change nothing (Davis and Rabinowitz,
+    Methods of Numerical Integration, section 2.7). Bands do not overlap. So the errors of all points are independent to
+    a good approximation, and three points keep what a band knows.
+Error of the polynomials
+    In a band twice as wide, a quartic is held against the quadratic. Where they differ by more than noise explains, the
+    band is halved, down to the narrowest that leaves something to judge the noise by. There a pole is allowed for: the
+    polynomials fitted to the response with that pole miss it by a known amount, which is taken off (the local rational
+    method: McKelvey and Guérin (2012), 16th IFAC Symposium on System Identification).
+Noise
+    Its spectrum S comes from the residuals of the narrowest bands that have any, where the polynomials are least wrong,
+    over a neighborhood. With the estimate aY the variance E|P̂ - P|² is S aaᴴ.
+"""
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.spectral.uniform_stretches import UniformStretch
+from greybox.spectral.welch import EPS, HZ, WORST_CONDITION, WindowedPoint
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+# Of the response in a band. The error of order R in a band of half-width b beside a pole at the distance ρ goes as
+# (b/ρ)**(R + 1), and the lines that 2R + 2 unknowns need widen the band: orders from 2 to 4 are equally good.
+ORDER = 2
+NODES = ORDER + 1  # points in a band: as many as a polynomial has coefficients
+
+# Of the transient: its share of the output is about (memory / duration)**0.5, which is small, so that one order less
+# leaves an error as small as that of the response.
+TRANSIENT_ORDER = 1
+
+EXTRA = 2  # orders by which the polynomials are raised to see whether they are enough
+DOUBLED = 2  # how much wider the band is in which this is tried
+GROWTH = DOUBLED ** (ORDER + 2)  # by which the error at the nodes grows there
+
+# Squared difference of quadratic and quartic over its variance, which for noise alone has an exponential distribution:
+# exceeded in 1 % of cases, from where a band is halved; and in 0.01 %, from where there is a pole to be found in noise.
+VISIBLE = 4.6
+CERTAIN = 9.2
+
+# Of the response: an error of the polynomials that nobody needs to see, below a thousandth of a dB.
+NEGLIGIBLE = 1e-4
+
+# What the correction by a pole leaves of the error, squared: it goes into the variance.
+UNCORRECTED = 0.01
+
+LEAST_RESIDUALS = 3  # complex, that the narrowest band of a point leaves: six degrees of freedom
+
+# Of the lines of the narrowest band of a point, the share that transients may take: what is beyond is lost for the
+# response. It matters for several short stretches.
+TRANSIENT_SHARE = 0.5
+
+# Residuals, at least, of the neighborhood that the noise comes from; and how many narrow bands are laid over it. As
+# they overlap, 8 residuals become about 12, and the variance has 25 degrees of freedom.
+NEIGHBORHOOD = 8
+PLACES = 24  # for bands with one residual
+LEAST_PLACES = 6
+
+# Noise falls or rises by a power of the frequency. The power is taken from an octave on either side, by least squares
+# on logarithms, whose scatter is π/√6 for one residual, with a prior of this standard deviation. With 2 the squared
+# errors of the three lowest points of a sweep are 1.39 times the stated variance, with 1 they are 1.24 times (white
+# noise; with AR(0.95) 1.32 and 1.37 times).
+STEEP = 1.0
+LOG_SCATTER = math.pi / math.sqrt(6)
+
+# Half-width of a band over its frequency, where nothing else limits it: a tenth of a decade on either side.
+WIDEST = 0.35
+
+
+class Lines(NamedTuple):
+    """Lines of all stretches, by frequency.
+
+    Attributes
+    ----------
+    omega : (n,) array, rad/s
+    values : (signals, n) complex array
+        Input, output, instrument, conditioned inputs, scaled so that noise has the variance of its spectral density.
+    stretch : (n,) array
+        Which stretch each line is of.
+    spacing : float, rad/s
+        Of the lines of the longest stretch.
+    same : bool
+        The instrument is the input.
+    """
+
+    omega: Array
+    values: Complex
+    stretch: NDArray[np.int64]
+    spacing: float
+    same: bool
+
+
+class Fitted(NamedTuple):
+    """Polynomials in one band.
+
+    Attributes
+    ----------
+    center, half : float, rad/s
+    rows : (n,) array of int
+        Lines used.
+    x : (n,) array
+        Their place in the band, -1 to 1.
+    regressors, basis : (n, m) complex arrays
+        Of the coefficients of the response, then of conditioned inputs; an orthonormal basis of the instruments. Both
+        without transients.
+    solution : (m, n) complex array
+        From the output to the coefficients.
+    transients : (n, t) array
+        An orthonormal basis.
+    order : int
+        Of the response.
+    """
+
+    center: float
+    half: float
+    rows: NDArray[np.int64]
+    x: Array
+    regressors: Complex
+    basis: Complex
+    solution: Complex
+    transients: Array
+    order: int
+
+    def weights(self, omega: Array) -> Complex:
+        """From the output at the lines to the response at `omega` (k,): (k, n)."""
+        powers = np.vander((omega - self.center) / self.half, self.order + 1, increasing=True)
+        return powers @ self.solution[: self.order + 1]
+
+    @property
+    def number(self) -> int:
+        """How many residuals are left."""
+        return self.rows.size - self.basis.shape[1] - self.transients.shape[1]
+
+    def residuals(self, y: Complex) -> Complex:
+        """Return what the polynomials do not explain, (n,)."""
+        return _without(self.transients, y) - self.regressors @ (self.solution @ y)
+
+    def trace(self) -> float:
+        """Return E|residuals|² of noise of variance one: tr QQᴴ with Q the way from the noise to the residuals."""
+        gram = (self.solution @ self.solution.conj().T) @ (self.regressors.conj().T @ self.regressors)
+        return self.number - len(self.solution) + float(np.trace(gram).real)
+
+
+class Band(NamedTuple):
+    """A band whose polynomials are taken, the frequencies at which they are read, and their error there.
+
+    Attributes
+    ----------
+    fitted : Fitted
+    omega : (k,) array, rad/s
+    correction : (k,) complex array
+        What is taken off the response.
+    squared_error : (k,) array
+        What the correction leaves.
+    pole_noise : (float, float) or None
+        Sum of squared residuals with a pole, and their number, where the polynomials alone are visibly wrong.
+    """
+
+    fitted: Fitted
+    omega: Array
+    correction: Complex
+    squared_error: Array
+    pole_noise: tuple[float, float] | None
+
+
+def lines_of(stretches: Sequence[UniformStretch]) -> Lines:
+    """Transform stretches whose rows are input, output, instrument and inputs to condition on."""
+    omega, values, stretch = [], [], []
+    for index, piece in enumerate(stretches):
+        count = piece.values.shape[1]
+        spectrum = np.fft.rfft(piece.values, axis=1)[:, 1:] * math.sqrt(piece.step / count)
+        omega.append(HZ / (count * piece.step) * np.arange(1, spectrum.shape[1] + 1))
+        values.append(spectrum)
+        stretch.append(np.full(spectrum.shape[1], index))
+
+    together = np.concatenate(omega)
+    order = np.argsort(together, kind="stable")
+    return Lines(
+        together[order],
+        np.concatenate(values, axis=1)[:, order],
+        np.concatenate(stretch)[order],
+        min(float(first[0]) for first in omega if first.size),
+        all(np.array_equal(piece.values[0], piece.values[2]) for piece in stretches),
+    )
+
+
+def tiled_points(lines: Lines, low: float, high: float, points: int) -> tuple[Array, list[WindowedPoint]]:
+    """Return frequencies between `low` and `high`, and the estimates there.
+
+    There are about `points`, log spaced, where the response is smooth; more where it is not, and fewer where `lines` do
+    not resolve as many.
+    """
+    widths = _Widths.of(lines, math.sqrt(low * high))
+    edges = _edges(low, high, max(round(points / NODES), 1), widths.point)
+    bands = [band for left, right in pairwise(edges) for band in _halved(lines, left, right, widths)]
+    estimates = [point for band in bands for point in _estimates(lines, band, bands, widths)]
+    return np.concatenate([band.omega for band in bands] or [np.zeros(0)]), estimates
+
+
+def points_at(lines: Lines, omega: Array) -> list[WindowedPoint]:
+    """Return the estimates at `omega` (n,), each in the middle of a band that reaches half way to the next ones.
+
+    Where they are closer than the resolution the bands overlap, and the errors of neighbors are correlated.
+    """
+    widths = _Widths.of(lines, float(np.exp(np.mean(np.log(omega)))))
+    order = np.sort(omega)
+    gaps = np.concatenate([[np.inf], np.diff(order), [np.inf]])
+    nearest = dict(zip(order.tolist(), np.minimum(gaps[:-1], gaps[1:]), strict=True))
+
+    bands = []
+    for center in omega.tolist():
+        half = max(min(nearest[center] / 2, WIDEST * center), widths.point / 2)
+        bands.append(_centered(lines, center, half, widths))
+    known = [band for band in bands if band is not None]
+    return [_estimates(lines, band, known, widths)[0] if band else WindowedPoint() for band in bands]
+
+
+class _Widths(NamedTuple):
+    """Of the narrowest bands, rad/s: for a point, for the noise, and the residuals that the latter leaves."""
+
+    point: float
+    noise: float
+    residuals: int
+
+    @classmethod
+    def of(cls, lines: Lines, omega: float) -> "_Widths":
+        point, _ = _narrowest(lines, omega, LEAST_RESIDUALS, TRANSIENT_SHARE)
+        return cls(point, *_narrowest(lines, omega, 1))
+
+
+def _narrowest(lines: Lines, omega: float, residuals: int, transient_share: float = 1.0) -> tuple[float, int]:
+    """Return the width of the narrowest band around `omega` that leaves `residuals`, wherever its edges lie, and those.
+
+    A band of a certain width holds one line more or less.
+    """
+    half_lines = 2
+    while True:
+        half = half_lines / 2 * lines.spacing
+        center = max(omega, half + lines.spacing)
+        if center + half > lines.omega[-1]:
+            raise ValueError("the records are too short for any polynomial in frequency: record longer.")
+        fits = [_fit(lines, center + shift * lines.spacing, half, residuals=residuals) for shift in (0.0, 0.25, 0.5)]
+        found = [f for f in fits if f is not None and f.transients.shape[1] <= transient_share * f.rows.size]
+        if len(found) == len(fits):
+            return 2 * half, min(f.number for f in found)
+        half_lines += 1
+
+
+def _edges(low: float, high: float, count: int, least: float) -> Array:
+    """Return the edges of bands of one ratio, but nowhere narrower than `least`."""
+    ratio = (high / low) ** (1 / count)
+    edges = [low]
+    while edges[-1] < high * (1 - 1e-9):
+        edges.append(max(edges[-1] * ratio, edges[-1] + least))
+    if len(edges) > 2 and high - edges[-2] < least:
+        edges.pop()
+    edges[-1] = max(high, edges[0] + least)
+    return np.array(edges)
+
+
+def _fit(lines: Lines, center: float, half: float, *, extra: int = 0, residuals: int = 1) -> Fitted | None:
+    """Fit polynomials in a band, of orders raised by `extra`; None where they are not determined.
+
+    Stretches with as few lines in the band as their transient has coefficients tell nothing, and are left out.
+    """
+    order, transient_order = ORDER + extra, TRANSIENT_ORDER + extra
+    rows, stretches = _rows(lines, center, half, transient_order)
+    x = (lines.omega[rows] - center) / half
+    u, _, r, *conditioned = lines.values[:, rows]
+    powers = np.vander(x, order + 1, increasing=True)
+    if rows.size - (order + 1) * (1 + len(conditioned)) - (transient_order + 1) * len(stretches) < residuals:
+        return None
+
+    transients = _transients(lines.stretch[rows], stretches, powers[:, : transient_order + 1])
+    regressors = _without(transients, np.hstack([c[:, None] * powers for c in (u, *conditioned)]))
+    instruments = regressors
+    if not lines.same:
+        instruments = _without(transients, np.hstack([c[:, None] * powers for c in (r, *conditioned)]))
+    solved = _solved(regressors, instruments)
+    if solved is None:
+        return None
+    basis, solution = solved
+    return Fitted(center, half, rows, x, regressors, basis, solution, transients, order)
+
+
+def _transients(stretch: NDArray[np.int64], stretches: Sequence[int], powers: Array) -> Array:
+    """Return an orthonormal basis (n, t) of polynomials of one stretch each; their columns are powers (n, k)."""
+    width = powers.shape[1]
+    basis = np.zeros((len(powers), width * len(stretches)))
+    for place, number in enumerate(stretches):
+        own = np.flatnonzero(stretch == number)
+        basis[own, width * place : width * (place + 1)] = np.linalg.qr(powers[own])[0]
+    return basis
+
+
+def _without(basis: Array, columns: Complex) -> Complex:
+    """Return the part of columns (n, ...) that is orthogonal to an orthonormal basis (n, t)."""
+    left: Complex = columns - basis @ (basis.T @ columns)
+    return left
+
+
+def _rows(lines: Lines, center: float, half: float, transient_order: int) -> tuple[NDArray[np.int64], list[int]]:
+    """Return the lines of a band, and the stretches they are of."""
+    first, last = np.searchsorted(lines.omega, [(center - half) * (1 - 1e-9), (center + half) * (1 + 1e-9)])
+    rows = np.arange(first, last)
+    numbers, counts = np.unique(lines.stretch[rows], return_counts=True)
+    stretches = numbers[counts > transient_order + 1]
+    if len(stretches) < len(numbers):
+        rows = rows[np.isin(lines.stretch[rows], stretches)]
+    return rows, stretches.tolist()
+
+
+def _solved(regressors: Complex, instruments: Complex) -> tuple[Complex, Complex] | None:
+    """Return an orthonormal basis Z of the instruments and (ZᴴX)⁻¹Zᴴ; None where that is ill conditioned."""
+    x_length, z_length = (np.linalg.norm(columns, axis=0) for columns in (regressors, instruments))
+    if not (np.all(x_length > 0) and np.all(z_length > 0)):
+        return None
+    basis, _ = np.linalg.qr(instruments / z_length)
+    square = basis.conj().T @ (regressors / x_length)
+    if not np.linalg.cond(square) < WORST_CONDITION:
+        return None
+    return basis, np.linalg.solve(square, basis.conj().T) / x_length[:, None]
+
+
+def _halved(lines: Lines, low: float, high: float, widths: _Widths) -> list[Band]:
+    """Return the band, or its halves where its polynomials are visibly wrong."""
+    center, half = (low + high) / 2, (high - low) / 2
+    fitted = _fit(lines, center, half, residuals=LEAST_RESIDUALS)
+    if fitted is None:
+        return []
+    band, wrong = _judged(lines, fitted, _gauss_nodes(lines, fitted))
+    if wrong and high - low >= 2 * widths.point:
+        halves = [_halved(lines, low, center, widths), _halved(lines, center, high, widths)]
+        if all(halves):
+            return halves[0] + halves[1]
+    return [band]
+
+
+def _centered(lines: Lines, center: float, half: float, widths: _Widths) -> Band | None:
+    """Return the widest band around `center`, up to `half`, whose polynomials are not visibly wrong."""
+    while True:
+        fitted = _fit(lines, center, half, residuals=LEAST_RESIDUALS)
+        if fitted is None:
+            return None
+        band, wrong = _judged(lines, fitted, np.array([center]))
+        if not wrong or half <= widths.point / 2:
+            return band
+        half = max(half / 2, widths.point / 2)
+
+
+def _gauss_nodes(lines: Lines, fitted: Fitted) -> Array:
+    """Return the zeros of the next polynomial that is orthogonal over the lines, weighted by the excitation.
+
+    They are the eigenvalues of the multiplication by x, seen among the polynomials of the fitted order (Golub and
+    Welsch (1969), Mathematics of Computation 23).
+    """
+    u, _, r, *_ = lines.values[:, fitted.rows]
+    amplitude = np.sqrt(np.abs(u) * np.abs(r))
+    basis, _ = np.linalg.qr(amplitude[:, None] * np.vander(fitted.x, NODES, increasing=True))
+    nodes = np.linalg.eigvalsh(basis.T @ (fitted.x[:, None] * basis)).astype(float)
+    return fitted.center + fitted.half * nodes
+
+
+def _judged(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Band, bool]:
+    """Return the band read at `omega`, and whether its polynomials are visibly wrong there."""
+    plain = Band(fitted, omega, np.zeros(omega.size, complex), np.zeros(omega.size), None)
+    wide, wider_half = fitted.center, DOUBLED * fitted.half
+    quadratic = _fit(lines, wide, wider_half)
+    quartic = _fit(lines, wide, wider_half, extra=EXTRA)
+    if quadratic is None or quartic is None or not np.array_equal(quadratic.rows, quartic.rows):
+        return plain, False
+
+    y = lines.values[1, quartic.rows]
+    weights = quartic.weights(omega) - quadratic.weights(omega)
+    noise = np.sum(np.abs(quartic.residuals(y)) ** 2) / quartic.trace()
+    squared = np.abs(weights @ y) ** 2
+    variance = noise * np.sum(np.abs(weights) ** 2, axis=1)
+    response = fitted.weights(omega) @ lines.values[1, fitted.rows]
+    if not np.any((squared > VISIBLE * variance) & (np.sqrt(squared) > GROWTH * NEGLIGIBLE * np.abs(response))):
+        return plain, False
+
+    certain = np.any(squared > CERTAIN * variance)
+    with_pole = _with_pole(lines, fitted, omega) if certain else None
+    if with_pole is None:
+        return plain._replace(squared_error=np.maximum(squared - variance, 0) / GROWTH**2), True
+    correction, pole_noise = with_pole
+    return Band(fitted, omega, correction, UNCORRECTED * np.abs(correction) ** 2, pole_noise), True
+
+
+def _with_pole(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Complex, tuple[float, float]] | None:
+    """Return the error of the polynomials at `omega` if there is a pole, and the residuals with that pole.
+
+    Y = (B U + T) / (1 + a x) + V is linear in the coefficients of B, T and a as Y + a x Y = B U + T. The instrument of
+    x Y is the next power times the input, which the noise in Y does not enter.
+    """
+    center, half = fitted.center, DOUBLED * fitted.half
+    rows, stretches = _rows(lines, center, half, TRANSIENT_ORDER)
+    x = (lines.omega[rows] - center) / half
+    u, y, r, *conditioned = lines.values[:, rows]
+    powers = np.vander(x, ORDER + 2, increasing=True)
+    transients = _transients(lines.stretch[rows], stretches, powers[:, : TRANSIENT_ORDER + 1])
+    shared = [c[:, None] * powers[:, :-1] for c in conditioned]
+    regressors = np.hstack([u[:, None] * powers[:, :-1], -(x * y)[:, None], *shared])
+    instruments = np.hstack([r[:, None] * powers, *shared])
+    number = rows.size - regressors.shape[1] - transients.shape[1]
+    if number < 1:
+        return None
+    solved = _solved(_without(transients, regressors), _without(transients, instruments))
+    places = np.searchsorted(rows, fitted.rows)
+    if solved is None or not np.array_equal(rows[np.minimum(places, rows.size - 1)], fitted.rows):
+        return None
+
+    coefficients = solved[1] @ y
+    pole = coefficients[ORDER + 1]
+    transient = transients @ (transients.T @ (y - regressors @ coefficients))
+    coefficients[ORDER + 1] = 0.0
+    output = (regressors @ coefficients + transient) / (1 + pole * x)
+    at = (omega - center) / half
+    response = np.vander(at, ORDER + 1, increasing=True) @ coefficients[: ORDER + 1] / (1 + pole * at)
+    correction = fitted.weights(omega) @ output[places] - response
+    left = float(np.sum(np.abs(y - output) ** 2))
+    if not (np.all(np.isfinite(correction)) and math.isfinite(left)):
+        return None
+    return correction, (left, float(number))
+
+
+def _estimates(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths) -> list[WindowedPoint]:
+    """Return what a band gives at its frequencies."""
+    found = _noise(lines, band, bands, widths)
+    if found is None:
+        return [WindowedPoint()] * band.omega.size
+    noise, dof = found
+
+    fitted = band.fitted
+    weights = fitted.weights(band.omega)
+    response = weights @ lines.values[1, fitted.rows] - band.correction
+    variance = noise * np.sum(np.abs(weights) ** 2, axis=1) + band.squared_error
+    rounding = (4 * EPS * np.abs(response)) ** 2  # noise-free data have no smaller variance than their rounding errors
+    coherence = _coherence(lines, fitted, noise)
+    return [
+        WindowedPoint(complex(p), float(v), dof, coherence)
+        for p, v in zip(response, np.maximum(variance, rounding), strict=True)
+    ]
+
+
+class _Residual(NamedTuple):
+    """What polynomials leave in a narrow band: sum of squares, their number, and the projection (n, n) to them."""
+
+    center: float
+    rows: NDArray[np.int64]
+    squares: float
+    number: int
+    projection: Complex
+
+
+def _noise(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths) -> tuple[float, float] | None:
+    """Return the spectral density of the noise around a band, and its degrees of freedom.
+
+    Bands in which the polynomials are visibly wrong do not count; if the band itself is one, its residuals with the
+    pole do.
+    """
+    if band.pole_noise is not None:
+        squares, number = band.pole_noise
+        if number >= LEAST_RESIDUALS:
+            return squares / number, 2 * number
+
+    center, half = band.fitted.center, band.fitted.half
+    wrong = [b.fitted for b in bands if b.pole_noise is not None]
+
+    def residuals(centers: Array) -> list[_Residual]:
+        right = [c for c in centers if not any(abs(c - f.center) < f.half for f in wrong)]
+        return [r for c in right if (r := _residual(lines, float(c), widths.noise / 2, bands)) is not None]
+
+    places = max(math.ceil(PLACES / widths.residuals), LEAST_PLACES)
+    octaves = residuals(np.geomspace(center / 2, 2 * center, places))
+    if not octaves:
+        return None
+    slope = _slope(octaves, 1.5 * center / widths.noise)
+
+    width = max(2 * half, math.ceil(NEIGHBORHOOD / widths.residuals) * widths.noise)
+    near: list[_Residual] = []
+    for reach in (1, 2, 4):
+        low = max(center - reach * width / 2, lines.spacing / 2)
+        near = residuals(np.linspace(low + widths.noise / 2, low + reach * width - widths.noise / 2, reach * places))
+        if len(near) >= places / 2:
+            break
+    if not near:
+        return None
+
+    level = np.array([(r.center / center) ** slope for r in near])
+    trace = sum(r.number for r in near)
+    return float(np.array([r.squares for r in near]) @ (1 / level) / trace), 2 * trace**2 / _overlap(near)
+
+
+def _overlap(residuals: Sequence[_Residual]) -> float:
+    """Return Σ |projection_i projection_jᴴ|² over all pairs, the traces of Satterthwaite's formula."""
+    total = 0.0
+    for i, one in enumerate(residuals):
+        for other in residuals[i:]:
+            if other.rows[0] > one.rows[-1]:
+                break
+            _, left, right = np.intersect1d(one.rows, other.rows, assume_unique=True, return_indices=True)
+            product = np.sum(np.abs(one.projection[:, left] @ other.projection[right]) ** 2)
+            total += float(product) * (1 if other is one else 2)
+    return total
+
+
+def _residual(lines: Lines, center: float, half: float, bands: Sequence[Band]) -> _Residual | None:
+    """Return what is left in a narrow band.
+
+    With an instrument, Y - P̂U with the response of the nearest band is projected, so that an instrument too weak to
+    give a response in the narrow band does no harm; without one this is the residual of least squares.
+    """
+    fitted = _fit(lines, center, half)
+    if fitted is None:
+        return None
+    u, y, *_ = lines.values[:, fitted.rows]
+    if not lines.same:
+        nearest = min((b.fitted for b in bands), key=lambda f: abs(center - f.center) / f.half)
+        inside = np.clip(lines.omega[fitted.rows], nearest.center - nearest.half, nearest.center + nearest.half)
+        y = y - nearest.weights(inside) @ lines.values[1, nearest.rows] * u
+    projection = np.eye(fitted.rows.size) - fitted.basis @ fitted.basis.conj().T
+    projection -= fitted.transients @ fitted.transients.T
+    return _Residual(center, fitted.rows, float(np.sum(np.abs(projection @ y) ** 2)), fitted.number, projection)
+
+
+def _slope(residuals: Sequence[_Residual], apart: float) -> float:
+    """Return the slope of the noise, log power by log frequency, held back where few residuals tell it.
+
+    So many bands lie `apart`; where there are more residuals than that, they tell as much as these.
+    """
+    omega = np.log([r.center for r in residuals])
+    power = np.log(np.maximum([r.squares / r.number for r in residuals], np.finfo(float).tiny))
+    omega = omega - omega.mean()
+    scatter = LOG_SCATTER / math.sqrt(residuals[0].number) * math.sqrt(max(len(residuals) / apart, 1.0))
+    return float(omega @ power / (omega @ omega + (scatter / STEEP) ** 2))
+
+
+def _coherence(lines: Lines, fitted: Fitted, noise: float) -> float:
+    """Return the partial γ², without transient and conditioned inputs, of instrument and output.
+
+    With an instrument it is the lower one of instrument with input and with output.
+    """
+    u, y, *_ = lines.values[:, fitted.rows]
+    n = fitted.rows.size
+    rest = np.hstack([fitted.transients, np.linalg.qr(fitted.regressors[:, fitted.order + 1 :])[0]])
+    everything = np.hstack([fitted.transients, fitted.basis])
+
+    def unexplained(signal: Complex, basis: NDArray[Any]) -> float:
+        left = signal - basis @ (basis.conj().T @ signal)
+        return float(np.sum(np.abs(left) ** 2)) / (n - basis.shape[1])
+
+    output = max(unexplained(y, rest), np.finfo(float).tiny)
+    if lines.same:
+        return float(np.clip(1 - noise / output, EPS, 1))
+    input = max(unexplained(u, rest), np.finfo(float).tiny)
+    shares = (unexplained(y, everything) / output, unexplained(u, everything) / input)
+    return float(np.clip(1 - max(shares), EPS, 1))

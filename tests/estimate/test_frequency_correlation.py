@@ -1,0 +1,73 @@
+"""Errors correlated along frequency: how often it is said, of independent errors and of correlated ones."""
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.estimate.diagnostics.frequency_correlation import neighbor_correlation
+
+OMEGA = np.geomspace(0.5, 40, 25)
+
+
+class Lag(gb.TransferFunction):
+    input, output = "u", "y"
+    K = gb.Parameter(2.0, bounds=(0.1, 50))
+    tau = gb.Parameter(0.3, bounds=(0.001, 10), unit="s")
+    T = gb.Parameter(0.03, bounds=(0, 0.3), unit="s")
+
+    def response(self, s, p):
+        return p.K / (p.tau * s + 1) * gb.exp(-s * p.T)
+
+
+def fitted(correlation, criterion, seed, n=25):
+    """Fit noise of 5 % whose neighbors have a correlation."""
+    rng = np.random.default_rng(seed)
+    omega = np.geomspace(0.5, 40, n)
+    exact = 2 / (0.3j * omega + 1) * np.exp(-0.03j * omega)
+    e = rng.standard_normal(n) + 1j * rng.standard_normal(n)
+    for k in range(1, n):
+        e[k] = correlation * e[k - 1] + np.sqrt(1 - correlation**2) * e[k]
+    variance = 2 * (0.05 * np.abs(exact)) ** 2
+    data = gb.FrequencyResponse(omega, exact * (1 + 0.05 * e), "u", "y", variance=variance)
+    return gb.fit(gb.Problem(Lag(), data, criterion), starts=[{"K": 2.0, "tau": 0.3, "T": 0.03}], progress=False)
+
+
+def said(fit):
+    return any("correlated along frequency" in text for text in fit.warnings)
+
+
+@pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.MaximumLikelihood(), gb.MagnitudePhase()], ids=str)
+def test_correlated_errors_are_said_and_independent_ones_not(criterion):
+    assert sum(said(fitted(0.0, criterion, seed)) for seed in range(12)) <= 1  # of 1 %, twice has 0.6 %
+    assert sum(said(fitted(0.8, criterion, seed)) for seed in range(6)) >= 5
+
+
+def test_points_closer_than_the_resolution_are_said():
+    """Windows of 20 s, points four times as close."""
+    rng = np.random.default_rng(2)
+    time = np.arange(0, 200, 0.02)
+    u = rng.standard_normal(time.size)
+    y = np.convolve(u, 0.02 * 2 / 0.3 * np.exp(-time[:200] / 0.3))[: u.size] + 0.3 * rng.standard_normal(u.size)
+    omega = np.linspace(2, 5, 40)
+    data = gb.spectral.spectral_response(gb.Record(time, {"u": u, "y": y}), "u", "y", omega=omega, windows=[20.0])
+    problem = gb.Problem(Lag(), data, gb.MaximumLikelihood(), fixed={"T": 0.01})
+    assert said(gb.fit(problem, starts=[{"K": 2.0, "tau": 0.3}], progress=False))
+
+
+def test_mean_and_variance_are_those_of_projected_noise():
+    """Against 4000 draws with the parameters taken away by a projection."""
+    rng = np.random.default_rng(0)
+    n, p = 9, 4
+    jacobian = rng.standard_normal((2 * n, p))
+    basis, _ = np.linalg.qr(jacobian)
+    draws = rng.standard_normal((4000, 2 * n))
+    draws -= draws @ basis @ basis.T
+    found = [neighbor_correlation(e[:n] + 1j * e[n:], jacobian) for e in draws]
+    r, mean, variance = (np.array(column) for column in zip(*found, strict=True))
+    assert mean[0] == pytest.approx(r.mean(), abs=4 * r.std() / np.sqrt(4000))
+    assert variance[0] == pytest.approx(r.var(), rel=0.1)
+
+
+def test_too_few_residuals_say_nothing():
+    assert neighbor_correlation(np.ones(3, complex), np.eye(6)[:, :3]) is None
+    assert neighbor_correlation(np.zeros(9, complex), np.ones((18, 1))) is None
