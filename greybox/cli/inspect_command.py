@@ -14,7 +14,7 @@ from greybox.logs.readers import read
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = commands.add_parser("inspect", help="what a log holds, its test segments, its defects")
+    parser = commands.add_parser("inspect", help="show what a log holds, its test segments and its defects")
     parser.add_argument("log", metavar="LOG", help="a flight log, or a table of signals")
     add_test_options(parser)
     add_common_options(parser, "setpoints, angles and tests")

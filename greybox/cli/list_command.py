@@ -14,7 +14,7 @@ from greybox.modeling.model import Model, equation
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = commands.add_parser("list", help="the included models and problems, with their equations and sources")
+    parser = commands.add_parser("list", help="list the included models and problems, with equations and sources")
     parser.add_argument(
         "name", nargs="?", metavar="NAME", help="show the details of one: a problem, or a model such as tilt:Tilt"
     )

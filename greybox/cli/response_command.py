@@ -44,13 +44,13 @@ def add_command(commands: Any) -> None:
         type=float,
         default=2.0,
         metavar="SECONDS",
-        help="time left out at the beginning of a sine, for its transient (default: 2)",
+        help="settling time discarded at the beginning of each sine (default: 2)",
     )
     add(
         "--period",
         type=float,
         metavar="SECONDS",
-        help="period of a multisine, whose lines are then used exactly, without windows",
+        help="period of a multisine, to evaluate its lines exactly, without windows",
     )
     add("--whole", action="store_true", help="use the whole log if no test is found (open loop only)")
     add("--method", default="least-squares", help="for sines: least-squares or quadrature (default: least-squares)")

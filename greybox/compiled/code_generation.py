@@ -107,7 +107,7 @@ def _compiled(function: ca.Function) -> bytes:
     if compiler is None:
         raise RuntimeError(
             f"compile=True needs a C compiler and none of {', '.join(COMPILERS)} was found: "
-            "install one, or leave compile out."
+            "install one, or leave out compile=True."
         )
     with tempfile.TemporaryDirectory() as folder:
         generator = ca.CodeGenerator("function.c", {"with_header": False})
@@ -116,5 +116,5 @@ def _compiled(function: ca.Function) -> bytes:
         command = [compiler, *FLAGS, "-o", str(fresh), source, "-lm"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
-            raise RuntimeError(f"{compiler} failed: {done.stderr.strip()[:300]}; leave compile out.")
+            raise RuntimeError(f"{compiler} failed: {done.stderr.strip()[:300]}; leave out compile=True.")
         return fresh.read_bytes()

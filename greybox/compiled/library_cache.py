@@ -58,8 +58,8 @@ def _folder() -> Path:
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
         raise RuntimeError(
-            f"{folder} is not a folder of your own, and what is in it would run in your name: name another one in "
-            "XDG_CACHE_HOME, or leave compile out."
+            f"{folder} does not belong to you, and code in it would run under your account: set XDG_CACHE_HOME to a "
+            "folder of your own, or leave out compile=True."
         )
     if stat.S_IMODE(found.st_mode) & 0o077:
         folder.chmod(0o700)

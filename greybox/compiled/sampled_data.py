@@ -201,7 +201,7 @@ def sampled_data(
         longest, taken = max((len(s) * s.step for s in stretches), default=0.0), float(np.max(lead, initial=0.0))
         taking = f", of which the longest delay in the bounds takes {taken:.3g} s" if taken else ""
         raise ValueError(
-            f"{_called(record)} has no usable stretch: its longest with all inputs and without a gap lasts "
+            f"{_called(record)} has no usable stretch: the longest gap-free one with all inputs lasts "
             f"{longest:.3g} s{taking}; give a longer record{' or a smaller upper bound' if taken else ''}."
         )
     if all(_is_constant(record[name]) for name in outputs):
@@ -256,9 +256,9 @@ def _stretch(time: Array, inputs: Array, outputs: Array, first: int, leads: Arra
     off = np.abs(time - time[0] - step * np.arange(time.size)).max() / step
     if off > JITTER:
         raise ValueError(
-            f"the samples near {time[0]:g} s are not uniform (off by {off:.2g} steps): "
-            "bring them to one rate first, gb.prepare(..., rate=...); a few irregular samples go on a fine uniform "
-            "time base with NaN where nothing was measured."
+            f"sampling is not uniform from {time[0]:g} s on (off by {off:.2g} steps): resample first, "
+            "gb.prepare(..., rate=...); put a few irregular samples on a fine uniform time base, with NaN where "
+            "nothing was measured."
         )
     moving = [float(lead) for lead, values in zip(leads, inputs, strict=True) if not _rests(values)]
     masked, compared = min(math.ceil(max(max(moving, default=0.0) / step - WHOLE, 0.0)), time.size), outputs.copy()

@@ -7,7 +7,8 @@ Begin with `record` (named signals on one time base) and `frequency_response` (o
 Files: `record_file` (HDF5) and `response_file` (CSV, HDF5) write and read them; `delimited_text` finds out how a
 table of numbers was written (separator, decimal mark, comments), `text_table` formats those that are printed;
 `safe_files` writes atomically and says what can be read, `sealed_files` adds a checksum. Libraries that a damaged or
-crafted file can lead astray run in a subprocess: `subprocess_reader` starts it, `subprocess_main` is its script.
+crafted file can lead astray run in a subprocess: `subprocess_reader` starts it, and its script `subprocess_main` is the
+only place where an HDF5 file is read.
 """
 
 from greybox.data.frequency_response import FrequencyResponse as FrequencyResponse

@@ -87,7 +87,7 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
         If it is no text.
     """
     if b"\0" in raw:
-        raise ValueError(f"{path} is not a CSV text file (it has bytes of zero, as UTF-16 does): save it as UTF-8.")
+        raise ValueError(f"{path} is not a CSV text file (it contains zero bytes, as UTF-16 does): save it as UTF-8.")
     lines = _decoded(raw).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     first = lines[0].strip().lower()
     stated = first[4:] if re.fullmatch(r"sep=[;,]", first) else ""  # a hint of Excel's
@@ -159,19 +159,19 @@ class DecimalMark:
                         point = number, cell
                     continue
                 if GROUPED.fullmatch(cell):
-                    raise ValueError(f"{path}, line {number}: {cell!r} separates thousands: write digits alone.")
+                    raise ValueError(f"{path}, line {number}: {cell!r} has a thousands separator: leave it out.")
                 if WITH_COMMA.fullmatch(cell):
                     comma = comma or (number, cell)
                     certain = certain or not THOUSANDS.fullmatch(cell)
         if comma and point:
             raise ValueError(
                 f"{path}, line {comma[0]}, has {comma[1]!r} where line {point[0]} has {point[1]!r}: write all numbers "
-                "with one decimal mark, and without separators of thousands."
+                "with one decimal mark and without thousands separators."
             )
         if comma and not certain:
             raise ValueError(
-                f"{path}, line {comma[0]}: {comma[1]!r} may have a decimal comma or separate thousands: write a "
-                "decimal point."
+                f"{path}, line {comma[0]}: {comma[1]!r} may have a decimal comma or a thousands separator: "
+                "write a decimal point."
             )
         self.is_comma = comma is not None
 

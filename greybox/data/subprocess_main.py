@@ -67,7 +67,7 @@ class Collector:
         """Return a text for which there is room."""
         self.letters -= len(text)
         if self.letters < 0:
-            raise RefusedError(f"its texts have more than {SMALL} characters")
+            raise RefusedError(f"its text has more than {SMALL} characters")
         return text
 
     def add(self, path: str, values: np.ndarray, **about: Any) -> None:
@@ -131,7 +131,7 @@ def _require_own_storage(name: str, dataset: Any) -> None:
 
     created = dataset.id.get_create_plist()
     if created.get_layout() == h5py.h5d.VIRTUAL or created.get_external_count():
-        raise RefusedError(f"the numbers of {name} lie in another file")
+        raise RefusedError(f"the data of {name} are stored in another file")
 
 
 def _stored(dataset: Any) -> int:
@@ -186,7 +186,7 @@ def _keep_values(name: str, dataset: Any, found: Collector, about: dict[str, Any
         texts = [found.text(text) for text in dataset.asstr()[()]]
         found.items.append({"path": name, "holds": "texts", "texts": texts, **about})
     else:
-        raise RefusedError(f"{name} holds neither numbers nor texts")
+        raise RefusedError(f"{name} holds neither numbers nor text")
 
 
 def _attributes(thing: Any, found: Collector) -> dict[str, Any]:
@@ -250,7 +250,7 @@ def _keep_struct(group: str, contents: Mapping[str, Any], found: Collector) -> N
             found.findings.append(f"{key}: only MATLAB can read this object (a timetable?); save it as a struct.")
         elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.ndim in (1, 2) and value.size:
             if not found.reserve(value.size):
-                raise ValueError("its arrays are too large for its size")
+                raise ValueError("its arrays are too large for the size of the file")
             found.add(f"{group}{key}", value, unit="")
 
 
@@ -277,7 +277,7 @@ def ulog(path: str, found: Collector, topics: list[str]) -> None:
         name = f"{topic.name}[{topic.multi_id}]" if topic.name in several else topic.name
         for field, values in topic.data.items():
             if not found.reserve(values.size):
-                raise ValueError("its arrays are too large for its size")
+                raise ValueError("its arrays are too large for the size of the file")
             found.add(f"{name}/{field}", values, unit="us" if field == "timestamp" else "")
     parameters = {**log.initial_parameters, **{name: value for _, name, value in log.changed_parameters}}
     found.about = {

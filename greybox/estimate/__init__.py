@@ -2,7 +2,7 @@
 
 Begin with `fit`, then `result`, which holds `Fit` and what it prints. `quantities` makes the lines of the answer,
 `fitted_record` the plain values that it keeps of a record, `harmonic_numbers` chooses the harmonics of sine tests.
-`covariance` holds the standard errors of every criterion: bread and meat of the sandwich are the `spread` of each
-criterion in `greybox.formulation.frequency_criteria`, and for records `greybox.compiled.record_information`. The folder
-`diagnostics` holds the warnings, and `storage` writes and reads fits.
+`covariance` computes the standard errors from the sandwich. Its bread and meat differ from criterion to criterion: for
+responses they are the `spread` of each one in `greybox.formulation.frequency_criteria`, for records they come from
+`greybox.compiled.record_information`. The folder `diagnostics` holds the warnings, and `storage` writes and reads fits.
 """

@@ -211,17 +211,20 @@ def _read(file: Stored) -> Fit:
 def _checked(fit: Fit) -> Fit:
     """Return a fit whose parts agree with one another, so that nothing fails later when it is printed or used."""
     names = [q.name for q in fit.quantities]
-    _require(len({*names}) == len(names), "a name stands for two quantities")
+    _require(len({*names}) == len(names), "two quantities have the same name")
     _require({*fit.free} <= {*fit.names} <= {*fit.estimate}, "a parameter has no value")
-    _require(len({*fit.names}) == len(fit.names), "a parameter stands twice in the covariance")
+    _require(len({*fit.names}) == len(fit.names), "a parameter appears twice in the covariance")
     _require(bool(fit.parts) and bool(fit.runs), "it has no data or no runs")
     for part in fit.parts:
         if isinstance(part, FittedResponse):
             size = len(part.data)
-            _require(part.response.shape == (size,), "the fitted response does not fit the data")
+            _require(part.response.shape == (size,), "the fitted response and the data differ in length")
             _require(part.sine is None or np.size(part.sine.amplitude) in (1, size), "an amplitude is missing")
         else:
-            _require(np.array_equal(part.data.time, part.simulated.time), "the simulated record does not fit the data")
+            _require(
+                np.array_equal(part.data.time, part.simulated.time),
+                "the simulated record has other times than its data",
+            )
             held = {*part.data.signals} & {*part.simulated.signals}
             _require({*part.outputs} <= held, "an output is not in the record")
             _require(part.inputs in get_args(Inputs), "how its inputs run between samples is not known")
@@ -237,7 +240,7 @@ def _read_costs(stored: Mapping[str, Any]) -> dict[str, float]:
 def _read_quantities(group: Stored) -> tuple[Quantity, ...]:
     rows = _rows(group, ("name", "kind", "unit", "about"), ("value", "standard_error", "bounds", "at_bound", "dof"))
     for row in rows:
-        _require(row["kind"] in ("free", "fixed", "tied", "derived"), f"{row['kind']!r:.40} is no kind of quantity")
+        _require(row["kind"] in ("free", "fixed", "tied", "derived"), f"{row['kind']!r:.40} is not a kind of quantity")
     return tuple(
         Quantity(
             **{name: row[name] for name in ("name", "kind", "unit", "about")},
@@ -301,7 +304,7 @@ def _read_part(group: Stored) -> FittedResponse | FittedRecord:
     stated["constraints"] = _json_names(attributes["constraints"], keep=LINES)
     stated["model"] = _json_object(attributes["model"])
     _require(isinstance(stated["model"]["class"], str), "its model has no class")
-    _require(isinstance(stated["model"]["arguments"], list), "the arguments of its model are no list")
+    _require(isinstance(stated["model"]["arguments"], list), "the arguments of its model are not a list")
     _require(isinstance(stated["model"]["keywords"], dict), "the keywords of its model have no names")
     stated["weight"] = float(attributes["weight"])
     stated |= _read_criterion(attributes) if "settings" in attributes else _read_criterion_text(attributes)
@@ -373,7 +376,7 @@ def _require(true: bool, otherwise: str) -> None:
 
 def _text(value: Any, keep: str = "") -> str:
     """Return a text that can be printed."""
-    _require(isinstance(value, str), f"{value!r:.40} is not a text")
+    _require(isinstance(value, str), f"{value!r:.40} is not text")
     return printable(value, keep)
 
 
@@ -396,7 +399,7 @@ def _json_texts(text: str, keep: str = "") -> dict[str, str]:
 
 def _json_names(text: str, keep: str = "") -> tuple[str, ...]:
     stored = json.loads(text)
-    _require(isinstance(stored, list), f"{stored!r:.40} is no list")
+    _require(isinstance(stored, list), f"{stored!r:.40} is not a list")
     return tuple(_text(name, keep) for name in stored)
 
 

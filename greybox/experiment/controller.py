@@ -203,7 +203,7 @@ def connected(
 
         late = commanded & {other.outside(n) for other in controllers[k:] for n in other.outputs}
         if late:
-            raise ValueError(f"{label} takes {min(late)!r} from itself or a controller behind it: list that one first.")
+            raise ValueError(f"{label} takes {min(late)!r} from itself or a later controller: list that one first.")
         before |= provides
     return controllers
 

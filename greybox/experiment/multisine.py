@@ -61,7 +61,9 @@ def multisine(  # noqa: PLR0913 - each is one fact of the test card
     checked_band([low, high], rate)
     count = round(period * rate)
     if count < 1 or abs(count - period * rate) > 1e-6 * count:
-        raise ValueError(f"a period of {period:g} s at {rate:g} Hz has {period * rate:g} samples: make them whole.")
+        raise ValueError(
+            f"a period of {period:g} s at {rate:g} Hz has {period * rate:g} samples: make that a whole number."
+        )
     assigned = _assigned(low, high, period, len(signals), points)
     phases = [_phases(harmonics) for harmonics in assigned]
     values = [_sum(h, p, count) for h, p in zip(assigned, phases, strict=True)]

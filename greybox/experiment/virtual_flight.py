@@ -351,7 +351,7 @@ def _open_loop_rate(excitation: Excitation | Record | Mapping[str, ArrayLike], r
         return float(excitation.rate)
     if not isinstance(excitation, Record):
         if rate is None:
-            raise ValueError("arrays alone have no clock: give rate=... in Hz, or an Excitation.")
+            raise ValueError("arrays alone have no sampling rate: give rate=... in Hz, or an Excitation.")
         return float(rate)
     if len(excitation) < 2 or np.ptp(np.diff(excitation.time)) > 0.01 * excitation.step:
         raise ValueError("the record is not uniformly sampled: use gb.prepare(..., rate=...), or give a controller.")

@@ -229,7 +229,7 @@ class MaximumLikelihood(Criterion):
     rule: ClassVar[str] = "maximum likelihood, given variances"
     known_noise: ClassVar[bool] = True
     is_likelihood: ClassVar[bool] = True
-    condition: ClassVar[str] = "circular errors of the given variances, or as much larger as the residuals are"
+    condition: ClassVar[str] = "circular errors of the given variances, scaled up if the residuals are larger"
 
     def check(self, data: FrequencyResponse) -> None:
         """Raise ValueError without variances."""

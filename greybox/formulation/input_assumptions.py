@@ -108,7 +108,7 @@ def effect_of(
     """
     relative = np.divide(np.abs(shift), errors, out=np.zeros(len(shift)), where=errors > 0)
     if not np.all(np.isfinite(shift)):
-        return "moves the estimate by more than can be told"
+        return "moves the estimate by an unknown amount"
     names = list(parameters)
     order = np.argsort(-relative).tolist()
     moved = [k for k in order if names[k] in delays or relative[k] > SMALL_SHIFT]

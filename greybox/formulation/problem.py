@@ -154,7 +154,7 @@ class Problem:
     def _check_rename(self) -> None:
         for old, new in self.rename.items():
             if not isinstance(new, str) or not new:
-                raise TypeError(f"rename gives {old!r} the name {new!r}: give a text.")
+                raise TypeError(f"rename gives {old!r} the name {new!r}: give a string.")
         outside = [self.outside(name) for name in self.declared]
         for name in outside:
             if outside.count(name) > 1:
@@ -342,7 +342,7 @@ def _call(function: Callable[[Any], Any], p: Names, what: str) -> Any:
 
 def _require_number(value: Any, what: str) -> None:
     if isinstance(value, (bool, np.bool_)):
-        raise ValueError(f"{what} gives a truth value: write a difference that must be >= 0, such as p.T1 - p.T2.")
+        raise ValueError(f"{what} gives True or False: write a difference that must be >= 0, such as p.T1 - p.T2.")
     if not isinstance(value, (int, float, np.number)):
         raise ValueError(f"{what} gives {value!r:.60}: it must give an expression of the parameters.")
     if not math.isfinite(value):

@@ -228,7 +228,7 @@ def _grid(sources: Mapping[str, _Source], rate: float | None, start: float, end:
     count = math.floor((last - first) * rate + 1e-6) + 1
     if count < 2:
         spans = "; ".join(f"{n} from {s.time[0]:.1f} to {s.time[-1]:.1f} s" for n, s in sources.items())
-        raise ValueError(f"the signals have no stretch of time in common ({spans}): check start, end and the messages.")
+        raise ValueError(f"the signals do not overlap in time ({spans}): check start, end and the messages.")
     return first + np.arange(count) / rate
 
 

@@ -40,7 +40,9 @@ class Integrator(ABC):
     def __post_init__(self) -> None:
         """Check the number of substeps."""
         if self.substeps is not None and (not isinstance(self.substeps, int) or self.substeps < 1):
-            raise ValueError(f"substeps {self.substeps!r} must be a whole number of at least 1, or None to choose.")
+            raise ValueError(
+                f"substeps {self.substeps!r} must be a whole number of at least 1, or None for an automatic choice."
+            )
 
     @property
     def name(self) -> str:

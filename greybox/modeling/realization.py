@@ -108,7 +108,7 @@ def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
     if len(numerator) > n + 1:
         raise ValueError(
             f"{model.label} is improper (its numerator has degree {len(numerator) - 1}, its denominator {n}), which no "
-            "ODE can represent: fit the integral of its output, or add the lag that the measurement has."
+            "ODE can represent: fit the integral of its output, or add the lag of the measurement."
         )
     numerator = [ca.SX(0)] * (n + 1 - len(numerator)) + numerator
     a = [c / denominator[0] for c in denominator]

@@ -69,7 +69,7 @@ def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> ca.Functi
     if not np.all(np.abs(rest) < OWN_TOLERANCE * (1 + np.abs(np.asarray(point)).max(initial=0))):
         worst = int(np.argmax(np.abs(np.nan_to_num(rest, nan=np.inf))))
         raise ValueError(
-            f"{model.label}.trim at {dict(at)} is no equilibrium: the derivative of "
+            f"{model.label}.trim at {dict(at)} is not an equilibrium: the derivative of "
             f"{model.states[worst]!r} is {rest[worst]:.3g} there; correct the trim."
         )
     return trim

@@ -158,8 +158,8 @@ class EquationError:
         lines += ["", *(f"warning: {text}" for text in self.warnings), ""]
         lines += [
             "± is the standard error for colored residuals and exact regressors. Noise in the regressors biases the",
-            "estimate too, by about the column 'bias by noise', which is not subtracted. Use this as a start of gb.fit",
-            "or confirm it by gb.fit.",
+            "estimate too, by about the column 'bias by noise', which is not subtracted. Use it as a start for gb.fit",
+            "or confirm it with gb.fit.",
         ]
         return "\n".join("  " + line if line and k else line for k, line in enumerate(lines))
 

@@ -83,7 +83,7 @@ def simulate(
     outputs = estimated.system.outputs
     stretches = gapless(record, estimated.system.inputs, ())
     if not stretches:
-        raise ValueError(f"{record.name or 'the record'} has no two samples in a row with all inputs.")
+        raise ValueError(f"{record.name or 'the record'} has no two consecutive samples with all inputs.")
     given = None if initial is None else _initial_by_name(initial, estimated, len(stretches))
     fitted_initial = initial is None and _is_fitted_record(record, estimated)
 

@@ -83,7 +83,7 @@ def cut(
         if length < (1 - ROUNDING) * record.step:
             raise ValueError(
                 f"{name}={seconds(length)} s is shorter than a sample of {record.name or 'the record'}, "
-                f"{seconds(record.step)} s: give some samples, e.g. {name}={seconds(FEWEST * record.step)}, or omit "
+                f"{seconds(record.step)} s: give several samples, e.g. {name}={seconds(FEWEST * record.step)}, or omit "
                 "it."
             )
     # Half a sample is rounded down in all records alike, however their times are rounded.

@@ -200,6 +200,6 @@ def _check_option(name: str, value: Any) -> None:
         ca.nlpsol("option", "ipopt", {"x": x, "f": x**2}, _settings({"print_level": 0, "sb": "yes", name: value}))
     except RuntimeError:
         raise ValueError(
-            f"solver_options {name!r} = {value!r} is not an option of IPOPT with such a value: "
+            f"solver_options {name!r} = {value!r} is not accepted by IPOPT: "
             "see the list of options in IPOPT's documentation."
         ) from None

@@ -105,7 +105,7 @@ def whole_periods(time: Array, omega: float, settle: float, periods: int | None)
     count = max(available, 1) if periods is None else periods
     if not 1 <= count <= available:
         raise UnusableSegmentError(
-            f"{time[-1] - time[0]:.3g} s do not hold {settle:g} s of settling and {count} x {period:.3g} s"
+            f"{time[-1] - time[0]:.3g} s are too short for {settle:g} s of settling and {count} x {period:.3g} s"
         )
 
     rows = time > time[-1] + step / 2 - count * period

@@ -61,7 +61,7 @@ def periodic_response(
     odd = np.flatnonzero((np.abs(multiple - np.rint(multiple)) > 1e-6) | (grid < 0.5 * fundamental))
     if odd.size:
         raise ValueError(
-            f"omega = {grid[odd[0]]:g} rad/s is no multiple of 2π / period = {fundamental:g} rad/s: leave it out."
+            f"omega = {grid[odd[0]]:g} rad/s is not a multiple of 2π / period = {fundamental:g} rad/s: leave it out."
         )
 
     spectra = transforms(stretches, period, 0.0, np.rint(multiple) * fundamental, taper=False)

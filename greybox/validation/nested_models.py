@@ -115,8 +115,8 @@ def nested_test(small: Fit, large: Fit, *, removed_at: Mapping[str, float] | Non
     except NotNestedError as reason:
         raise ValueError(
             f"{labels[0]} (free: {', '.join(small.free)}) is not {labels[1]} (free: {', '.join(large.free)}) with "
-            f"terms removed, as far as can be shown: {reason}. Fix or leave out parameters of the larger, say at which "
-            "values they leave it, removed_at={name: value}, or compare others with gb.compare."
+            f"terms removed, as far as can be shown: {reason}. Fix or remove parameters of the larger model, state the "
+            "values that remove them, removed_at={name: value}, or use gb.compare, which needs no nesting."
         ) from None
     return nested_test_at(place, small, large, labels)
 
@@ -134,7 +134,7 @@ def nested_test_at(place: Nesting, small: Fit, large: Fit, labels: tuple[str, st
     at_bound = {q.name for q in large.quantities if q.at_bound and q.kind == "free"}
     stuck = [name for name in place.terms if name in at_bound]
     if stuck and not set(stuck) <= set(place.on_bound):
-        raise ValueError(f"{listed(stuck)} of {labels[1]} ended at a bound: widen it to test what it stands for.")
+        raise ValueError(f"{listed(stuck)} of {labels[1]} ended at a bound: widen it before testing.")
     # A term that ended at the bound where the smaller model has it adds nothing, and has no error.
     inside = [k for k, name in enumerate(large.free) if name not in stuck]
     rows = [large.free.index(name) for name in stuck]

@@ -152,7 +152,7 @@ class _Slots:
         if of_small is None or of_large is None:
             if not (same and all(a.rename == b.rename for a, b in pairs)):
                 raise NotNestedError(
-                    "their models are not at hand: give them to gb.load, models=[...]",
+                    "their models are not available: give them to gb.load, models=[...]",
                     # Of other names than the larger one has they are two models, as far as names can say.
                     undecided=set(small.free) <= set(large.estimate),
                 )
@@ -276,7 +276,7 @@ def _removed(
     if of_model and not equations.comparable:
         raise NotNestedError(
             f"the equations of {labels[0]} and {labels[1]} have different forms; if one is the other with "
-            f"{listed(of_model)} removed, say at which values, removed_at={{name: value}}",
+            f"{listed(of_model)} removed, state at which values, removed_at={{name: value}}",
             undecided=True,
         )
     if not (slots.same_models and not of_model):
@@ -313,7 +313,7 @@ def _is_of_model(slots: _Slots, name: str) -> bool:
 def _idle(idle: Sequence[str], rest: Sequence[str], labels: tuple[str, str]) -> NotNestedError:
     return NotNestedError(
         f"{listed(idle)} of {labels[1]} {'has' if len(idle) == 1 else 'have'} no effect where "
-        f"{listed(rest) if rest else 'the rest'} is as in {labels[0]}, and then no test of nested models has its size; "
+        f"{listed(rest) if rest else 'the rest'} is as in {labels[0]}, and a nested test then lacks its nominal size; "
         f"fix {listed(idle)} at a value known beforehand to test {listed(rest) if rest else 'the rest'}",
         undecided=True,
     )

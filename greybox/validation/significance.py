@@ -141,7 +141,7 @@ def _estimation_evidence(
 
 
 def _cannot_be_told(labels: Sequence[str], pair: Pair) -> str:
-    return f"Which of {labels[pair[0]]} and {labels[pair[1]]} fits the data better cannot be told"
+    return f"It cannot be told which of {labels[pair[0]]} and {labels[pair[1]]} fits the data better"
 
 
 def _nested_test(
@@ -261,7 +261,7 @@ def _errors_window_by_window(
                 f"{100 * NEARLY_EQUAL_SQUARES:g} % ({windows}, {p_text(p)})."
             )
         return None, (
-            f"Which of {both} predicts {their_data} better cannot be told: their mean squared errors differ by "
+            f"It cannot be told which of {both} predicts {their_data} better: their mean squared errors differ by "
             f"{percent} % ({windows}, {p_text(p)})."
         )
     better, worse = (a, b) if z > 0 else (b, a)
@@ -371,7 +371,7 @@ def _by_evidence(
     if other:
         text = f"not {value}, but {listed(other)}, without it, {explains} better"
     elif unknown:
-        text = f"not {value}, but whether {listed(unknown)}, without it, {explains} as well cannot be told"
+        text = f"not {value}, but it cannot be told whether {listed(unknown)}, without it, {explains} as well"
     elif equal:
         text = f"not {value}, but {listed(equal)}, without it, {explains} as well"
     else:

@@ -75,9 +75,9 @@ def test_a_typographic_minus_is_a_minus(tmp_path):
     [
         (["1,5;2;3", "2.5;3;4"], r"line 2, has '1,5' where line 3 has '2\.5': write all numbers with one decimal mark"),
         (["1;2.5;3", "2;1,000;4"], r"line 3, has '1,000' where line 2 has '2\.5'"),
-        (["1;2;3", "2;1,000;4"], "line 3: '1,000' may have a decimal comma or separate thousands"),
-        (["1;2;3", "2;1.234,5;4"], r"line 3: '1\.234,5' separates thousands"),
-        (["1;2;3", "2;1,234.5;4"], r"line 3: '1,234\.5' separates thousands"),
+        (["1;2;3", "2;1,000;4"], "line 3: '1,000' may have a decimal comma or a thousands separator"),
+        (["1;2;3", "2;1.234,5;4"], r"line 3: '1\.234,5' has a thousands separator"),
+        (["1;2;3", "2;1,234.5;4"], r"line 3: '1,234\.5' has a thousands separator"),
         (["1;2;3", "2;3;4;5"], "line 3, has 4 cells where the header has 3: name all columns"),
         (["1,5,2,5,3", "2,5,3,5,4"], "line 2, has 5 cells where the header has 3"),
     ],

@@ -64,8 +64,8 @@ def deep_groups(file):
     ("craft", "words"),
     [
         (external_link, "elsewhere is a link to another file"),
-        (external_storage, "the numbers of elsewhere lie in another file"),
-        (virtual_dataset, "the numbers of elsewhere lie in another file"),
+        (external_storage, "the data of elsewhere are stored in another file"),
+        (virtual_dataset, "the data of elsewhere are stored in another file"),
         (many_links, "more than 50000 links"),
         (deep_groups, "more than 8 levels of groups"),
     ],

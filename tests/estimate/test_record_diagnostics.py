@@ -351,7 +351,7 @@ def test_prediction_errors_of_signals_that_were_smoothed_are_told_not_to_be_whit
     smooth = np.convolve(record["x"], np.ones(9) / 9, "same")
     _, (said,) = colors(record.with_signals(x=smooth), gb.PredictionError(inputs="held"))
     assert "the prediction errors are not white" in said
-    assert "for x from one sample to the next): the signals were low-passed" in said
+    assert "for x from one sample to the next): the signals were low-pass filtered" in said
 
 
 def test_a_predictor_at_the_limit_of_its_stability_is_told():

@@ -188,7 +188,7 @@ def other(**signals):
         (other(u="w"), ValueError, "gives w, but Plant takes u, z: connect them, signals={'u': 'u'}"),
         ([RateDamper(), RateDamper()], ValueError, "two signals are called 'u'"),
         (other(reference="theta"), ValueError, "two signals are called 'theta'"),
-        ([RateDamper(), other(u="reference")], ValueError, "takes 'reference' from itself or a controller behind it"),
+        ([RateDamper(), other(u="reference")], ValueError, "takes 'reference' from itself or a later controller"),
         ([RateDamper(), other(u="w", reference="r")], ValueError, "gives w, but Plant takes"),
     ],
 )
@@ -204,6 +204,6 @@ def test_controllers_in_the_wrong_order():
         def update(self, x, u, p):
             return (), (u.q, u.q)
 
-    with pytest.raises(ValueError, match="takes 'w' from itself or a controller behind it"):
+    with pytest.raises(ValueError, match="takes 'w' from itself or a later controller"):
         connected([other(reference="w"), Two(signals={"u": "z"})], ("u", "z"), set(), "Plant")
     assert len(connected([Two(signals={"u": "z"}), other(reference="w")], ("u", "z"), set(), "Plant")) == 2

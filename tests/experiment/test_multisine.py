@@ -49,7 +49,7 @@ def test_sparse_harmonics_spread_over_octaves():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((1.0, 20.0, 20.003, 100), "make them whole"),
+        ((1.0, 20.0, 20.003, 100), "make that a whole number"),
         ((1.0, 1.2, 20.0, 100), "lengthen the period"),
         ((1.0, 200.0, 20.0, 100), "raise the rate"),
     ],

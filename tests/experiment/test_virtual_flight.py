@@ -518,7 +518,11 @@ def test_a_plant_that_is_not_smooth_says_what_the_integration_misses():
         ({"rate": 1000}, ValueError, "does not divide the 400 Hz of the loop: use e.g. 400 Hz"),
         ({"rate": -1}, ValueError, "rate is -1: give samples per second above 0"),
         ({"seed": -1}, ValueError, "seed is -1: give a whole number"),
-        ({"controller": None, "excitation": {"u": [0, 1]}}, ValueError, "arrays alone have no clock: give rate"),
+        (
+            {"controller": None, "excitation": {"u": [0, 1]}},
+            ValueError,
+            "arrays alone have no sampling rate: give rate",
+        ),
         ({"controller": None, "excitation": sines()}, ValueError, "LinearTilt has no place for 'reference'; it has u"),
         (
             {"controller": None, "excitation": gb.Record([0, 1, 3], {"u": [0, 1, 2]})},

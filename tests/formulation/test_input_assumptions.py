@@ -63,7 +63,7 @@ def test_the_effect_is_that_of_what_moves_and_of_delays():
         "moves k by +0.3 (3 standard errors) and d by +0.01 s (0.01 standard errors)"
     )
     assert effect_of(parameters, shift / 100, errors, ()) == ""
-    assert effect_of(parameters, shift * math.nan, errors, ()) == "moves the estimate by more than can be told"
+    assert effect_of(parameters, shift * math.nan, errors, ()) == "moves the estimate by an unknown amount"
 
 
 def test_another_word_is_refused():

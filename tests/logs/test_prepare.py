@@ -198,7 +198,7 @@ def test_the_digital_filter_model_is_the_digital_filter():
         ({"signals": {"u": "RTAE.POut"}}, KeyError, "no message 'RTAE'; it has RATE"),
         ({"rate": 0}, ValueError, "rate 0 must be"),
         ({"rate": np.nan}, ValueError, "rate nan must be"),
-        ({"start": 100.0}, ValueError, "no stretch of time in common"),
+        ({"start": 100.0}, ValueError, "do not overlap in time"),
         ({"interpolation": "magic"}, ValueError, "interpolation 'magic'"),
         ({"interpolation": "hold"}, ValueError, "name signals that are held between samples in held"),
         ({"held": "w"}, ValueError, "held names 'w', which is not among the signals"),

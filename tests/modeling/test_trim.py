@@ -193,7 +193,7 @@ def test_the_own_trim_is_the_implicit_one():
     [
         (
             lambda self, at, p: {"x": 1.0},
-            r"Mine\.trim at \{'u': 2\.0\} is no equilibrium: .* 'x' is -2 there",
+            r"Mine\.trim at \{'u': 2\.0\} is not an equilibrium: .* 'x' is -2 there",
         ),
         (lambda self, at, p: {"x": at.u / p.c, "y": 0.0}, r"Mine has no state or input 'y'; it has x, u"),
         (lambda self, at, p: {"x": np.nan}, r"Mine\.trim becomes NaN"),

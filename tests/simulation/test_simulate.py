@@ -273,7 +273,10 @@ def test_answers_print_themselves():
 @pytest.mark.parametrize(
     ("call", "sentence"),
     [
-        (lambda r: gb.simulate(Spring(), {}, r.with_signals(push=r["force"]).rows(np.arange(1))), "no two samples"),
+        (
+            lambda r: gb.simulate(Spring(), {}, r.with_signals(push=r["force"]).rows(np.arange(1))),
+            "no two consecutive samples",
+        ),
         (lambda r: gb.simulate(Spring(), {"mass": 1.0}, r), "'mass'"),
         (lambda r: gb.simulate(Spring(), {}, gb.Record(r.time, {"u": r["force"]})), "needs the input 'force'"),
         (lambda r: gb.simulate(Spring(), {}, r, initial={"place": 1.0}), "'place'"),

@@ -86,7 +86,7 @@ def test_seconds_have_three_digits():
     [
         ({"lead": 0.0, "horizon": 1.0}, r"lead is 0\.0: give a length above 0, in s"),
         ({"lead": 1.0, "horizon": True}, "horizon is True: give a length above 0"),
-        ({"lead": 0.05, "horizon": 1.0}, r"lead=0\.05 s is shorter than a sample of r, 0\.1 s: give some samples"),
+        ({"lead": 0.05, "horizon": 1.0}, r"lead=0\.05 s is shorter than a sample of r, 0\.1 s: give several samples"),
         ({"lead": 4.0, "horizon": 3.0}, r"no room for lead=4 and horizon=3 s .* lasts 6 s; give a shorter lead"),
     ],
 )

@@ -14,9 +14,9 @@ CRITERIA = [gb.RelativeError(), gb.SquaredRelativeError(), gb.MagnitudePhase()]
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"max_itr": 3}, "solver_options 'max_itr' = 3 is not an option of IPOPT"),
-        ({"max_iter": 50, "tolerance": 1e-9}, "solver_options 'tolerance' = 1e-09 is not an option"),
-        ({"tol": "small"}, "solver_options 'tol' = 'small' is not an option of IPOPT with such a value"),
+        ({"max_itr": 3}, "solver_options 'max_itr' = 3 is not accepted by IPOPT"),
+        ({"max_iter": 50, "tolerance": 1e-9}, "solver_options 'tolerance' = 1e-09 is not accepted by IPOPT"),
+        ({"tol": "small"}, "solver_options 'tol' = 'small' is not accepted by IPOPT"),
         ({"max_iter": -3}, "solver_options 'max_iter' = -3"),
         ({"linear_solver": "nope"}, "solver_options 'linear_solver' = 'nope'"),
     ],

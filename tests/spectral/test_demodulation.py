@@ -55,14 +55,14 @@ def test_the_last_whole_periods_after_the_settling_time_are_used():
     assert abs(demodulate(t, values, omega, settle=2.0) - 1) < 1e-9
     assert abs(demodulate(t, values, omega, periods=3) - 1) < 1e-9
     assert abs(demodulate(t, np.where(np.arange(4000) % 7 == 0, np.nan, values), omega, settle=2.0) - 1) < 1e-9
-    with pytest.raises(ValueError, match=r"10 s do not hold 2 s of settling and 6 x 1.57 s"):
+    with pytest.raises(ValueError, match=r"10 s are too short for 2 s of settling and 6 x 1.57 s"):
         demodulate(t, values, omega, settle=2.0, periods=6)
 
 
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ({"omega": 0.1}, "cannot be demodulated at 0.1 rad/s: 10 s do not hold 0 s of settling and 1 x 62.8 s"),
+        ({"omega": 0.1}, "cannot be demodulated at 0.1 rad/s: 10 s are too short for 0 s of settling and 1 x 62.8 s"),
         ({"omega": -1.0}, "the frequency is -1 rad/s: it must be above 0"),
         ({"omega": 1000.0}, "has fewer than four samples"),
         ({"omega": 5.0, "method": "fft"}, "the method is 'fft': it must be 'least-squares' or 'quadrature'"),

@@ -62,7 +62,7 @@ def test_periodic_and_windowed_estimates_agree():
     [
         (lambda r: periodic_response(r, 3.001), "whole number"),
         (lambda r: periodic_response(r, 15.0), "fewer than three periods"),
-        (lambda r: periodic_response(r, 2.0, omega=[4.0]), "no multiple"),
+        (lambda r: periodic_response(r, 2.0, omega=[4.0]), "not a multiple"),
     ],
 )
 def test_mistakes_are_sentences(call, words):

@@ -247,7 +247,7 @@ def test_what_cannot_be_used_is_left_out_with_the_reason():
     assert len(found.response) == 1
     reasons = [reason for _, reason in found.left_out]
     assert reasons[0].startswith("barely excited: the control's amplitude is")
-    assert reasons[1] == "3 s do not hold 2 s of settling and 1 x 1.26 s"
+    assert reasons[1] == "3 s are too short for 2 s of settling and 1 x 1.26 s"
     assert reasons[2:] == ["ended early", "a sweep is not a single sine"]
     with pytest.raises(ValueError, match="no segment gives a point of the response: a sweep is not a single sine"):
         finite_frequency(record, [sweep])

@@ -81,7 +81,7 @@ def test_windows_follow_the_sample_time_and_one_model_is_as_good_as_itself(rooms
 
 def test_lengths_are_whole_samples_and_not_less_than_one(rooms, flights):
     record, one, other = rooms
-    with pytest.raises(ValueError, match=r"window=1 s is shorter than a sample of house, 3600 s: give some samples"):
+    with pytest.raises(ValueError, match=r"window=1 s is shorter than a sample of house, 3600 s: give several samples"):
         gb.compare(one, other, window=1.0)
     with pytest.raises(ValueError, match=r"lead=0.5 s is shorter than a sample"):
         gb.predict(one, record=record, lead=0.5)

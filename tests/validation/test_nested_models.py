@@ -98,4 +98,4 @@ def test_a_worse_fit_of_the_larger_model_is_told():
     with pytest.raises(ValueError, match="Drag costs more than LinearDrag, which it contains"):
         gb.validation.nested_test(small, replace(large, cost=small.cost + 1))
     said = gb.compare(small, replace(large, cost=small.cost + 1)).statements[0]
-    assert said.startswith("Which of LinearDrag and Drag fits the data better cannot be told: Drag costs more")
+    assert said.startswith("It cannot be told which of LinearDrag and Drag fits the data better: Drag costs more")

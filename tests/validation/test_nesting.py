@@ -192,7 +192,7 @@ def test_loaded_fits_are_nested_by_their_names_or_by_the_models_given(record, tm
         gb.save(fitted(model, record, **options), tmp_path / f"{name}.h5")
     linear, drag, held, lagged = (gb.load(tmp_path / f"{name}.h5") for name in ("linear", "drag", "held", "lagged"))
     assert nesting(held, drag, NAMES).point[1] == 0.04
-    with pytest.raises(NotNestedError, match="their models are not at hand") as caught:
+    with pytest.raises(NotNestedError, match="their models are not available") as caught:
         nesting(linear, drag, NAMES)
     assert caught.value.undecided
     with pytest.raises(NotNestedError) as caught:

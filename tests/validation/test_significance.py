@@ -91,7 +91,11 @@ def test_no_difference_found_is_a_tie_only_where_its_interval_is_narrow(fits):
     wide = sizes * (1 + 0.5 * random.normal(size=w))
     for other, expected, said in (
         (close, 0, "equally well: their mean squared errors differ by less than 10 %"),
-        (wide, None, "cannot be told: their mean squared errors differ by "),
+        (
+            wide,
+            None,
+            "It cannot be told which of a and b predicts held-out data better: their mean squared errors differ by ",
+        ),
     ):
         pair = ((shifted(made, sizes),), (shifted(made, other),))
         difference = other**2 - sizes**2
@@ -179,9 +183,9 @@ def test_a_term_is_judged_against_zero_and_by_the_models_without_it():
         ((1, 1), (None, 1), "determined by these data."),
         ((1, 1), (None, -1), "determined by these data, but b, without it, predicts held-out data better."),
         ((-1, 0), (1, 1), "not zero, but a, without it, explains the data better."),
-        ((1, None), (1, 1), "not zero, but whether b, without it, explains the data as well cannot be told."),
+        ((1, None), (1, 1), "not zero, but it cannot be told whether b, without it, explains the data as well."),
         ((1, 0), (1, 1), "not zero, but b, without it, explains the data as well."),
-        (None, (1, None), "not zero, but whether b, without it, predicts held-out data as well cannot be told."),
+        (None, (1, None), "not zero, but it cannot be told whether b, without it, predicts held-out data as well."),
         (None, (-1, 1), "not zero, but a, without it, predicts held-out data better."),
         (None, (1, 1), "determined by these data."),
     ],

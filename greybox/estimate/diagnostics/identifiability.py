@@ -28,7 +28,7 @@ def not_determined(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
             )
         else:
             yield (
-                f"{names} are poorly identifiable: changes of them nearly compensate one another (collinearity index "
+                f"{names} are poorly identifiable: their effects nearly cancel one another (collinearity index "
                 f"{combination.index:.0f}); fix one of them, or add data in which their effects differ."
             )
 

@@ -33,7 +33,7 @@ def biased_gains(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
             yield (
                 f"the residual of {part.name!r} is {100 * noise:.0f} % rms in each component: if that is noise, the "
                 f"gain is about {100 * abs(bias):.0f} % too {'low' if bias < 0 else 'high'}; "
-                f"compare with normalized='{other}', which errs to the other side."
+                f"compare with normalized='{other}', which errs in the other direction."
             )
 
 

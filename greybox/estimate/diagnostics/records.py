@@ -67,8 +67,8 @@ def _short(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
         where = "" if len(nlp.parts) == 1 else f" in {part.model.record.name or part.problem.name!r}"
         yield (
             f"the residuals of {part.outputs[slowest]}{where} stay correlated for about {time:.2g} s, and the longest "
-            f"stretch without a gap lasts only {found.duration / time:.2g} times as long, less than "
-            f"{FEWEST_TIMES:g}: how large slow errors are cannot be known from it, so the standard errors are rough "
+            f"gap-free stretch lasts only {found.duration / time:.2g} times that, less than {FEWEST_TIMES:g}: "
+            "it is too short to show the size of slow errors, so the standard errors are rough "
             f"({counted(max(round(found.dof), 1), 'degree of', 'degrees of')} freedom); use a longer record."
         )
 
@@ -91,7 +91,7 @@ def _unexplained(part: RecordPart, fitted: FittedRecord, *, alone: bool) -> Iter
             yield (
                 f"the model reproduces almost none of the variation of {name} (fit {percent:.1f} %), where its noise "
                 f"from sample to sample would allow about {found.attainable_fit_percent:.0f} %: try other starts, "
-                "narrower boxes for them, or another structure."
+                "narrower start boxes, or another model structure."
             )
 
 
@@ -109,7 +109,7 @@ def _colored(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
     if predicted:
         yield (
             f"the prediction errors are not white ({', '.join(predicted)} from one sample to the next): the signals "
-            "were low-passed, a state that the noise reaches is not corrected, or the model is incomplete; the "
+            "were low-pass filtered, a state that the noise reaches is not corrected, or the model is incomplete; the "
             "standard errors, which assume white prediction errors, are then wrong."
         )
 
@@ -144,7 +144,7 @@ def _fed_back(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]
         yield (
             f"feedback responds to errors that are correlated in time ({', '.join(found)}), as where a controller acts "
             "on process noise such as gusts: the estimate of OutputError is then biased, which its standard errors do "
-            f"not show (told falsely of at most {100 * BIASED:g} % of fits); compare with "
+            f"not show (a false alarm in at most {100 * BIASED:g} % of fits); compare with "
             "criterion=PredictionError()."
         )
 

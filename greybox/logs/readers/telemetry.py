@@ -168,7 +168,7 @@ def _received(frames: Frames, sender_time: Floats, wanted: Collection[int]) -> t
     names = [KINDS[kind].msgname for kind in wanted if np.isnan(sender_time[frames.kinds == kind]).all()]
     if not names:
         return ()
-    return (f"these carry no time of their own and have the time of their reception: {', '.join(names)}.",)
+    return (f"these carry no time stamp and are given their time of reception: {', '.join(names)}.",)
 
 
 def _missing(frames: Frames, messages: Collection[str] | None) -> tuple[str, ...]:

@@ -51,7 +51,7 @@ def test_all_senders_are_on_the_vehicles_clock(saved):
     assert recording["ATTITUDE[1:100]"].time[0] == pytest.approx(1, abs=0.05)
     assert recording["VFR_HUD"].time[0] == pytest.approx(1, abs=0.05)
     assert recording.findings == (
-        "these carry no time of their own and have the time of their reception: HEARTBEAT, VFR_HUD.",
+        "these carry no time stamp and are given their time of reception: HEARTBEAT, VFR_HUD.",
     )
 
 
