@@ -107,7 +107,7 @@ def whiteness(stretches: Sequence[ArrayLike], lags: int = LAGS, fitted: int = 0)
     Source: Ljung and Box (1978), Biometrika 65; Box and Pierce (1970), JASA 65; Ljung (1999), System
     Identification, 2nd ed., section 16.6.
     """
-    series = [np.asarray(s, dtype=float) for s in stretches]
+    series = [_present(s) for s in stretches]
     n = sum(int(np.isfinite(s).sum()) for s in series)
     mean = float(np.nanmean(np.concatenate(series))) if n else 0.0
     sums, pairs = _lagged([s - mean for s in series], [s - mean for s in series], lags)
@@ -128,7 +128,7 @@ def input_correlation(residuals: Sequence[ArrayLike], inputs: Sequence[ArrayLike
     autocorrelation of the input is accounted for, and so is that of the residuals, as an autoregression.
     Source: Ljung (1999), System Identification, 2nd ed., section 16.6.
     """
-    e, u = ([np.asarray(s, dtype=float) for s in group] for group in (residuals, inputs))
+    e, u = ([_present(s) for s in group] for group in (residuals, inputs))
     n = sum(int((np.isfinite(a) & np.isfinite(b)).sum()) for a, b in zip(e, u, strict=True))
     if n < 3:
         return _unknown(lags)
@@ -162,7 +162,7 @@ def feedback_correlation(
     of the input, nor dynamics that the model lacks, looks like a response.
     Source: Haugh (1976), Checking the independence of two covariance-stationary time series, JASA 71.
     """
-    e, u = ([np.asarray(s, dtype=float) for s in group] for group in (residuals, inputs))
+    e, u = ([_present(s) for s in group] for group in (residuals, inputs))
     n = sum(int((np.isfinite(a) & np.isfinite(b)).sum()) for a, b in zip(e, u, strict=True))
     if n < 3:
         return _unknown(lags)
@@ -205,6 +205,12 @@ def _filtered(values: Array, a: Array) -> Array:
     if values.size >= a.size:
         result[a.size - 1 :] = np.convolve(values, a, mode="valid")
     return result
+
+
+def _present(values: ArrayLike) -> Array:
+    """Return the values as floats, NaN where they are not finite."""
+    values = np.asarray(values, dtype=float)
+    return np.where(np.isfinite(values), values, np.nan)
 
 
 def _lagged(e: Sequence[Array], u: Sequence[Array], lags: int) -> tuple[Array, NDArray[np.int64]]:
