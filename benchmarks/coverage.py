@@ -165,6 +165,7 @@ class _SymbolicData:
     variance: Any
     coherence: Any
     size: int
+    dof: Any = None
 
     def __len__(self) -> int:
         return self.size

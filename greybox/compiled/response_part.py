@@ -88,6 +88,11 @@ class ResponsePart(Part):
         x = _symbol(self.model_response)
         return ca.Function("slope", [x], [ca.jacobian(self.model_response(x), x)])
 
+    def noise_ratio(self, trajectory: Trajectory) -> float:
+        """Return how many times as large as the given variances the squared residuals are; their mean without these."""
+        re, im = np.asarray(self.scaled_response(trajectory.z)).reshape(2, -1)
+        return self.criterion.noise_ratio(re + 1j * im, self.data)
+
     # --- for Gauss-Newton ---------------------------------------------------------------------------------------------
 
     @cached_property

@@ -6,6 +6,7 @@ import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
 from evaluation import numeric_jacobian
 from numpy.testing import assert_allclose
+from scipy.stats import multivariate_t
 
 import greybox as gb
 from greybox.formulation.frequency_criteria import evaluate
@@ -152,3 +153,44 @@ def test_a_gain_is_biased_low_by_the_measured_normalization_and_high_by_the_mode
     assert high == pytest.approx(np.sum(size**2) / np.sum(data.response.real), rel=1e-6)
     assert low / 2 - 1 < -(sigma**2)
     assert high / 2 - 1 > sigma**2
+
+
+def test_variances_estimated_with_few_degrees_of_freedom_are_a_student_t():
+    rng = np.random.default_rng(5)
+    omega, measured = np.geomspace(1, 20, 6), rng.normal(size=6) + 1j * rng.normal(size=6)
+    variance, dof = rng.uniform(0.5, 2.0, 6), np.array([2.0, 3.0, 4.0, 8.0, 20.0, 1e7])
+    data = gb.FrequencyResponse(omega, measured, variance=variance, dof=dof)
+
+    def expected(model):
+        errors = np.stack([(model - measured).real, (model - measured).imag], axis=1)
+        each = zip(errors, variance, dof, strict=True)
+        return -sum(multivariate_t([0, 0], v / 2 * np.eye(2), df=nu).logpdf(e) for e, v, nu in each)
+
+    def cost(model):
+        return gb.MaximumLikelihood().cost(Complex(model.real, model.imag), data)
+
+    models = [measured + 0.7 * (rng.normal(size=6) + 1j * rng.normal(size=6)) for _ in range(3)]
+    for model in models[1:]:
+        assert cost(model) - cost(models[0]) == pytest.approx(expected(model) - expected(models[0]), rel=1e-6)
+    certain = gb.FrequencyResponse(omega, measured, variance=variance, dof=np.full(6, 1e9))
+    known = gb.FrequencyResponse(omega, measured, variance=variance)
+    a, b = (gb.MaximumLikelihood().cost(Complex(models[0].real, models[0].imag), d) for d in (certain, known))
+    assert a == pytest.approx(b, rel=1e-6)
+
+
+@pytest.mark.parametrize("nu", [4.0, 8.0])
+def test_standard_errors_hold_for_variances_of_few_degrees_of_freedom(nu):
+    omega = np.geomspace(0.5, 40, 30)
+    truth = gb.frequency_response(LagLagDelay(), TWO_LAGS, omega).response
+    size = 0.05 * np.abs(truth)
+    standardized = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        response = truth + size * (rng.normal(size=30) + 1j * rng.normal(size=30))
+        variance = 2 * size**2 * rng.chisquare(nu, 30) / nu
+        data = gb.FrequencyResponse(omega, response, variance=variance, dof=np.full(30, nu))
+        problem = gb.Problem(LagLagDelay(), data, gb.MaximumLikelihood(), constraints=[lambda p: p.T1 - p.T2])
+        fit = gb.fit(problem, starts=[TWO_LAGS], progress=False)
+        standardized += [(fit.estimate[n] - TWO_LAGS[n]) / fit.standard_error[n] for n in ("K", "T1")]
+    # 120 of them: 0.2 is three standard deviations; with the variances taken as exact it is 1.3 for four degrees.
+    assert 0.8 < np.sqrt(np.mean(np.square(standardized))) < 1.25

@@ -53,7 +53,8 @@ def unlikely_noise_of(part: Part, trajectory: Trajectory, unknowns: int) -> Iter
 def _(part: ResponsePart, trajectory: Trajectory, unknowns: int) -> Iterator[str]:
     if not part.criterion.known_noise:
         return
-    ratio = part.cost(trajectory, 0.0) / max(part.numbers / 2 - unknowns / 2, 0.5)
+    points = part.numbers / 2
+    ratio = part.noise_ratio(trajectory) * points / max(points - unknowns / 2, 0.5)
     if LEAST_VARIANCE_RATIO <= ratio <= LARGEST_VARIANCE_RATIO:
         return
     meaning = "the variances are too large."
