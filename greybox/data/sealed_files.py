@@ -66,10 +66,10 @@ def write_sealed(path: Path, kind: str, fill: Callable[[Node], None]) -> None:
     whole = io.BytesIO()
     with h5py.File(whole, "w", userblock_size=BLOCK) as file:
         fill(file)
-    contents = whole.getbuffer()
-    contents[:BLOCK] = _block(kind, hashlib.sha256(contents[BLOCK:]).hexdigest())
+    body = whole.getvalue()[BLOCK:]
+    head = _block(kind, hashlib.sha256(body).hexdigest())
     with replacing(path) as temporary:
-        temporary.write_bytes(contents)
+        temporary.write_bytes(head + body)
 
 
 @contextmanager
