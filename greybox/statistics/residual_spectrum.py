@@ -16,6 +16,7 @@ correlation than the errors, by what the fit took from them).
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,11 +49,14 @@ LEAST_WEIGHT = 1e-4  # of a model in an average; what is below does not show
 # How often the residuals are corrected for what the fit took from the errors; the third time changes standard errors by
 # less than 2 % (records of 100 samples, correlation times of 10).
 CORRECTIONS = 2
+# Relative change of a variance by a correction from which another one follows: that would change it by the square, 1 %.
+CORRECTED_AGAIN = 0.1
 # Samples above which they are not: what the fit takes is then far below the uncertainty of the spectrum, and counting
 # it, as for white errors, will do.
 LONGEST_CORRECTED = 50_000
 
 COLUMNS = 65536  # frequencies at once in memory: 25 MB for three outputs and eight parameters
+MOST_KEPT = 1 << 22  # numbers of the transforms that are kept for later use: 64 MB; of more, they are made again
 
 # Share of the products of samples some lag apart that must remain for missing samples to be ignored: below it, the
 # covariances at all lags but zero are more than 5 % too small.
@@ -122,7 +126,10 @@ def colored_information(
     corrected = sum(e.shape[1] for e in residuals) <= LONGEST_CORRECTED
     mixture = problem.mixture(problem.periodogram)
     for _ in range(CORRECTIONS if corrected else 0):
+        before = mixture.taken
         mixture = problem.mixture(problem.periodogram + problem.taken_power(mixture.density))
+        if abs(mixture.taken - before) < CORRECTED_AGAIN * before:
+            break
     meat = problem.meat(mixture.density)
     times = np.zeros(there.size)
     times[there] = problem.grid.correlation_times(mixture.typical)
@@ -177,6 +184,11 @@ class _Grid:
         share = np.clip((omega - low) / (high - low), 0.0, 1.0)
         return values[..., above - 1] * (1 - share) + values[..., above] * share
 
+    @cached_property
+    def delays(self) -> Complex:
+        """Responses (l, b) of delays of 0 to `HIGHEST_ORDER` samples."""
+        return np.exp(-1j * np.outer(np.arange(HIGHEST_ORDER + 1), self.omega))
+
     def mean(self, values: NDArray) -> NDArray:
         """Return the mean over all frequencies of values (..., b) of the bands."""
         return values @ self.band_weight
@@ -190,11 +202,45 @@ class _Grid:
 
 @dataclass(frozen=True, eq=False)
 class _Mixture:
-    """An average of spectra: `density` (k, k, b), the geometric mean `typical` (k, b), and the `uncertainty`."""
+    """An average of spectra.
+
+    Attributes
+    ----------
+    density : (k, k, b) array
+    typical : (k, b) array
+        The geometric mean.
+    taken : float
+        tr(B⁻¹ M).
+    uncertainty : float
+        Variance of its logarithm.
+    """
 
     density: Complex
     typical: Array
+    taken: float
     uncertainty: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Family:
+    """Spectra of one form, (m, b) and of mean one, and the means (m,) of their logarithms."""
+
+    shapes: Array
+    logarithm: Array
+    inverse: Array
+
+    @classmethod
+    def of(cls, shapes: Array, grid: _Grid) -> "_Family":
+        """Prepare the mean over the frequencies of a periodogram over every shape."""
+        return cls(shapes, grid.mean(np.log(shapes)), grid.band_weight / shapes)
+
+    def scores(self, banded: Array, n: float) -> tuple[Array, Array]:
+        """Return the variances (m,) for n samples of a periodogram (b,), and -2 log likelihood with its penalty.
+
+        Every member is equally likely before: the family counts with its mean likelihood.
+        """
+        scale = self.inverse @ np.maximum(banded, ROUNDING)
+        return scale, n * (np.log(scale) + self.logarithm) + 2 * math.log(len(scale)) + _aicc(1, n)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,6 +257,10 @@ class _Sandwich:
         Of the residuals.
     counts, seen : (k,) arrays
         Samples that are there, and the share of the products of samples some lag apart that missing ones leave.
+    families : sequence of sequences
+        For every output, the forms of spectra beside autoregressions.
+    kept : sequence of (k, p, frequencies) arrays, or None
+        Transforms of the weighted sensitivities; None where they would fill the memory.
     """
 
     weighted: Sequence[Array]
@@ -223,6 +273,8 @@ class _Sandwich:
     deviation: Array
     counts: Array
     seen: Array
+    families: Sequence[Sequence[_Family]]
+    kept: Sequence[Complex] | None
 
     @classmethod
     def of(cls, weighted: Sequence[Array], residuals: Sequence[Array], inverse: Array, noise: Array) -> "_Sandwich":
@@ -239,14 +291,46 @@ class _Sandwich:
         values, vectors = np.linalg.eigh((inverse + inverse.T) / 2)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         power = np.zeros((k, k, len(grid.starts)), dtype=complex)
+        kept = [] if len(weighted) * weighted[0].shape[1] * k * len(grid.weight) <= MOST_KEPT else None
         for J in weighted:
-            spectra = np.fft.rfft(np.einsum("kpn,pq->qkn", J, root) * size[:, None], grid.size)
+            transform = np.fft.rfft(J * size[:, None, None], grid.size)
+            if kept is not None:
+                kept.append(transform)
+            spectra = root.T @ transform
             for i in range(k):
-                for j in range(k):
-                    power[i, j] += grid.banded((spectra[:, i].conj() * spectra[:, j]).sum(axis=0))
+                for j in range(i + 1):
+                    product = grid.banded(np.einsum("qf,qf->f", spectra[i].conj(), spectra[j]))
+                    power[i, j] += product
+                    if i != j:
+                        power[j, i] += product.conj()
+
+        slow = _Family.of(_slow_parts(grid), grid)
+        families = [
+            [slow, _Family.of(_with_white(_smoothed_shapes(grid, own)), grid)] if own.max() > 0 else [slow]
+            for own in (power[i, i].real for i in range(k))
+        ]
         return cls(
-            weighted, residuals, inverse, noise, grid, periodogram, power, size, counts.astype(float), _seen(residuals)
+            weighted,
+            residuals,
+            inverse,
+            noise,
+            grid,
+            periodogram,
+            power,
+            size,
+            counts.astype(float),
+            _seen(residuals),
+            families,
+            kept,
         )
+
+    def transforms(self) -> Iterator[Complex]:
+        """Yield the transforms (k, p, frequencies) of the weighted sensitivities of every stretch."""
+        if self.kept is not None:
+            yield from self.kept
+            return
+        for J in self.weighted:
+            yield np.fft.rfft(J * self.deviation[:, None, None], self.grid.size)
 
     def mixture(self, periodogram: Complex) -> _Mixture:
         """Return the average of the spectra that may have made a periodogram (k, k, frequencies)."""
@@ -269,46 +353,42 @@ class _Sandwich:
             typical = (1 - weight) * typical + weight * np.log(np.einsum("iib->ib", together.density).real)
             apart = math.log(max(together.taken, TINY) / max(taken, TINY))
             uncertainty = (1 - weight) * (uncertainty + weight * apart**2) + weight * together.uncertainty
-        return _Mixture(self._unmasked(density), np.exp(typical), float(uncertainty))
+            taken = (1 - weight) * taken + weight * together.taken
+        return _Mixture(self._unmasked(density), np.exp(typical), float(taken), float(uncertainty))
 
     def _one_output(self, i: int, r: Array, banded: Array) -> "_Evidence":
         """Average the spectra of one output, of autocovariances r (lags,) and periodogram (b,)."""
         n = self.counts[i]
         grid = self.grid
-        power = self.power[i, i].real
-        spectra, scores, within = [], [], []
 
         # Autoregressions, but for that of first order, which is among the slow parts.
-        steps = levinson(r)
-        phase = np.exp(-1j * np.outer(np.arange(len(steps)), grid.omega))
-        for order, (a, variance) in enumerate(steps):
-            if order != 1:
-                spectra.append((variance / np.abs(a @ phase[: order + 1]) ** 2)[None])
-                scores.append(np.array([n * math.log(variance) + _aicc(order + 1, n)]))
-                within.append(2 * (order + 1) / n)
+        steps = [(a, variance) for order, (a, variance) in enumerate(levinson(r)) if order != 1]
+        scores = [np.array([n * math.log(variance) + _aicc(len(a), n) for a, variance in steps])]
+        within = [2 * np.array([len(a) for a, _ in steps]) / n]
+        scales = [np.array([variance for _, variance in steps])]
+        for family in self.families[i]:
+            scale, score = family.scores(banded, n)
+            scales.append(scale)
+            scores.append(score)
+            within.append(np.full(len(scale), 2 / n))
 
-        families = [_slow_parts(grid)]
-        if power.max() > 0:
-            families.append(_with_white(_smoothed_shapes(grid, power)))
-        for shapes in families:
-            scale = grid.mean(np.maximum(banded, ROUNDING) / shapes)
-            cost = n * (np.log(scale) + grid.mean(np.log(shapes)))
-            # Every member is equally likely before: the family counts with its mean likelihood.
-            spectra.append(scale[:, None] * shapes)
-            scores.append(cost + 2 * math.log(len(cost)) + _aicc(1, n))
-            within.append(2 / n)
-
-        lengths = [len(score) for score in scores]
         score = np.concatenate(scores)
         least = float(score.min())
         weight = np.exp(-(score - least) / 2)
         evidence = least - 2 * math.log(weight.sum())
-        kept = weight > LEAST_WEIGHT * weight.sum()
-        weight = weight[kept] / weight[kept].sum()
-        every = np.concatenate(spectra)[kept]
-        taken = grid.mean(every * power)
+        likely = weight > LEAST_WEIGHT * weight.sum()
+        weight = weight[likely] / weight[likely].sum()
+
+        kept = np.split(likely, np.cumsum([len(scale) for scale in scales[:-1]]))
+        responses = [np.abs(a @ grid.delays[: len(a)]) ** 2 for (a, _), k in zip(steps, kept[0], strict=True) if k]
+        shapes = [1 / np.array(responses).reshape(-1, len(grid.omega))]
+        shapes += [family.shapes[k] for family, k in zip(self.families[i], kept[1:], strict=True)]
+        every = np.concatenate(
+            [scale[k][:, None] * shape for scale, k, shape in zip(scales, kept, shapes, strict=True)]
+        )
+        taken = grid.mean(every * self.power[i, i].real)
         logarithm = np.log(np.maximum(taken, TINY))
-        spread = (logarithm - weight @ logarithm) ** 2 + np.repeat(within, lengths)[kept]
+        spread = (logarithm - weight @ logarithm) ** 2 + np.concatenate(within)[likely]
         return _Evidence(
             weight @ every, weight @ np.log(every), evidence, float(weight @ taken), float(weight @ spread)
         )
@@ -318,19 +398,16 @@ class _Sandwich:
         k = lags.shape[1]
         n = self.counts.max()
         longest = int(min(len(lags) - 1, n // (NUMBERS_PER_COEFFICIENT * k)))
-        best: tuple[float, Array, Array] | None = None
-        for a, innovation in _whittle(lags[: longest + 1]):
-            unknowns = a.size + k * (k + 1) / 2
-            score = n * float(np.linalg.slogdet(innovation)[1]) + _aicc(unknowns, n * k)
-            if best is None or score < best[0]:
-                best = (score, a, innovation)
-        assert best is not None
-        score, a, innovation = best
-        phase = np.exp(-1j * np.outer(np.arange(1, len(a) + 1), self.grid.omega))
-        response = np.linalg.inv(np.eye(k) + np.einsum("jkl,jb->bkl", a, phase))
+        steps = list(_whittle(lags[: longest + 1]))
+        innovations = np.array([innovation for _, innovation in steps])
+        penalties = [_aicc(a.size + k * (k + 1) / 2, n * k) for a, _ in steps]
+        scores = n * np.linalg.slogdet(innovations)[1] + penalties
+        best = int(np.argmin(scores))
+        a, innovation = steps[best]
+        delays = self.grid.delays[1 : best + 1]
+        response = np.linalg.inv(np.eye(k) + np.tensordot(delays, a.reshape(k, best, k), (0, 1)))
         density = (response @ innovation @ response.conj().transpose(0, 2, 1)).transpose(1, 2, 0)
-        taken = self._taken(density)
-        return _Evidence(density, np.zeros(0), score, taken, 2 * (len(a) + 1) / n)
+        return _Evidence(density, np.zeros(0), float(scores[best]), self._taken(density), 2 * (best + 1) / n)
 
     def _taken(self, density: Complex) -> float:
         return float(self.grid.mean(np.einsum("ijb,ijb->b", self.power, density).real))
@@ -365,11 +442,12 @@ class _Sandwich:
         middle = self.inverse @ meat @ self.inverse + factor * (self.inverse - own)
 
         result = np.zeros_like(self.periodogram)
-        for J, G, e in zip(self.weighted, filtered, self.residuals, strict=True):
-            sensitivity = np.einsum("kl,lpn->kpn", self.noise, J) / size
-            half = np.einsum("kpn,pq->kqn", G, self.inverse) - np.einsum("kpn,pq->kqn", sensitivity, middle) / 2
+        sizes = self.noise / size[:, 0]
+        for J, G, e, transform in zip(self.weighted, filtered, self.residuals, self.transforms(), strict=True):
+            sensitivity = np.tensordot(sizes, J, 1)
+            half = self.inverse @ G - middle.T @ sensitivity / 2
             half = half * (e != 0)[:, None]
-            one = np.fft.rfft(sensitivity, self.grid.size)
+            one = np.tensordot(sizes / self.deviation, transform, 1)
             other = np.fft.rfft(half, self.grid.size).conj()
             products = np.einsum("ipf,jpf->ijf", one, other)
             result += products + products.conj().transpose(1, 0, 2)
@@ -378,22 +456,19 @@ class _Sandwich:
     def _filtered(self, density: Complex) -> Iterator[Array]:
         """Yield Σ_e R⁻¹ J (k, p, n) of every stretch."""
         spread = self.grid.spread_out(density)
-        for J in self.weighted:
-            spectra = np.fft.rfft(J * self.deviation[:, None, None], self.grid.size)
-            yield np.fft.irfft(np.einsum("ijf,jpf->ipf", spread, spectra), self.grid.size)[..., : J.shape[2]]
+        for J, transform in zip(self.weighted, self.transforms(), strict=True):
+            yield np.fft.irfft(np.einsum("ijf,jpf->ipf", spread, transform), self.grid.size)[..., : J.shape[2]]
 
     def meat(self, density: Complex) -> Array:
         """Return Σ J' Σ_e J (p, p)."""
         p = len(self.inverse)
         total = np.zeros((p, p))
-        for J in self.weighted:
-            spectra = np.fft.rfft(J.transpose(1, 0, 2) * self.deviation[:, None], self.grid.size).transpose(2, 0, 1)
-            for start in range(0, len(spectra), COLUMNS):
+        for transform in self.transforms():
+            for start in range(0, len(self.grid.weight), COLUMNS):
                 part = slice(start, start + COLUMNS)
-                spread = self.grid.spread_out(density, part).transpose(2, 0, 1)
-                rows = spectra[part].conj() @ spread * self.grid.weight[part][:, None, None]
-                rows = rows.transpose(1, 0, 2).reshape(p, -1)
-                total += (rows @ spectra[part].transpose(1, 0, 2).reshape(p, -1).T).real
+                spread = self.grid.spread_out(density, part) * self.grid.weight[part]
+                filtered = np.einsum("ijf,jpf->ipf", spread, transform[..., part])
+                total += (transform[..., part].conj() @ filtered.transpose(0, 2, 1)).sum(axis=0).real
         return (total + total.T) / 2
 
 
@@ -447,29 +522,29 @@ def _smoothed(values: Array, width: int) -> Array:
 
 
 def _whittle(r: Array) -> Iterator[tuple[Array, Array]]:
-    """Yield the vector autoregressions of every order, coefficients (order, k, k) and innovation covariance (k, k).
+    """Yield the vector autoregressions of every order: coefficients (k, order * k) and innovation covariance (k, k).
 
-    From r (lags + 1, k, k), with r(l) = E e(t + l) e(t)ᵀ, by Whittle's recursion, so that all are stable.
+    The coefficients A_1, A_2 ... stand side by side. From r (lags + 1, k, k), with r(l) = E e(t + l) e(t)ᵀ, by
+    Whittle's recursion, so that all are stable.
     """
     k = r.shape[1]
-    forward = np.zeros((0, k, k))
-    backward = np.zeros((0, k, k))
-    ahead = r[0]
-    behind = r[0]
+    last_first = r[:0:-1].reshape(-1, k)
+    # The backward coefficients stand in reverse order, as the recursion uses them.
+    forward = backward = np.zeros((k, 0))
+    ahead = behind = r[0]
     yield forward, ahead
     for order in range(1, len(r)):
-        delta = r[order] + np.einsum("jab,jbc->ac", forward, r[order - 1 : 0 : -1])
-        gain = -np.linalg.solve(behind.T, delta.T).T
-        back = -np.linalg.solve(ahead, delta).T
+        delta = r[order] + forward @ last_first[len(last_first) - (order - 1) * k :]
+        gain, back = -np.linalg.solve(np.array([behind.T, ahead]), np.array([delta.T, delta])).transpose(0, 2, 1)
         forward, backward = (
-            np.concatenate([forward + gain @ backward[::-1], gain[None]]),
-            np.concatenate([backward + back @ forward[::-1], back[None]]),
+            np.hstack([forward + gain @ backward, gain]),
+            np.hstack([back, backward + back @ forward]),
         )
         ahead = ahead + gain @ delta.T
         behind = behind + back @ delta
         ahead = (ahead + ahead.T) / 2
         behind = (behind + behind.T) / 2
-        if min(np.linalg.eigvalsh(ahead)[0], np.linalg.eigvalsh(behind)[0]) < ROUNDING * np.trace(r[0]) / k:
+        if np.linalg.eigvalsh(np.array([ahead, behind])).min() < ROUNDING * np.trace(r[0]) / k:
             return  # rounding errors: the series is predictable
         yield forward, ahead
 
