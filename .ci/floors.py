@@ -7,7 +7,7 @@ from pathlib import Path
 
 project = tomllib.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))["project"]
 extras = project["optional-dependencies"]
-for requirement in [*project["dependencies"], *extras["px4"], *extras["test"]]:
+for requirement in [*project["dependencies"], *extras["dask"], *extras["px4"], *extras["test"]]:
     floor = re.fullmatch(r"([\w-]+)>=([\w.]+)", requirement)
     if floor:
         print(f"{floor[1]}=={floor[2]}")

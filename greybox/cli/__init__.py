@@ -3,6 +3,7 @@
 Each command is a file: `fit_command`, `list_command`, `inspect_command`, `response_command`. `stated_problem` makes the
 problem that the options of `greybox fit` state, `catalog` finds the included models and problems and those in a user's
 own file, `data_file` reads what `--data` names, and `log_tests` finds the test segments of a log. `options` holds what
-the options of all commands share, `output` what they give: answers, exit statuses, files and figures. `startup` takes
-care of Ctrl-C during imports, `terminal` of standard output that is not UTF-8, closed, or on a full disk.
+the options of all commands share, `workers` those for runs in other processes, `output` what the commands give:
+answers, exit statuses, files and figures. `startup` takes care of Ctrl-C during imports, `terminal` of standard output
+that is not UTF-8, closed, or on a full disk.
 """

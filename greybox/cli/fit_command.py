@@ -10,6 +10,7 @@ from greybox.cli.options import UsageError, add_common_options, nonnegative, pos
 from greybox.cli.output import FAILED, USABLE, Answer, all_finite, finite, require_figure, require_writable, save_figure
 from greybox.cli.startup import INTERRUPTED
 from greybox.cli.stated_problem import add_problem_options, stated_problem
+from greybox.cli.workers import add_worker_options, stated_executor
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.data.response_file import HDF5
 from greybox.estimate.fit import Interrupted, fit
@@ -27,6 +28,7 @@ def add_command(commands: Any) -> None:
     )
     parser.add_argument("--seed", type=nonnegative, help="seed of the starts (default: the problem's, or 0)")
     parser.add_argument("--out", type=Path, metavar="FILE", help="save the result to this HDF5 file")
+    add_worker_options(parser)
     add_common_options(parser, "responses, time histories and starts")
     parser.set_defaults(command=run)
 
@@ -41,7 +43,8 @@ def run(options: argparse.Namespace) -> Answer:
     for name in ("starts", "seed"):
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)
-    result, interrupted = _fitted(problem, settings)
+    with stated_executor(options) as executor:
+        result, interrupted = _fitted(problem, settings | {"executor": executor})
 
     answer = _as_json(result)
     status = USABLE if result.converged else FAILED

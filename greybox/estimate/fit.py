@@ -5,6 +5,7 @@ import math
 import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from functools import singledispatch
 from importlib.metadata import version
@@ -80,6 +81,7 @@ def fit(
     *,
     method: Transcription | None = None,
     solver_options: Mapping[str, Any] = MappingProxyType({}),
+    executor: Executor | None = None,
     progress: bool | Callable[[int, int], None] = True,
 ) -> Fit:
     """Fit a problem from many starts: by IPOPT, or, where data are records, by Gauss-Newton steps.
@@ -100,6 +102,9 @@ def fit(
     solver_options : mapping
         ``{"max_iter": 100, "tol": 1e-9}``, and where IPOPT solves all its other options. For records `tol` is that of
         the decrease of the cost and of half the squared length of a step in standard errors, 1e-8 by default.
+    executor : concurrent.futures.Executor, optional
+        What makes the runs: `greybox.solve.WorkerPool(2)`, a `ProcessPoolExecutor`, Dask's ``client.get_executor()``;
+        this process by default. The answer is the same. The first run, the refinement and the judgment are made here.
     progress : bool or function
         A bar on a terminal for anything longer than two seconds; or a function of finished and all runs.
 
@@ -112,6 +117,8 @@ def fit(
     ------
     ValueError, TypeError
         For bad input, in one sentence.
+    RuntimeError
+        When the executor has lost its workers.
     KeyboardInterrupt
         After Ctrl-C, when the iteration at hand has ended; its attribute ``fit`` is the best fit so far.
     """
@@ -121,9 +128,11 @@ def fit(
         raise TypeError(f"solver_options is {solver_options!r:.60}: give IPOPT's options as {{name: value}}.")
     if method is not None and not isinstance(method, Transcription):
         raise TypeError(f"method is {method!r:.60}: give an instance such as MultipleShooting().")
+    if executor is not None and not isinstance(executor, Executor):
+        raise TypeError(f"executor is {executor!r:.60}: give an instance such as greybox.solve.WorkerPool(2).")
     try:
         with listening():
-            answer = _fitted_from(problem, starts, seed, method, solver_options, progress)
+            answer = _fitted_from(problem, starts, seed, method, solver_options, executor, progress)
             if answer is None or take_interrupt():
                 raise Interrupted(answer)
             return answer
@@ -139,6 +148,7 @@ def _fitted_from(
     seed: int | None,
     method: Transcription | None,
     solver_options: Mapping[str, Any],
+    executor: Executor | None,
     progress: bool | Callable[[int, int], None],
 ) -> Fit | None:
     """Return the fit from these starts, or after Ctrl-C from those that were done; None if there are none."""
@@ -153,10 +163,10 @@ def _fitted_from(
     movable = not isinstance(rule, Listed)
     with responding(Response.STOP):
         if callable(progress) or not progress:
-            search = multistart(nlp, solver, points, progress or None, movable)
+            search = multistart(nlp, solver, points, progress or None, movable, executor)
         else:
             with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
-                search = multistart(nlp, solver, points, lambda done, _: _advance(bar, done), movable)
+                search = multistart(nlp, solver, points, lambda done, _: _advance(bar, done), movable, executor)
         nlp, search, solver = with_more_harmonics(nlp, search, solver, open_parts, solver_options)
         search = explained(nlp, search)
         nlp, search, solver, error = refine_discretization(nlp, search, solver)

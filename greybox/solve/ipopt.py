@@ -1,7 +1,7 @@
 """IPOPT on a problem without hidden unknowns, such as frequency responses: a dense program in the parameters."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
@@ -91,6 +91,10 @@ class IpoptSolver(LocalSolver):
             "lbg": np.zeros(nlp.constraint.numel_out()),
             "ubg": np.full(nlp.constraint.numel_out(), np.inf),
         }
+
+    def __reduce__(self) -> tuple[Callable[..., "IpoptSolver"], tuple[Any, ...]]:
+        """Return what builds the same solver."""
+        return IpoptSolver, (self._nlp, dict(self._options))
 
     def run(self, start: Array, smoothing: float = SMOOTHING) -> Outcome:
         """Solve from the parameters `start` (p,)."""

@@ -37,9 +37,8 @@ class LocalSearch:
         self.further_starts: list[Array] = []
         self.further_outcomes: list[Outcome] = []
 
-    def run(self, start: Array) -> Outcome:
-        """Run the solver from a start (p,), and try what its end suggests."""
-        outcome = self._solver.run(start)
+    def improved(self, outcome: Outcome) -> Outcome:
+        """Return what a run left, continued where it is not finished, and try what its end suggests."""
         if not isinstance(self._solver, GaussNewton):
             return outcome
         if self._nlp.strategies.continued_runs and self._is_unfinished(outcome) and not stop_requested():

@@ -1,9 +1,9 @@
 """What every solver answers: a run from one start, and what a search from many starts asks besides."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,8 @@ class Profile:
 class LocalSolver(ABC):
     """A solver of one compiled problem, built once for all starts.
 
+    Pickled, it is its problem and its options, and is built anew where it arrives.
+
     Attributes
     ----------
     starts : int
@@ -39,6 +41,10 @@ class LocalSolver(ABC):
 
     starts: ClassVar[int] = 20
     tries_declared_values: ClassVar[bool] = True
+
+    @abstractmethod
+    def __reduce__(self) -> tuple[Callable[..., "LocalSolver"], tuple[Any, ...]]:
+        """Return what builds the same solver, and its arguments."""
 
     @abstractmethod
     def run(self, start: Array) -> Outcome:

@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from types import MappingProxyType
 from typing import Any
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.strategies import with_options
+from greybox.solve.executors import run_all
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.interruption import stop_requested
 from greybox.solve.ipopt import IpoptSolver
@@ -50,13 +52,14 @@ def multistart(
     starts: Array,
     progress: ProgressReport | None = None,
     movable: bool = True,
+    executor: Executor | None = None,
 ) -> Multistart:
     """Run the solver from every row of `starts` (r, p) and group the runs into minima.
 
     Starts that are `movable` go to where a run can begin. Every run is kept; runs from elsewhere, see
     `greybox.solve.local_search`, follow those of the starts. A run that fails is a result with its status; it is never
     ranked before one that converged. When a stop is requested (`greybox.solve.interruption`) the run at hand is the
-    last.
+    last. With an executor the runs from the starts are made by its workers, see `greybox.solve.executors`.
     """
     began = time.perf_counter()
     points: Iterable[Array] = starts
@@ -65,11 +68,9 @@ def multistart(
     search = LocalSearch(nlp, solver, neighbors=len(starts) > 1)
     tried: list[Array] = []
     outcomes = []
-    for start in points:
-        if stop_requested():
-            break
+    for start, outcome in run_all(solver, points, len(starts), executor):
         tried.append(start)
-        outcomes.append(search.run(start))
+        outcomes.append(search.improved(outcome))
         if progress is not None:
             progress(len(tried), len(starts))
 

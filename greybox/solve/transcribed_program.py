@@ -7,7 +7,7 @@ treated alike.
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -39,6 +39,7 @@ class TranscribedProgram(LocalSolver):
         """Put the programs of all parts together; `gauss_newton` gives states to begin with."""
         self._nlp = nlp
         self._gauss_newton = gauss_newton
+        self._options = dict(options)
         z = ca.MX.sym("z", len(nlp.free))
         self._programs = [part.program(z) for part in nlp.parts]
         self._weights = [part.weight for part in nlp.parts]
@@ -72,6 +73,10 @@ class TranscribedProgram(LocalSolver):
             "lbg": np.zeros(constraints.numel()),
             "ubg": np.concatenate([np.zeros(equations.numel()), np.full(limits.numel(), np.inf)]),
         }
+
+    def __reduce__(self) -> tuple[Callable[..., "TranscribedProgram"], tuple[Any, ...]]:
+        """Return what builds the same solver."""
+        return TranscribedProgram, (self._nlp, self._gauss_newton, self._options)
 
     def is_finite_at(self, start: Array) -> bool:
         """Tell whether the model is finite at the parameters `start` (p,), near the data."""

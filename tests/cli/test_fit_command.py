@@ -136,3 +136,18 @@ def test_the_shipped_records(capsys):
     answer = json.loads(run(capsys, *command, "--json")[1])
     assert answer["cost"] == pytest.approx(-14516.2355, abs=0.01)
     assert [output["part"] for output in answer["outputs"]] == ["sitl_drag_hover", "sitl_drag_5deg"]
+
+
+def test_workers_give_the_same_answer(capsys):
+    one, two = (json.loads(run(capsys, "fit", "rotors", "--starts", "20", "--workers", n, "--json")[1]) for n in (1, 2))
+    assert {**one, "seconds": 0} == {**two, "seconds": 0}
+
+
+def test_there_is_at_least_one_worker(capsys):
+    assert "'0' is not an integer of at least 1" in refused(capsys, "fit", "rotors", "--workers", "0")
+    assert "not allowed with" in refused(capsys, "fit", "rotors", "--workers", "2", "--scheduler", "127.0.0.1:1")
+
+
+def test_dask_is_named_where_it_is_missing(capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert "pip install 'greybox-id[dask]'" in refused(capsys, "fit", "rotors", "--scheduler", "127.0.0.1:1")

@@ -2,8 +2,10 @@
 
 import math
 import time
+from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -66,6 +68,10 @@ class GaussNewton(LocalSolver):
         jumping = {name for part in self._parts.parts for name in part.discontinuous_delays}
         self._is_discontinuous = np.array([name in jumping for name in nlp.free])
         self._coarse = self._on_excerpts() if parts is None else None
+
+    def __reduce__(self) -> tuple[Callable[..., "GaussNewton"], tuple[Any, ...]]:
+        """Return what builds the same solver, of the whole problem."""
+        return partial(GaussNewton, settings=self._settings), (self._nlp,)
 
     def _on_excerpts(self) -> "GaussNewton | None":
         """Return the solver on excerpts of long records, which lead to the neighborhood of the minimum."""

@@ -1,0 +1,73 @@
+"""Runs on a real Dask scheduler with workers of its own, all of them processes on this machine."""
+
+import subprocess
+import sys
+from contextlib import contextmanager
+
+import pytest
+from command_line import QUICK, refused, run
+from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
+from numpy.testing import assert_array_equal
+
+import greybox as gb
+
+distributed = pytest.importorskip("distributed", reason="needs the extra dask")
+RESPONSE = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2))
+
+
+@contextmanager
+def processes(*commands, folder):
+    """Run these commands of Dask, their messages in files."""
+    started = []
+    try:
+        for k, command in enumerate(commands):
+            with (folder / f"{k}.log").open("w") as log:
+                words = [sys.executable, "-m", "dask", *command.split()]
+                started.append(subprocess.Popen(words, cwd=folder, stdout=log, stderr=log))
+        yield started
+    finally:
+        for process in started:
+            process.kill()
+        for process in started:
+            process.wait()
+
+
+WORKER = "worker --scheduler-file scheduler.json --nthreads 1 --no-dashboard --no-nanny"
+
+
+@pytest.mark.filterwarnings("ignore")  # of a package that is not ours
+def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(tmp_path, capsys):
+    scheduler = "scheduler --host 127.0.0.1 --port 0 --no-dashboard --scheduler-file scheduler.json"
+    with (
+        processes(scheduler, WORKER, WORKER, folder=tmp_path) as (head, first, _),
+        distributed.Client(scheduler_file=str(tmp_path / "scheduler.json"), timeout=120) as client,
+    ):
+        client.wait_for_workers(2, timeout=120)
+        alone = gb.fit(RESPONSE, 60)
+        together = gb.fit(RESPONSE, 60, executor=client.get_executor())
+        assert together.estimate == alone.estimate
+        for one, other in zip(alone.runs, together.runs, strict=True):
+            assert_array_equal(one.estimate, other.estimate)
+
+        status, out, _ = run(
+            capsys, "fit", "rotors", *QUICK, "--scheduler", client.scheduler_info()["address"], "--json"
+        )
+        assert status == 0
+        assert '"starts": 8' in out
+
+        # A worker is lost, and another joins.
+        with processes(WORKER, folder=tmp_path):
+            fewer = gb.fit(RESPONSE, 150, executor=client.get_executor(), progress=lambda done, _: first.kill())
+        assert len(fewer.runs) == 150
+        assert all(one.status == other.status for one, other in zip(alone.runs, fewer.runs, strict=False))
+
+        executor = client.get_executor()
+        with pytest.raises(RuntimeError, match="the executor gave up its tasks"):
+            gb.fit(RESPONSE, 20_000, executor=executor, progress=lambda done, _: done == 20 and head.kill())
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_scheduler_that_is_not_there(capsys, monkeypatch):
+    monkeypatch.setattr("greybox.cli.workers.CONNECTING", 0.2)
+    said = refused(capsys, "fit", "rotors", *QUICK, "--scheduler", "127.0.0.1:9")
+    assert "no Dask scheduler answers at '127.0.0.1:9'" in said

@@ -1,0 +1,189 @@
+"""Runs made elsewhere: the same answer from every executor, and what becomes of workers that are killed."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
+from numpy.testing import assert_array_equal
+from sampled_lag import lag_problem
+
+import greybox as gb
+from greybox.solve.executors import run_all
+from greybox.solve.local_solver import LocalSolver
+from greybox.solve.outcome import Outcome
+
+RESPONSE = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2))
+PROBLEMS = {"response": (RESPONSE, None), "record": (lag_problem(), None), "record by IPOPT": (lag_problem(), True)}
+
+
+class LastFirst(Executor):
+    """Does its tasks when the first of them is waited for, the last one first."""
+
+    def __init__(self):
+        self.tasks = []
+
+    def submit(self, fn, /, *args, **kwargs):
+        executor = self
+
+        class Waiting(Future):
+            def exception(self, timeout=None):
+                executor.work()
+                return super().exception(timeout)
+
+        future = Waiting()
+        self.tasks.append((future, fn, args, kwargs))
+        return future
+
+    def work(self):
+        while self.tasks:
+            future, fn, args, kwargs = self.tasks.pop()
+            if future.set_running_or_notify_cancel():
+                future.set_result(fn(*args, **kwargs))
+
+
+@pytest.fixture(scope="module")
+def workers():
+    with gb.solve.WorkerPool(2) as pool:
+        yield pool
+
+
+def fitted(problem, executor, *, by_ipopt):
+    method = gb.Collocation() if by_ipopt else None
+    return gb.fit(problem, 40 if problem is RESPONSE else 6, method=method, executor=executor, progress=False)
+
+
+def require_same(fit, other):
+    for run, wanted in zip(fit.runs, other.runs, strict=True):
+        assert_array_equal(run.start, wanted.start)
+        assert_array_equal(run.estimate, wanted.estimate)
+        assert (run.index, run.status, run.iterations) == (wanted.index, wanted.status, wanted.iterations)
+    assert fit.cost == other.cost
+    assert fit.estimate == other.estimate
+    assert fit.standard_error == other.standard_error
+
+
+@pytest.mark.parametrize("which", PROBLEMS)
+def test_the_answer_does_not_depend_on_who_makes_the_runs(which, workers):
+    problem, by_ipopt = PROBLEMS[which]
+    alone = fitted(problem, None, by_ipopt=by_ipopt)
+    require_same(fitted(problem, workers, by_ipopt=by_ipopt), alone)
+    require_same(fitted(problem, LastFirst(), by_ipopt=by_ipopt), alone)
+    with ThreadPoolExecutor(3) as threads:
+        require_same(fitted(problem, threads, by_ipopt=by_ipopt), alone)
+
+
+def test_progress_counts_the_runs_in_order(workers):
+    seen = []
+    gb.fit(RESPONSE, 40, executor=workers, progress=lambda done, count: seen.append((done, count)))
+    assert seen == [(k + 1, 40) for k in range(40)]
+
+
+class Fragile(LocalSolver):
+    """Ends the worker it is in at one of the starts: always, or the first time, which a file remembers."""
+
+    def __init__(self, deadly, file=None):
+        self.deadly, self.file = deadly, file
+
+    def __reduce__(self):
+        return Fragile, (self.deadly, self.file)
+
+    def run(self, start):
+        if start[0] == self.deadly and (self.file is None or not Path(self.file).exists()):
+            if self.file is not None:
+                Path(self.file).touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return Outcome(2 * start, "solved", 1, 1e-3, converged=True)
+
+    def profile(self, x, nodes=None):
+        raise NotImplementedError
+
+    def cost(self, values):
+        raise NotImplementedError
+
+    def refined(self, nlp):
+        raise NotImplementedError
+
+
+STARTS = np.arange(50.0)[:, None]
+
+
+def outcomes(solver, executor):
+    starts, found = zip(*run_all(solver, STARTS, len(STARTS), executor), strict=True)
+    assert_array_equal(starts, STARTS)
+    return found
+
+
+def test_a_worker_that_is_killed_is_replaced(tmp_path, workers):
+    found = outcomes(Fragile(20.0, str(tmp_path / "seen")), workers)
+    assert (tmp_path / "seen").exists()
+    assert_array_equal([outcome.estimate for outcome in found], 2 * STARTS)
+
+
+def test_a_start_that_always_ends_its_worker_is_a_run_that_failed(workers):
+    found = outcomes(Fragile(20.0), workers)
+    assert [k for k, outcome in enumerate(found) if outcome.status == "worker lost"] == [20]
+    assert not found[20].converged
+    assert all(outcome.status == "solved" for k, outcome in enumerate(found) if k != 20)
+
+
+def test_of_a_pool_that_is_not_ours_the_loss_is_said():
+    import multiprocessing
+
+    with (
+        ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool,
+        pytest.raises(RuntimeError, match=r"failed, BrokenProcessPool: .* use greybox\.solve\.WorkerPool"),
+    ):
+        outcomes(Fragile(20.0), pool)
+
+
+def test_ctrl_c_keeps_the_runs_that_were_made(press_ctrl_c, workers):
+    def progress(done, _):
+        if done == 30:
+            press_ctrl_c()
+
+    with pytest.raises(KeyboardInterrupt) as stopped:
+        gb.fit(RESPONSE, 20_000, executor=workers, progress=progress)
+    runs = stopped.value.fit.runs
+    assert 30 <= len(runs) < 20_000
+    assert all(run.status != "interrupted" for run in runs)
+    again = gb.fit(RESPONSE, 8, executor=workers)  # the workers are as before
+    assert again.converged
+
+
+def test_a_script_without_its_guard_is_told_what_is_missing(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        textwrap.dedent(
+            """
+            import greybox as gb
+            from greybox.problems import rotors
+            with gb.solve.WorkerPool(1) as workers:
+                gb.fit(rotors.problem(), 20, executor=workers)
+            """
+        )
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 1
+    assert "no worker process could begin: in a script" in done.stderr.splitlines()[-1]
+
+
+@pytest.mark.parametrize("number", [0, -1, 1.5, True, "2"])
+def test_a_number_of_workers_that_is_none(number):
+    with pytest.raises(ValueError, match="workers is"):
+        gb.solve.WorkerPool(number)
+
+
+def test_what_is_no_executor_is_refused():
+    with pytest.raises(TypeError, match="executor is 2: give an instance"):
+        gb.fit(RESPONSE, 3, executor=2)
+    pool = gb.solve.WorkerPool(1)
+    pool.shutdown()
+    with pytest.raises(RuntimeError, match="was shut down"):
+        gb.fit(RESPONSE, 3, executor=pool)
