@@ -409,24 +409,24 @@ def test_an_earlier_fit_widens_the_errors(criterion):
     slope = -np.linalg.lstsq(j, own, rcond=None)[0]
     sigma = rotor.covariance_of(tuple(constants))
     same_covariance(fit.covariance_of(fit.free), alone.covariance_of(fit.free) + slope @ sigma @ slope.T)
-    assert_allclose(fit.covariance_of(tuple(constants)), sigma)
+    together = fit.covariance_of((*fit.free, *constants))
+    assert_allclose(together[-2:, -2:], sigma)
+    assert_allclose(together[:-2, -2:], slope @ sigma, rtol=1e-4)
     assert fit.standard_error["a4"] > 2 * alone.standard_error["a4"]
     same_errors(fit, rotor, constants)
     assert alone.standard_error["T_rotor"] == 0
 
 
 def test_an_earlier_fit_moves_the_estimate_as_its_errors_say():
-    """The slope of the estimate with the constant, by refitting with the constant moved."""
-    data = measured(Tilt(), OMEGA, TILT, 1e-4)
-    problem = gb.Problem(Tilt(), data, criterion=gb.SquaredRelativeError())
-    h = 1e-4
-    high, low = (fitted(problem.with_(fixed={"T_rotor": 0.048 + d, "T_delay": 0.0042}), TILT) for d in (h, -h))
-    slope = (vector(high, high.free) - vector(low, low.free)) / (2 * h)
-    middle = fitted(problem, TILT)
-    by_formula = -np.linalg.lstsq(
-        relative_jacobian(middle, Tilt(), data), relative_jacobian(middle, Tilt(), data, ("T_rotor",)), rcond=None
-    )[0]
-    assert_allclose(slope, by_formula.ravel(), rtol=5e-3)
+    """The covariance of estimate and constant over the variance of the constant: the slope that refits show."""
+    rotor = fitted(gb.Problem(Rotor(), measured(Rotor(), ROTOR_OMEGA, ROTOR, 0.02), fixed={"T_delay": 0.0042}), ROTOR)
+    problem = gb.Problem(Tilt(), measured(Tilt(), OMEGA, TILT, 1e-4), criterion=gb.SquaredRelativeError(), fixed=rotor)
+    fit = fitted(problem, TILT)
+    middle, h = rotor.estimate["T_rotor"], 1e-4
+    high, low = (fitted(problem.with_(fixed={"T_rotor": middle + d, "T_delay": 0.0042}), TILT) for d in (h, -h))
+    slope = (vector(high, fit.free) - vector(low, fit.free)) / (2 * h)
+    together = fit.covariance_of((*fit.free, "T_rotor"))
+    assert_allclose(together[:-1, -1] / together[-1, -1], slope, rtol=5e-2)
 
 
 def test_an_earlier_fit_without_an_error_is_not_taken_as_exact():

@@ -72,7 +72,10 @@ def test_a_sweep_is_called_a_sweep():
     phase = 60 * (30 ** (t / 60) - 1) / math.log(30)
     (run,) = sines_and_sweeps(t, 2 * np.sin(phase))
     assert run.kind == "sweep"
-    assert run.band == pytest.approx((3, 28), rel=0.5)
+    # Frequencies of the sweep where the segment begins and ends; its first and last piece are some periods long.
+    assert run.band == pytest.approx((30 ** (run.start / 60), 30 ** (run.end / 60)), rel=0.2)
+    assert run.start < 15
+    assert run.end > 55
     assert run.amplitude == pytest.approx(2, rel=0.1)
     assert "sweep" in segment_table([run])
 

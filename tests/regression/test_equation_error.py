@@ -305,20 +305,25 @@ def test_covariance_of_known_color():
 
 
 def test_the_bias_by_noise_has_the_right_size_and_sign(flown):
+    """At three times the noise-free scatter: the mean error over repetitions, of which the scatter leaves 15 %."""
     results = [
         gb.regression.equation_error(
-            LinearTilt(), measured(flown, ("u", "v", "theta"), 0.1, seed), fixed={"T_delay": 0.0}
+            LinearTilt(), measured(flown, ("u", "v", "theta"), 0.3, seed), fixed={"T_delay": 0.0}
         )
         for seed in range(6)
     ]
-    error = np.mean([r.estimate["a2"] - TILT["a2"] for r in results])
-    claimed = np.mean([r.bias["a2"] for r in results])
-    assert claimed == pytest.approx(error, rel=0.6, abs=0.02)
+    for name in ("a1", "a2", "a3", "a4"):
+        error = np.mean([r.estimate[name] - TILT[name] for r in results])
+        assert np.mean([r.bias[name] for r in results]) == pytest.approx(error, rel=0.35), name
 
 
 def test_high_noise_is_said(flown):
     result = gb.regression.equation_error(LinearTilt(), measured(flown, ("u", "v", "theta"), 0.3), free="T_delay")
-    assert any("noise in the measured states biases the estimate" in text for text in result.warnings)
+    (said,) = [text for text in result.warnings if "noise in the measured states biases the estimate" in text]
+    assert {n for n in result.bias if f"{n} by about {result.bias[n]:.2g}" in said} == {
+        n for n, shift in result.bias.items() if abs(shift) > result.standard_error[n]
+    }
+    assert min(result.bias.values()) < 0 < max(result.bias.values())
     assert "Noise in the regressors biases" in str(result)
     quiet = gb.regression.equation_error(
         LinearTilt(), measured(flown, ("u", "v", "q", "theta"), 1e-3), fixed={"T_delay": 0.0}

@@ -278,14 +278,18 @@ def test_few_samples(samples):
 
 
 def test_repeated_tests_of_one_frequency_are_averaged():
-    rng = np.random.default_rng(0)
     t = np.arange(20_000) * STEP
-    u, y = np.sin(5 * t), sine(t, 5, 0.5 - 0.5j) + 0.3 * rng.standard_normal(t.size)
-    record = Record(t, {"u": u, "theta": y})
     parts = [Segment(0, 25, omega=5.0), Segment(25, 49, omega=5.0)]
-    both, one = finite_frequency(record, parts), finite_frequency(record, parts[:1])
-    assert both.points[0].periods == sum(finite_frequency(record, [p]).points[0].periods for p in parts)
-    assert both.points[0].dof > one.points[0].dof
-    assert both.points[0].standard_error == pytest.approx(one.points[0].standard_error / math.sqrt(2), rel=0.5)
-    assert "mean of 2 tests" in said(both)
-    assert abs(both.response.response[0] - (0.5 - 0.5j)) < 4 * both.points[0].standard_error
+    variances = []
+    for seed in range(20):
+        noise = 0.3 * np.random.default_rng(seed).standard_normal(t.size)
+        record = Record(t, {"u": np.sin(5 * t), "theta": sine(t, 5, 0.5 - 0.5j) + noise})
+        both, one = finite_frequency(record, parts).points[0], finite_frequency(record, parts[:1]).points[0]
+        variances.append([both.standard_error**2, one.standard_error**2])
+        assert abs(both.response - (0.5 - 0.5j)) < 4 * both.standard_error
+    # White noise of deviation s leaves 4 s²/N to the amplitude of a sine over N samples.
+    expected = [4 * 0.3**2 / (point.periods * 2 * math.pi / 5 / STEP) for point in (both, one)]
+    assert np.mean(variances, axis=0) == pytest.approx(expected, rel=0.2)
+    assert both.periods == sum(finite_frequency(record, [p]).points[0].periods for p in parts)
+    assert both.dof > one.dof
+    assert "mean of 2 tests" in said(finite_frequency(record, parts))
