@@ -97,3 +97,25 @@ def test_an_output_that_never_moves():
     values = np.vstack([np.ones(50), np.zeros(50), RESIDUALS[2, :50]])
     noise, products = made("diagonal", values)
     assert np.isfinite(noise.cost(products))
+
+
+@pytest.mark.parametrize(("choice", "h"), [("diagonal", 1e-3), ("full", 1e-5)])
+def test_the_hessian_of_the_cost_is_that_of_the_weighted_squares_less_what_the_covariance_follows(choice, h):
+    """Second differences of the likelihood along two directions in which the residuals are linear."""
+    noise, products = made(choice)
+    directions = np.random.default_rng(6).normal(size=(2, *RESIDUALS.shape)) * RESIDUALS.std(axis=1)[:, None]
+    directions += 0.5 * RESIDUALS
+
+    def cost(first, second):
+        moved = RESIDUALS + first * directions[0] + second * directions[1]
+        return noise.cost(moved @ moved.T)
+
+    pairs = [(h, 0), (-h, 0), (0, h), (0, -h), (h, h), (h, -h), (-h, h), (-h, -h)]
+    a, b, c, d, e, f, g, i = (cost(*pair) for pair in pairs)
+    middle = cost(0, 0)
+    hessian = np.array([[a + b - 2 * middle, (e - f - g + i) / 4], [(e - f - g + i) / 4, c + d - 2 * middle]]) / h**2
+    weight = noise.weight(products)
+    white, slopes = weight @ RESIDUALS, np.array([weight @ direction for direction in directions])
+    squares = np.einsum("vkn,wkn->vw", slopes, slopes)
+    followed = noise.curvature_of_covariance(np.einsum("an,vbn->abv", white, slopes))
+    assert_allclose(squares - followed @ followed.T, hessian, rtol=1e-4, atol=1e-3)

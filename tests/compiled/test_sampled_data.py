@@ -146,6 +146,10 @@ def test_the_past_of_a_delay_is_not_compared():
         (np.repeat(RANDOM.normal(size=8), 8)[:60], 20),  # commands at a lower rate: the past is as unknown
         (np.concatenate([np.zeros(20), np.repeat(RANDOM.normal(size=8), 5)]), 0),
         (np.ones(60), 0),
+        (np.repeat([0.0, 1.0, 0.0], [5, 5, 50]), 0),  # a pulse
+        (np.repeat([0.0, 1.0, 2.0], [5, 5, 50]), 20),  # a staircase
+        (np.repeat([0.0, 1.0, 2.0, 3.0], [12, 5, 20, 23]), 0),  # the first hold against the shorter half of the others
+        (np.repeat([0.0, 1.0, 2.0, 3.0], [9, 5, 20, 26]), 20),
     ],
 )
 def test_an_input_that_rests_at_the_beginning_has_rested_before(u, masked):

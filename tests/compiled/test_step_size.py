@@ -67,3 +67,18 @@ def test_what_the_method_says_holds():
     assert chosen(plant(-1e6, (-1e6, -1e5)), method) == (3, 7)
     assert chosen(plant(-1e6, (-1e6, -1e5)), gb.MultipleShooting(segment=7))[1] == 7
     assert chosen(plant(-1e6, (-1e6, -1e5)), gb.MultipleShooting(integrator=gb.RungeKutta(substeps=3)))[0] == 3
+
+
+@pytest.mark.parametrize("rate", [3.0, 12.0, 25.0])
+def test_a_model_and_its_mirror_image_ask_for_the_same_steps(rate):
+    """x to -x and u to -u is the same motion: falling states count as rising ones."""
+    time = STEP * np.arange(200)
+    u, x = 1 + np.exp(-time), 2 * np.exp(-0.3 * time)
+
+    def asked(sign):
+        record = gb.Record(time, {"u": sign * u, "x": sign * x})
+        problem = gb.Problem(plant(-rate, (-rate, -0.9 * rate)), record, gb.OutputError(inputs="held"))
+        (part,) = compile_problem(problem, gb.MultipleShooting()).parts
+        return part.substeps
+
+    assert asked(1) == asked(-1)

@@ -3,7 +3,9 @@
 import importlib.util
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -299,6 +301,45 @@ def test_degrees_of_freedom_count_what_the_data_choose(pair):
     one, other = pair()
     assert one.dof == other.dof
     same_errors(one, other, ["K", "T2"], 1e-4)
+
+
+@pytest.mark.parametrize("weights", [(1.0, 1.0), (25.0, 0.04)])
+def test_the_collinearity_index_is_that_of_the_weighted_jacobian(weights):
+    """Brun and others, by the singular values of the columns of length one; over both parts, as they are weighted."""
+    parts = [measured(Lags(), omega, LAGS, 0.2) for omega in (np.geomspace(0.05, 0.3, 12), np.geomspace(0.5, 3, 8))]
+    criterion = gb.SquaredRelativeError()
+    both = [gb.Problem(Lags(), d, criterion, weight=w) for d, w in zip(parts, weights, strict=True)]
+    accuracy = assess(compile_problem(both[0] + both[1]), np.array(list(LAGS.values())))
+    point = SimpleNamespace(free=list(LAGS), estimate=LAGS)
+    j = np.vstack(
+        [math.sqrt(w) * relative_jacobian(point, Lags(), d) for d, w in zip(parts, weights, strict=True)]
+    )
+    smallest = np.linalg.svd(j / np.linalg.norm(j, axis=0))[1][-1]
+    (combination,) = accuracy.combinations
+    assert combination.index == pytest.approx(1 / smallest, rel=1e-4)
+    assert 20 < combination.index < 1e4
+
+
+@pytest.mark.parametrize(("stated", "widened"), [(16.0, False), (1 / 16, True)])
+def test_stated_variances_hold_unless_the_residuals_are_larger(stated, widened):
+    """As scipy's curve_fit with absolute deviations, and with those that the residuals scale."""
+    honest = measured(Lags(), OMEGA, LAGS, 0.03, variance=True)
+    data = replace(honest, variance=stated * honest.variance)
+    fit = fitted(gb.Problem(Lags(), data, criterion=gb.MaximumLikelihood()))
+    function = response_of(Lags(), OMEGA, fit.free)
+    _, covariance = curve_fit(
+        lambda _, *x: stacked(function(x)),
+        np.arange(2 * OMEGA.size),
+        stacked(data.response),
+        p0=vector(fit, fit.free),
+        sigma=np.tile(np.sqrt(data.variance / 2), 2),
+        absolute_sigma=not widened,
+        x_scale=list(LAGS.values()),
+        method="trf",
+        jac="3-point",
+        xtol=1e-13,
+    )
+    same_covariance(fit.covariance_of(fit.free), covariance, 1e-4)
 
 
 def test_an_inactive_constraint_changes_nothing():

@@ -190,6 +190,7 @@ def other(**signals):
         (other(reference="theta"), ValueError, "two signals are called 'theta'"),
         ([RateDamper(), other(u="reference")], ValueError, "takes 'reference' from itself or a later controller"),
         ([RateDamper(), other(u="w", reference="r")], ValueError, "gives w, but Plant takes"),
+        (other(u="reference"), ValueError, "gives reference, but Plant takes u, z"),
     ],
 )
 def test_controllers_that_do_not_fit(controllers, error, sentence):
@@ -207,3 +208,8 @@ def test_controllers_in_the_wrong_order():
     with pytest.raises(ValueError, match="takes 'w' from itself or a later controller"):
         connected([other(reference="w"), Two(signals={"u": "z"})], ("u", "z"), set(), "Plant")
     assert len(connected([Two(signals={"u": "z"}), other(reference="w")], ("u", "z"), set(), "Plant")) == 2
+
+
+def test_a_controller_may_drive_the_next_one_alone():
+    cascade = [other(u="rate"), RateDamper(signals={"reference": "rate", "q": "r"})]
+    assert len(connected(cascade, ("u", "z"), {"theta", "q", "r"}, "Plant")) == 2

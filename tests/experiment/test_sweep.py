@@ -48,6 +48,11 @@ def test_sweep_reaches_its_frequencies(kind):
         (lambda: sweep(10, 1, 60, 100), "must rise"),
         (lambda: sweep(1, 10, 60, 100, kind="cubic"), "'cubic' sweep"),
         (lambda: sweep(0.1, 10, 60, 100), "too short for 2 periods"),
+        (lambda: sweep(1, 1000, 60, 50), "omega is 1000 rad/s: give frequencies above 0 and up to 62.83 rad/s"),
+        (lambda: sweep(0, 10, 60, 50), "omega is 0 rad/s"),
+        (lambda: sweep(1, 10, 60, 100, fade_in=-1), "fades of -1 and"),
+        (lambda: sweep(1, 10, 60, 100, fade_out=-1), "and -1 s: raise"),
+        (lambda: sweep(1, 10, 9, 100, dwell=0, fade_in=5, fade_out=5), "9 s are too short"),
     ],
 )
 def test_mistakes_are_sentences(make, words):

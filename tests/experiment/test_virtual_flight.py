@@ -517,6 +517,8 @@ def test_a_plant_that_is_not_smooth_says_what_the_integration_misses():
         ({"rate": 150}, ValueError, "150 Hz does not divide the 400 Hz of the loop: use e.g. 133.333 Hz"),
         ({"rate": 1000}, ValueError, "does not divide the 400 Hz of the loop: use e.g. 400 Hz"),
         ({"rate": -1}, ValueError, "rate is -1: give samples per second above 0"),
+        ({"rate": 0}, ValueError, "rate is 0: give samples per second above 0"),
+        ({"rate": math.inf}, ValueError, "rate is inf: give samples per second above 0"),
         ({"seed": -1}, ValueError, "seed is -1: give a whole number"),
         (
             {"controller": None, "excitation": {"u": [0, 1]}},

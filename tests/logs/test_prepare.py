@@ -302,3 +302,15 @@ def test_a_signal_computed_from_several_runs_as_they_all_do():
 
     signals = {"held": product("a", "b"), "mixed": product("a", "c"), "unknown": product("c", "d"), "c": "A.c"}
     assert gb.prepare(log, signals, rate=50).hold == {"held": np.inf, "c": 0.0}
+
+
+@pytest.mark.parametrize("rate", [100, 50, 20])
+@pytest.mark.parametrize("start", [0.0, 0.07, 1e4 + 1 / 3])
+def test_the_first_and_the_last_sample_are_there(rate, start):
+    time = start + np.arange(101) / 100
+    log = recording(A=(time, {"x": 3 * (time - start)}, {}))
+    record = gb.prepare(log, {"x": "A.x"}, rate=rate, interpolation="linear")
+    assert len(record) == rate + 1
+    assert record.time[[0, -1]] == pytest.approx(time[[0, -1]], abs=1e-6)
+    assert np.isfinite(record["x"]).all()
+    assert record["x"][[0, -1]] == pytest.approx([0, 3], abs=0.1)

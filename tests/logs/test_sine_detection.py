@@ -99,3 +99,18 @@ def test_noise_steps_squares_and_walks_are_no_sines(seed):
 @settings(max_examples=100, deadline=None)
 def test_any_short_signal_is_survived(values):
     sines_and_sweeps(np.arange(len(values)) * 0.3, np.array(values))
+
+
+@pytest.mark.parametrize("omega", [2.37, 7.91, 19.3])
+def test_the_frequency_of_a_sine_is_refined_to_what_its_duration_allows(omega):
+    t = np.arange(0, 30, STEP)
+    (run,) = sines_and_sweeps(t, 3 * np.sin(omega * t + 0.4))
+    assert run.omega == pytest.approx(omega, rel=2e-5)
+
+
+def test_a_falling_sweep_has_its_band_from_low_to_high():
+    t = np.arange(0, 60, STEP)
+    phase = 60 * (30 ** (t / 60) - 1) / math.log(30)
+    (run,) = sines_and_sweeps(t, 2 * np.sin(phase)[::-1])
+    assert run.kind == "sweep"
+    assert run.band == pytest.approx((30 ** (1 - run.end / 60), 30 ** (1 - run.start / 60)), rel=0.2)

@@ -167,3 +167,21 @@ def test_elimination_needs_no_pivoting_for_a_chain_through_zero_diagonals():
     got = compiled_response(NonlinearTilt(), OMEGA, output="theta")(values)
     p = NonlinearTilt().values(values)
     assert_allclose(got, p.a4 / S**2 / (p.T_rotor * S + 1) * np.exp(-S * p.T_delay), rtol=1e-12)
+
+
+def test_values_at_which_the_matrices_are_not_finite_leave_the_order_of_elimination():
+    """Draws of c are below zero, where its root is no number; the response at c = 4 is that of the two equations."""
+
+    class Rooted(gb.StateSpace):
+        states, inputs, outputs = ("x", "y"), ("u",), ("y",)
+        c = gb.Parameter(4.0, bounds=(-1e6, 5))
+
+        def derivative(self, x, u, p):
+            return (x.y + 0 * x.x, -gb.sqrt(p.c) * x.x - x.y + u.u)
+
+        def output(self, x, u, p):
+            return (x.y,)
+
+    expected = S / (S**2 + S + 2)
+    assert_allclose(gb.frequency_response(Rooted(), {}, OMEGA, at={"u": 0.0}).response, expected, rtol=1e-9)
+    assert_allclose(compiled_response(Rooted(), OMEGA, at={"u": 0.0})({"c": 4.0}), expected, rtol=1e-9)

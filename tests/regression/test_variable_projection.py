@@ -106,3 +106,16 @@ def test_too_short_a_record_is_said():
     data, parameters = made()
     with pytest.raises(ValueError, match=r"no stretch without a gap is long enough: .* need .* at its ends"):
         project(replace(data, lateness=100.0), parameters, START)
+
+
+def test_at_a_bound_a_step_leaves_the_parameter_there_and_moves_the_others():
+    data, parameters = made(noise=0.01, tau=(0.08, 0.5))
+    found = project(data, parameters, START)
+    assert found.at_bound == ("tau",)
+    other, _ = made(noise=0.01, seed=1)
+    other = replace(other, bands=data.bands)
+    wanted = project(other, parameters, found.vector)
+    step = found.step(other)
+    assert step[found.names.index("tau")] == 0
+    errors = np.sqrt(np.nanmax(np.diag(found.covariance)))
+    assert_allclose(step, wanted.values - found.values, atol=0.1 * errors, rtol=0.2)

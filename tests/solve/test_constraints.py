@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.constraints import Limits
+from greybox.solve.gauss_newton.driver import GaussNewton
 
 
 class Lag(gb.StateSpace):
@@ -73,6 +75,17 @@ def test_constraints_that_contradict_one_another_are_no_answer():
     nothing = [lambda p: p.a - 3, lambda p: 2 - p.a]
     fit = gb.fit(gb.Problem(Lag(), record(), HELD, constraints=nothing), starts=2)
     assert not fit.converged
+
+
+def test_an_end_that_violates_the_constraints_is_no_answer_however_it_was_reached():
+    solver = GaussNewton(compile_problem(gb.Problem(Lag(), record(), HELD)))
+    z = ca.SX.sym("z", 2)
+    never = ca.Function("never", [z], [ca.SX(-1.0), ca.DM(1, 2)])
+    reached = solver.run(np.array([1.0, 1.0]))
+    solver._limits = Limits(solver._limits.low, solver._limits.high, never)
+    end = solver.run(reached.estimate)
+    assert (reached.status, reached.converged) == ("converged", True)
+    assert (end.status, end.converged) == ("constraints violated", False)
 
 
 def test_the_nearest_point_keeps_bounds_and_constraints():

@@ -99,3 +99,17 @@ def test_the_bands_are_octaves_that_hold_every_point():
 def test_a_signal_that_is_not_there_is_named():
     with pytest.raises(KeyError, match="no signal 'q'; it has u, theta"):
         check(record(), input="q")
+
+
+@pytest.mark.parametrize(("at", "severity"), [(0.999, "refusal"), (0.99, None)])
+def test_stated_limits_are_reached_within_a_thousandth_of_their_distance(at, severity):
+    """Wherever the limits lie: the control swings around 100, between limits at 99 and 101."""
+    made = record(u=lambda t: 100 + np.clip(1.5 * np.sin(3 * t), -at, at))
+    assert found(check(made, None, GOOD, limits=(99.0, 101.0))).get("saturation") == severity
+
+
+def test_without_tests_the_length_counts_periods_of_the_lowest_frequency_of_the_response():
+    response = gb.FrequencyResponse([0.3, 1.0, 3.0, 9.0], np.ones(4), input="u", output="theta")
+    (length,) = [f for f in check(record(), response).findings if f.about == "length"]
+    assert length.value == pytest.approx(60 * 0.3 / (2 * np.pi), rel=1e-3)
+    assert length.severity == "warning"
