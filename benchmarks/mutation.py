@@ -1,27 +1,26 @@
 """Plant faults in the package, one at a time, and see whether a test notices.
 
 python benchmarks/mutation.py [--count 200] [--seed 1] [--files 'greybox/*'] [--jobs 1] [--cache DIR] [--budget 300]
+    [--minutes 60] [--list]
 
-Needs `coverage` (pip install -e '.[dev]'). Faults are a changed sign, operator, comparison or constant, a missing `abs`,
-`max`, `min` or `clip`, and a missing error, warning or diagnosis; a seed is always the same sample of the same commit.
-Against each run the tests that execute its line: those of the file that mirrors the module first, then the fastest, up
-to the first failure. A run that takes far longer than its tests is an endless loop, and caught. A fault on a line that no
-test executes has survived, and so has one that all tests within the budget (seconds of their own time) let through.
+Needs `coverage`, which comes with the `dev` extra. Faults are a changed sign, operator, comparison or constant, a
+missing `abs`, `max`, `min` or `clip`, and a missing error, warning or diagnosis; a seed is always the same sample of
+the same commit. Against each run the tests that execute its line: those of the file that mirrors the module first, then
+the fastest files, up to the first failure. A run that takes far longer than its tests is an endless loop, and caught. A
+fault on a line that no test executes has survived, and so has one that all tests within the budget (seconds of their
+own time) let through.
 
 All happens in copies of the last commit in a temporary directory. Which test executes which line is measured once a
-commit by a run of the whole suite, and kept in the cache.
+commit by a run of the whole suite, and kept in the cache; where only tests are newer than what it holds, only they run.
 
-Left out by rule: texts, type hints, decorators, `__all__`, and numbers in figures, which are looks. mutmut and cosmic-ray
-were considered: the first replaces every function by a trampoline, which the modules that read a formula's source do not
-survive, and knows the tests of a function but not of a line; the second runs one command for every fault, here five
-minutes each. Neither draws a sample.
+Left out by rule: texts, type hints, decorators, `__all__`, and numbers in figures, which are looks. mutmut and
+cosmic-ray were considered: the first replaces every function by a trampoline, and knows which tests reach a function
+but not a line; the second runs one command for every fault, which is the whole suite. Neither draws a sample.
 """
 
 import argparse
 import ast
-import copy
 import fnmatch
-import gc
 import json
 import os
 import platform
@@ -35,15 +34,18 @@ from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import date
-from functools import _lru_cache_wrapper
 from importlib.metadata import version
 from pathlib import Path
 
+from mutation_faults import Fault, faults_of
+
 HERE = Path(__file__).resolve().parent
-if __name__ == "__main__":
-    sys.path.remove(str(HERE))  # its coverage.py is not the library
+sys.path[:] = [p for p in sys.path if Path(p or ".").resolve() != HERE]  # its coverage.py would hide the library
+
+from coverage import Coverage  # noqa: E402
 
 ROOT = HERE.parent
+MEASURED = ("greybox", "models", "problems")
 PATIENCE = 60, 8  # s, and times the tests' own time, after which a run counts as endless
 LOADING = "import coverage\ncoverage.process_startup()\n"
 MEASURING = """[run]
@@ -57,186 +59,6 @@ include =
 """
 
 
-# --- which faults there are ---------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Fault:
-    """One change of one file: the source between two offsets is replaced."""
-
-    file: str
-    lines: range  # of the statement, or of its head: a test that executes one of them meets the fault
-    line: int
-    kind: str
-    before: str
-    after: str
-    start: int  # offset into the encoded file
-    end: int
-    on_import: bool
-
-    def __str__(self):
-        return f"{self.file}:{self.line} {self.kind}: {self.before} -> {self.after}"
-
-
-SWAPPED = {
-    ast.Add: ("sign", ast.Sub),
-    ast.Sub: ("sign", ast.Add),
-    ast.Mult: ("operator", ast.Div),
-    ast.Div: ("operator", ast.Mult),
-    ast.Pow: ("operator", ast.Mult),
-    ast.FloorDiv: ("operator", ast.Mult),
-    ast.Mod: ("operator", ast.FloorDiv),
-    ast.BitAnd: ("operator", ast.BitOr),
-    ast.BitOr: ("operator", ast.BitAnd),
-    ast.And: ("operator", ast.Or),
-    ast.Or: ("operator", ast.And),
-}
-COMPARED = {
-    ast.Lt: (ast.LtE, ast.Gt),
-    ast.LtE: (ast.Lt, ast.Gt),
-    ast.Gt: (ast.GtE, ast.Lt),
-    ast.GtE: (ast.Gt, ast.Lt),
-    ast.Eq: (ast.NotEq,),
-    ast.NotEq: (ast.Eq,),
-    ast.Is: (ast.IsNot,),
-    ast.IsNot: (ast.Is,),
-    ast.In: (ast.NotIn,),
-    ast.NotIn: (ast.In,),
-}
-ABSOLUTE = {"abs", "fabs", "absolute"}
-LIMITS = {"max", "min", "maximum", "minimum", "fmax", "fmin", "clip"}
-TEXTS = (ast.JoinedStr, ast.List, ast.Tuple, ast.ListComp)
-
-
-def faults_of(file: str, source: str):
-    """Yield every place for a fault as a list of its variants."""
-    starts = [0]
-    for line in source.encode().splitlines(keepends=True):
-        starts.append(starts[-1] + len(line))
-
-    def visit(node, statement, inside, returns):
-        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
-            defaults = [] if isinstance(node, ast.ClassDef) else [*node.args.defaults, *node.args.kw_defaults]
-            for default in filter(None, defaults):
-                yield from visit(default, node, inside, returns)
-            function = not isinstance(node, ast.ClassDef)
-            result = ast.unparse(node.returns) if function and node.returns else ""
-            for child in node.body:
-                yield from visit(child, child, inside or function, result)
-            return
-        if isinstance(node, ast.stmt):
-            statement = node
-        variants = list(changes(node, file, returns))
-        if variants:
-            head = getattr(statement, "body", None)
-            last = head[0].lineno - 1 if isinstance(head, list) else statement.end_lineno
-            place = (starts[node.lineno - 1] + node.col_offset, starts[node.end_lineno - 1] + node.end_col_offset)
-            lines = range(statement.lineno, max(last, statement.lineno) + 1)
-            before = ast.unparse(node)
-            yield [
-                Fault(file, lines, node.lineno, kind, before, after, *place, not inside) for kind, after in variants
-            ]
-        for child in children(node):
-            yield from visit(child, statement, inside, returns)
-
-    yield from visit(ast.parse(source), None, False, "")
-
-
-def children(node):
-    """Yield the parts in which faults are planted."""
-    if isinstance(node, (ast.JoinedStr, ast.Raise, ast.Import, ast.ImportFrom)):
-        return
-    if isinstance(node, ast.Call):
-        name = called(node)
-        if name in ("warn", "isinstance", "issubclass", "cast", "TypeVar", "ValueError", "OSError", "lru_cache"):
-            return
-        yield node.func
-        yield from node.args
-        yield from (k.value for k in node.keywords if k.arg != "strict")  # zip(strict=) is a check only
-        return
-    if isinstance(node, ast.AnnAssign):
-        yield from filter(None, [node.value])
-        return
-    if isinstance(node, ast.Assign) and any(getattr(t, "id", "") == "__all__" for t in node.targets):
-        return
-    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub) and isinstance(node.operand, ast.Constant):
-        return
-    yield from ast.iter_child_nodes(node)
-
-
-def called(node) -> str:
-    """Return the last name of what is called."""
-    return getattr(node.func, "attr", getattr(node.func, "id", ""))
-
-
-def is_text(node) -> bool:
-    """Return whether an operand is a text or a list, of which + and * are no arithmetic."""
-    return isinstance(node, TEXTS) or (isinstance(node, ast.Constant) and isinstance(node.value, str))
-
-
-def changes(node, file, returns):
-    """Yield the faults that one node can have, as kind and new source."""
-
-    def with_(**parts):
-        other = copy.copy(node)
-        for name, value in parts.items():
-            setattr(other, name, value)
-        return f"({ast.unparse(other)})" if isinstance(other, ast.expr) else ast.unparse(other)
-
-    looks = file.startswith("greybox/plotting/")
-    if isinstance(node, ast.BinOp) and type(node.op) in SWAPPED and not (is_text(node.left) or is_text(node.right)):
-        kind, other = SWAPPED[type(node.op)]
-        yield kind, with_(op=other())
-    elif isinstance(node, (ast.AugAssign, ast.BoolOp)) and type(node.op) in SWAPPED:
-        if not (isinstance(node, ast.AugAssign) and is_text(node.value)):
-            kind, other = SWAPPED[type(node.op)]
-            yield kind, with_(op=other())
-    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.USub, ast.Not)):
-        yield "sign" if isinstance(node.op, ast.USub) else "operator", f"({ast.unparse(node.operand)})"
-    elif isinstance(node, ast.Compare):
-        for i, op in enumerate(node.ops):
-            for other in COMPARED[type(op)]:
-                yield "comparison", with_(ops=[*node.ops[:i], other(), *node.ops[i + 1 :]])
-    elif isinstance(node, ast.Constant) and isinstance(node.value, (bool, int, float)) and not looks:
-        yield "constant", repr(another(node.value))
-    elif isinstance(node, ast.Call) and called(node) in ABSOLUTE and len(node.args) == 1:
-        yield "abs", f"({ast.unparse(node.args[0])})"
-    elif isinstance(node, ast.Call) and called(node) in LIMITS and len(node.args) >= 2:
-        kept = next((a for a in node.args if not isinstance(a, (ast.Constant, ast.UnaryOp, ast.Starred))), None)
-        if kept is not None:
-            yield "limit", f"({ast.unparse(kept)})"
-    else:
-        yield from removals(node, returns)
-
-
-def removals(node, returns):
-    """Yield a statement that no longer says what is wrong."""
-    if isinstance(node, ast.Raise) and "NotImplemented" not in ast.unparse(node):
-        yield "removal", "pass"
-    elif isinstance(node, ast.Return) and node.value is not None and "str" in returns and "None" in returns:
-        if isinstance(node.value, ast.JoinedStr) or is_text(node.value):
-            yield "removal", "return None"
-    elif isinstance(node, ast.Expr):
-        value = node.value
-        if isinstance(value, ast.Yield) and isinstance(value.value, ast.JoinedStr):
-            yield "removal", "yield from ()"
-        elif isinstance(value, ast.Call):
-            says = any(isinstance(a, ast.JoinedStr) for a in value.args)
-            if called(value) == "warn" or (called(value) in ("append", "add") and says):
-                yield "removal", "pass"
-
-
-def another(number):
-    """Return a number as a slip would leave it: one off, twice as large, or a tolerance with another exponent."""
-    if isinstance(number, (bool,)):
-        return not number
-    if isinstance(number, int):
-        return number + 1 if number < 1000 else 2 * number
-    if number == 0:
-        return 1.0
-    return number * (1000 if abs(number) < 1e-5 else 2)
-
-
 def sample(root: Path, pattern: str, count: int, seed: int) -> list[Fault]:
     """Draw faults, each place equally likely, at most one a place."""
     names = subprocess.run(["git", "ls-files", "*.py"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
@@ -244,69 +66,6 @@ def sample(root: Path, pattern: str, count: int, seed: int) -> list[Fault]:
     places = [p for f in files for p in faults_of(f, (root / f).read_text())]
     draw = random.Random(seed)
     return [draw.choice(place) for place in draw.sample(places, min(count, len(places)))]
-
-
-# --- which tests execute a line: this file is a plugin of pytest too ------------------------------------------------
-
-NOTES = os.environ.get("GREYBOX_MUTATION_NOTES")  # the folder for what a measuring run writes down
-ORDER = os.environ.get("GREYBOX_MUTATION_ORDER")  # the file with the tests to run, in their order
-
-
-if NOTES:
-    import pytest
-
-    _caches: list = []
-
-    def _fixtures(item):
-        """Return the names of the fixtures that this test shares with others."""
-        found = getattr(item, "_fixtureinfo", None)
-        defined = [d for ds in (found.name2fixturedefs.values() if found else ()) for d in ds]
-        return [f"fixture {d.baseid}::{d.argname}" for d in defined if d.scope != "function"]
-
-    def _note(**what):
-        with open(f"{NOTES}/{os.getpid()}.jsonl", "a") as file:
-            file.write(json.dumps(what) + "\n")
-
-    @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_protocol(item, nextitem):
-        """Attribute what is executed to this test, which finds every cache empty."""
-        import coverage
-
-        if not _caches or _caches[0] != item.path:
-            wrapped = (o for o in gc.get_objects() if isinstance(o, _lru_cache_wrapper))
-            own = ("greybox", "test_", "nist")
-            _caches[:] = [item.path, *(o for o in wrapped if (o.__module__ or "").rpartition("tests.")[2].startswith(own))]
-        for cache in _caches[1:]:
-            cache.cache_clear()
-        coverage.Coverage.current().switch_context(item.nodeid)
-        _note(test=item.nodeid, fixtures=_fixtures(item))
-        return (yield)
-
-    @pytest.hookimpl(wrapper=True)
-    def pytest_fixture_setup(fixturedef, request):
-        """Attribute a fixture of many tests to itself."""
-        import coverage
-
-        measured = coverage.Coverage.current()
-        if fixturedef.scope == "function" or measured is None:
-            return (yield)
-        measured.switch_context(f"fixture {fixturedef.baseid}::{fixturedef.argname}")
-        try:
-            return (yield)
-        finally:
-            measured.switch_context(os.environ.get("PYTEST_CURRENT_TEST", "").rpartition(" ")[0])
-
-    def pytest_runtest_logreport(report):
-        """Keep how long it took and how it ended."""
-        _note(test=report.nodeid, seconds=report.duration, outcome=report.outcome)
-
-
-if ORDER:
-
-    def pytest_collection_modifyitems(config, items):
-        """Keep the tests that execute the line, in the order chosen for them."""
-        order = {name: i for i, name in enumerate(Path(ORDER).read_text().splitlines())}
-        items[:] = sorted((i for i in items if i.nodeid in order), key=lambda i: order[i.nodeid])
 
 
 def git(*arguments) -> str:
@@ -327,21 +86,52 @@ def checkout(folder: Path) -> Path:
 
 def command_of_tests(*arguments):
     """Return the command that runs tests with this file as plugin."""
-    plugins = ["greybox_mutation", "no:cacheprovider", "no:benchmark"]  # the last one warns of parallel tests
+    plugins = ["mutation_plugin", "no:cacheprovider", "no:benchmark"]  # the last one warns of parallel tests
     return [sys.executable, "-m", "pytest", *(word for p in plugins for word in ("-p", p)), *arguments]
 
 
 def environment(copy_: Path, plugin: Path, **more) -> dict:
     """Return the environment in which every process imports the copy."""
     plugin.mkdir(exist_ok=True)
-    (plugin / "greybox_mutation.py").write_text(Path(__file__).read_text())
+    (plugin / "mutation_plugin.py").write_text((HERE / "mutation_plugin.py").read_text())
     return {**os.environ, "PYTHONPATH": f"{plugin}:{copy_}", "OMP_NUM_THREADS": "1", **more}
 
 
-def measure(cache: Path, jobs: int) -> None:
-    """Run the whole suite and keep which test executes which line."""
-    import coverage
+def known_map(folder: Path, jobs: int) -> "Map":
+    """Return which test executes which line of the last commit; where tests alone are newer, only these run."""
+    target = folder / f"{git('rev-parse', 'HEAD')}.json"
+    if not target.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        base = next((c for c in git("rev-list", "-100", "HEAD").split() if (folder / f"{c}.json").exists()), None)
+        newer = git("diff", "--name-only", base, "HEAD", "--", *MEASURED, "tests").split() if base else []
+        if base and all(Path(f).match("tests/**/test_*.py") for f in newer):
+            there = [f for f in newer if (ROOT / f).exists()]
+            stored = merged(json.loads((folder / f"{base}.json").read_text()), measure(jobs, there), tuple(newer))
+        else:
+            stored = measure(jobs)
+        target.write_text(json.dumps(stored))
+    return Map(json.loads(target.read_text()))
 
+
+def merged(old: dict, new: dict, files: tuple) -> dict:
+    """Replace what is known of some test files."""
+
+    def is_old(context):
+        return not context.removeprefix("fixture ").startswith(tuple(f"{f}::" for f in files))
+
+    tests = {name: test for name, test in old["tests"].items() if is_old(name)} | new["tests"]
+    lines: dict = {}
+    for file in {*old["lines"], *new["lines"]}:
+        before, after = old["lines"].get(file, {}), new["lines"].get(file, {})
+        lines[file] = {n: [*filter(is_old, before.get(n, ())), *after.get(n, ())] for n in {*before, *after}}
+    return {"tests": tests, "lines": lines}
+
+
+def measure(jobs: int, files: list | None = None) -> dict:
+    """Run the whole suite, or some files of it, and return which test executes which line."""
+    print(f"Running {'all' if files is None else 'newer'} tests, to see which executes what.", file=sys.stderr)
+    if files == []:
+        return {"tests": {}, "lines": {}}
     with tempfile.TemporaryDirectory() as work_:
         work = Path(work_)
         copy_, notes, plugin = checkout(work / "copy"), work / "notes", work / "plugin"
@@ -352,7 +142,8 @@ def measure(cache: Path, jobs: int) -> None:
             copy_, plugin, GREYBOX_MUTATION_NOTES=str(notes), COVERAGE_PROCESS_START=str(rules), COVERAGE_CORE="ctrace"
         )
         (plugin / "sitecustomize.py").write_text(LOADING)
-        done = subprocess.run(command_of_tests("-n", str(jobs)), cwd=copy_, env=env, stdout=sys.stderr, check=False)
+        command = command_of_tests("-n", str(jobs), *(files or ()))
+        done = subprocess.run(command, cwd=copy_, env=env, stdout=sys.stderr, check=False)
         if done.returncode > 1:  # some tests may fail, and are not used then
             sys.exit("The tests did not run.")
 
@@ -363,15 +154,14 @@ def measure(cache: Path, jobs: int) -> None:
             test["seconds"] = round(test["seconds"] + note.get("seconds", 0), 4)
             test["passed"] &= note.get("outcome", "passed") == "passed"
 
-        combined = coverage.Coverage(data_file=str(work / "data"), config_file=str(rules))
+        combined = Coverage(data_file=str(work / "data"), config_file=str(rules))
         combined.combine([str(f) for f in work.glob("data.*")])
         data = combined.get_data()
         lines = {
             str(Path(f).relative_to(copy_)): {str(k): v for k, v in data.contexts_by_lineno(f).items()}
             for f in data.measured_files()
         }
-    cache.parent.mkdir(parents=True, exist_ok=True)
-    cache.write_text(json.dumps({"tests": tests, "lines": lines}))
+    return {"tests": tests, "lines": lines}
 
 
 class Map:
@@ -404,7 +194,9 @@ class Map:
         files: dict = {}
         for test in tests:
             files.setdefault(test.partition("::")[0], []).append(test)
-        mirror = fault.file.replace("greybox/", "tests/", 1).replace(Path(fault.file).name, f"test_{Path(fault.file).name}")
+        mirror = fault.file.replace("greybox/", "tests/", 1).replace(
+            Path(fault.file).name, f"test_{Path(fault.file).name}"
+        )
 
         def seconds(test):
             return self.tests[test]["seconds"]
@@ -452,9 +244,8 @@ def tried(fault: Fault, tests: list, seconds: dict, copy_: Path, budget: float) 
         env = environment(copy_, copy_.parent / f"plugin_{copy_.name}", GREYBOX_MUTATION_ORDER=str(order))
         files = dict.fromkeys(t.partition("::")[0] for t in chosen)
         command = command_of_tests("-n", "0", "-x", "--tb=line", *files)
-        process = subprocess.Popen(
-            command, cwd=copy_, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
-        )
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+        process = subprocess.Popen(command, cwd=copy_, env=env, start_new_session=True, **pipes)
         try:
             output, _ = process.communicate(timeout=PATIENCE[0] + PATIENCE[1] * total)
         except subprocess.TimeoutExpired:
@@ -484,48 +275,49 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1, help="runs at a time")
     parser.add_argument("--cache", type=Path, default=Path.home() / ".cache" / "greybox-mutation")
     parser.add_argument("--budget", type=float, default=300.0, help="seconds of tests against one fault")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="after which no other fault is planted")
     parser.add_argument("--list", action="store_true", help="print the sample and stop")
     options = parser.parse_args()
     if git("status", "--porcelain", "--untracked-files=no"):
         sys.exit("The checkout has changes: commit them first, since the last commit is what is measured.")
-    commit = git("rev-parse", "HEAD")
     faults = sample(ROOT, options.files, options.count, options.seed)
     if options.list:
         print(*faults, sep="\n")
         return
 
-    cache = options.cache / f"{commit}.json"
-    if not cache.exists():
-        print(f"Running all tests, to see which executes what; kept in {cache}", file=sys.stderr)
-        measure(cache, options.jobs)
-    known = Map(json.loads(cache.read_text()))
+    known = known_map(options.cache, options.jobs)
     seconds = {name: test["seconds"] for name, test in known.tests.items()}
 
     with tempfile.TemporaryDirectory() as work, ThreadPoolExecutor(options.jobs) as pool:
         free = [checkout(Path(work) / f"copy{i}") for i in range(options.jobs)]
 
+        began = time.monotonic()
+
         def run(numbered):
             number, fault = numbered
+            if time.monotonic() - began > 60 * options.minutes:
+                return None
             copy_ = free.pop()
             try:
                 outcome = tried(fault, known.against(fault, ROOT), seconds, copy_, options.budget)
             finally:
                 free.append(copy_)
             word = "caught" if outcome.caught else "SURVIVED"
-            print(f"{number:4} {word:8} {outcome.seconds:5.0f} s  {fault}  [{outcome.how}]", file=sys.stderr, flush=True)
+            line = f"{number:4} {word:8} {outcome.seconds:5.0f} s  {fault}  [{outcome.how}]"
+            print(line, file=sys.stderr, flush=True)
             return outcome
 
-        began = time.monotonic()
-        outcomes = list(pool.map(run, enumerate(faults)))
-    print_summary(outcomes, options, commit, time.monotonic() - began)
+        outcomes = [o for o in pool.map(run, enumerate(faults)) if o]
+    print_summary(outcomes, options, time.monotonic() - began)
 
 
-def print_summary(outcomes, options, commit, took) -> None:
+def print_summary(outcomes, options, took) -> None:
     """Print the share of each kind, and every fault that survived with its line."""
-    print(f"{date.today()}, greybox-id {version('greybox-id')}, python {platform.python_version()}, commit {commit[:7]}")
-    caught = sum(o.caught for o in outcomes)
-    print(f"{len(outcomes)} faults, seed {options.seed}, {options.files}, {took:.0f} s: {caught} caught", end="")
-    print(f" ({100 * caught / len(outcomes):.1f} %), {sum(o.how == 'endless' for o in outcomes)} of them as endless loops")
+    print(f"{date.today()}, greybox-id {version('greybox-id')}, python {platform.python_version()}")
+    caught, endless = sum(o.caught for o in outcomes), sum(o.how == "endless" for o in outcomes)
+    of = f" of {options.count} (the time was over)" if len(outcomes) < options.count else ""
+    print(f"{len(outcomes)} faults{of}, seed {options.seed}, {options.files}, {took:.0f} s:", end=" ")
+    print(f"{caught} caught ({100 * caught / len(outcomes):.1f} %), {endless} of them as endless loops")
     kinds = Counter(o.fault.kind for o in outcomes)
     for kind, number in kinds.most_common():
         print(f"{kind:12}{sum(o.caught for o in outcomes if o.fault.kind == kind):4} of {number}")

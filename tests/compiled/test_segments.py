@@ -91,3 +91,29 @@ def test_sensitivities_are_differences(made):
                 p[active[column - 2]] += sign * h
             ends.append(by_steps(step, x, p, rows)[1])
         assert_allclose(found[..., column], (ends[0] - ends[1]) / (2 * h), atol=1e-7)
+
+
+def test_a_guarded_root_below_zero_leaves_the_solver_finite_derivatives():
+    """Of sqrt(max(h, 0)) the slope at h < 0 is 0 times infinity; the gain has no effect there."""
+
+    class Drained(gb.StateSpace):
+        states, inputs, outputs = ("h",), ("u",), ("h",)
+        k = gb.Parameter(1.0, bounds=(0.1, 10))
+
+        def derivative(self, x, u, p):
+            return (-p.k * gb.sqrt(gb.maximum(x.h, 0)),)
+
+        def output(self, x, u, p):
+            return (x.h,)
+
+    system = dynamics(Drained())
+    step = sample_step(system, [False], gb.OutputError(), system.outputs, ("k",), gb.RungeKutta(), 1)
+    segments = Segments(step, 1, LENGTH, np.array([0]))
+    rows = np.zeros((step.width, LENGTH))
+    rows[-1] = 0.05
+    data = segments.columns(rows)
+    states, _ = segments.simulate(np.array([[-1.0]]), np.ones(1), data)
+    ends, residuals, _ = segments.sensitivities(states, np.ones(1), data, slice(None))
+    assert np.isfinite(ends).all()
+    assert_allclose(residuals[..., 1], 0, atol=1e-15)
+    assert np.isfinite(residuals).all()

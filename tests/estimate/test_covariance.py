@@ -311,9 +311,7 @@ def test_the_collinearity_index_is_that_of_the_weighted_jacobian(weights):
     both = [gb.Problem(Lags(), d, criterion, weight=w) for d, w in zip(parts, weights, strict=True)]
     accuracy = assess(compile_problem(both[0] + both[1]), np.array(list(LAGS.values())))
     point = SimpleNamespace(free=list(LAGS), estimate=LAGS)
-    j = np.vstack(
-        [math.sqrt(w) * relative_jacobian(point, Lags(), d) for d, w in zip(parts, weights, strict=True)]
-    )
+    j = np.vstack([math.sqrt(w) * relative_jacobian(point, Lags(), d) for d, w in zip(parts, weights, strict=True)])
     smallest = np.linalg.svd(j / np.linalg.norm(j, axis=0))[1][-1]
     (combination,) = accuracy.combinations
     assert combination.index == pytest.approx(1 / smallest, rel=1e-4)

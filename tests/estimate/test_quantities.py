@@ -64,6 +64,8 @@ def test_what_depends_on_the_undetermined_has_no_error():
 
     found = fit(gb.Problem(Product(), lag("one")))
     assert np.isnan([found.standard_error[name] for name in ("K", "half", "twice")]).all()
-    assert found.standard_error["gain"] == pytest.approx(fit(gb.Problem(Lag(), lag("one"))).standard_error["K"], rel=0.02)
+    assert found.standard_error["gain"] == pytest.approx(
+        fit(gb.Problem(Lag(), lag("one"))).standard_error["K"], rel=0.02
+    )
     assert np.isnan(found.covariance_of(("K", "T"))[0]).all()
     assert found.covariance_of(("T",))[0, 0] > 0

@@ -209,3 +209,15 @@ def test_a_wrong_own_trim_is_refused(trim, sentence):
 def test_what_is_given_wins_over_the_own_trim():
     model = make(lambda x, u, p: (u.u - p.c * x.x,), trim=lambda self, at, p: {"u": p.c * at.x, "x": 99.0})
     assert point(model, {"c": 2.0}, x=3.0) == {"x": 3.0, "u": 6.0}
+
+
+def test_an_own_trim_is_judged_relative_to_its_size():
+    """Rounding of a level of 1e7 is no mistake; the same at a level of 1 is."""
+
+    def trimmed(level):
+        return make(lambda x, u, p: (u.u - x.x,), trim=lambda self, at, p: {"x": at.u * (1 + 1e-8) + 1e-3 * level})
+
+    assert gb.modeling.linearize(trimmed(0), at={"u": 1e7}).point["x"] == pytest.approx(1e7, rel=1e-7)
+    for sign in (1, -1):
+        with pytest.raises(ValueError, match="is not an equilibrium"):
+            gb.modeling.linearize(trimmed(sign), at={"u": 1.0})

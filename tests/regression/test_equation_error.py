@@ -490,6 +490,7 @@ def test_it_prints_itself(flown):
     [
         ({"F": None}, {}, "the record has no signal 'F', an input of Slider; it has x, v"),
         ({"F": 0.3, "x": 0.1, "v": 0.0}, {}, "F and x and v of Slider are constant in the record"),
+        ({"F": -0.3, "x": -0.1, "v": 0.0}, {}, "F and x and v of Slider are constant in the record"),
         ({"x": None, "v": None}, {}, r"no equation of Slider can be used \(v' \(the state v is not known\)\)"),
         ({"v": 0.0, "x": 0.0}, {"fixed": {"b": 4.0}}, "the record determines none of k, c, mu"),
         ({}, {"fixed": SLIDER}, "Slider has no free parameter here"),

@@ -12,6 +12,7 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.models.tilt import Tilt
 from greybox.solve.minima import find_minima
 from greybox.solve.multistart import multistart, solver_for
+from greybox.solve.outcome import Outcome, Run
 
 NOISY = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.05))
 CRITERIA = [
@@ -112,3 +113,40 @@ def test_the_same_seed_gives_the_same_runs_bit_by_bit():
     assert first.estimate == second.estimate
     assert first.standard_error == second.standard_error
     assert not np.array_equal(first.runs[0].start, other.runs[0].start)
+
+
+def test_a_start_at_which_the_model_is_not_finite_is_moved_no_farther_than_it_must():
+    """Toward the first start, along the straight line in the solver's variables, by halves of what is left."""
+    nlp = compile_problem(NOISY)
+    home, away = (nlp.scaling.to_parameters(np.full(len(nlp.free), z)) for z in (0.2, 0.8))
+    began = []
+
+    class Bounded:
+        """Finite within 0.2 of its home, in the solver's variables."""
+
+        def is_finite_at(self, start):
+            return bool(np.all(np.abs(nlp.scaling.to_solver(start) - 0.2) < 0.2))
+
+        def run(self, start, *_):
+            began.append(start)
+            return Outcome(start, "converged", 1, 0.0, True, 1.0, np.zeros(1))
+
+        def continued(self, outcome):
+            return outcome
+
+        def judged(self, outcomes):
+            return outcomes
+
+    multistart(nlp, Bounded(), np.array([home, away]))
+    moved = [nlp.scaling.to_solver(start) for start in began]
+    assert any(np.allclose(z, 0.2) for z in moved)
+    assert any(np.allclose(z, 0.2 + 0.6 / 4) for z in moved)  # 0.8 and 0.5 are too far, 0.35 is not
+
+
+def test_runs_are_told_apart_by_their_response_in_units_of_the_signals():
+    """Of one cost: two at which a signal is rounding, and one with another response."""
+    nlp = compile_problem(NOISY)
+    x = nlp.scaling.to_parameters(np.full(len(nlp.free), 0.3))
+    signatures = [np.array([3.0, 1e-9]), np.array([3.0, -2e-9]), np.array([3.3, 0.0]), np.array([3.0, 0.1])]
+    runs = [Run(k, x, x, 1.0, "converged", True, 1, 0.0) for k in range(4)]
+    assert [minimum.runs for minimum in find_minima(nlp, runs, signatures)] == [(0, 1), (2,), (3,)]
