@@ -27,8 +27,12 @@ class CompiledLinearization:
     `sample` is (x, q, d) -> next state, residuals, outputs; `active` names the parameters of the derivatives.
     """
 
-    def __init__(self, sample: ca.Function, active: list[int], segments: int, length: int) -> None:
+    def __init__(
+        self, sample: ca.Function, active: list[int], segments: int, length: int, *, each: bool = False
+    ) -> None:
         """Take the function from the cache where it was compiled before, otherwise compile it.
+
+        With `each`, every segment has parameters and a weight for itself.
 
         The cache is ``greybox`` in the folder that XDG_CACHE_HOME names, by default ``~/.cache``. What is loaded runs
         with all rights of the user, so nobody else may write there; see `library_cache`.
@@ -40,23 +44,24 @@ class CompiledLinearization:
         """
         n, v = sample.size1_in(0), sample.size1_in(0) + len(active)
         self._segments, self._sizes = segments, [n, n * v, v * (v + 1) // 2, v]
-        what = (sample.serialize(), active, segments, length, FLAGS, ca.CasadiMeta.version(), platform.machine())
+        what = (sample.serialize(), active, segments, length, each, FLAGS, ca.CasadiMeta.version(), platform.machine())
         key = hashlib.sha256(repr(what).encode()).hexdigest()[:32]
         kept = kept_library(key)
         if kept is None:
-            kept = keep_library(
-                key, _compiled(_linearization(sample, active, length).map(NAME, "serial", segments, [1, 2], []))
-            )
+            shared = [] if each else [1, 2]
+            one = _linearization(sample, active, length)
+            kept = keep_library(key, _compiled(one.map(NAME, "serial", segments, shared, [])))
         self._function = ca.external(NAME, str(kept))
 
     def __call__(self, nodes: Array, q: Array, weight: Array, data: Array) -> list[Array]:
         """Return ends (s, n), derivatives (s, v, n), products (s, v (v + 1) / 2) and gradients (s, v).
 
-        From nodes (s, n), parameters, weights (k, k) and data (samples, width), in the order of the samples.
+        From nodes (s, n), parameters, weights (k, k) and data (samples, width), in the order of the samples; with
+        parameters (s, q) and weights (s, k, k) for every segment.
         """
         buffer: Any
         buffer, evaluate = self._function.buffer()
-        inputs = [np.ascontiguousarray(value, dtype=float) for value in (nodes, q, weight.T, data)]
+        inputs = [np.ascontiguousarray(value, dtype=float) for value in (nodes, q, np.swapaxes(weight, -1, -2), data)]
         results = [np.empty((self._segments, size)) for size in self._sizes]
         for k, value in enumerate(inputs):
             buffer.set_arg(k, value.data)

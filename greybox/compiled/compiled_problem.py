@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.part import Part
-from greybox.compiled.record_part import compile_record
+from greybox.compiled.record_part import compile_records
 from greybox.compiled.response_map import LARGE, Mapped, lagrangian_hessian
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.scaling import Scaling, scaling_of
@@ -197,6 +197,8 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         for part, cost, response, scaled_response in zip(responding, own_cost, responses, scaled, strict=True)
     }
     method = method or MultipleShooting()
+    recorded = [part for part in problem.parts if part not in compiled_responses]
+    compiled = compiled_responses | dict(zip(recorded, compile_records(recorded, named, point, method), strict=True))
     return Nlp(
         problem=problem,
         free=free,
@@ -206,10 +208,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         upper=np.array([parameters[name].bounds[1] for name in free]),
         scaling=scaling,
         method=method,
-        parts=tuple(
-            compiled_responses[part] if part in compiled_responses else compile_record(part, named, point, method)
-            for part in problem.parts
-        ),
+        parts=tuple(compiled[part] for part in problem.parts),
         program=ca.Function("program", [z, smoothing], [kind(total), scaled_limit]),
         locating=locating,
         locating_hessian=locating_hessian,

@@ -18,6 +18,7 @@ from greybox.compiled.vectorized import Columns
 from greybox.modeling.realization import Dynamics
 
 Array = NDArray[np.float64]
+GOLDEN = (5**0.5 - 1) / 2  # whose multiples modulo one are spread more evenly than those of any other number
 SIZES = (1.0, 0.1, 10.0, 0.01, 100.0, 1e-3, 1e3, 1e4, 1e5, -1.0, -0.1, -10.0, -100.0)
 
 
@@ -127,13 +128,17 @@ def _shown(y: ca.SX, x: ca.SX, others: ca.SX) -> list[Shown]:
     return list(found.values())
 
 
-def at_samples(data: SampledData, every: int) -> tuple[Array, Array]:
-    """Return measured outputs (k, s), gaps interpolated, and inputs (m, s) at every n-th sample of a stretch."""
+def at_samples(data: SampledData, every: int, *, spread: bool = False) -> tuple[Array, Array]:
+    """Return measured outputs (k, s), gaps interpolated, and inputs (m, s) at every n-th sample of a stretch.
+
+    The first of a stretch is its first sample; with `spread` it is another in every stretch, since many short ones that
+    begin at rest would show nothing else.
+    """
     outputs, inputs = [], []
     everywhere = [np.concatenate(rows) for rows in zip(*(s.outputs for s in data.stretches), strict=True)]
     means = [float(np.nanmean(row)) if np.isfinite(row).any() else 0.0 for row in everywhere]
-    for stretch in data.stretches:
-        at = np.arange(0, len(stretch), every)
+    for k, stretch in enumerate(data.stretches):
+        at = np.arange(int(k * GOLDEN % 1 * min(every, len(stretch))) if spread else 0, len(stretch), every)
         rows = []
         for row, mean in zip(stretch.outputs, means, strict=True):
             there = np.flatnonzero(np.isfinite(row))

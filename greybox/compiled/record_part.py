@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -17,14 +17,16 @@ from greybox.compiled.part import ColoredErrors, Condensed, Information, Part, P
 from greybox.compiled.record_information import colored_errors, independent_numbers
 from greybox.compiled.residual_covariance import (
     ResidualCovariance,
+    diagonal,
     followed_by_covariance,
+    of_diagonal,
     reduced_hessian,
     residual_covariance_of,
 )
 from greybox.compiled.sample_step import SampleStep, sample_step
-from greybox.compiled.sampled_data import SampledData, sampled_data
+from greybox.compiled.sampled_data import SampledData, joined, sampled_data
 from greybox.compiled.segments import Linearization, Segments
-from greybox.compiled.step_size import substeps_and_segment
+from greybox.compiled.step_size import drawn_parameters, substeps_and_segment
 from greybox.compiled.strategies import Strategies
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.intersample import Intersample
@@ -33,7 +35,7 @@ from greybox.formulation.input_assumptions import between_samples
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator
-from greybox.modeling.model import Names
+from greybox.modeling.model import Model, Names
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import traced
@@ -48,12 +50,12 @@ class Placed:
     Attributes
     ----------
     q : (declared,) array
-        Values of all declared parameters.
-    slope : (active, p) array
+        Values of all declared parameters; (declared, s), for every segment, where several records have their own.
+    slope : (active, p) or (records, active, p) array
         Derivatives of the estimated ones by z.
     data : (width, columns) array
         The data, with the inputs placed for these delays.
-    initial, initial_slope : (n,) and (n, active) arrays
+    initial, initial_slope : (n,) and (n, active) arrays, with `records` before where they have their own
         Known initial states and their derivatives by the active parameters; NaN where a state is unknown.
     """
 
@@ -95,6 +97,10 @@ class RecordModel:
     initial : casadi.Function
         (declared parameters) -> known initial states, and their derivatives by the active parameters.
     known_states : (n,) bool array
+    steps : dict
+        The samples compiled so far, by integrator and substeps; models that differ in their data alone share it.
+    expressions : tuple of int
+        Of every declared parameter a number for its expression of z, the same for the same one.
     """
 
     problem: Problem
@@ -112,6 +118,8 @@ class RecordModel:
     initial: ca.Function
     known_states: NDArray[np.bool_]
     initial_states: InitialStates
+    steps: dict[tuple[Integrator, int], SampleStep]
+    expressions: tuple[int, ...]
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave behind what may be of the user's classes."""
@@ -133,12 +141,18 @@ class RecordModel:
             between=between,
             system=self.system.later(later),
             locate=ca.Function("locate", [z], [q, slope, delay + ca.DM(later)]),
+            steps={},
         )
 
     def step(self, integrator: Integrator, substeps: int) -> SampleStep:
-        """Compile one sample."""
-        held = tuple(between.held for between in self.between)
-        return sample_step(self.system, held, self.criterion, self.outputs, self.parameters, integrator, substeps)
+        """Compile one sample, or return it where that was done before."""
+        key = (integrator, substeps)
+        if key not in self.steps:
+            held = tuple(between.held for between in self.between)
+            self.steps[key] = sample_step(
+                self.system, held, self.criterion, self.outputs, self.parameters, integrator, substeps
+            )
+        return self.steps[key]
 
 
 class RecordPart(Part):
@@ -151,22 +165,35 @@ class RecordPart(Part):
         substeps: int,
         *,
         step: SampleStep | None = None,
+        segments: Segments | None = None,
+        covariance: ResidualCovariance | None = None,
         compile_linearization: bool = False,
     ) -> None:
-        """Build the functions; `step`, if given, has the same substeps."""
+        """Build the functions; what is given serves: a `step` of these substeps, `segments` of this step."""
         super().__init__(model.problem)
         self.model = model
         self.data = data
         self._substeps = substeps
         self.step = step or model.step(model.method.scheme, substeps)
-        self.segments = Segments(self.step, data.segments, data.segment_length, model.active, compile_linearization)
-        self._measured = self.segments.columns(_measured_rows(data))
-        self._placed_data: tuple[tuple[float, ...], Array] | None = None
-        self.covariance: ResidualCovariance = residual_covariance_of(model.criterion, model.outputs, data.measured)
+        self.compiles = compile_linearization
+        self.segments = segments or Segments(
+            self.step, data.segments, data.segment_length, model.active, compile_linearization
+        )
+        self._placed_data: tuple[Array, Array] | None = None
+        self.covariance = covariance or residual_covariance_of(model.criterion, model.outputs, data.measured)
         self.system: Dynamics = model.system
         self.outputs = model.outputs
         self.states = len(model.system.states)
-        self._at_nodes = at_samples(data, data.segment_length)
+
+    @cached_property
+    def _measured(self) -> Array:
+        """What was measured at every sample, and its step, as columns."""
+        return self.segments.columns(_measured_rows(self.data))
+
+    @cached_property
+    def _at_nodes(self) -> tuple[Array, Array]:
+        """Measured outputs and inputs at the nodes."""
+        return at_samples(self.data, self.data.segment_length)
 
     def excerpt(self, samples: int) -> "RecordPart":
         """Return the part on excerpts, evenly over the record, of about so many samples in all."""
@@ -174,12 +201,18 @@ class RecordPart(Part):
 
     def with_inputs(self, between: tuple[Intersample, ...]) -> "RecordPart":
         """Return the part with inputs that run otherwise between their samples."""
-        return RecordPart(self.model.with_inputs(between), self.data, self.substeps)
+        return RecordPart(self.model.with_inputs(between), self.data, self.substeps, covariance=self.covariance)
 
     def refined(self, factor: int, *, compiled: bool = True) -> "RecordPart":
         """Return the part with `factor` times the substeps; not `compiled` for a look that no compiler is worth."""
         compile_linearization = self.model.method.compile and compiled
-        return RecordPart(self.model, self.data, factor * self.substeps, compile_linearization=compile_linearization)
+        return RecordPart(
+            self.model,
+            self.data,
+            factor * self.substeps,
+            covariance=self.covariance,
+            compile_linearization=compile_linearization,
+        )
 
     # --- facts --------------------------------------------------------------------------------------------------------
 
@@ -250,9 +283,9 @@ class RecordPart(Part):
 
         The same array as the last time, as long as no delay has passed a whole sample.
         """
-        steps = [stretch.step for stretch in self.data.stretches]
-        whole = tuple(np.floor(np.asarray(delays)[:, None] / steps + 1e-9).ravel())
-        if self._placed_data is None or self._placed_data[0] != whole:
+        steps = np.array([stretch.step for stretch in self.data.stretches])
+        whole = np.floor(self.data.by_stretch(delays) / steps[:, None] + 1e-9)
+        if self._placed_data is None or not np.array_equal(self._placed_data[0], whole):
             inputs = self.segments.columns(np.vstack(self.data.delayed_inputs(delays)))
             self._placed_data = (whole, np.vstack([inputs, self._measured]))
         return self._placed_data[1]
@@ -260,9 +293,11 @@ class RecordPart(Part):
     def initial_trajectory(self, z: Array) -> Trajectory:
         """Return the trajectory at z (p,) with nodes from the data, see `greybox.compiled.initial_states`."""
         placed = self.place(z)
-        p = placed.q[: len(self.system.parameters)]
-        nodes = self.model.initial_states.at(*self._at_nodes, p, placed.initial).T
-        return self._trajectory(z, nodes, placed)
+        return self._trajectory(z, self.nodes_from_data(placed.q, placed.initial), placed)
+
+    def nodes_from_data(self, q: Array, known: Array) -> Array:
+        """Return nodes (s, n) from the data, at the declared parameters and the known initial states (n,), else NaN."""
+        return self.model.initial_states.at(*self._at_nodes, q[: len(self.system.parameters)], known).T
 
     def trajectory(self, z: Array, nodes: Array, *, simulated: bool = False) -> Trajectory:
         """Return the trajectory at z (p,) from nodes (s, n); `simulated` from the first one of every stretch alone."""
@@ -276,7 +311,7 @@ class RecordPart(Part):
         gaps[:-1] = ends[:-1] - nodes[1:]
         gaps[~self.data.coupled] = 0
         residuals = self.segments.residuals(states, placed.q, placed.data)
-        products = residuals @ residuals.T
+        products = self._products(self.segments.products(residuals))
         return Trajectory(z, nodes, ends, gaps, products, simulated=False, detail=Along(placed, states))
 
     def _simulated(self, z: Array, nodes: Array, placed: Placed) -> Trajectory:
@@ -285,15 +320,21 @@ class RecordPart(Part):
             self.data.segment_counts, nodes, placed.q, placed.data
         )
         gaps = np.zeros_like(ends)
+        products = self._products(products)
         return Trajectory(z, nodes, ends, gaps, products, simulated=True, detail=Along(placed, states))
+
+    def _products(self, of_records: Array) -> Array:
+        """Return the products of the residuals as a trajectory has them, given those of every record (r, k, k)."""
+        return of_records[0]
 
     def _with_known_states(self, nodes: Array, placed: Placed) -> Array:
         """Return the nodes with the known initial states in them."""
         known = self.model.known_states
         if not known.any():
             return nodes
-        nodes = nodes.copy()
-        nodes[np.ix_(self.data.begins_record, known)] = placed.initial[known]
+        nodes, begin = nodes.copy(), self.data.begins_record
+        initial = placed.initial if placed.initial.ndim == 1 else placed.initial[self.segments.records[begin]]
+        nodes[np.ix_(begin, known)] = initial[..., known]
         return nodes
 
     def residuals(self, trajectory: Trajectory) -> Array:
@@ -309,7 +350,7 @@ class RecordPart(Part):
     def is_near_data(self, trajectory: Trajectory, factor: float) -> bool:
         """Tell whether the rms of the residuals of every output is below `factor` times the spread of its signal."""
         limit = self.covariance.counts * (factor * self.covariance.spread) ** 2
-        return bool(np.all(np.diag(trajectory.products) <= limit))
+        return bool(np.all(of_diagonal(trajectory.products) <= limit))
 
     def signature(self, trajectory: Trajectory) -> Array:
         """Return up to some 500 simulated samples of every output, in units of the measured signal's spread."""
@@ -326,7 +367,7 @@ class RecordPart(Part):
 
     def squared_cost(self, trajectory: Trajectory, weight: Array, smoothing: float) -> float:
         """Return half the sum of squares of the residuals times `weight`."""
-        return float(np.trace(weight @ trajectory.products @ weight.T)) / 2
+        return float(np.sum((weight @ trajectory.products) * weight)) / 2
 
     def residual_weight(self, trajectory: Trajectory) -> Array:
         """Return W (k, k) with WᵀW the inverse of the residual covariance along a trajectory."""
@@ -334,7 +375,7 @@ class RecordPart(Part):
 
     def initial_weight(self, share: float) -> Array:
         """Return W (k, k) for residuals of a `share` of each signal's spread."""
-        return np.diag(1 / (share * self.covariance.spread))
+        return diagonal(1 / (share * self.covariance.spread))
 
     # --- linearization ------------------------------------------------------------------------------------------------
 
@@ -350,23 +391,25 @@ class RecordPart(Part):
     def _with_covariance(self, b: Linearization) -> Linearization:
         """Let the covariance follow: variables t join the parameters, of cost t²/2 - t · uᵀx, at best -(uᵀx)²/2."""
         assert b.moments is not None
-        of_nodes, of_parameters = (self.covariance.curvature_of_covariance(m) for m in b.moments)
-        r = of_parameters.shape[1]
-        hessian = np.block([[b.parameter_hessian, -of_parameters], [-of_parameters.T, np.eye(r)]])
+        of_nodes = self.covariance.of(self.segments.records).curvature_of_covariance(b.moments[0])
+        of_parameters = self.covariance.curvature_of_covariance(b.moments[1])
+        r = of_parameters.shape[2]
+        own = np.broadcast_to(np.eye(r), (len(of_parameters), r, r))
+        hessian = np.block([[b.parameter_hessian, -of_parameters], [-of_parameters.transpose(0, 2, 1), own]])
         without = np.zeros((*b.parameter_sensitivity.shape[:2], r))
         return replace(
             b,
             parameter_sensitivity=np.concatenate([b.parameter_sensitivity, without], axis=2),
             cross_hessian=np.concatenate([b.cross_hessian, -of_nodes], axis=2),
             parameter_hessian=hessian,
-            parameter_gradient=np.concatenate([b.parameter_gradient, np.zeros(r)]),
+            parameter_gradient=np.pad(b.parameter_gradient, ((0, 0), (0, r))),
         )
 
     def _without_known_states(self, b: Linearization, placed: Placed) -> Linearization:
         """Let known initial states follow the parameters: x = x' + (dx/dq) dq, of which x' does not move."""
         known = self.model.known_states
-        follow = np.where(known[:, None], placed.initial_slope, 0.0)
-        follow = np.pad(follow, ((0, 0), (0, b.cross_hessian.shape[2] - follow.shape[1])))
+        slopes = np.where(known[:, None], placed.initial_slope, 0.0).reshape(-1, *placed.initial_slope.shape[-2:])
+        slopes = np.pad(slopes, ((0, 0), (0, 0), (0, b.cross_hessian.shape[2] - slopes.shape[2])))
         node_hessian = b.node_hessian.copy()
         cross_hessian = b.cross_hessian.copy()
         node_gradient = b.node_gradient.copy()
@@ -375,9 +418,11 @@ class RecordPart(Part):
         hessian = b.parameter_hessian.copy()
         gradient = b.parameter_gradient.copy()
         for k in np.flatnonzero(self.data.begins_record):
+            record = self.segments.records[k]
+            follow = slopes[record if len(slopes) > 1 else 0]
             mixed = follow.T @ cross_hessian[k]
-            hessian += mixed + mixed.T + follow.T @ node_hessian[k] @ follow
-            gradient += follow.T @ node_gradient[k]
+            hessian[record] += mixed + mixed.T + follow.T @ node_hessian[k] @ follow
+            gradient[record] += follow.T @ node_gradient[k]
             cross_hessian[k] += node_hessian[k] @ follow
             sensitivity[k] += transition[k] @ follow
             node_hessian[k, known, :] = 0
@@ -427,31 +472,74 @@ class RecordPart(Part):
         continuity = -np.concatenate([gaps[:, :, None], b.parameter_sensitivity], axis=2)
         x, multiplier = self._solve_continuity(b, stationarity, continuity, continuity_variance)
         linked = np.where(self.data.coupled[:, None, None], b.parameter_sensitivity, 0.0)
-        change = np.tensordot(b.cross_hessian, x, ((0, 1), (0, 1)))
-        change += np.tensordot(linked, multiplier, ((0, 1), (0, 1)))
-        hessian = b.parameter_hessian + change[:, 1:]
-        gradient = b.parameter_gradient + change[:, 0]
+        q = slope.shape[-2]
+        hessian, gradient = b.parameter_hessian.copy(), b.parameter_gradient.copy()
+        for record, rows in enumerate(self._rows_of_records):
+            change = np.tensordot(b.cross_hessian[rows], x[rows], ((0, 1), (0, 1)))
+            change += np.tensordot(linked[rows], multiplier[rows], ((0, 1), (0, 1)))
+            hessian[record] += change[:, 1:]
+            gradient[record] += change[:, 0]
+        if gradient.shape[1] > q:  # the variables of the covariance, see `_with_covariance`
+            hessian, gradient, x, multiplier = self._with_covariance_reduced(hessian, gradient, x, multiplier, q)
 
-        q = slope.shape[0]
-        least = self.model.strategies.least_curvature
-        if len(gradient) > q:  # the variables of the covariance, see `_with_covariance`
-            right = np.concatenate([gradient[q:, None], hessian[q:, :q]], axis=1)
-            follows = followed_by_covariance(hessian[q:, q:], right, least)
-            gradient = gradient[:q] + hessian[:q, q:] @ follows[:, 0]
-            hessian = reduced_hessian(hessian[:q, :q], -hessian[:q, q:] @ follows[:, 1:], least)
-            x, multiplier = (v[:, :, : 1 + q] + v[:, :, 1 + q :] @ follows for v in (x, multiplier))
-
-        node_step = x[:, :, 0]
+        node_step, by_active, multiplier_by_active = x[:, :, 0], x[:, :, 1:], multiplier[:, :, 1:]
+        hessian = (hessian + hessian.transpose(0, 2, 1)) / 2
+        if slope.ndim == 2:
+            hessian, gradient = slope.T @ hessian.sum(axis=0) @ slope, slope.T @ gradient.sum(axis=0)
+            node_sensitivity, multiplier_sensitivity = by_active @ slope, multiplier_by_active @ slope
+        else:
+            by_z = slope.reshape(-1, slope.shape[2])
+            hessian, gradient = by_z.T @ (hessian @ slope).reshape(by_z.shape), by_z.T @ gradient.ravel()
+            each = list(zip(self._rows_of_records, slope, strict=True))
+            node_sensitivity = np.concatenate([by_active[rows] @ own for rows, own in each])
+            multiplier_sensitivity = np.concatenate([multiplier_by_active[rows] @ own for rows, own in each])
         return Condensed(
-            hessian=slope.T @ ((hessian + hessian.T) / 2) @ slope,
-            gradient=slope.T @ gradient,
+            hessian=hessian,
+            gradient=gradient,
             node_step=node_step,
-            node_sensitivity=x[:, :, 1:] @ slope,
+            node_sensitivity=node_sensitivity,
             multiplier=multiplier[:, :, 0],
-            multiplier_sensitivity=multiplier[:, :, 1:] @ slope,
+            multiplier_sensitivity=multiplier_sensitivity,
             damping=node_damping,
-            decrease=_predicted_decrease(linearization, node_step, multiplier[:, :, 0], gaps, continuity_variance, q),
+            decrease=self._predicted_decrease(
+                linearization, node_step, multiplier[:, :, 0], gaps, continuity_variance, q
+            ),
         )
+
+    @cached_property
+    def _rows_of_records(self) -> list[slice]:
+        """The segments of every record."""
+        ends = np.cumsum(np.bincount(self.segments.records, minlength=self.segments.number)).tolist()
+        return [slice(first, end) for first, end in itertools.pairwise([0, *ends])]
+
+    def _with_covariance_reduced(
+        self, hessian: Array, gradient: Array, x: Array, multiplier: Array, q: int
+    ) -> tuple[Array, Array, Array, Array]:
+        """Eliminate the variables of the covariance of every record, those after the first q."""
+        least = self.model.strategies.least_curvature
+        hessians, gradients = np.empty((len(hessian), q, q)), np.empty((len(gradient), q))
+        nodes, multipliers = x[:, :, : 1 + q].copy(), multiplier[:, :, : 1 + q].copy()
+        for record, rows in enumerate(self._rows_of_records):
+            H, g = hessian[record], gradient[record]
+            right = np.concatenate([g[q:, None], H[q:, :q]], axis=1)
+            follows = followed_by_covariance(H[q:, q:], right, least)
+            gradients[record] = g[:q] + H[:q, q:] @ follows[:, 0]
+            hessians[record] = reduced_hessian(H[:q, :q], -H[:q, q:] @ follows[:, 1:], least)
+            nodes[rows] += x[rows, :, 1 + q :] @ follows
+            multipliers[rows] += multiplier[rows, :, 1 + q :] @ follows
+        return hessians, gradients, nodes, multipliers
+
+    def _predicted_decrease(
+        self, b: Linearization, step: Array, multiplier: Array, gaps: Array, continuity_variance: Array, q: int
+    ) -> float:
+        """Return the decrease of the merit that the quadratic model predicts for the step of the nodes alone."""
+        curved = float((step * (b.node_hessian @ step[:, :, None])[:, :, 0]).sum())
+        by_covariance = self.segments.by_record((b.cross_hessian[:, :, q:] * step[:, :, None]).sum(axis=1))
+        change = float((b.node_gradient * step).sum()) + 0.5 * (curved - float((by_covariance**2).sum()))
+        if np.all(continuity_variance > 0):
+            gaps_after = continuity_variance * multiplier
+            change += 0.5 * float(((gaps_after**2 - gaps**2) / continuity_variance).sum())
+        return max(-change, 0.0)
 
     def _node_curvature(self, b: Linearization, continuity_variance: Array) -> Array:
         """Return the second derivatives of outputs and continuity penalty by every node state that is free, (s, n).
@@ -519,7 +607,8 @@ class RecordPart(Part):
             point = ca.SX.sym("x", len(columns))
             named: dict[str, Any] = dict(zip(names, values.tolist(), strict=True))
             named |= {names[column]: point[i] for i, column in enumerate(columns)}
-            part = RecordPart(record_model(self.problem, named, point, self.model.method), self.data, self.substeps)
+            q = ca.vertcat(ca.SX(0, 1), *self.problem.local_values(named).values())
+            part = RecordPart(record_model(self.problem, q, point, self.model.method), self.data, self.substeps)
             trajectory = part.trajectory(values[list(columns)], trajectory.nodes, simulated=trajectory.simulated)
             dz_dx = np.ones(len(columns))
 
@@ -647,80 +736,146 @@ def _measured_rows(data: SampledData) -> Array:
     return np.vstack([np.nan_to_num(measured), np.isfinite(measured), data.steps])
 
 
-def _predicted_decrease(
-    b: Linearization, step: Array, multiplier: Array, gaps: Array, continuity_variance: Array, q: int
-) -> float:
-    """Return the decrease of the merit that the quadratic model predicts for the step of the nodes alone."""
-    curved = float((step * (b.node_hessian @ step[:, :, None])[:, :, 0]).sum())
-    by_covariance = np.tensordot(b.cross_hessian[:, :, q:], step, ((0, 1), (0, 1)))
-    change = float((b.node_gradient * step).sum()) + 0.5 * (curved - float(by_covariance @ by_covariance))
-    if np.all(continuity_variance > 0):
-        gaps_after = continuity_variance * multiplier
-        change += 0.5 * float(((gaps_after**2 - gaps**2) / continuity_variance).sum())
-    return max(-change, 0.0)
+def compile_records(
+    problems: Sequence[Problem], expressions: Mapping[str, Any], z: ca.SX, method: Transcription
+) -> list[RecordPart]:
+    """Compile records for the point z, of which `expressions` gives every parameter of a problem by outside name.
+
+    Records of one model have one compiled sample, and one choice of substeps and segments where they are sampled alike.
+    """
+    models: list[RecordModel] = []
+    local = [ca.vertcat(ca.SX(0, 1), *problem.local_values(expressions).values()) for problem in problems]
+    for problem, q in zip(problems, local, strict=True):
+        models.append(record_model(problem, q, z, method, models))
+    data = [
+        sampled_data(
+            model.record,
+            model.system.inputs,
+            model.outputs,
+            lead=_longest_delay(model.problem, model.system),
+            segment_length=1,
+            complete=model.criterion.noise == "full",
+        )
+        for model in models
+    ]
+    lots: dict[Any, list[int]] = {}
+    drawn = [drawn_parameters(problem) for problem in problems]
+    for k, (model, points) in enumerate(zip(models, drawn, strict=True)):
+        # Steps of a log are known to a thousandth, see `sampled_data`.
+        lots.setdefault((id(model.steps), f"{model.record.step:.3g}", points.tobytes()), []).append(k)
+    parts: dict[int, RecordPart] = {}
+    for lot in lots.values():
+        model, every = models[lot[0]], joined([data[k] for k in lot])
+        looks = at_samples(every, max(every.segments // model.strategies.looks, 1), spread=True)
+
+        def known_initial(q: Array, model: RecordModel = model) -> Array:
+            return model.initial(q)[0].full().ravel()
+
+        substeps, segment_length = substeps_and_segment(
+            model.problem, drawn[lot[0]], method, model.system, model.initial_states, looks, known_initial
+        )
+        for k in lot:
+            cut = replace(data[k], segment_length=segment_length)
+            parts[k] = RecordPart(models[k], cut, substeps, compile_linearization=method.compile)
+    return [parts[k] for k in range(len(models))]
 
 
-def compile_record(problem: Problem, expressions: Mapping[str, Any], z: ca.SX, method: Transcription) -> RecordPart:
-    """Compile a record for the point z, of which `expressions` gives every parameter of the problem by outside name."""
-    model = record_model(problem, expressions, z, method)
-    data = sampled_data(
-        model.record,
-        model.system.inputs,
-        model.outputs,
-        lead=_longest_delay(problem, model.system),
-        segment_length=1,
-        complete=model.criterion.noise == "full",
-    )
-    looks = at_samples(data, max(data.segments // model.strategies.looks, 1))
+def record_model(
+    problem: Problem, q: ca.SX, z: ca.SX, method: Transcription, others: Sequence[RecordModel] = ()
+) -> RecordModel:
+    """Compile what depends neither on the cut into segments nor on the substeps; `q` are the declared parameters at z.
 
-    def known_initial(q: Array) -> Array:
-        return model.initial(q)[0].full().ravel()
-
-    substeps, segment_length = substeps_and_segment(
-        problem, method, model.system, model.initial_states, looks, known_initial
-    )
-    data = replace(data, segment_length=segment_length)
-    return RecordPart(model, data, substeps, compile_linearization=method.compile)
-
-
-def record_model(problem: Problem, expressions: Mapping[str, Any], z: ca.SX, method: Transcription) -> RecordModel:
-    """Compile what depends neither on the cut into segments nor on the substeps."""
+    What is the same as in one of the `others`, of the same z, is shared with it.
+    """
     assert isinstance(problem.data, Record)
-    assert isinstance(problem.criterion, TimeCriterion)
-    system = dynamics(problem.model, delay_order(problem.delay))
-    between = between_samples(problem.criterion.inputs, system.inputs, problem.data)
-    system = system.later([one.late for one in between])
-    outputs = problem.criterion.compared(problem.model, problem.data)
+    expressions = tuple(q[i].element_hash() for i in range(q.numel()))
+    kin = next((other for other in others if _is_of_one_kind(problem, other)), None)
+    twins = (other for other in others if kin and other.steps is kin.steps and other.expressions == expressions)
+    twin = next(twins, None)
+    if twin is not None:
+        return replace(twin, problem=problem, record=problem.data, outside_names=_outside_names(problem))
+    if kin is None:
+        kin = _first_of_its_kind(problem, method)
 
-    q = ca.vertcat(ca.SX(0, 1), *problem.local_values(expressions).values())
     slope = ca.jacobian(q, z)
     active = [i for i in range(q.numel()) if slope[i, :].nnz()]
-    delay = system.delay(q[: len(system.parameters)])
-    locate = ca.Function("locate", [z], [q, ca.densify(slope[active, :]), ca.densify(delay)])
-
-    known = problem.criterion.initial
+    delay = kin.system.delay(q[: len(kin.system.parameters)])
     symbol = ca.SX.sym("q", q.numel())
+    initial = kin.initial.call([symbol])[0]
+    by_active = ca.densify(ca.jacobian(initial, symbol[active]))
+    return replace(
+        kin,
+        problem=problem,
+        record=problem.data,
+        outside_names=_outside_names(problem),
+        active=np.array(active, dtype=int),
+        locate=ca.Function("locate", [z], [q, ca.densify(slope[active, :]), ca.densify(delay)]),
+        initial=ca.Function("initial", [symbol], [initial, by_active]),
+        expressions=expressions,
+    )
+
+
+def _first_of_its_kind(problem: Problem, method: Transcription) -> RecordModel:
+    """Compile what records of one kind share; what depends on z is left empty."""
+    assert isinstance(problem.data, Record)
+    assert isinstance(problem.criterion, TimeCriterion)
+    criterion, known = problem.criterion, problem.criterion.initial
+    system = dynamics(problem.model, delay_order(problem.delay))
+    between = between_samples(criterion.inputs, system.inputs, problem.data)
+    system = system.later([one.late for one in between])
+    outputs = criterion.compared(problem.model, problem.data)
+    symbol = ca.SX.sym("q", len(problem.declared))
     local = Names(dict(zip(problem.declared, ca.vertsplit(symbol), strict=True)), problem.model.label)
     states = [_called(f"initial[{name!r}]", known.get(name, math.nan), local) for name in system.states]
-    initial = ca.vertcat(ca.SX(0, 1), *states)
-    by_active = ca.densify(ca.jacobian(initial, symbol[active]))
     return RecordModel(
         problem=problem,
         record=problem.data,
-        criterion=problem.criterion,
+        criterion=criterion,
         method=method,
         system=system,
         between=between,
         outputs=outputs,
         parameters=tuple(problem.declared),
-        outside_names=tuple(problem.outside(name) for name in problem.declared),
-        gains=problem.criterion.gains(problem.model, outputs),
-        active=np.array(active, dtype=int),
-        locate=locate,
-        initial=ca.Function("initial", [symbol], [initial, by_active]),
+        outside_names=(),
+        gains=criterion.gains(problem.model, outputs),
+        active=np.zeros(0, dtype=int),
+        locate=ca.Function(),
+        initial=ca.Function("initial", [symbol], [ca.vertcat(ca.SX(0, 1), *states)]),
         known_states=np.array([name in known for name in system.states], dtype=bool),
         initial_states=InitialStates(system, outputs, method.strategies),
+        steps={},
+        expressions=(),
     )
+
+
+def _is_of_one_kind(problem: Problem, other: RecordModel) -> bool:
+    """Tell whether a record has the equations, the criterion, the outputs and the kind of inputs of another."""
+    if problem.delay != other.problem.delay or not _is_same_model(problem.model, other.problem.model):
+        return False
+    if not (problem.criterion is other.criterion or problem.criterion == other.criterion):
+        return False
+    assert isinstance(problem.data, Record)
+    assert isinstance(problem.criterion, TimeCriterion)
+    between = between_samples(problem.criterion.inputs, other.system.inputs, problem.data)
+    compared = problem.criterion.compared(problem.model, problem.data)
+    return tuple(problem.declared) == other.parameters and compared == other.outputs and between == other.between
+
+
+def _is_same_model(a: Model, b: Model) -> bool:
+    """Tell whether two models have one class and, where their arguments may differ, the same equations."""
+    if a is b or type(a) is not type(b):
+        return a is b
+    plain = {"arguments": ((), {})}
+    if vars(a) == plain == vars(b):
+        return True
+    first, second = (dynamics(model) for model in (a, b))
+    same = (first.states, first.inputs, first.outputs) == (second.states, second.inputs, second.outputs)
+    functions = ("derivative", "output", "delay")
+    return same and all(getattr(first, f).serialize() == getattr(second, f).serialize() for f in functions)
+
+
+def _outside_names(problem: Problem) -> tuple[str, ...]:
+    return tuple(problem.outside(name) for name in problem.declared)
 
 
 def _called(what: str, value: Any, local: Names) -> Any:

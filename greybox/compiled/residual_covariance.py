@@ -20,9 +20,9 @@ RIDGE = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class ResidualCovariance:
-    """How residual products (k, k), summed over `counts` (k,) samples, become a cost and weights.
+    """How residual products (..., k, k), summed over `counts` (..., k) samples, become a cost and weights.
 
-    The cost is the negative logarithm of the likelihood of normal errors. With an estimated covariance it is that of
+    Leading axes are records, whose costs add. The cost is the negative logarithm of the likelihood of normal errors. With an estimated covariance it is that of
     the concentrated likelihood, n/2 log det R + constant, R the covariance of the residuals.
     """
 
@@ -34,12 +34,12 @@ class ResidualCovariance:
     def covariance(self, products: Array) -> Array:
         """Return the covariance (k, k) that goes with these products."""
         if self.known is not None:
-            return np.diag(self.known**2)
+            return diagonal(self.known**2)
         floor = (ROUNDING * self.spread) ** 2
         count = np.maximum(self.counts, 1)
         if not self.full:
-            return np.diag(np.maximum(np.diag(products) / count, floor))
-        return products / count.max() + np.diag(floor)
+            return diagonal(np.maximum(of_diagonal(products) / count, floor))
+        return products / count.max(axis=-1)[..., None, None] + diagonal(floor)
 
     def cost(self, products: Array) -> float:
         """Return the negative log-likelihood; infinite where the products are not finite."""
@@ -47,10 +47,10 @@ class ResidualCovariance:
             return math.inf
         covariance = self.covariance(products)
         if self.full and self.known is None:
-            logarithm = float(np.linalg.slogdet(covariance)[1]) * self.counts.max() / 2
+            logarithm = float(np.sum(np.linalg.slogdet(covariance)[1] * self.counts.max(axis=-1))) / 2
             return logarithm + self.counts.sum() / 2 * (math.log(2 * math.pi) + 1)
-        variance = np.diag(covariance)
-        squares = np.diag(products) / variance if self.known is not None else self.counts
+        variance = of_diagonal(covariance)
+        squares = of_diagonal(products) / variance if self.known is not None else self.counts
         return float(0.5 * np.sum(squares + self.counts * np.log(2 * math.pi * variance)))
 
     def weight(self, products: Array) -> Array:
@@ -64,12 +64,30 @@ class ResidualCovariance:
         d² (n/2 log det R) = n/2 tr(R⁻¹ d²R) - n/2 tr(R⁻¹ dR R⁻¹ dR), of which Gauss-Newton takes the first term alone.
         """
         counts = np.maximum(self.counts, 1)
-        own = np.einsum("...kkv->...vk", moments) * np.sqrt(2 / counts)
+        own = np.einsum("...kkv->...vk", moments) * np.sqrt(2 / counts)[..., None, :]
         if not self.full:
             return own
-        a, b = np.triu_indices(len(counts), 1)
+        a, b = np.triu_indices(counts.shape[-1], 1)
         both = moments[..., a, b, :] + moments[..., b, a, :]
-        return np.concatenate([own, np.swapaxes(both, -1, -2) / np.sqrt(counts.max())], axis=-1)
+        shared = np.swapaxes(both, -1, -2) / np.sqrt(counts.max(axis=-1))[..., None, None]
+        return np.concatenate([own, shared], axis=-1)
+
+    def of(self, records: NDArray[np.integer]) -> "ResidualCovariance":
+        """Return that of these records, in this order; the same where there is one for all."""
+        if self.counts.ndim == 1:
+            return self
+        known = None if self.known is None else self.known[records]
+        return ResidualCovariance(self.counts[records], self.spread[records], known, self.full)
+
+
+def diagonal(values: Array) -> Array:
+    """Return diagonal matrices (..., k, k) of values (..., k)."""
+    return values[..., None] * np.eye(values.shape[-1])
+
+
+def of_diagonal(matrices: Array) -> Array:
+    """Return the diagonals (..., k) of matrices (..., k, k)."""
+    return np.diagonal(matrices, axis1=-2, axis2=-1)
 
 
 def followed_by_covariance(hessian: Array, right: Array, least: float) -> Array:

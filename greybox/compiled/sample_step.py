@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.sampled_data import input_over_step
+from greybox.compiled.vectorized import Columns
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator, step_function
 from greybox.modeling.realization import Dynamics
@@ -47,6 +48,11 @@ class SampleStep:
         """Return x, q and d as symbols of the kind that the function takes."""
         kind: Any = ca.SX if self.function.is_a("SXFunction") else ca.MX
         return [kind.sym(name, self.function.numel_in(k)) for k, name in enumerate("xqd")]
+
+    @cached_property
+    def evaluated(self) -> dict[Any, Columns]:
+        """What is evaluated for many columns, by what it is: built once for all segments with this step."""
+        return {}
 
     @cached_property
     def _folds(self) -> dict[int, ca.Function]:

@@ -7,6 +7,7 @@ between whole samples; where a held input reaches an output directly, what is sa
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -145,21 +146,32 @@ class SampledData:
         """The step of every sample, (1, samples), s."""
         return np.repeat([s.step for s in self.stretches], [c * self.segment_length for c in self.segment_counts])[None]
 
+    def by_stretch(self, delays: Array) -> Array:
+        """Return the delays (stretches, m) of every stretch, where (m,) are those of all."""
+        return np.broadcast_to(delays.T, (len(self.stretches), len(delays)))
+
     def delayed_inputs(self, delays: Array) -> tuple[Array, Array]:
         """Return the whole samples of the delays (m, samples), and the inputs around them (3 m, samples).
 
-        Before its first sample an input is taken to have had that value, after its last one to keep it.
+        Before its first sample an input is taken to have had that value, after its last one to keep it. The delays
+        are those of all stretches, (m,), or of every one of them, (m, stretches).
         """
         whole, around = [], []
-        for stretch in self.stretches:
-            shift = np.floor(delays / stretch.step + 1e-9)
+        for stretch, delay in zip(self.stretches, self.by_stretch(delays), strict=True):
+            shift = np.floor(delay / stretch.step + 1e-9)
             shift = np.clip(shift, -len(stretch), len(stretch))
             at = np.arange(len(stretch)) - shift[:, None].astype(int)
             places = np.clip(at[:, None, :] + np.array([-1, 0, 1])[:, None], 0, len(stretch) - 1)
             values = np.take_along_axis(stretch.inputs[:, None, :], places.astype(int), axis=2)
-            around.append(values.reshape(3 * len(delays), len(stretch)))
+            around.append(values.reshape(3 * len(delay), len(stretch)))
             whole.append(np.broadcast_to(shift[:, None], (len(shift), len(stretch))))
         return self.padded(whole, None), self.padded(around, None)
+
+
+def joined(each: Sequence[SampledData]) -> SampledData:
+    """Return the stretches of several records, one record after the other."""
+    stretches = tuple(stretch for data in each for stretch in data.stretches)
+    return SampledData(stretches, each[0].outputs, each[0].segment_length)
 
 
 def sampled_data(

@@ -8,7 +8,7 @@ Columns run over segments, sample by sample: column i · s + j is sample i of se
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -38,7 +38,7 @@ MEAN_SAMPLES = 500
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """Linearization of one record at its s nodes (n,) and q active parameters, of weighted residuals e.
+    """Linearization of r records at their s nodes (n,) and q active parameters, of weighted residuals e.
 
     Attributes
     ----------
@@ -46,9 +46,9 @@ class Linearization:
         Derivatives of the ends of the segments by node and parameters.
     node_hessian, cross_hessian, node_gradient : (s, n, n), (s, n, q) and (s, n) arrays
         JᵀJ of the node with itself and with the parameters, and Jᵀe, of every segment.
-    parameter_hessian, parameter_gradient : (q, q) and (q,) arrays
-        JᵀJ and Jᵀe of the parameters, of all segments together.
-    moments : (s, k, k, n) and (k, k, q) arrays, or None
+    parameter_hessian, parameter_gradient : (r, q, q) and (r, q) arrays
+        JᵀJ and Jᵀe of the parameters, of all segments of each of the r records together.
+    moments : (s, k, k, n) and (r, k, k, q) arrays, or None
         Sums over samples of e_a · de_b by every node and by the parameters, where they were asked for.
     """
 
@@ -65,7 +65,9 @@ class Linearization:
 class Segments:
     """So many segments of one length, each simulated from its own state.
 
-    Derivatives are by that state and by the parameters that `active` names.
+    Derivatives are by that state and by the parameters that `active` names. Segments of several records follow one
+    another, `records` (s,) tells of which each is; the parameters `own` differ between these records, and q is then
+    (p, s), for every segment, instead of (p,).
     """
 
     def __init__(
@@ -75,47 +77,58 @@ class Segments:
         length: int,
         active: NDArray[np.integer],
         compile_linearization: bool = False,
+        *,
+        records: NDArray[np.integer] | None = None,
+        own: tuple[int, ...] = (),
     ) -> None:
         """Prepare the functions of `step`; `compile_linearization` translates the linearization to C."""
         self._step = step
         self.count = count
         self.length = length
         self.active = active
+        self.records = np.zeros(count, dtype=int) if records is None else records
+        self.number = int(self.records[-1]) + 1 if count else 1  # of records
+        self._own = own
+        self._common = [k for k in range(step.function.numel_in(1)) if k not in own]
         self.n = step.function.size1_in(0)
         self.k = step.function.size1_out(1)
         self._ordered: tuple[Array, Array] | None = None
         self._arrays: tuple[Array, Array, Array] | None = None
         self._compiled = None
         if compile_linearization:
-            self._compiled = CompiledLinearization(step.function, active.tolist(), count, length)
+            self._compiled = CompiledLinearization(step.function, active.tolist(), count, length, each=self.number > 1)
 
     # --- compiled functions, built when they are first asked for -----------------------------------------------------
 
     @cached_property
     def _advance(self) -> Columns:
         """The next state, from x, q and data."""
-        x, q, d = self._step.symbols()
-        return self._columns("advance", [x, q, d], [self._step.function(x, q, d)[0]])
+        return self._columns("advance", lambda x, q, d: [self._step.function(x, q, d)[0]])
 
     @cached_property
     def _output(self) -> Columns:
         """Residual and output, from x, q and data."""
-        x, q, d = self._step.symbols()
-        return self._columns("output", [x, q, d], list(self._step.function(x, q, d)[1:]))
+        return self._columns("output", lambda x, q, d: list(self._step.function(x, q, d)[1:]))
 
     @cached_property
     def _derivatives(self) -> Columns:
         """Derivatives of the next state and of the residual by x and active parameters, and the residual."""
-        x, q, d = self._step.symbols()
-        after, e, _ = self._step.function(x, q, d)
-        return self._columns("derivatives", [x, q, d], [*self._slopes(x, q, after, e), e])
+
+        def results(x: Any, q: Any, d: Any) -> list[Any]:
+            after, e, _ = self._step.function(x, q, d)
+            return [*self._slopes(x, q, after, e), e]
+
+        return self._columns("derivatives", results)
 
     @cached_property
     def _output_derivatives(self) -> Columns:
         """Derivatives of the next state and of the simulated output by x and active parameters."""
-        x, q, d = self._step.symbols()
-        after, _, y = self._step.function(x, q, d)
-        return self._columns("output_derivatives", [x, q, d], self._slopes(x, q, after, y))
+
+        def results(x: Any, q: Any, d: Any) -> list[Any]:
+            after, _, y = self._step.function(x, q, d)
+            return self._slopes(x, q, after, y)
+
+        return self._columns("output_derivatives", results)
 
     def _slopes(self, x: Any, q: Any, *results: Any) -> list[Any]:
         active = self.active.tolist()
@@ -127,12 +140,39 @@ class Segments:
     @cached_property
     def _by_state(self) -> Columns:
         """Derivatives of the next state and of the residual by x."""
-        x, q, d = self._step.symbols()
-        after, e, _ = self._step.function(x, q, d)
-        return self._columns("by_state", [x, q, d], [ca.densify(ca.jacobian(after, x)), ca.densify(ca.jacobian(e, x))])
 
-    def _columns(self, name: str, arguments: list[Any], results: list[Any]) -> Columns:
-        return Columns(ca.Function(name, arguments, results, {"cse": True}), shared=(1,))
+        def results(x: Any, q: Any, d: Any) -> list[Any]:
+            after, e, _ = self._step.function(x, q, d)
+            return [ca.densify(ca.jacobian(after, x)), ca.densify(ca.jacobian(e, x))]
+
+        return self._columns("by_state", results)
+
+    def _columns(self, name: str, results: Callable[[Any, Any, Any], list[Any]]) -> Columns:
+        """Return the function of x, q and d with these results, the same for all segments with this step."""
+        key = (name, tuple(self.active.tolist()), self._own)
+        evaluated = self._step.evaluated
+        if key not in evaluated:
+            x, q, d = self._step.symbols()
+            function = ca.Function(name, [x, q, d], results(x, q, d), {"cse": True})
+            evaluated[key] = Columns(self._with_own(function), shared=(1,))
+        return evaluated[key]
+
+    def _with_own(self, function: ca.Function) -> ca.Function:
+        """Return the function of x, q and d as one of x, common and own parameters, and d."""
+        if not self._own:
+            return function
+        x, q, d = self._step.symbols()
+        common, own = type(q).sym("common", len(self._common)), type(q).sym("own", len(self._own))
+        place = {k: common[i] for i, k in enumerate(self._common)} | {k: own[i] for i, k in enumerate(self._own)}
+        joined = ca.vertcat(*(place[k] for k in range(q.numel())))
+        return ca.Function(function.name(), [x, common, own, d], function.call([x, joined, d]), {"cse": True})
+
+    def _evaluate(self, columns: Columns, states: Array, q: Array, data: Array) -> list[Array]:
+        """Evaluate for columns of the segments, or of some of them for which q stands."""
+        if not self._own:
+            return columns(states, q, data)
+        own = np.tile(q[list(self._own)], data.shape[1] // q.shape[1])
+        return columns(states, q[self._common, 0], own, data)
 
     # --- the order of samples -----------------------------------------------------------------------------------------
 
@@ -168,7 +208,7 @@ class Segments:
         for i in range(self.length if self.n else 0):
             sample = slice(i * s, (i + 1) * s)
             states[:, sample] = x
-            (x,) = self._advance(x, q, data[:, sample])
+            (x,) = self._evaluate(self._advance, x, q, data[:, sample])
         return states, x.T
 
     def _simulate_one_by_one(self, nodes: Array, q: Array, data: Array) -> tuple[Array, Array]:
@@ -177,7 +217,7 @@ class Segments:
         ends = np.empty_like(nodes)
         for k, node in enumerate(nodes):
             samples = slice(k * self.length, (k + 1) * self.length)
-            run, _ = self._step.simulate(node, q, rows[samples])
+            run, _ = self._step.simulate(node, _of(q, k), rows[samples])
             states[samples] = run[:-1]
             ends[k] = run[-1]
         return self.columns(states.T), ends
@@ -187,35 +227,56 @@ class Segments:
     ) -> tuple[Array, Array, Array, Array]:
         """Simulate stretches of so many segments each, from the first node of each to its end.
 
-        Returns nodes (s, n), states at all samples (n, columns), ends (s, n), and the sums of the products of the
-        residuals of two outputs (k, k).
+        Returns nodes (s, n), states at all samples (n, columns), ends (s, n), and for every record the sums of the
+        products of the residuals of two outputs, (r, k, k).
         """
         rows = self.rows(data)
         states = np.empty((len(rows), self.n))
         ends = np.empty_like(nodes)
-        products = np.zeros((self.k, self.k))
+        products = np.zeros((self.number, self.k, self.k))
         first = 0
         for count in counts:
             samples = slice(first * self.length, (first + count) * self.length)
-            run, residuals = self._step.simulate(nodes[first], q, rows[samples])
+            run, residuals = self._step.simulate(nodes[first], _of(q, first), rows[samples])
             states[samples] = run[:-1]
             ends[first : first + count] = run[self.length :: self.length]
-            products += residuals.T @ residuals
+            products[self.records[first]] += residuals.T @ residuals
             first += count
         return states[:: self.length].copy(), self.columns(states.T), ends, products
 
     def residuals(self, states: Array, q: Array, data: Array) -> Array:
         """Return measured less simulated outputs (k, columns), zero where nothing was measured."""
-        return self._output(states, q, data)[0]
+        return self._evaluate(self._output, states, q, data)[0]
+
+    def products(self, residuals: Array) -> Array:
+        """Return the sums of the products of the residuals (k, columns) of two outputs for every record, (r, k, k)."""
+        if self.number == 1:
+            return (residuals @ residuals.T)[None]
+        each = self.by_segment(residuals)
+        return self.by_record(each.transpose(0, 2, 1) @ each)
+
+    def by_record(self, values: Array, batch: slice = slice(None)) -> Array:
+        """Return the sums of values (c, ...) of the segments of a batch over those of every record, (r, ...)."""
+        if self.number == 1:
+            return values.sum(axis=0)[None]
+        result = np.zeros((self.number, *values.shape[1:]))
+        records = self.records[batch]
+        starts = np.flatnonzero(np.diff(records, prepend=-1))
+        if starts.size:
+            result[records[starts]] = np.add.reduceat(values, starts, axis=0)
+        return result
 
     def outputs(self, states: Array, q: Array, data: Array) -> Array:
         """Return simulated outputs (k, columns)."""
-        return self._output(states, q, data)[1]
+        return self._evaluate(self._output, states, q, data)[1]
 
     # --- linearization ------------------------------------------------------------------------------------------------
 
     def linearize(self, states: Array, q: Array, weight: Array, data: Array, *, moments: bool = False) -> Linearization:
-        """Linearize along the states, the residuals multiplied by `weight`, a square root of the inverse covariance."""
+        """Linearize along the states, the residuals multiplied by `weight`, a square root of the inverse covariance.
+
+        It is one (k, k) for all segments, or one for every record (r, k, k).
+        """
         if self._compiled is not None and not moments:
             found = self._linearize_in_c(states, q, weight, data)
             if found is not None:
@@ -226,20 +287,21 @@ class Segments:
         node_hessian = np.empty((s, n, n))
         cross_hessian = np.empty((s, n, v - n))
         node_gradient = np.empty((s, n))
-        parameter_hessian = np.zeros((v - n, v - n))
-        parameter_gradient = np.zeros(v - n)
+        parameter_hessian = np.zeros((self.number, v - n, v - n))
+        parameter_gradient = np.zeros((self.number, v - n))
         k = self.k if moments else 0
         node_moments = np.empty((s, k, k, n))
-        parameter_moments = np.zeros((k, k, v - n))
+        parameter_moments = np.zeros((self.number, k, k, v - n))
 
         for batch in self.batches(s):
             transition[batch], J, e = self.sensitivities(states, q, data, batch)
-            J = weight @ J
-            e = weight @ e[..., None]
+            W = weight if weight.ndim == 2 else weight[self.records[batch], None]
+            J = W @ J
+            e = W @ e[..., None]
             if moments:
                 M = (e[..., 0].transpose(0, 2, 1) @ J.reshape(*J.shape[:2], k * v)).reshape(-1, k, k, v)
                 node_moments[batch] = M[..., :n]
-                parameter_moments += M[..., n:].sum(axis=0)
+                parameter_moments += self.by_record(M[..., n:], batch)
             J = J.reshape(len(J), -1, v)
             e = e.reshape(len(e), -1)
             H = J.transpose(0, 2, 1) @ J
@@ -247,8 +309,8 @@ class Segments:
             node_hessian[batch] = H[:, :n, :n]
             cross_hessian[batch] = H[:, :n, n:]
             node_gradient[batch] = g[:, :n]
-            parameter_hessian += H[:, n:, n:].sum(axis=0)
-            parameter_gradient += g[:, n:].sum(axis=0)
+            parameter_hessian += self.by_record(H[:, n:, n:], batch)
+            parameter_gradient += self.by_record(g[:, n:], batch)
 
         return Linearization(
             transition=transition[:, :, :n],
@@ -267,6 +329,9 @@ class Segments:
         n, s = self.n, self.count
         v = n + len(self.active)
         nodes = states[:, :s].T
+        if self.number > 1:  # a weight and parameters for every segment
+            weight = weight[self.records]
+            q = q.T if self._own else np.tile(q, (s, 1))
         _, slopes, products, gradient = self._compiled(nodes, q, weight, self.rows(data))
         if not (math.isfinite(slopes.sum()) and math.isfinite(products.sum())):
             return None
@@ -281,8 +346,8 @@ class Segments:
             node_hessian=products[:, place[:n, :n]],
             cross_hessian=products[:, place[:n, n:]],
             node_gradient=gradient[:, :n],
-            parameter_hessian=products.sum(axis=0)[place[n:, n:]],
-            parameter_gradient=gradient[:, n:].sum(axis=0),
+            parameter_hessian=self.by_record(products)[:, place[n:, n:]],
+            parameter_gradient=self.by_record(gradient[:, n:]),
         )
 
     def sensitivities(self, states: Array, q: Array, data: Array, batch: slice) -> tuple[Array, Array, Array]:
@@ -296,13 +361,14 @@ class Segments:
         def chosen(values: Array) -> Array:
             return values.reshape(len(values), length, self.count)[:, :, batch].reshape(len(values), length * count)
 
-        A, C, e = _finite(self._derivatives(chosen(states), q, chosen(data)))
+        q = q[:, batch] if self._own else q
+        A, C, e = _finite(self._evaluate(self._derivatives, chosen(states), q, chosen(data)))
         S, J = self._propagated(A, C, count)
         return S, J, e.reshape(self.k, length, count).transpose(2, 1, 0)
 
     def output_sensitivities(self, states: Array, q: Array, data: Array) -> Array:
         """Return the derivatives of the simulated outputs at all samples, (s, length, k, v), measured or not."""
-        A, C = self._output_derivatives(states, q, data)
+        A, C = self._evaluate(self._output_derivatives, states, q, data)
         return self._propagated(A, C, self.count)[1].copy()
 
     def _propagated(self, A: Array, C: Array, count: int) -> tuple[Array, Array]:
@@ -348,6 +414,11 @@ class Segments:
         """Return slices of s segments whose derivatives fit into memory together."""
         size = max(BATCH // self.length, 1)
         return [slice(first, min(first + size, s)) for first in range(0, s, size)]
+
+
+def _of(q: Array, segment: int) -> Array:
+    """Return the parameters of one segment."""
+    return q if q.ndim == 1 else q[:, segment]
 
 
 def _finite(values: list[Array]) -> list[Array]:

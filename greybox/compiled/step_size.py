@@ -5,7 +5,7 @@ at the declared parameters and at others drawn from the start boxes, since the s
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,6 +36,7 @@ SEGMENT_GROWTH = 2.0  # an unstable mode may grow by exp(2), sevenfold, over a s
 
 def substeps_and_segment(
     problem: Problem,
+    drawn: Array,
     method: Transcription,
     system: Dynamics,
     initial_states: InitialStates,
@@ -49,6 +50,8 @@ def substeps_and_segment(
 
     Parameters
     ----------
+    drawn : (draws, declared) array
+        See `drawn_parameters`.
     samples : (k, s) and (m, s) arrays
         Measured outputs and inputs at some samples.
     known_initial : function
@@ -66,7 +69,7 @@ def substeps_and_segment(
     stable: list[int] = []
     accurate: list[int] = []
     growth_rates: list[float] = []
-    for k, declared in enumerate(_drawn_parameters(problem)):
+    for k, declared in enumerate(drawn):
         integrated = k < INTEGRATED
         stride = 1 if integrated else EVERY
         p = declared[: len(problem.model.parameters)]
@@ -90,12 +93,14 @@ def substeps_and_segment(
     return integrator.substeps or int(substeps), segment
 
 
-def _drawn_parameters(problem: Problem) -> Iterator[Array]:
-    """Yield vectors of all declared parameters, the model's first: at the starts, then drawn from the start boxes."""
+def drawn_parameters(problem: Problem) -> Array:
+    """Return vectors of all declared parameters, the model's first: at the starts, then drawn from the start boxes."""
     random = np.random.default_rng(0)
+    drawn = []
     for k in range(DRAWS):
         outside = {name: p.start if k == 0 or p.fixed else p.draw(random) for name, p in problem.parameters.items()}
-        yield np.array([float(value) for value in problem.local_values(outside).values()])
+        drawn.append([float(value) for value in problem.local_values(outside).values()])
+    return np.array(drawn).reshape(DRAWS, -1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Part, Trajectory
+from greybox.compiled.record_group import Groups
 from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
 from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver
@@ -85,12 +86,14 @@ def discretization_error(
 ) -> DiscretizationError:
     """Return what twice the steps would do to the estimate that the best `trajectories` belong to, to first order.
 
-    `fine` are the parts with twice the steps, if they were built before.
+    `fine` are the parts, grouped, with twice the steps, if they were built before.
     """
     p = len(nlp.free)
+    groups = Groups(nlp.parts)
     fine = fine or _finer_parts(nlp)
+    trajectories = groups.rejoined(trajectories)
     finer = [refined.trajectory(t.z, t.nodes) for refined, t in zip(fine, trajectories, strict=True)]
-    each = list(zip(nlp.parts, trajectories, fine, finer, strict=True))
+    each = list(zip(groups.parts, trajectories, fine, finer, strict=True))
     same = [part is refined or _is_rounding(t, other) for part, t, refined, other in each]
     hessian, hessian_fine = np.zeros((p, p)), np.zeros((p, p))
     change = np.zeros(p)
@@ -139,8 +142,8 @@ def refine_discretization(
 
 
 def _finer_parts(nlp: Nlp) -> tuple[Part, ...]:
-    """Return the parts with twice the steps, for a look at them."""
-    return tuple(part.refined(2, compiled=False) for part in nlp.parts)
+    """Return the parts, grouped, with twice the steps, for a look at them."""
+    return tuple(part.refined(2, compiled=False) for part in Groups(nlp.parts).parts)
 
 
 def _without_aliases(

@@ -104,7 +104,7 @@ class TranscribedProgram(LocalSolver):
             return Outcome(start, NOT_FINITE, 0, time.perf_counter() - began, False, math.inf)
 
         status, iterations, last, cost = "", 0, math.inf, math.inf
-        each = zip(self._programs, first.trajectories, strict=True)
+        each = zip(self._programs, first, strict=True)
         solution = np.concatenate([z, *[program.initial_unknowns(t) for program, t in each]])
         share = self._nlp.strategies.assumed_error
         w = np.concatenate([program.initial_parameters(z, share) for program in self._programs])

@@ -75,9 +75,9 @@ def test_the_linearization_is_that_of_finite_differences(made):
         assert_allclose(linear.node_hessian[k], full[at, at], rtol=1e-4, atol=1e-5 * np.abs(full).max())
         assert_allclose(linear.node_gradient[k], J[:, at].T @ e, rtol=1e-4, atol=1e-5 * np.abs(J.T @ e).max())
     assert_allclose(
-        slope.T @ linear.parameter_hessian @ slope, Jz.T @ Jz, rtol=1e-4, atol=1e-5 * np.abs(Jz.T @ Jz).max()
+        slope.T @ linear.parameter_hessian[0] @ slope, Jz.T @ Jz, rtol=1e-4, atol=1e-5 * np.abs(Jz.T @ Jz).max()
     )
-    assert_allclose(slope.T @ linear.parameter_gradient, Jz.T @ e, rtol=1e-4, atol=1e-5 * np.abs(Jz.T @ e).max())
+    assert_allclose(slope.T @ linear.parameter_gradient[0], Jz.T @ e, rtol=1e-4, atol=1e-5 * np.abs(Jz.T @ e).max())
 
 
 @pytest.mark.parametrize("relaxed", [0.0, 0.3])

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.kalman_gain import kalman_gain
-from greybox.compiled.part import Part
+from greybox.compiled.part import Part, Trajectory
+from greybox.compiled.record_group import Groups
 from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.strategies import Strategies
 from greybox.solve.constraints import Limits
@@ -22,13 +23,17 @@ CLOSED = 0.01
 
 
 class AllParts:
-    """The parts of one problem, whose costs add, with the Kalman gains of those that have one, limits and settings."""
+    """The parts of one problem, whose costs add, with the Kalman gains of those that have one, limits and settings.
+
+    Records that can be evaluated together are one part here: `joined` and `nodes_by_part` are between the two.
+    """
 
     def __init__(self, parts: tuple[Part, ...], limits: Limits, settings: Strategies) -> None:
         """Look for the gains."""
-        self.parts = parts
-        self.weights = [part.weight for part in parts]
-        self.gains = [kalman_gain(part) for part in parts]
+        self._groups = Groups(parts)
+        self.parts = self._groups.parts
+        self.weights = [part.weight for part in self.parts]
+        self.gains = [kalman_gain(part) for part in self.parts]
         self.limits = limits
         self.settings = settings
 
@@ -42,6 +47,18 @@ class AllParts:
     def from_data(self, z: Array) -> Iterate:
         """Return the iterate at z whose nodes come from the data."""
         return Iterate(z, tuple(part.initial_trajectory(z) for part in self.parts))
+
+    def joined(self, nodes: Nodes) -> Nodes:
+        """Return the nodes as an iterate has them, given those of the parts of the problem."""
+        return self._groups.joined(nodes)
+
+    def nodes_by_part(self, iterate: Iterate) -> tuple[Array, ...]:
+        """Return the nodes of the parts of the problem."""
+        return tuple(self._groups.nodes_by_part(iterate.nodes))
+
+    def split(self, iterate: Iterate) -> tuple[Trajectory, ...]:
+        """Return the trajectories of the parts of the problem."""
+        return tuple(self._groups.split(iterate.trajectories))
 
     def simulated(self, z: Array, nodes: Nodes) -> Iterate:
         """Return the iterate at z simulated from the first node of every stretch to its end."""

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.compiled.part import Part
+from greybox.compiled.part import Part, Trajectory
+from greybox.compiled.record_group import excerpts
 from greybox.compiled.strategies import Strategies
 from greybox.solve.constraints import Limits
 from greybox.solve.gauss_newton.all_parts import AllParts
@@ -79,8 +80,8 @@ class GaussNewton(LocalSolver):
         samples = sum(part.samples for part in self._nlp.parts)
         if samples <= settings.long_record or not settings.stretches_first:
             return None
-        excerpts = tuple(part.excerpt(settings.long_record // 2) for part in self._nlp.parts)
-        return GaussNewton(self._nlp, excerpts, settings=settings)
+        parts = tuple(excerpts(self._nlp.parts, settings.long_record // 2))
+        return GaussNewton(self._nlp, parts, settings=settings)
 
     def refined(self, nlp: Nlp) -> "GaussNewton":
         """Return the solver of the same problem with finer steps."""
@@ -112,7 +113,7 @@ class GaussNewton(LocalSolver):
         """
         began = time.perf_counter()
         z = self._limits.nearest(self._nlp.scaling.to_solver(start))
-        first = self._parts.at(z, nodes)
+        first = self._parts.at(z, self._parts.joined(nodes))
         iterate = self._parts.simulated(first.z, first.nodes) if first.finite else first
         if not self._parts.stays_near_data(iterate) or not are_stable(self._parts, iterate):
             return None
@@ -128,7 +129,7 @@ class GaussNewton(LocalSolver):
         samples = sum(part.samples for part in self._nlp.parts)
         most = max(min(self._settings.continued_samples // max(samples, 1), MOST_ITERATIONS), 1)
         iterations = max(most, self._settings.max_iterations)
-        iterate = self._parts.at(self._nlp.scaling.to_solver(outcome.estimate), outcome.nodes)
+        iterate = self._at(outcome.estimate, outcome.nodes)
         after = self._solve(iterate, Progress.exact(self._settings), iterations)
         spent = {
             "iterations": outcome.iterations + after.iterations,
@@ -146,7 +147,7 @@ class GaussNewton(LocalSolver):
         if not search.minima or search.nodes is None or not self._settings.polished_minimum:
             return search
         best = search.minima[0]
-        start = self._parts.at(self._nlp.scaling.to_solver(best.estimate), search.nodes)
+        start = self._at(best.estimate, search.nodes)
         try:
             end, remaining = self._undamped(start)
             if remaining > LONG_STEP:
@@ -163,7 +164,11 @@ class GaussNewton(LocalSolver):
             return search
         estimate = np.clip(self._nlp.scaling.to_parameters(end.z), self._nlp.lower, self._nlp.upper)
         minimum = replace(best, cost=min(cost, best.cost), estimate=estimate)
-        return replace(search, minima=(minimum, *search.minima[1:]), nodes=tuple(end.nodes))
+        return replace(search, minima=(minimum, *search.minima[1:]), nodes=self._parts.nodes_by_part(end))
+
+    def _at(self, x: Array, nodes: Nodes) -> Iterate:
+        """Return the iterate at the parameters x (p,) with these nodes of every part of the problem."""
+        return self._parts.at(self._nlp.scaling.to_solver(x), self._parts.joined(nodes))
 
     def _undamped(self, iterate: Iterate) -> tuple[Iterate, float]:
         """Return where undamped steps lead that grow shorter, and the decrease and half squared length of the next."""
@@ -211,7 +216,7 @@ class GaussNewton(LocalSolver):
         if status == "converged" and not are_stable(self._parts, iterate):
             status = "unstable predictor"
         converged = status == "converged" and math.isfinite(cost)
-        signature, nodes = self._parts.signature(iterate), tuple(iterate.nodes)
+        signature, nodes = self._parts.signature(iterate), self._parts.nodes_by_part(iterate)
         return Outcome(estimate, status, count, 0.0, converged, cost, signature, nodes)
 
     @DIVERGING
@@ -227,12 +232,17 @@ class GaussNewton(LocalSolver):
     @DIVERGING
     def profile(self, x: Array, nodes: Nodes | None = None) -> Profile:
         """Return the best nodes at the parameters x (p,); `nodes`, if given, are known to be the best."""
-        z = self._nlp.scaling.to_solver(x)
+        iterate, cost, found = self._best(x, nodes)
+        return Profile(iterate.z, self._parts.split(iterate), cost, found)
+
+    @DIVERGING
+    def _best(self, x: Array, nodes: Nodes | None = None) -> tuple[Iterate, float, bool]:
+        """Return the iterate with the best nodes at the parameters x (p,), its cost, and whether they were found."""
         status = "converged"
         if nodes is not None:
-            iterate = self._parts.at(z, nodes)
+            iterate = self._at(x, nodes)
         else:
-            iterate = self._parts.from_data(z)
+            iterate = self._parts.from_data(self._nlp.scaling.to_solver(x))
             try:
                 iterate, status, _ = self._descend(
                     iterate, Progress(self._settings), self._settings.max_iterations, states_only=True
@@ -240,7 +250,7 @@ class GaussNewton(LocalSolver):
             except np.linalg.LinAlgError:
                 status = "singular"
         found = status == "converged" and are_stable(self._parts, iterate)
-        return Profile(z, iterate.trajectories, self._parts.cost(iterate, 0.0), found)
+        return iterate, self._parts.cost(iterate, 0.0), found
 
     def cost(self, values: Array) -> float:
         """Return the smallest cost at all values (k,) with exact continuity; NaN where there is none.
@@ -256,17 +266,17 @@ class GaussNewton(LocalSolver):
                 raise ValueError(
                     f"{name} is fixed at {stated:g} here: give {value:g} to the problem, fixed={{{name!r}: ...}}."
                 )
-        found = self.profile(values[:count])
-        return found.cost if found.converged else math.nan
+        _, cost, found = self._best(values[:count])
+        return cost if found else math.nan
 
     def signature(self, x: Array) -> Array | None:
         """Return what `Outcome.signature` holds, at the best nodes for x (p,); None where there are none."""
-        found = self.profile(x)
-        return self._parts.signature(Iterate(found.z, found.trajectories)) if found.converged else None
+        iterate, _, found = self._best(x)
+        return self._parts.signature(iterate) if found else None
 
     @DIVERGING
-    def smoothed(self, z: Array) -> Iterate | None:
-        """Return an iterate at z with nodes close to the data and nearly continuous; None where the model diverges."""
+    def smoothed(self, z: Array) -> tuple[Trajectory, ...] | None:
+        """Return the trajectories of every part at z with nodes close to the data and nearly continuous; None where the model diverges."""
         iterate = self._parts.from_data(z)
         weights = self._parts.initial_weights()
         progress = Progress(self._settings)
@@ -282,7 +292,7 @@ class GaussNewton(LocalSolver):
                 iterate = self._parts.moved(iterate, step, 1.0)
         except np.linalg.LinAlgError:
             return None
-        return iterate if iterate.finite else None
+        return self._parts.split(iterate) if iterate.finite else None
 
     # --- the iteration ------------------------------------------------------------------------------------------------
 

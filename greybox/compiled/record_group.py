@@ -1,0 +1,234 @@
+"""Records of one model, evaluated and condensed together: a solver's arithmetic takes one call for all of them.
+
+A call from Python costs as much as the arithmetic of some hundred samples, so a hundred short records one after the
+other take ten times as long as one record with as many samples. What differs between them, parameters of their own,
+residual covariances, delays, is an axis of arrays. The rest of greybox sees parts, one for every problem; `Groups` is
+between the two.
+"""
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.compiled.part import Part, Trajectory
+from greybox.compiled.record_part import Along, Placed, RecordPart
+from greybox.compiled.residual_covariance import ResidualCovariance
+from greybox.compiled.sampled_data import joined
+from greybox.compiled.segments import Segments
+
+Array = NDArray[np.float64]
+
+# Simulated samples of every output by which runs are told apart, over all records.
+SIGNATURE = 500
+
+
+class RecordGroup(RecordPart):
+    """Several records with one compiled sample, segments of one length and one weight, as one part.
+
+    Its trajectories have the nodes of all records, one after the other, and the products of the residuals of each,
+    (records, k, k); so have residual weights.
+    """
+
+    def __init__(self, parts: Sequence[RecordPart]) -> None:
+        """Join the data; parameters whose expressions differ between the records are their own."""
+        self.parts = tuple(parts)
+        first = self.parts[0]
+        expressions = [part.model.expressions for part in self.parts]
+        own = tuple(k for k, each in enumerate(zip(*expressions, strict=True)) if len(set(each)) > 1)
+        counts = [part.data.segments for part in self.parts]
+        data = joined([part.data for part in self.parts])
+        segments = Segments(
+            first.step,
+            data.segments,
+            data.segment_length,
+            first.model.active,
+            first.compiles,
+            records=np.repeat(np.arange(len(counts)), counts),
+            own=own,
+        )
+        each = [part.covariance for part in self.parts]
+        covariance = ResidualCovariance(
+            np.array([one.counts for one in each]),
+            np.array([one.spread for one in each]),
+            None if each[0].known is None else np.array([one.known for one in each]),
+            each[0].full,
+        )
+        super().__init__(first.model, data, first.substeps, step=first.step, segments=segments, covariance=covariance)
+
+    def excerpt(self, samples: int) -> "RecordGroup":
+        """Return the group on excerpts of about so many samples in all."""
+        return RecordGroup(excerpts(self.parts, samples))
+
+    def refined(self, factor: int, *, compiled: bool = True) -> "RecordGroup":
+        """Return the group with `factor` times the steps per sample."""
+        return RecordGroup([part.refined(factor, compiled=compiled) for part in self.parts])
+
+    def split(self, trajectory: Trajectory) -> list[Trajectory]:
+        """Return the trajectories of the records."""
+        along: Along = trajectory.detail
+        placed = along.placed
+        has_own = placed.slope.ndim == 3
+        result = []
+        for k, rows in enumerate(self._rows_of_records):
+            own = Placed(
+                q=placed.q[:, rows.start] if has_own else placed.q,
+                slope=placed.slope[k] if has_own else placed.slope,
+                data=self._columns_of(placed.data, rows),
+                initial=placed.initial[k] if has_own else placed.initial,
+                initial_slope=placed.initial_slope[k] if has_own else placed.initial_slope,
+            )
+            result.append(
+                Trajectory(
+                    trajectory.z,
+                    trajectory.nodes[rows],
+                    trajectory.ends[rows],
+                    trajectory.gaps[rows],
+                    trajectory.products[k],
+                    simulated=trajectory.simulated,
+                    detail=Along(own, self._columns_of(along.states, rows)),
+                )
+            )
+        return result
+
+    def _columns_of(self, values: Array, segments: slice) -> Array:
+        """Return the columns (r, c) of some segments."""
+        of_all = values.reshape(len(values), self.data.segment_length, self.data.segments)
+        return of_all[:, :, segments].reshape(len(values), -1)
+
+    def by_part(self, nodes: Array) -> list[Array]:
+        """Return the nodes of the records."""
+        return [nodes[rows] for rows in self._rows_of_records]
+
+    # --- what differs between the records ----------------------------------------------------------------------------
+
+    @cached_property
+    def _located(self) -> tuple[ca.Function, NDArray[np.integer]]:
+        """What `RecordPart.place` asks for of every distinct record, as one function of z; and of each its place."""
+        distinct = {id(part.model.locate): part.model for part in self.parts}
+        places = {key: k for k, key in enumerate(distinct)}
+        z = ca.SX.sym("z", self.model.locate.numel_in(0))
+        results: list[list[Any]] = []
+        for model in distinct.values():
+            q, slope, delay = model.locate(z)
+            initial, initial_slope = model.initial(q)
+            results.append([q, slope, delay, initial, initial_slope])
+        sides = (ca.horzcat, ca.vertcat, ca.horzcat, ca.horzcat, ca.vertcat)
+        stacked = [ca.densify(side(*each)) for side, each in zip(sides, zip(*results, strict=True), strict=True)]
+        which = np.array([places[id(part.model.locate)] for part in self.parts])
+        return ca.Function("located", [z], stacked), which
+
+    def place(self, z: Array) -> Placed:
+        """Return the parameters and the data at z (p,), for every record where they have their own."""
+        function, which = self._located
+        q, slope, delay, initial, initial_slope = (value.full() for value in function(z))
+        n, active = self.states, len(self.model.active)
+        if not which.any():
+            return Placed(q.ravel(), slope, self._data_at(delay.ravel()), initial.ravel(), initial_slope)
+        stretches = np.repeat(which, [len(part.data.stretches) for part in self.parts])
+        return Placed(
+            q=q[:, which[self.segments.records]],
+            slope=slope.reshape(-1, active, len(z))[which],
+            data=self._data_at(delay[:, stretches]),
+            initial=initial.T[which],
+            initial_slope=initial_slope.reshape(-1, n, active)[which],
+        )
+
+    def initial_trajectory(self, z: Array) -> Trajectory:
+        """Return the trajectory at z (p,) with nodes from the data of each record."""
+        placed = self.place(z)
+        firsts = [rows.start for rows in self._rows_of_records]
+        nodes = []
+        for k, (part, first) in enumerate(zip(self.parts, firsts, strict=True)):
+            q = placed.q if placed.q.ndim == 1 else placed.q[:, first]
+            known = placed.initial if placed.initial.ndim == 1 else placed.initial[k]
+            nodes.append(part.nodes_from_data(q, known))
+        return self._trajectory(z, np.concatenate(nodes), placed)
+
+    def _products(self, of_records: Array) -> Array:
+        return of_records
+
+    def signature(self, trajectory: Trajectory) -> Array:
+        """Return up to some 500 simulated samples of every output, in units of the spread in their records."""
+        outputs = self.segments.by_segment(self._outputs(trajectory))
+        scaled = outputs / self.covariance.spread[self.segments.records, None]
+        samples = scaled.reshape(-1, len(self.outputs))
+        return samples[:: max(len(samples) // SIGNATURE, 1)].T.ravel()
+
+    def _outputs(self, trajectory: Trajectory) -> Array:
+        along: Along = trajectory.detail
+        return self.segments.outputs(along.states, along.placed.q, along.placed.data)
+
+
+class Groups:
+    """The parts of a problem as a solver takes them: records that can be evaluated together are one."""
+
+    def __init__(self, parts: Sequence[Part]) -> None:
+        """Group the parts; a record with a Kalman gain stays alone, since stability is judged of each predictor."""
+        lots: dict[Any, list[int]] = {}
+        for k, part in enumerate(parts):
+            lots.setdefault(_kind(part, k), []).append(k)
+        self._members = list(lots.values())
+        self._number = len(parts)
+        self.parts: tuple[Part, ...] = tuple(_as_one([parts[k] for k in members]) for members in self._members)
+
+    def joined(self, nodes: Sequence[Array]) -> list[Array]:
+        """Return the nodes of every group, given those of every part."""
+        each = [[nodes[k] for k in members] for members in self._members]
+        return [lot[0] if len(lot) == 1 else np.concatenate(lot) for lot in each]
+
+    def nodes_by_part(self, nodes: Sequence[Array]) -> list[Array]:
+        """Return the nodes of every part, given those of every group."""
+        return self._by_part(
+            [group.by_part(own) if isinstance(group, RecordGroup) else [own] for group, own in self._each(nodes)]
+        )
+
+    def split(self, trajectories: Sequence[Trajectory]) -> list[Trajectory]:
+        """Return the trajectories of every part, given those of every group."""
+        return self._by_part(
+            [group.split(t) if isinstance(group, RecordGroup) else [t] for group, t in self._each(trajectories)]
+        )
+
+    def rejoined(self, trajectories: Sequence[Trajectory]) -> list[Trajectory]:
+        """Return the trajectory of every group, given those of every part."""
+        result = []
+        for group, members in zip(self.parts, self._members, strict=True):
+            first = trajectories[members[0]]
+            if isinstance(group, RecordGroup):
+                nodes = np.concatenate([trajectories[k].nodes for k in members])
+                first = group.trajectory(first.z, nodes, simulated=first.simulated)
+            result.append(first)
+        return result
+
+    def _each(self, values: Sequence[Any]) -> Any:
+        return zip(self.parts, values, strict=True)
+
+    def _by_part(self, lots: Sequence[Sequence[Any]]) -> list[Any]:
+        result: list[Any] = [None] * self._number
+        for members, values in zip(self._members, lots, strict=True):
+            for k, value in zip(members, values, strict=True):
+                result[k] = value
+        return result
+
+
+def excerpts(parts: Sequence[Part], samples: int) -> list[Any]:
+    """Return parts on excerpts of about so many samples in all, every part by its share."""
+    total = sum(part.samples for part in parts)
+    if total <= samples:
+        return list(parts)
+    return [part.excerpt(max(samples * part.samples // total, 1)) if part.samples else part for part in parts]
+
+
+def _kind(part: Part, number: int) -> Any:
+    """Return what records that can be evaluated together have in common."""
+    if not isinstance(part, RecordPart) or part.gains:
+        return number
+    active = tuple(part.model.active.tolist())
+    return (id(part.step), part.data.segment_length, active, part.weight, part.compiles)
+
+
+def _as_one(parts: Sequence[Any]) -> Part:
+    return parts[0] if len(parts) == 1 else RecordGroup(parts)

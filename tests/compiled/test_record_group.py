@@ -1,0 +1,147 @@
+"""Records evaluated together give what they give one by one: trajectories, costs, condensed systems, answers."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import greybox as gb
+from greybox.compiled.compiled_problem import compile_problem
+from greybox.compiled.record_group import Groups, RecordGroup
+
+TRUTH = {"a": 1.5, "b": 3.0, "c": 5.0, "delay": 0.031}
+
+
+class Spring(gb.StateSpace):
+    """x'' = -a x' - b x + c u(t - delay), position and velocity measured."""
+
+    states = ("v", "x")
+    inputs = ("u",)
+    outputs = ("x", "v")
+    delays = {"u": "delay"}
+    a = gb.Parameter(1.0, bounds=(0.1, 10.0), unit="1/s")
+    b = gb.Parameter(2.0, bounds=(0.1, 10.0), unit="1/s²")
+    c = gb.Parameter(3.0, bounds=(0.1, 20.0), unit="1/s²")
+    delay = gb.Parameter(0.02, bounds=(0.0, 0.1), unit="s")
+
+    def derivative(self, x, u, p):
+        return (-p.a * x.v - p.b * x.x + p.c * u.u, x.v)
+
+    def output(self, x, u, p):
+        return (x.x, x.v)
+
+
+def record(seed, samples=150, step=0.02, hold=8, offset=0.0):
+    """A record of the true spring with its own initial state, noise and bias of the first output."""
+    random = np.random.default_rng(seed)
+    time = step * np.arange(samples)
+    u = np.repeat(random.standard_normal(samples // hold + 1), hold)[:samples]
+    flown = gb.simulate(Spring(), TRUTH, gb.Record(time, {"u": u}), initial={"v": random.normal(), "x": 1.0})
+    noise = random.standard_normal((2, samples)) * np.array([[0.05], [0.1]]) * (1 + seed % 3)
+    y = np.array([flown["x"] + offset, flown["v"]]) + noise
+    y[0, 40:55] = np.nan
+    return gb.Record(time, {"u": u, "x": y[0], "v": y[1]}, name=f"flight {seed}")
+
+
+def records(**options):
+    """Several records, one of them sampled twice as fast and one longer."""
+    each = [{}, {"samples": 220}, {"step": 0.01, "hold": 20}, {}, {"samples": 90}]
+    return [record(k, **(own | options)) for k, own in enumerate(each)]
+
+
+CASES = {
+    "shared": {},
+    "own parameter": {"own": ("c",)},
+    "own delay": {"own": ("delay",)},
+    "biases": {"criterion": gb.OutputError(biases=("x",))},
+    "full covariance": {"criterion": gb.OutputError(noise="full"), "own": ("a",)},
+    "known noise": {"criterion": gb.OutputError(noise={"x": 0.1, "v": 0.1})},
+    "known initial states": {"criterion": gb.OutputError(initial={"x": lambda p: p.c / 4}), "own": ("c",)},
+}
+
+
+def problem_of(case):
+    options = CASES[case]
+    return gb.several(Spring(), records(), **options)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_group_has_the_condensed_system_of_its_records(case):
+    nlp = compile_problem(problem_of(case))
+    groups = Groups(nlp.parts)
+    assert len(groups.parts) <= 2  # one for every step between samples
+    random = np.random.default_rng(1)
+    z = nlp.scaling.to_solver(np.array([p.start for n, p in nlp.problem.parameters.items() if n in nlp.free]))
+    z = z + 0.05 * random.standard_normal(z.size)
+    each = [part.initial_trajectory(z) for part in nlp.parts]
+    each = [
+        part.trajectory(z, t.nodes + 0.1 * random.standard_normal(t.nodes.shape))
+        for part, t in zip(nlp.parts, each, strict=True)
+    ]
+    joined = groups.joined([t.nodes for t in each])
+    together = [group.trajectory(z, nodes) for group, nodes in zip(groups.parts, joined, strict=True)]
+    assert_allclose(
+        sum(group.cost(t, 0.0) for group, t in zip(groups.parts, together, strict=True)),
+        sum(part.cost(t, 0.0) for part, t in zip(nlp.parts, each, strict=True)),
+        rtol=1e-12,
+    )
+    for ours, one in zip(groups.split(together), each, strict=True):
+        for name in ("nodes", "ends", "gaps", "products"):
+            assert_allclose(getattr(ours, name), getattr(one, name), rtol=1e-9, atol=1e-11)
+        assert_allclose(ours.detail.states, one.detail.states, rtol=1e-9, atol=1e-11)
+        assert_allclose(ours.detail.placed.slope, one.detail.placed.slope)
+        assert_allclose(ours.detail.placed.data, one.detail.placed.data)
+    for simulated in (False, True):
+        for curvature in (False, True):
+            found = [_system(part, t, curvature, simulated) for part, t in zip(nlp.parts, each, strict=True)]
+            shared = [_system(part, t, curvature, simulated) for part, t in zip(groups.parts, together, strict=True)]
+            for wanted, ours in zip(
+                *(map(sum, zip(*systems, strict=True)) for systems in (found, shared)), strict=True
+            ):
+                assert_allclose(ours, wanted, rtol=1e-6, atol=1e-8 * np.abs(wanted).max())
+
+
+def _system(part, trajectory, curvature, simulated):
+    """Hessian, gradient and decrease of the nodes alone, exact in the continuity, whose scales do not matter then."""
+    if simulated:
+        trajectory = part.trajectory(trajectory.z, trajectory.nodes, simulated=True)
+    linear = part.linearize(trajectory, part.residual_weight(trajectory), covariance_curvature=curvature)
+    condensed = part.condense(linear, trajectory, np.zeros(2))
+    return condensed.hessian, condensed.gradient, np.array(condensed.decrease)
+
+
+@pytest.mark.parametrize("case", ["own delay", "biases", "full covariance"])
+def test_the_answer_is_that_of_records_one_by_one(case, monkeypatch):
+    together = gb.fit(problem_of(case), starts=2, progress=False)
+    monkeypatch.setattr("greybox.compiled.record_group._kind", lambda part, number: number)
+    alone = gb.fit(problem_of(case), starts=2, progress=False)
+    assert_allclose(together.cost, alone.cost, rtol=1e-9)
+    for name in together.free:
+        assert abs(together.estimate[name] - alone.estimate[name]) < 1e-4 * alone.standard_error[name]
+        assert together.standard_error[name] == pytest.approx(alone.standard_error[name], rel=1e-4)
+    for one, other in zip(together.records, alone.records, strict=True):
+        assert_allclose(one.residual("x"), other.residual("x"), atol=1e-5)
+
+
+def test_records_of_equal_models_share_the_compiled_sample():
+    """Also where every problem has a model of its own: what counts are the equations."""
+    each = records()
+    parts = compile_problem(sum(gb.Problem(Spring(), one) for one in each)).parts
+    assert len({id(part.step) for part in parts}) <= 2
+    other = compile_problem(gb.Problem(Spring(), each[0]) + gb.Problem(Spring(), each[1], delay="pade:2")).parts
+    assert other[0].step is not other[1].step
+
+
+def test_records_compiled_to_c_have_the_same_linearization(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    nlp = compile_problem(problem_of("own parameter"), gb.MultipleShooting(segment=10, compile=True))
+    (group, *_) = Groups(nlp.parts).parts
+    assert isinstance(group, RecordGroup)
+    z = nlp.scaling.to_solver(np.array([p.start for n, p in nlp.problem.parameters.items() if n in nlp.free]))
+    trajectory = group.initial_trajectory(z)
+    weight = group.residual_weight(trajectory)
+    compiled = group.linearize(trajectory, weight)
+    monkeypatch.setattr(group.segments, "_compiled", None)
+    interpreted = group.linearize(trajectory, weight)
+    for name in ("transition", "node_hessian", "cross_hessian", "parameter_hessian", "parameter_gradient"):
+        wanted = getattr(interpreted, name)
+        assert_allclose(getattr(compiled, name), wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())
