@@ -1,6 +1,6 @@
 """How fast, how sure and how exact a fit in the time domain is, against what one writes by hand.
 
-python benchmarks/time_fit.py [--parts speed growth starts errors] [--long] [--output benchmarks/results/time_fit.txt]
+python benchmarks/time_fit.py [--parts speed growth starts errors records] [--long] [--output benchmarks/results/time_fit.txt]
 
 The unstable tilt plant of `time_references.py`, three outputs, five parameters, 60 s at 100 Hz. The rivals are one
 multiple-shooting NLP for IPOPT (twice: with CasADi's derivatives of the whole, and with blocks placed by hand) and
@@ -10,7 +10,8 @@ Every figure comes from a fresh process: libraries that a script names at its to
 cold and counts, from the arrays to the answer (standard errors included for greybox, left out for the rivals). Peak
 memory is the whole process's, interpreter and data included. Rounds alternate, ratios are taken within a round, all
 run on one thread. `--long` goes on to 600 000 samples, where the NLP takes minutes and gigabytes, and gives the NLP
-random starts, of which those that fail take up to half a minute.
+random starts, of which those that fail take up to half a minute. The part `records` holds a hundred short records
+against one with as many samples and 99 gaps.
 """
 
 import argparse
@@ -50,6 +51,7 @@ SAMPLES = 6000
 SIZES = (6000, 60_000, 600_000)
 LIMITS = {("greybox", SAMPLES): 3.5, ("greybox compiled", SAMPLES): 6.0, ("greybox", SIZES[-1]): 20.0}
 POWER, MEGABYTES = 1.1, 1000.0
+RECORDS, SHORT, RATIO = 100, 1000, 3.0  # records, samples of each, and how much longer they may take than one with gaps
 SAME = 1e-4  # of a standard error, between two answers that are one minimum
 THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -85,8 +87,20 @@ def greybox_case(flight: Flight, options: dict[str, Any]) -> dict[str, Any]:
             return (x.v, x.q, x.theta)
 
     began = time.perf_counter()
-    record = gb.Record(STEP * np.arange(len(flight.u)), {"u": flight.u, **dict(zip(NOISE, flight.y, strict=True))})
-    problem = gb.Problem(FastTilt(), record, criterion=gb.OutputError(noise=NOISE, inputs="held"))
+    signals = {"u": flight.u, **dict(zip(NOISE, flight.y, strict=True))}
+    time_base = STEP * np.arange(len(flight.u))
+    criterion = gb.OutputError(noise=NOISE, inputs="held")
+    if pieces := options.get("pieces"):  # of one flight, each with its own initial states
+        cuts = np.arange(0, len(flight.u), len(flight.u) // pieces)[1:]
+        gaps = SEGMENT * STEP * np.searchsorted(cuts, np.arange(len(flight.u)), "right")
+        each = [np.split(values, cuts) for values in (time_base, *signals.values())]
+        records = [gb.Record(row[0], dict(zip(signals, row[1:], strict=True))) for row in zip(*each, strict=True)]
+        whole = gb.Record(time_base + gaps, signals)
+        model = FastTilt()
+        problem = gb.Problem(model, whole, criterion=criterion)
+        problem = problem if options["joined"] else gb.several(model, records, criterion=criterion)
+    else:
+        problem = gb.Problem(FastTilt(), gb.Record(time_base, signals), criterion=criterion)
     method = gb.MultipleShooting(segment=SEGMENT, **({"compile": True} if options.get("compile") else {}))
     one = [dict(zip(NAMES, START.tolist(), strict=True))]
     fit = gb.fit(problem, starts=options.get("starts") or one, method=method, progress=False)
@@ -147,6 +161,8 @@ def starts_of(options: dict[str, Any]) -> np.ndarray:
 CASES: dict[str, tuple[Case, dict[str, Any]]] = {
     "greybox": (greybox_case, {}),
     "greybox compiled": (greybox_case, {"compile": True}),
+    "greybox, one record with gaps": (greybox_case, {"pieces": RECORDS, "joined": True}),
+    "greybox, many records": (greybox_case, {"pieces": RECORDS, "joined": False}),
     "IPOPT": (ipopt_case, {}),
     "IPOPT by blocks": (ipopt_case, {"blocks": True}),
     "scipy, measured heads": (scipy_case, {}),
@@ -326,6 +342,24 @@ def errors(bench: Bench, cases: Sequence[str], flights: int) -> None:
         print(f"  {case:<22} {'  '.join(f'{a:6.3f}' for a in percent)}    {'  '.join(f'{a:5.1f}' for a in own)}")
 
 
+def records(bench: Bench, rounds: int) -> None:
+    """Print how much longer many short records take than one record with as many samples and gaps."""
+    one, many = "greybox, one record with gaps", "greybox, many records"
+    for count in (1, 20):
+        print(f"\n{RECORDS} records of {SHORT} samples, {count} start{'s' * (count > 1)}, {rounds} rounds")
+        options = {} if count == 1 else {"starts": count}
+        pairs = [[bench.run(case, RECORDS * SHORT, **options) for case in (one, many)] for _ in range(rounds)]
+        found = [(a, b) for a, b in pairs if a and b]
+        for case, answers in zip((one, many), zip(*found, strict=True), strict=True):
+            print(f"  {case:<30} {middle([a['seconds'] for a in answers])} s, {answers[0]['megabytes']:.0f} MB")
+        values = [b["seconds"] / a["seconds"] for a, b in found]
+        good = statistics.median(values) <= RATIO
+        print(f"  many records take {middle(values, '.2f')} times as long, at most {RATIO:g}: {verdict(good)}")
+        ends = [np.array([answer["estimate"], answer["standard_error"]]) for answer in found[0]]
+        away = float(np.max(np.abs(ends[0][0] - ends[1][0]) / ends[0][1]))
+        print(f"  estimates {away:.1e} standard errors apart, the noise being given")
+
+
 def versions() -> str:
     names = ["casadi", "numpy", "scipy"]
     with contextlib.suppress(Exception):
@@ -351,9 +385,10 @@ def main() -> int:
         np.savez(sys.argv[2], u=flight.u, y=flight.y)
         return 0
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    every = ["speed", "growth", "starts", "errors"]
+    every = ["speed", "growth", "starts", "errors", "records"]
     parser.add_argument("--parts", nargs="+", choices=every, default=every)
-    parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
+    plain = [case for case, (_, fixed) in CASES.items() if "pieces" not in fixed]
+    parser.add_argument("--cases", nargs="+", choices=plain, default=plain)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--starts", type=int, default=40)
     parser.add_argument("--flights", type=int, default=8)
@@ -385,6 +420,8 @@ def report(bench: Bench, options: argparse.Namespace) -> int:
         starts(bench, [c for c in cases if options.long or c != "IPOPT by blocks"], options.starts)
     if "errors" in options.parts:
         errors(bench, cases, options.flights)
+    if "records" in options.parts:
+        records(bench, options.rounds)
     return 0 if agreed else 1
 
 

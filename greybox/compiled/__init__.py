@@ -5,11 +5,12 @@ response, `response_part` with `response_map` for large ones, or a record, `reco
 parameters and the solver's variables.
 
 A record is cut into segments (`sampled_data`), as many steps per sample as it needs (`step_size`). Every sample is one
-CasADi function (`sample_step`), which `segments` evaluates and linearizes for all segments at once; `condensing`
-eliminates the continuity of multiple shooting: the states at the nodes, where segments begin, and its multipliers.
-`initial_states` gives the first ones, `residual_covariance` the weights, `kalman_gain` the gain of a predictor,
-`record_information` the numbers that correlated residuals are worth. `transcription/` holds the methods by which the
-states of a record become unknowns, one method a file (multiple shooting is the above), and `strategies` all settings.
+CasADi function (`sample_step`), which `segments` evaluates and linearizes for all segments at once, those of several
+records that share it together (`record_group`); `condensing` eliminates the continuity of multiple shooting: the states
+at the nodes, where segments begin, and its multipliers. `initial_states` gives the first ones, `residual_covariance`
+the weights, `kalman_gain` the gain of a predictor, `record_information` the numbers that correlated residuals are
+worth. `transcription/` holds the methods by which the states of a record become unknowns, one method a file (multiple
+shooting is the above), and `strategies` all settings.
 `vectorized` evaluates CasADi functions in numpy over many columns, `code_generation` compiles them to C,
 `library_cache` keeps the libraries.
 """

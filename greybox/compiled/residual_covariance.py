@@ -22,8 +22,9 @@ RIDGE = 1e-10
 class ResidualCovariance:
     """How residual products (..., k, k), summed over `counts` (..., k) samples, become a cost and weights.
 
-    Leading axes are records, whose costs add. The cost is the negative logarithm of the likelihood of normal errors. With an estimated covariance it is that of
-    the concentrated likelihood, n/2 log det R + constant, R the covariance of the residuals.
+    Leading axes are records, whose costs add. The cost is the negative logarithm of the likelihood of normal errors.
+    With an estimated covariance it is that of the concentrated likelihood, n/2 log det R + constant, R the covariance
+    of the residuals.
     """
 
     counts: NDArray[np.integer]

@@ -55,6 +55,11 @@ def listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
+def some(names: Sequence[str], most: int = 4) -> str:
+    """Return names as `listed` does, of many the first ones and how many more there are."""
+    return listed(names) if len(names) <= most + 1 else f"{', '.join(names[:most])} and {len(names) - most} more"
+
+
 def nearest(name: str, known: Iterable[str]) -> str | None:
     """Return which of the known names a misspelled one probably means, None if it resembles none."""
     spelled = {other.lower(): other for other in known}

@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, share_samples
-from greybox.data.text_table import alternatives, counted, listed, number, one_line, text_table, with_error
+from greybox.data.text_table import alternatives, counted, number, one_line, some, text_table, with_error
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.input_assumptions import Inputs, described_inputs
 from greybox.modeling.model import Model
@@ -27,6 +28,9 @@ from greybox.statistics.metrics import fit_percent, rms
 
 # The included criteria in words, by name: `Fit.costs` has names alone.
 RULES = {criterion.name: criterion.description for criterion in CRITERIA}
+
+MANY = 10  # records up to which the text has a line for each; what it leaves out is in `Fit.records` and `quantities`
+WORST = 3  # records that are named where there are more
 
 
 @dataclass(frozen=True)
@@ -447,7 +451,7 @@ def _overview(fit: Fit) -> list[str]:
         f"  cost       {fit.cost:.6g}  ({fit.rule})",
         f"  data       {_data_text(fit)}, delay {fit.delay}{''.join(pade)}",
         *(f"  inputs     {text}" for text in _inputs_texts(fit.records)),
-        *(f"  output     {_output_text(part, output)}" for part in fit.records for output in part.outputs),
+        *(f"  output     {text}" for text in _output_texts(fit.records)),
     ]
 
 
@@ -460,7 +464,7 @@ def _inputs_texts(records: Sequence[FittedRecord]) -> list[str]:
             where = tuple(part.name for part in records if part.between.get(name) == text) if len(said) > 1 else ()
             alike.setdefault((text, where), []).append(name)
     return [
-        f"{', '.join(names)} {text}{f' ({listed(where)})' if any(where) else ''}"
+        f"{', '.join(names)} {text}{f' ({some(where)})' if any(where) else ''}"
         for (text, where), names in alike.items()
     ]
 
@@ -479,6 +483,35 @@ def _data_text(fit: Fit) -> str:
     return " and ".join(texts)
 
 
+def _output_texts(records: Sequence[FittedRecord]) -> list[str]:
+    """Say how well every output of every record is reproduced; of many records the range and the worst."""
+    if len(records) <= MANY:
+        return [_output_text(part, output) for part in records for output in part.outputs]
+    texts = []
+    for output in dict.fromkeys(output for part in records for output in part.outputs):
+        holders = [(k, part) for k, part in enumerate(records, start=1) if output in part.outputs]
+        residuals = [rms(part.residual(output)) for _, part in holders]
+        percents = [part.fit_percent(output) for _, part in holders]
+        units = dict.fromkeys(part.data.units.get(output, "") for _, part in holders)
+        worst = sorted(zip(percents, holders, strict=True), key=lambda pair: pair[0])[:WORST]
+        named = [f"{percent:.1f} % in {_record_name(k, part)}" for percent, (k, part) in worst]
+        residual = f"{_range(residuals)} {'/'.join(units)}".rstrip()
+        texts.append(
+            f"{output} in {counted(len(holders), 'record')}: residual {residual} rms, fit {min(percents):.1f} to "
+            f"{max(percents):.1f} % (least: {', '.join(named)})"
+        )
+    return texts
+
+
+def _record_name(number: int, part: FittedRecord) -> str:
+    return f"record {number}{f' ({part.data.name})' if part.data.name else ''}"
+
+
+def _range(values: Sequence[float]) -> str:
+    low, high = number(min(values), 3), number(max(values), 3)
+    return low if low == high else f"{low} to {high}"
+
+
 def _output_text(part: FittedRecord, output: str) -> str:
     where = f" ({part.name})" if part.name else ""
     residual = f"{number(rms(part.residual(output)))} {part.data.units.get(output, '')}".rstrip()
@@ -488,7 +521,13 @@ def _output_text(part: FittedRecord, output: str) -> str:
 def _table(fit: Fit) -> list[str]:
     header = ["parameter", "estimate", "± error", "unit", "bounds", "", "meaning"]
     rows = []
+    own = _own_of_many(fit)
     for quantity in fit.quantities:
+        if quantity.name in own:
+            of_all = [other for other in fit.quantities if own.get(other.name) == own[quantity.name]]
+            if quantity is of_all[0]:
+                rows.append(_row_of_many(of_all))
+            continue
         value, error = with_error(quantity.value, quantity.standard_error)
         bounds = note = ""
         if quantity.kind == "free":
@@ -499,6 +538,37 @@ def _table(fit: Fit) -> list[str]:
             note = quantity.kind
         rows.append([quantity.name, value, error, quantity.unit, bounds, note, quantity.about])
     return ["  " + line for line in text_table(header, rows, left=(0, 3, 5, 6)).splitlines()]
+
+
+def _own_of_many(fit: Fit) -> dict[str, tuple[str, str]]:
+    """Return the parameters that many records have each for itself, with their name inside and their kind."""
+    kinds = {quantity.name: quantity.kind for quantity in fit.quantities}
+    own = {
+        outside: (inside, kinds[outside])
+        for part in fit.records
+        for inside, outside in part.rename.items()
+        if outside in kinds and re.fullmatch(rf"{re.escape(inside)}_\d+", outside)
+    }
+    number_of = Counter(own.values())
+    return {name: known_as for name, known_as in own.items() if number_of[known_as] > MANY}
+
+
+def _row_of_many(quantities: Sequence[Quantity]) -> list[str]:
+    """Return one row of the table for one parameter of many records."""
+    first, last = quantities[0], quantities[-1]
+    errors = [quantity.standard_error for quantity in quantities if math.isfinite(quantity.standard_error)]
+    boxes = {quantity.bounds for quantity in quantities}
+    at_bound = sum(quantity.at_bound for quantity in quantities)
+    low, high = first.bounds
+    return [
+        f"{first.name} ... {last.name}",
+        _range([quantity.value for quantity in quantities]),
+        _range(errors) if errors else "-",
+        first.unit,
+        f"[{low:g}, {high:g}]" if first.kind == "free" and len(boxes) == 1 else "",
+        f"{at_bound} AT BOUND" if at_bound else "" if first.kind == "free" else first.kind,
+        first.about,
+    ]
 
 
 def _error_condition(fit: Fit) -> str:

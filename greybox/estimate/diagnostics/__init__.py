@@ -5,5 +5,5 @@ data determine?), `global_minimum` (is it the global minimum, and the only one?)
 delay close enough?), `noise_level` (is the noise as large as assumed?) and `frequency_correlation` (are the errors of
 neighboring frequencies independent?). `records` looks at residuals in time, `intersample` at what was assumed of the
 inputs between samples, `discretization` at the integration, `harmonics` at the number of harmonics of a sine test, and
-`not_finite` says where and why a model gives no finite value.
+`not_finite` says where and why a model gives no finite value. `repeated` says once what holds for many records.
 """

@@ -10,6 +10,7 @@ from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import Accuracy
+from greybox.estimate.diagnostics.repeated import Found, once
 
 # Relative noise of a component from which the bias of the gain, `gain_bias` times its square, reaches 1 %.
 NOISY = 0.1
@@ -39,18 +40,20 @@ def biased_gains(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
 
 def unlikely_noise(nlp: Nlp, trajectories: Sequence[Trajectory]) -> Iterator[str]:
     """Say where the noise that was given with the data is far from what the residuals show."""
+    found: list[Found] = []
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
-        yield from unlikely_noise_of(part, trajectory, len(nlp.free))
+        found += unlikely_noise_of(part, trajectory, len(nlp.free))
+    return once(found)
 
 
 @singledispatch
-def unlikely_noise_of(part: Part, trajectory: Trajectory, unknowns: int) -> Iterator[str]:
+def unlikely_noise_of(part: Part, trajectory: Trajectory, unknowns: int) -> Iterator[Found]:
     """Say so of one part of a problem with so many unknowns."""
     yield from ()
 
 
 @unlikely_noise_of.register
-def _(part: ResponsePart, trajectory: Trajectory, unknowns: int) -> Iterator[str]:
+def _(part: ResponsePart, trajectory: Trajectory, unknowns: int) -> Iterator[Found]:
     if not part.criterion.known_noise:
         return
     points = part.numbers / 2
@@ -60,18 +63,21 @@ def _(part: ResponsePart, trajectory: Trajectory, unknowns: int) -> Iterator[str
     meaning = "the variances are too large."
     if ratio > 1:
         meaning = "the model is incomplete or the variances are too small; standard errors use the residual variance."
-    yield f"the residuals of {part.name!r} are {ratio:.2g} times what the given variances say: {meaning}"
+    text = f"the residuals of {part.name!r} are {ratio:.2g} times what the given variances say: {meaning}"
+    yield "incomplete" if ratio > 1 else "too large", part.name, text
 
 
 @unlikely_noise_of.register
-def _(part: RecordPart, trajectory: Trajectory, unknowns: int) -> Iterator[str]:
+def _(part: RecordPart, trajectory: Trajectory, unknowns: int) -> Iterator[Found]:
     if part.covariance.known is None:
         return
     deviations = np.sqrt(np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1))
     for output, given, residual in zip(part.outputs, part.covariance.known, deviations, strict=True):
         ratio = residual / given
         if not LEAST_DEVIATION_RATIO <= ratio <= LARGEST_DEVIATION_RATIO:
-            yield (
-                f"the residual of {output} in {part.name!r} is {ratio:.2g} times the given standard deviation: the "
+            name = part.model.record.name or part.name
+            text = (
+                f"the residual of {output} in {name!r} is {ratio:.2g} times the given standard deviation: the "
                 "model is incomplete or the stated value is wrong; standard errors use the residual variance."
             )
+            yield f"{output} {ratio > 1}", name, text

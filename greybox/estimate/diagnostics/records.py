@@ -1,6 +1,7 @@
 """Warnings about records: samples that were not compared, uninformative signals, residuals that are not white."""
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -14,8 +15,9 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.record_information import FEWEST_TIMES
 from greybox.compiled.record_part import RecordPart
 from greybox.data.record import Record
-from greybox.data.text_table import counted
+from greybox.data.text_table import counted, some
 from greybox.estimate.covariance import Accuracy
+from greybox.estimate.diagnostics.repeated import Found, once
 from greybox.estimate.result import FittedRecord, FittedResponse
 from greybox.statistics.metrics import feedback_correlation, whiteness
 from greybox.statistics.noise_ratio import noise_ratio
@@ -33,7 +35,14 @@ HUGE = 1e6  # what is beyond is rounding: there is no noise
 def finding_warnings(nlp: Nlp) -> tuple[str, ...]:
     """Return what was found when the records were read: restarts of the clock, lost lines, text instead of numbers."""
     pairs = [(part.name, part.data) for part in nlp.problem.parts if isinstance(part.data, Record)]
-    return tuple(f"data of {name!r}: {text}" for name, record in pairs for text in record.findings)
+    # Findings of one kind differ in their numbers.
+    return tuple(
+        once(
+            (re.sub(r"[\d.]+", "", text), record.name or name, f"data of {name!r}: {text}")
+            for name, record in pairs
+            for text in record.findings
+        )
+    )
 
 
 def record_warnings(
@@ -46,53 +55,58 @@ def record_warnings(
     every = zip(nlp.parts, fitted, strict=True)
     pairs = [(part, one) for part, one in every if isinstance(part, RecordPart) and isinstance(one, FittedRecord)]
     return (
-        *_short(nlp, accuracy),
-        *(text for part, fitted in pairs for text in _unexplained(part, fitted, alone=len(pairs) == 1)),
+        *once(_short(nlp, accuracy)),
+        *once(found for part, fitted in pairs for found in _unexplained(part, fitted, alone=len(pairs) == 1)),
         *_fed_back(pairs),
         *_colored(pairs),
-        *_bounded(nlp, trajectories, alone=len(pairs) == 1),
-        *(text for part, _ in pairs for text in _masked(nlp, part)),
+        *once(_bounded(nlp, trajectories, alone=len(pairs) == 1)),
+        *once(found for part, _ in pairs for found in _masked(nlp, part)),
         *(_resting([part for part, _ in pairs]) if len(pairs) == len(nlp.parts) else ()),
         *_weights([_Residuals.of(part, fitted) for part, fitted in pairs if part.covariance.known is None]),
     )
 
 
-def _short(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
+def _short(nlp: Nlp, accuracy: Accuracy) -> Iterator[Found]:
     """Name records that are too short for the correlation of their errors to be known."""
     for part, found in zip(nlp.parts, accuracy.correlation, strict=False):
         if not isinstance(part, RecordPart) or found is None or found.is_long_enough:
             continue
         slowest = int(np.argmax(found.correlation_times))
         time = float(found.correlation_times[slowest])
-        where = "" if len(nlp.parts) == 1 else f" in {part.model.record.name or part.problem.name!r}"
-        yield (
+        name = part.model.record.name or part.problem.name
+        where = "" if len(nlp.parts) == 1 else f" in {name!r}"
+        text = (
             f"the residuals of {part.outputs[slowest]}{where} stay correlated for about {time:.2g} s, and the longest "
             f"gap-free stretch lasts only {found.duration / time:.2g} times that, less than {FEWEST_TIMES:g}: "
             "it is too short to show the size of slow errors, so the standard errors are rough "
             f"({counted(max(round(found.dof), 1), 'degree of', 'degrees of')} freedom); use a longer record."
         )
+        yield part.outputs[slowest], name, text
 
 
-def _unexplained(part: RecordPart, fitted: FittedRecord, *, alone: bool) -> Iterator[str]:
+def _unexplained(part: RecordPart, fitted: FittedRecord, *, alone: bool) -> Iterator[Found]:
     if part.model.criterion.corrects_states:
         return
     for k, output in enumerate(fitted.outputs):
         percent = fitted.fit_percent(output)
         if not percent < LITTLE:
             continue
-        name = output if alone else f"{output} in {fitted.name!r}"
+        record = fitted.data.name or fitted.name
+        name = output if alone else f"{output} in {record!r}"
         found = noise_ratio([stretch.outputs[k] for stretch in part.data.stretches])
         if found.noisy:
-            yield (
+            text = (
                 f"{name} is indistinguishable from noise, and the model reproduces almost none of its variation (fit "
                 f"{percent:.1f} %): it carries little information on the parameters; excite it more, or leave it out."
             )
+            yield f"{output} noisy", record, text
         elif percent < SHARE * found.attainable_fit_percent:
-            yield (
+            text = (
                 f"the model reproduces almost none of the variation of {name} (fit {percent:.1f} %), where its noise "
                 f"from sample to sample would allow about {found.attainable_fit_percent:.0f} %: try other starts, "
                 "narrower start boxes, or another model structure."
             )
+            yield output, record, text
 
 
 def _colored(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
@@ -108,7 +122,7 @@ def _colored(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
                 predicted.append(f"{value:.3g} for {output}{where}")
     if predicted:
         yield (
-            f"the prediction errors are not white ({', '.join(predicted)} from one sample to the next): the signals "
+            f"the prediction errors are not white ({some(predicted)} from one sample to the next): the signals "
             "were low-pass filtered, a state that the noise reaches is not corrected, or the model is incomplete; the "
             "standard errors, which assume white prediction errors, are then wrong."
         )
@@ -142,25 +156,26 @@ def _fed_back(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]
             ]
     if found:
         yield (
-            f"feedback responds to errors that are correlated in time ({', '.join(found)}), as where a controller acts "
+            f"feedback responds to errors that are correlated in time ({some(found)}), as where a controller acts "
             "on process noise such as gusts: the estimate of OutputError is then biased, which its standard errors do "
             f"not show (a false alarm in at most {100 * BIASED:g} % of fits); compare with "
             "criterion=PredictionError()."
         )
 
 
-def _bounded(nlp: Nlp, trajectories: Sequence[Trajectory], *, alone: bool) -> Iterator[str]:
+def _bounded(nlp: Nlp, trajectories: Sequence[Trajectory], *, alone: bool) -> Iterator[Found]:
     """Say where a Kalman gain has reached the stability limit."""
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         gain = kalman_gain(part)
         if gain is not None and gain.is_at_limit(trajectory):
             name = gain.part.model.record.name or part.problem.name
             where = "" if alone else f" of {name!r}"
-            yield (
+            text = (
                 f"the Kalman gain{where} reached the stability limit: the data show no process noise in a state that "
                 "it corrects, and the standard errors, which do not account for the limit, are too small; name fewer "
                 "states in PredictionError(corrected=...), or compare with OutputError()."
             )
+            yield "limit", name, text
 
 
 def _successive(error: NDArray[np.float64]) -> tuple[float, int]:
@@ -169,7 +184,7 @@ def _successive(error: NDArray[np.float64]) -> tuple[float, int]:
     return float(error[1:][both] @ error[:-1][both]) / squares if squares else 0.0, int(both.sum())
 
 
-def _masked(nlp: Nlp, part: RecordPart) -> Iterator[str]:
+def _masked(nlp: Nlp, part: RecordPart) -> Iterator[Found]:
     """Name samples that were not compared since a delay that is estimated may reach before the record."""
     lost, data, system = part.data.masked, part.model.record, part.system
     there = int(np.any([np.isfinite(data[name]) for name in part.outputs], axis=0).sum())
@@ -181,11 +196,13 @@ def _masked(nlp: Nlp, part: RecordPart) -> Iterator[str]:
         return
     known = part.problem.parameters
     bounds = [f"{name} (up to {known[name].bounds[1]:g} {known[name].unit})" for name in names if name in known]
-    yield (
-        f"{lost} of {counted(there, 'sample')} of {data.name or part.problem.name!r} were not compared: the inputs "
+    name = data.name or part.problem.name
+    text = (
+        f"{lost} of {counted(there, 'sample')} of {name!r} were not compared: the inputs "
         "move at the beginning, and what they did before, for the largest delay the bounds allow, is not known; lower "
         f"the upper bound of {' and '.join(bounds) or ' and '.join(names)}, or begin the record where the inputs rest."
     )
+    yield "masked", name, text
 
 
 def _resting(parts: Sequence[RecordPart]) -> Iterator[str]:
@@ -238,8 +255,8 @@ def _pooled(found: Sequence[_Residuals]) -> str:
     """Write the option of the criterion that gives every record the standard deviation of all."""
     texts = []
     for output in found[0].deviation:
-        some = [one for one in found if one.count.get(output)]
-        squares = sum(one.count[output] * one.deviation[output] ** 2 for one in some)
-        count = sum(one.count[output] for one in some)
+        there = [one for one in found if one.count.get(output)]
+        squares = sum(one.count[output] * one.deviation[output] ** 2 for one in there)
+        count = sum(one.count[output] for one in there)
         texts.append(f"{output!r}: {math.sqrt(squares / count):.2g}" if count else f"{output!r}: 1")
     return f"{{{', '.join(texts)}}}"

@@ -276,7 +276,10 @@ class GaussNewton(LocalSolver):
 
     @DIVERGING
     def smoothed(self, z: Array) -> tuple[Trajectory, ...] | None:
-        """Return the trajectories of every part at z with nodes close to the data and nearly continuous; None where the model diverges."""
+        """Return the trajectories of every part at z with nodes close to the data and nearly continuous.
+
+        None where the model diverges.
+        """
         iterate = self._parts.from_data(z)
         weights = self._parts.initial_weights()
         progress = Progress(self._settings)

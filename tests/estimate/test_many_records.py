@@ -1,0 +1,71 @@
+"""The text of an answer from many records: a summary, with the records that stand out."""
+
+import math
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.estimate.diagnostics.repeated import once
+
+COUNT = 14
+POOR = 9  # the record with much noise, counted from 1
+
+
+class Lag(gb.StateSpace):
+    """T x' = c u - x."""
+
+    states = ("x",)
+    inputs = ("u",)
+    outputs = ("x",)
+    T = gb.Parameter(0.5, bounds=(0.05, 5.0), unit="s")
+    c = gb.Parameter(1.0, bounds=(0.1, 3.0))
+
+    def derivative(self, x, u, p):
+        return ((p.c * u.u - x.x) / p.T,)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+@pytest.fixture(scope="module")
+def fit():
+    random, time, records = np.random.default_rng(3), 0.05 * np.arange(120), []
+    for k in range(1, COUNT + 1):
+        u = np.repeat(random.standard_normal(12), 10)
+        x = np.zeros(120)
+        for i in range(119):  # exact for a held input
+            x[i + 1] = u[i] + (x[i] - u[i]) * math.exp(-0.05 / 0.4)
+        noise = (0.4 if k == POOR else 0.02) * random.standard_normal(120)
+        found = ("some lines were lost: 3 of 120.",) if k > 4 else ()
+        records.append(gb.Record(time, {"u": u, "x": x + noise}, name=f"run {k}", findings=found))
+    noise = {"x": 0.02}
+    problem = gb.several(Lag(), records, own=("c",), criterion=gb.OutputError(noise=noise, inputs="held"))
+    return gb.fit(problem, starts=1, progress=False)
+
+
+def test_the_text_of_many_records_is_a_summary(fit):
+    text = str(fit)
+    assert len(text.splitlines()) < 20
+    (output,) = [line for line in text.splitlines() if line.startswith("  output")]
+    percents = [part.fit_percent("x") for part in fit.records]
+    assert f"x in {COUNT} records" in output
+    assert f"fit {min(percents):.1f} to {max(percents):.1f} %" in output
+    assert f"least: {percents[POOR - 1]:.1f} % in record {POOR} (run {POOR})" in output
+    (row,) = [line for line in text.splitlines() if line.startswith("  c_1 ")]
+    values = [fit.estimate[f"c_{k}"] for k in range(1, COUNT + 1)]
+    assert f"c_1 ... c_{COUNT}" in row
+    assert f"{min(values):.3g} to {max(values):.3g}" in row
+    assert len(fit.quantities) == COUNT + 1  # where each can be looked up
+
+
+def test_what_holds_for_many_records_is_said_once(fit):
+    (lost,) = [text for text in fit.warnings if "lines were lost" in text]
+    assert "the same holds for 9 more ('run 6', 'run 7', 'run 8', 'run 9' and 5 more)." in lost
+    (noise,) = [text for text in fit.warnings if "given standard deviation" in text]
+    assert f"'run {POOR}'" in noise
+
+
+def test_few_are_told_each():
+    found = [("a", "1", "First."), ("a", "2", "Second."), ("b", "1", "Other.")]
+    assert list(once(found)) == ["First.", "Second.", "Other."]
