@@ -1,6 +1,7 @@
 """How fast, how sure and how exact a fit in the time domain is, against what one writes by hand.
 
-python benchmarks/time_fit.py [--parts speed growth starts errors records] [--long] [--output benchmarks/results/time_fit.txt]
+python benchmarks/time_fit.py [--parts speed growth starts errors records] [--long]
+                             [--output benchmarks/results/time_fit.txt]
 
 The unstable tilt plant of `time_references.py`, three outputs, five parameters, 60 s at 100 Hz. The rivals are one
 multiple-shooting NLP for IPOPT (twice: with CasADi's derivatives of the whole, and with blocks placed by hand) and
