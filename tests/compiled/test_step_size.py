@@ -7,6 +7,9 @@ import pytest
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
+from greybox.compiled.step_size import _AccuracyJudge
+from greybox.compiled.strategies import Strategies
+from greybox.modeling.realization import dynamics
 from greybox.modeling.step_size import MOST_SUBSTEPS
 
 STEP = 0.1
@@ -82,3 +85,19 @@ def test_a_model_and_its_mirror_image_ask_for_the_same_steps(rate):
         return part.substeps
 
     assert asked(1) == asked(-1)
+
+
+def judged(states, inputs, pole=8.0):
+    """The substeps for a growing lag at h·pole = 0.8, of which one step is off by 0.8⁵ / 5! = 0.3 % of a motion."""
+    judge = _AccuracyJudge.of(dynamics(plant(pole, (7, 9))), gb.RungeKutta(), Strategies())
+    return judge.substeps(1, np.array([states]), np.array([inputs]), np.array([pole]), STEP)
+
+
+def test_errors_count_against_the_motion_where_the_data_do_not_spread():
+    assert judged([1.0, 1.0, 1.0], [0.0, 0.0, 0.0]) > 1
+    assert judged([1.0, 1.0, 1.0], [0.0, 0.0, 0.0]) == judged([-1e-3, -1e-3], [0.0, 0.0])
+
+
+def test_errors_count_against_the_spread_of_the_data():
+    """The same motion beside samples that rest far away: x = -u / pole."""
+    assert judged([1.0, 1e9, -1e9], [0.0, -8e9, 8e9]) == 1

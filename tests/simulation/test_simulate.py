@@ -1,5 +1,7 @@
 """Simulation and prediction, held against scipy's integrator and against truths that the bands must cover."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from declared_models import TILT, TILT_OMEGA, measured
@@ -321,3 +323,15 @@ def test_things_that_are_not_what_they_should_be():
     for part in ("0", 1, 0.0, True):
         with pytest.raises(ValueError, match=rf"part is {part!r}: the fit has 1 part, counted from 0"):
             gb.simulate(fit, part=part)
+
+
+def test_the_record_that_was_fitted_is_known_again_by_its_checksum_and_its_times():
+    """It begins where the fit says; another record begins where its own first samples say."""
+    record = driven(noise=0.05)
+    fit = gb.fit(gb.Problem(Spring(), record), starts=1, progress=False)
+    again = replace(record)
+    later = replace(record, time=record.time + 1.0)
+    found = gb.simulate(fit)["position"]
+    assert again is not record
+    assert gb.simulate(fit, record=again)["position"] == pytest.approx(found, abs=1e-9)
+    assert np.abs(gb.simulate(fit, record=later)["position"] - found)[:20].max() > 1e-6

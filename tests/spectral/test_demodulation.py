@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sampled_sines import irregular, sine
 
-from greybox.spectral.demodulation import demodulate, spectral_line
+from greybox.spectral.demodulation import demodulate, least_squares, spectral_line
 
 STEP = 1 / 400  # s
 
@@ -86,3 +86,13 @@ def test_a_spectral_line_is_that_of_the_discrete_fourier_transform():
         expected = 2j / 500 * np.fft.fft(x)[:, k]
         got = spectral_line(t, x, 2 * math.pi * k / (500 * STEP), 0.0)
         np.testing.assert_allclose(got, expected.real + 1j * expected.imag, atol=1e-12)
+
+
+@pytest.mark.parametrize("start", [0.0, 100.0, -7.0])
+def test_the_drift_is_the_change_of_the_trend_over_the_window_wherever_it_begins(start):
+    t = start + np.arange(4000) * STEP
+    values = sine(t - start, 4.0, 1 - 2j) + 5 + 0.3 * (t - start)
+    amplitudes, drift, residual = least_squares(t, values[None, :], 4.0, start, 2)
+    assert drift == pytest.approx([0.3 * (t[-1] - t[0])])
+    assert abs(amplitudes[0, 0] - (1 - 2j)) < 1e-9
+    assert np.abs(residual).max() < 1e-9

@@ -13,7 +13,7 @@ from scipy import signal, stats
 
 from greybox.data.record import Record
 from greybox.data.test_segment import Segment
-from greybox.spectral.single_sine import finite_frequency
+from greybox.spectral.single_sine import _saturation, finite_frequency
 
 STEP = 1 / 400  # s
 K, A, TAU = 91.0, -0.68, 0.05  # an unstable plant K / ((TAU s + 1) s (s + A)), one step of delay
@@ -293,3 +293,13 @@ def test_repeated_tests_of_one_frequency_are_averaged():
     assert both.periods == sum(finite_frequency(record, [p]).points[0].periods for p in parts)
     assert both.dof > one.dof
     assert "mean of 2 tests" in said(finite_frequency(record, parts))
+
+
+@pytest.mark.parametrize("phase", [0.0, math.pi / 2, 2.0, -math.pi / 2])
+def test_a_limit_counts_at_the_ends_of_the_record_too(phase):
+    """A wave clipped at half of its size is at its limits for two thirds of every period."""
+    t = np.arange(400) * STEP
+    omega = 2 * math.pi * 3 / (400 * STEP)
+    u = np.clip(2 * np.sin(omega * t + phase), -1, 1)
+    assert _saturation(u, None) == pytest.approx(2 / 3, abs=0.01)
+    assert _saturation(u, (-1.0, 1.0)) == pytest.approx(2 / 3, abs=0.01)

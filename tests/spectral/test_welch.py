@@ -28,3 +28,15 @@ def test_traces_are_those_of_the_matrices(order):
     q = np.eye(n) - left @ right.conj().T
     m = q @ c @ q.conj().T
     np.testing.assert_allclose(welch._traces(csr_array(c), left, right), [np.trace(m).real, np.trace(m @ m).real])
+
+
+def test_stretches_as_long_as_a_window_have_one_each():
+    rng = np.random.default_rng(0)
+    noisy = [(u, u + v, u) for u, v in rng.standard_normal((20, 2, 100))]
+    stretches = [UniformStretch(np.array(values), 0.1, "") for values in noisy]
+    cut = UniformStretch(np.concatenate([s.values for s in stretches], axis=1), 0.1, "")
+    apart, together = (
+        welch.estimate(welch.transforms(given, 10.0, 0.0, np.array([5.0])), 0) for given in (stretches, [cut])
+    )
+    assert apart.response == pytest.approx(together.response)
+    assert apart.dof == pytest.approx(2 * 19)
