@@ -79,7 +79,7 @@ def test_linear_parameters_are_those_of_least_squares(noisy):
     assert_allclose(found.values[:2], np.linalg.lstsq(X, y, rcond=None)[0], rtol=1e-8)
     error = y - X @ found.values[:2]
     assert found.spread[0] == pytest.approx(np.sqrt(np.mean(error**2)))
-    assert found.r_squared[0] == pytest.approx(1 - np.sum(error**2) / np.sum((y - y.mean()) ** 2), rel=1e-3)
+    assert 1 - found.r_squared[0] == pytest.approx(np.sum(error**2) / np.sum((y - y.mean()) ** 2), rel=1e-3)
 
 
 def test_a_bound_that_excludes_the_truth_is_reached_and_has_no_error():
