@@ -303,15 +303,27 @@ def test_degrees_of_freedom_count_what_the_data_choose(pair):
     same_errors(one, other, ["K", "T2"], 1e-4)
 
 
+@pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.SquaredRelativeError()])
 @pytest.mark.parametrize("weights", [(1.0, 1.0), (25.0, 0.04)])
-def test_the_collinearity_index_is_that_of_the_weighted_jacobian(weights):
-    """Brun and others, by the singular values of the columns of length one; over both parts, as they are weighted."""
-    parts = [measured(Lags(), omega, LAGS, 0.2) for omega in (np.geomspace(0.05, 0.3, 12), np.geomspace(0.5, 3, 8))]
-    criterion = gb.SquaredRelativeError()
+def test_the_collinearity_index_is_that_of_the_weighted_jacobian(weights, criterion):
+    """Brun and others, by the singular values of the columns of length one; over both parts, as the costs weigh them.
+
+    The sum of absolute values weighs a part by the inverse of its noise.
+    """
+    parts = [
+        measured(Lags(), omega, LAGS, noise)
+        for omega, noise in ((np.geomspace(0.05, 0.3, 12), 0.2), (np.geomspace(0.5, 3, 8), 0.4))
+    ]
     both = [gb.Problem(Lags(), d, criterion, weight=w) for d, w in zip(parts, weights, strict=True)]
     accuracy = assess(compile_problem(both[0] + both[1]), np.array(list(LAGS.values())))
     point = SimpleNamespace(free=list(LAGS), estimate=LAGS)
-    j = np.vstack([math.sqrt(w) * relative_jacobian(point, Lags(), d) for d, w in zip(parts, weights, strict=True)])
+    rows = []
+    for data, weight in zip(parts, weights, strict=True):
+        size = np.abs(data.response)
+        errors = np.abs(gb.frequency_response(Lags(), LAGS, data.omega).response - data.response) / size
+        share = weight / errors.mean() if criterion == gb.RelativeError() else weight
+        rows.append(math.sqrt(share) * relative_jacobian(point, Lags(), data))
+    j = np.vstack(rows)
     smallest = np.linalg.svd(j / np.linalg.norm(j, axis=0))[1][-1]
     (combination,) = accuracy.combinations
     assert combination.index == pytest.approx(1 / smallest, rel=1e-4)
@@ -416,6 +428,24 @@ def test_at_the_same_point_units_rescale_the_errors_exactly():
     scale = np.diag([1.0, 1.0, 1.0, 1000.0])
     same_covariance(other.covariance, scale @ one.covariance @ scale, 1e-9)
     assert_allclose(propagate(other, np.eye(4)), propagate(one, scale), rtol=1e-9)
+
+
+@pytest.mark.parametrize("size", [1e-12, 1e12])
+def test_a_parameter_in_a_tiny_or_a_huge_unit_is_as_well_determined(size):
+    class LagsInUnits(gb.TransferFunction):
+        input, output = "u", "y"
+        K, T1, T2 = Lags.K, Lags.T1, Lags.T2
+        T = gb.Parameter(0.02 * size, bounds=(0, 0.2 * size))
+
+        def response(self, s, p):
+            return p.K / ((p.T1 * s + 1) * (p.T2 * s + 1)) * gb.exp(-s * p.T / size)
+
+    data = measured(Lags(), OMEGA, LAGS, 0.02)
+    point = vector(fitted(gb.Problem(Lags(), data)), list(LAGS))
+    one = assess(compile_problem(gb.Problem(Lags(), data)), point)
+    other = assess(compile_problem(gb.Problem(LagsInUnits(), data)), point * [1, 1, 1, size])
+    scale = np.diag([1.0, 1.0, 1.0, size])
+    assert_allclose(propagate(other, np.eye(4)), propagate(one, scale), rtol=1e-6)
 
 
 def test_derived_quantities_follow_the_covariance():

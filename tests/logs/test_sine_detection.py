@@ -114,3 +114,12 @@ def test_a_falling_sweep_has_its_band_from_low_to_high():
     (run,) = sines_and_sweeps(t, 2 * np.sin(phase)[::-1])
     assert run.kind == "sweep"
     assert run.band == pytest.approx((30 ** (1 - run.end / 60), 30 ** (1 - run.start / 60)), rel=0.2)
+
+
+@pytest.mark.parametrize("samples", [1, 2, 4, 10])
+def test_what_is_found_does_not_depend_on_when_the_clock_began(samples):
+    """Short bursts of few samples a period among rest."""
+    t = np.arange(0, 20, STEP)
+    r = np.where((t > 5) & (t < 5 + 12 * samples * STEP), np.sin(math.pi * (t - 5) / (samples * STEP) + 0.5), 0.0)
+    first, later = (sines_and_sweeps(start + t, r) for start in (0.0, 5000.0))
+    assert [round(run.start, 3) for run in first] == [round(run.start - 5000, 3) for run in later]

@@ -149,3 +149,11 @@ def test_a_loop_around_a_delay_goes_by_pade_states():
     loop = gb.feedback(LeadLag() * Gain())
     found = response(dynamics(loop, 3), list(loop.values().values()), OMEGA)[0, 0]
     assert_allclose(found, gb.frequency_response(loop, {}, OMEGA, delay="pade:3").response, rtol=1e-7)
+
+
+def test_inputs_that_act_later_have_the_sum_of_both_delays():
+    system = dynamics(LinearTilt())
+    p = [VALUES.get(name, parameter.start) for name, parameter in LinearTilt.parameters.items()]
+    assert float(system.delay(p)) > 0
+    assert float(system.later([0.01]).delay(p)) == pytest.approx(float(system.delay(p)) + 0.01)
+    assert system.later([0.0]) is system

@@ -613,3 +613,8 @@ def test_a_free_motion_needs_no_input_that_moves():
     assert_near(found, {name: SHORT[name] for name in ("Za", "Ma", "Mq")}, 0.02)
     (said,) = found.warnings
     assert said == "the effect of Md is constant, since delta is: a constant error of a sensor looks the same."
+
+
+def test_a_cutoff_in_hertz_is_the_band_of_every_equation():
+    result = gb.regression.equation_error(Short(), short_period(), cutoff=0.5)
+    assert [equation.band for equation in result.equations] == pytest.approx([0.5] * len(result.equations))

@@ -147,3 +147,26 @@ def test_windows_that_are_not_finite_anywhere_are_named():
     )
     assert found.not_finite.all()
     assert np.isnan(found.mean).all()
+
+
+@pytest.mark.parametrize("unit", [1e-4, 1e4])
+def test_predictions_do_not_depend_on_the_unit_of_an_output(unit):
+    class Lag(gb.StateSpace):
+        states, inputs, outputs = ("x",), ("u",), ("y",)
+        scale = gb.Parameter(1.0, fixed=True)
+
+        def derivative(self, x, u, p):
+            return (u.u - x.x,)
+
+        def output(self, x, u, p):
+            return (p.scale * x.x,)
+
+    u = np.repeat(np.random.default_rng(0).normal(size=20), 20)
+    record = gb.Record(np.arange(400) * 0.05, {"u": u})
+    noise = 0.1 * np.random.default_rng(1).normal(size=400)
+    y = gb.simulate(Lag(), {}, record)["y"] + noise
+    plain, scaled = (
+        gb.predict(Lag(), {"scale": size}, record.with_signals(y=size * y), horizon=1.0, lead=2.0).predicted[0] / size
+        for size in (1.0, unit)
+    )
+    assert_allclose(scaled, plain, atol=1e-6 * np.std(y))
