@@ -27,7 +27,9 @@ def run(options: argparse.Namespace) -> Answer:
     recording = read(options.log)
     segments = segments_of(recording, options)
 
-    found = segment_table(segments) if segments else "no test segments found: give --announced or --setpoint."
+    in_time = any(record.has_time for record in recording.values())
+    none = "no test segments found: give --announced or --setpoint." if in_time else "no time column: rows in no order."
+    found = segment_table(segments) if segments else none
     findings = [f"  {finding}" for finding in recording.findings]
     notes = save_figure(options.plot, lambda: _figure(recording, segments))
     text = "\n\n".join([_about(recording), _contents(recording), found]) + "\n" + "\n".join([*findings])
@@ -64,14 +66,19 @@ def _contents(recording: Recording) -> str:
         [
             name,
             str(len(record)),
-            number(record.rate, 4),
-            f"{record.time[0]:.1f}",
-            f"{record.time[-1]:.1f}",
+            *_times(record),
             _fields(record),
         ]
         for name, record in recording.items()
     ]
     return text_table(["message", "samples", "Hz", "from s", "to s", "signals"], rows, (0, 5))
+
+
+def _times(record: Record) -> tuple[str, str, str]:
+    """Return rate, first and last time; rows have none."""
+    if not record.has_time:
+        return ("-", "-", "-")
+    return (number(record.rate, 4), f"{record.time[0]:.1f}", f"{record.time[-1]:.1f}")
 
 
 def _fields(record: Record) -> str:
@@ -83,8 +90,8 @@ def _message(name: str, record: Record) -> dict[str, Any]:
     return {
         "name": name,
         "samples": len(record),
-        "rate": finite(record.rate),
-        "start": float(record.time[0]),
-        "end": float(record.time[-1]),
+        "rate": finite(record.rate) if record.has_time else None,
+        "start": float(record.time[0]) if record.has_time else None,
+        "end": float(record.time[-1]) if record.has_time else None,
         "signals": {signal: record.units.get(signal, "") for signal in record.signals},
     }

@@ -28,7 +28,8 @@ def add_problem_options(parser: argparse.ArgumentParser) -> None:
         "--data",
         metavar="FILE",
         help="with --model: a frequency response (columns omega_rad_s, alpha, beta [, coherence, variance, dof]), or a "
-        "record (columns time and, in SI units, the model's inputs and outputs); for a flight log write a problem file",
+        "record (columns time and, in SI units, the model's inputs and outputs; without a time, rows for a static "
+        "model); for a flight log write a problem file",
     )
     add("--input", default="", metavar="NAME", help="input of a frequency response, if the model has several")
     add("--output", default="", metavar="NAME", help="output of a frequency response, if the model has several")

@@ -243,6 +243,11 @@ class RecordPart(Part):
         return int(self.data.begins_stretch.sum()) * self.states - known
 
     @property
+    def is_static(self) -> bool:
+        """True when outputs depend on the inputs of the same sample alone: neither states nor delays."""
+        return not self.states and not self.system.delayed
+
+    @property
     def gains(self) -> tuple[tuple[str, str], ...]:
         """State and output of every estimated entry of the Kalman gain."""
         return self.model.gains
@@ -650,7 +655,7 @@ class RecordPart(Part):
             )
 
         longest = max(self.data.stretches, key=len)
-        by_output = not self.model.criterion.errors_are_white
+        by_output = self.model.record.has_time and not self.model.criterion.errors_are_white
         return Information(self, jacobian, self.numbers - initial, spread, math.nan, colored if by_output else None)
 
     def _jacobian(self, trajectory: Trajectory, weight: Array) -> tuple[Array, Array, Array]:
@@ -755,6 +760,7 @@ def compile_records(
             lead=_longest_delay(model.problem, model.system),
             segment_length=1,
             complete=model.criterion.noise == "full",
+            static=model.problem.model.is_static,
         )
         for model in models
     ]

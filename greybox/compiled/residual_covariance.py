@@ -114,9 +114,9 @@ def reduced_hessian(hessian: Array, by: Array, least: float) -> Array:
 def residual_covariance_of(criterion: TimeCriterion, outputs: tuple[str, ...], measured: Array) -> ResidualCovariance:
     """Read the criterion's option for the outputs (k, samples) that are compared."""
     present = np.isfinite(measured)
-    spread = np.array(
-        [np.std(row[there]) if there.any() else 0.0 for row, there in zip(measured, present, strict=True)]
-    )
+    rows = [row[there] for row, there in zip(measured, present, strict=True)]
+    # What never changes has its size for a scale.
+    spread = np.array([(np.std(row) or np.abs(row).max()) if row.size else 0.0 for row in rows])
     known = None
     if isinstance(criterion.noise, Mapping):
         known = np.array([float(criterion.noise[name]) for name in outputs])

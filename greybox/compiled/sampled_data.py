@@ -29,6 +29,9 @@ WHOLE = 1e-3
 # Steps between two samples from which one is missing between them, which ends a stretch; halfway between one and two.
 MISSING = 1.5
 
+# Samples of a stretch that says something of a model with states: with two, an initial state and a slope fit anything.
+SHORTEST = 3
+
 # Samples at the beginning of a stretch over which an input must be constant to count as at rest before it: longer than
 # a command at a quarter of the logging rate is held.
 REST = 5
@@ -43,13 +46,14 @@ LONGER = 2.0
 class Stretch:
     """Uniform samples without a gap: inputs (m, n), outputs (k, n) with NaN where missing, step in s.
 
-    `first` is the index of its first sample in the record; the first `masked` samples are not compared, since an
-    input that moves at the beginning reaches them from before it.
+    `rows` (n,) are the indices of its samples in the record; the first `masked` samples are not compared, since an
+    input that moves at the beginning reaches them from before it. Of a record without a time all rows that have their
+    inputs are one stretch.
     """
 
     inputs: Array
     outputs: Array
-    first: int
+    rows: NDArray[np.integer]
     step: float
     masked: int = 0
 
@@ -95,7 +99,7 @@ class SampledData:
     def begins_record(self) -> NDArray[np.bool_]:
         """Which segment (s,), if any, begins with the first sample of the record."""
         counts = zip(self.segment_counts, self.stretches, strict=True)
-        return np.concatenate([np.arange(count) + stretch.first == 0 for count, stretch in counts])
+        return np.concatenate([np.arange(count) + stretch.rows[0] == 0 for count, stretch in counts])
 
     @property
     def coupled(self) -> NDArray[np.bool_]:
@@ -115,7 +119,7 @@ class SampledData:
             for start in np.linspace(0, len(stretch) - length, count).astype(int):
                 rows = slice(start, start + length)
                 inputs, outputs = stretch.inputs[:, rows], stretch.outputs[:, rows]
-                kept.append(Stretch(inputs, outputs, stretch.first + start, stretch.step))
+                kept.append(Stretch(inputs, outputs, stretch.rows[rows], stretch.step))
         return SampledData(tuple(kept), self.outputs, self.segment_length)
 
     def padded(self, values: list[Array], fill: float | None) -> Array:
@@ -182,11 +186,13 @@ def sampled_data(
     lead: ArrayLike,
     segment_length: int,
     complete: bool,
+    static: bool = False,
 ) -> SampledData:
     """Cut a record into stretches and these into segments.
 
     The first `lead` (m,) seconds of a stretch give the delayed inputs their past and are not compared, see `gapless`.
-    With `complete`, a sample counts only where all outputs are there.
+    With `complete`, a sample counts only where all outputs are there. For a `static` model every sample counts by
+    itself, and nothing needs to move.
 
     Raises
     ------
@@ -200,15 +206,20 @@ def sampled_data(
             f"{_called(record)} has no measured value of {empty[0] if empty else ', '.join(outputs)}: "
             "every sample is missing."
         )
-    stretches = gapless(record, inputs, outputs, lead=lead, complete=complete)
+    shortest = 1 if static else SHORTEST
+    stretches = gapless(record, inputs, outputs, lead=lead, complete=complete, shortest=min(shortest, 2))
     constant = bool(inputs) and all(_is_constant(record[name]) for name in inputs)
-    if constant and not any(noise_ratio([s.outputs[k] for s in stretches]).smooth for k in range(len(outputs))):
+    if (
+        constant
+        and not static
+        and not any(noise_ratio([s.outputs[k] for s in stretches]).smooth for k in range(len(outputs)))
+    ):
         raise ValueError(
             f"the inputs of the record never change ({names}) and {listed(outputs)} "
             f"{'is' if len(outputs) == 1 else 'are'} indistinguishable from noise: "
             "nothing can be estimated from it."
         )
-    usable = tuple(s for s in stretches if np.isfinite(s.outputs).any() and len(s) > 2)
+    usable = tuple(s for s in stretches if np.isfinite(s.outputs).any() and len(s) >= shortest)
     if not usable:
         longest, taken = max((len(s) * s.step for s in stretches), default=0.0), float(np.max(lead, initial=0.0))
         taking = f", of which the longest delay in the bounds takes {taken:.3g} s" if taken else ""
@@ -216,19 +227,27 @@ def sampled_data(
             f"{_called(record)} has no usable stretch: the longest gap-free one with all inputs lasts "
             f"{longest:.3g} s{taking}; give a longer record{' or a smaller upper bound' if taken else ''}."
         )
-    if all(_is_constant(record[name]) for name in outputs):
+    if not static and all(_is_constant(record[name]) for name in outputs):
         raise ValueError(
             f"the outputs of the record never change ({', '.join(outputs)}): nothing can be estimated from it."
         )
     there = np.any([np.isfinite(record[name]) for name in outputs], axis=0)
-    masked = sum(int(there[s.first : s.first + s.masked].sum()) for s in stretches)
+    masked = sum(int(there[s.rows[: s.masked]].sum()) for s in stretches)
     return SampledData(usable, outputs, segment_length, masked, constant)
 
 
 def gapless(
-    record: Record, inputs: tuple[str, ...], outputs: tuple[str, ...], *, lead: ArrayLike = 0.0, complete: bool = False
+    record: Record,
+    inputs: tuple[str, ...],
+    outputs: tuple[str, ...],
+    *,
+    lead: ArrayLike = 0.0,
+    complete: bool = False,
+    shortest: int = 2,
 ) -> list[Stretch]:
     """Return the stretches of a record in which all inputs are there, the first, unexplained outputs left out.
+
+    Of samples in time, those of at least the `shortest` samples; rows without a time are one, whatever is between them.
 
     What an input did before a stretch is not known, so outputs of its first seconds, as many as its entry of `lead`
     (m,), the longest delay that it may have, are left out: unless it rests, exactly constant, over the first 5 samples
@@ -246,10 +265,14 @@ def gapless(
         y = np.array([piece[name] for name in outputs]).reshape(len(outputs), len(piece))
         y = np.where(np.all(np.isfinite(y), axis=0), y, np.nan) if complete else y
         whole = np.all(np.isfinite(u), axis=0)
+        if not record.has_time:
+            rows = np.flatnonzero(whole)
+            return [Stretch(u[:, rows], y[:, rows], rows, record.step)] if rows.size else []
         ends = (np.diff(whole.astype(int)) != 0) | (np.diff(piece.time) > MISSING * record.step)
         for rows in np.split(np.arange(len(piece)), np.flatnonzero(ends) + 1):
-            if whole[rows[0]] and rows.size > 1:
-                stretches.append(_stretch(piece.time[rows], u[:, rows], y[:, rows], before + int(rows[0]), leads))
+            if whole[rows[0]] and rows.size >= shortest:
+                step = record.step if rows.size == 1 else math.nan
+                stretches.append(_stretch(piece.time[rows], u[:, rows], y[:, rows], before + rows, leads, step))
         before += len(piece)
     return stretches
 
@@ -263,7 +286,12 @@ def _is_constant(values: Array) -> bool:
     return there.size == 0 or there.min() == there.max()
 
 
-def _stretch(time: Array, inputs: Array, outputs: Array, first: int, leads: Array) -> Stretch:
+def _stretch(
+    time: Array, inputs: Array, outputs: Array, rows: NDArray[np.integer], leads: Array, alone: float
+) -> Stretch:
+    """Return a stretch; `alone` is the step of a single sample, s."""
+    if time.size == 1:
+        return Stretch(inputs, outputs, rows, alone if alone > 0 else 1.0)
     step = float((time[-1] - time[0]) / (time.size - 1))
     off = np.abs(time - time[0] - step * np.arange(time.size)).max() / step
     if off > JITTER:
@@ -275,7 +303,7 @@ def _stretch(time: Array, inputs: Array, outputs: Array, first: int, leads: Arra
     moving = [float(lead) for lead, values in zip(leads, inputs, strict=True) if not _rests(values)]
     masked, compared = min(math.ceil(max(max(moving, default=0.0) / step - WHOLE, 0.0)), time.size), outputs.copy()
     compared[:, :masked] = np.nan
-    return Stretch(inputs, compared, first, step, masked)
+    return Stretch(inputs, compared, rows, step, masked)
 
 
 def _rests(values: Array) -> bool:

@@ -22,12 +22,13 @@ SAME_MEASUREMENT = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One experiment: named signals on one time base.
+    """One experiment: named signals on one time base, or rows without one.
 
     Parameters
     ----------
-    time : (n,) array, s
-        Strictly increasing.
+    time : (n,) array, s, or None
+        Strictly increasing. None for rows that have no order in time, as in a table of independent measurements: `time`
+        is then the number of each row, `has_time` is False, and static models alone can be fitted.
     signals : mapping of name to (n,) array
         NaN marks a sample that is missing.
     units : mapping of name to str
@@ -46,6 +47,8 @@ class Record:
         one, such as an attitude; seconds where values lasted for less than a step of the log.
     findings : tuple of str
         Problems found in it, in words.
+    has_time : bool
+        False for rows without a time.
 
     Raises
     ------
@@ -63,16 +66,20 @@ class Record:
     filters: Mapping[str, tuple[Any, ...]] = field(default_factory=dict, repr=False)
     hold: Mapping[str, float] = field(default_factory=dict, repr=False)
     findings: tuple[str, ...] = ()
+    has_time: bool = True
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check them."""
+        if self.time is None:
+            object.__setattr__(self, "time", _row_numbers(self.signals))
+            object.__setattr__(self, "has_time", False)
         time = _read_only(self.time, "time")
         if time.size == 0:
             raise ValueError("the record is empty: give at least one sample.")
         if not np.all(np.isfinite(time)):
             raise ValueError(f"time is {time[np.argmin(np.isfinite(time))]} at index {np.argmin(np.isfinite(time))}.")
         back = np.flatnonzero(np.diff(time) <= 0)
-        if back.size:
+        if back.size and self.has_time:
             raise ValueError(
                 f"time does not increase after {time[back[0]]:.6f} s (index {back[0]}): "
                 "sort the samples and remove duplicates."
@@ -80,7 +87,8 @@ class Record:
         signals = {_printable(name): _read_only(values, name) for name, values in self.signals.items()}
         for name, values in signals.items():
             if values.size != time.size:
-                raise ValueError(f"time has {time.size} samples but {name} has {values.size}: they must match.")
+                other = "time" if self.has_time else next(iter(signals))
+                raise ValueError(f"{other} has {time.size} samples but {name} has {values.size}: they must match.")
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "signals", signals)
         hold = {_printable(name): checked_hold(name, seconds) for name, seconds in self.hold.items()}
@@ -100,7 +108,9 @@ class Record:
 
     @property
     def step(self) -> float:
-        """Median sampling interval, s; NaN for a single sample."""
+        """Median sampling interval, s; NaN for a single sample, and 1 for rows without a time."""
+        if not self.has_time:
+            return 1.0
         if len(self) < 2:
             return math.nan
         steps = np.sort(np.diff(self.time))  # np.median imports masked arrays, which takes a hundredth of a second
@@ -118,12 +128,21 @@ class Record:
 
     @property
     def pieces(self) -> tuple["Record", ...]:
-        """The stretches between gaps, each a record of its own."""
+        """The stretches between gaps, each a record of its own; rows without a time are one."""
+        if not self.has_time:
+            return (self,)
         cuts = np.flatnonzero(np.diff(self.time) > GAP * self.step) + 1
         return tuple(self.rows(rows) for rows in np.split(np.arange(len(self)), cuts))
 
+    @property
+    def independent_pieces(self) -> list[NDArray[np.integer]]:
+        """The rows of each stretch between gaps, across which errors are not correlated; each row without a time."""
+        cuts = np.cumsum([len(piece) for piece in self.pieces])[:-1] if self.has_time else np.arange(1, len(self))
+        return np.split(np.arange(len(self)), cuts)
+
     def between(self, start: float, end: float) -> "Record":
         """Return the samples with start <= time <= end, s on the record's own clock."""
+        require_time(self, "between")
         rows = np.flatnonzero((self.time >= start) & (self.time <= end))
         if not rows.size:
             raise ValueError(
@@ -143,12 +162,15 @@ class Record:
         return replace(self, time=self.time[rows], signals=signals)
 
     def __repr__(self) -> str:
-        return one_line(
-            self, repr(self.name), counted(len(self), "sample"), f"{self.duration:.4g} s", ", ".join(self.signals)
+        size = (
+            [counted(len(self), "sample"), f"{self.duration:.4g} s"] if self.has_time else [counted(len(self), "row")]
         )
+        return one_line(self, repr(self.name), *size, ", ".join(self.signals))
 
     def __str__(self) -> str:
         signals = ", ".join(f"{n} ({self.units[n]})" if self.units.get(n) else n for n in self.signals)
+        if not self.has_time:
+            return f"{self.name or 'record'}: {counted(len(self), 'row')} without a time: {signals}"
         pieces = len(self.pieces)
         return (
             f"{self.name or 'record'}: {counted(len(self), 'sample')} at {self.rate:.4g} Hz, {self.duration:.1f} s "
@@ -225,12 +247,25 @@ class Recording(Mapping[str, Record]):
         return one_line(self, repr(self.source), counted(len(self), "message"), ", ".join(self.records))
 
 
+def require_time(record: Record, what: str) -> None:
+    """Raise ValueError for rows without a time, which `what` needs."""
+    if not record.has_time:
+        raise ValueError(
+            f"{what} needs samples in time, and {record.name or 'the record'} has rows without a time: give their "
+            "times, Record(time, ...), or in a table a column named 'time [s]'."
+        )
+
+
 def share_samples(a: Record, b: Record) -> bool:
     """Tell whether two records hold some of the same measured samples.
 
-    Of one file they do where their times overlap outside of gaps; others where they have the same values at the same
-    times, as after `Record.with_signals`.
+    Of one file they do where their times overlap outside of gaps, or where they have a row in common; others where they
+    have the same values at the same times, as after `Record.with_signals`.
     """
+    if a.has_time != b.has_time:
+        return False
+    if a.checksum == b.checksum and not a.has_time:
+        return bool(np.intersect1d(a.time, b.time).size)
     if a.checksum == b.checksum:
         return any(
             one.time[0] <= other.time[-1] and other.time[0] <= one.time[-1] for one in a.pieces for other in b.pieces
@@ -243,6 +278,11 @@ def share_samples(a: Record, b: Record) -> bool:
     ]
     # Of quantized signals a few samples are the same by chance.
     return bool(alike) and rows.size > 0 and float(np.mean(np.all(alike, axis=0))) > SAME_MEASUREMENT
+
+
+def _row_numbers(signals: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
+    """Return the number of every row; as many as the first signal has."""
+    return np.arange(next((np.size(np.asarray(values)) for values in signals.values()), 0), dtype=float)
 
 
 def _read_only(values: ArrayLike, name: str) -> NDArray[np.float64]:

@@ -11,10 +11,15 @@ TEXTS = ("name", "source", "checksum")
 
 
 def write_record(group: Node, record: Record) -> None:
-    """Write times, signals in their order, units, hold, name, source and checksum; not metadata, filters, findings."""
+    """Write times, signals in their order, units, hold, name, source and checksum; not metadata, filters, findings.
+
+    Of rows without a time, their numbers, and that they have none.
+    """
     for name in TEXTS:
         group.attrs[name] = getattr(record, name)
     group["time"] = record.time
+    if not record.has_time:
+        group.attrs["has_time"] = False
     signals = group.create_group("signals", track_order=True)
     for name, values in record.signals.items():
         dataset = signals.create_dataset(_escaped(name), data=values)
@@ -36,7 +41,8 @@ def read_record(group: Node) -> Record:
         if "hold" in dataset.attrs:
             hold[name] = float(dataset.attrs["hold"])
     texts: dict[str, Any] = {name: str(group.attrs[name]) for name in TEXTS}
-    return Record(group["time"][()], signals, units, hold=hold, **texts)
+    has_time = bool(group.attrs.get("has_time", True))
+    return Record(group["time"][()], signals, units, hold=hold, has_time=has_time, **texts)
 
 
 def _escaped(name: str) -> str:

@@ -1,5 +1,6 @@
 """The plain values that an answer keeps of a record and of what was asked of it."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ def stated(part: Problem) -> dict[str, Any]:
         "name": part.name,
         **criterion_values(part.criterion),
         "rule": part.criterion.description,
-        "condition": part.criterion.condition,
+        "condition": part.criterion.condition_on(part.data),
         "delay": part.delay,
         "weight": part.weight,
         "rename": dict(part.rename),
@@ -56,6 +57,7 @@ def fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedReco
         source=data.source,
         checksum=data.checksum,
         hold=data.hold,
+        has_time=data.has_time,
     )
     count = len(part.outputs)
     noise = np.full((count, count), np.nan)
@@ -68,7 +70,7 @@ def fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedReco
     return FittedRecord(
         **stated(part.problem),
         data=kept,
-        simulated=Record(data.time, signals, units=kept.units, name=part.problem.model.label),
+        simulated=replace(kept, signals=signals, name=part.problem.model.label, source="", checksum=""),
         outputs=part.outputs,
         noise=noise,
         initial={name: nodes[part.data.begins_stretch, i].copy() for i, name in enumerate(part.system.states)},
@@ -77,6 +79,7 @@ def fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedReco
         biases=tuple(model.criterion.biases),
         gains=part.gains,
         nuisances=part.unknown_initial_states + _covariance_unknowns(part),
+        is_static=part.is_static,
     )
 
 
@@ -86,7 +89,7 @@ def _simulated(part: RecordPart, trajectory: Trajectory) -> dict[str, NDArray[np
     signals = {name: np.full(len(data), np.nan) for name in part.outputs}
     outputs = part.data.unpadded(part.simulated_outputs(trajectory))
     for stretch, values in zip(part.data.stretches, outputs, strict=True):
-        rows = stretch.first + np.arange(len(stretch))
+        rows = stretch.rows
         for name, row, measured in zip(part.outputs, values, stretch.outputs, strict=True):
             left_out = np.isfinite(data[name][rows]) & ~np.isfinite(measured)
             signals[name][rows] = np.where(left_out, np.nan, row)

@@ -167,6 +167,8 @@ class FittedRecord(FittedPart):
         Of the innovations, as parameters ``K_<state>_<output>``; empty for output error.
     nuisances : int
         Initial states, and variances and covariances of the noise, that were estimated along.
+    is_static : bool
+        Whether the outputs depend on the inputs of the same moment alone.
     """
 
     data: Record
@@ -179,6 +181,7 @@ class FittedRecord(FittedPart):
     biases: tuple[str, ...] = ()
     gains: tuple[tuple[str, str], ...] = ()
     nuisances: int = 0
+    is_static: bool = False
 
     @property
     def compared(self) -> int:
@@ -187,7 +190,9 @@ class FittedRecord(FittedPart):
 
     @property
     def between(self) -> dict[str, str]:
-        """How every input ran between its samples, in words, and who says so."""
+        """How every input ran between its samples, in words, and who says so; empty where it does not matter."""
+        if self.is_static:
+            return {}
         names = [name for name in self.data.signals if name not in self.outputs]
         return described_inputs(self.inputs, names, self.data)
 
@@ -429,7 +434,7 @@ def _text(fit: Fit) -> str:
     sections = (
         [title],
         _overview(fit),
-        [*_table(fit), "", f"  ± is the standard error for {_error_condition(fit)}."],
+        [*_table(fit), *(["", f"  ± is the standard error for {_error_condition(fit)}."] if fit.dof > 0 else [])],
         _other_criteria(fit),
         [*warnings, f"  {fit.seconds:.2f} s; starts: {fit.starts}"],
     )
@@ -470,16 +475,18 @@ def _inputs_texts(records: Sequence[FittedRecord]) -> list[str]:
 
 
 def _data_text(fit: Fit) -> str:
-    """Say how many points and samples there are, and how many samples were compared where these are fewer."""
+    """Say how many points, samples and rows there are, and how many were compared where these are fewer."""
     texts = []
     if fit.responses:
         points = sum(len(part.data) for part in fit.responses)
         texts.append(f"{counted(points, 'point')} in {counted(len(fit.responses), 'response')}")
-    if fit.records:
-        samples = sum(len(part.data) for part in fit.records)
-        compared = sum(part.compared for part in fit.records)
-        share = "" if compared == samples else f"{compared} of "
-        texts.append(f"{share}{counted(samples, 'sample')} in {counted(len(fit.records), 'record')}")
+    for has_time, noun, remark in ((True, "sample", ""), (False, "row", " without a time")):
+        records = [part for part in fit.records if part.data.has_time == has_time]
+        if records:
+            count = sum(len(part.data) for part in records)
+            compared = sum(part.compared for part in records)
+            share = "" if compared == count else f"{compared} of "
+            texts.append(f"{share}{counted(count, noun)}{remark} in {counted(len(records), 'record')}")
     return " and ".join(texts)
 
 
@@ -515,7 +522,8 @@ def _range(values: Sequence[float]) -> str:
 def _output_text(part: FittedRecord, output: str) -> str:
     where = f" ({part.name})" if part.name else ""
     residual = f"{number(rms(part.residual(output)))} {part.data.units.get(output, '')}".rstrip()
-    return f"{output}{where}: residual {residual} rms, fit {part.fit_percent(output):.1f} %"
+    percent = part.fit_percent(output)  # NaN of an output that never changes
+    return f"{output}{where}: residual {residual} rms" + ("" if math.isnan(percent) else f", fit {percent:.1f} %")
 
 
 def _table(fit: Fit) -> list[str]:

@@ -171,7 +171,7 @@ def _write_fitted_response(group: Node, part: FittedResponse) -> None:
 
 
 def _write_fitted_record(group: Node, part: FittedRecord) -> None:
-    _attributes(group, method=part.method, inputs=part.inputs, nuisances=part.nuisances)
+    _attributes(group, method=part.method, inputs=part.inputs, nuisances=part.nuisances, is_static=part.is_static)
     _attributes(group, **{name: json.dumps(getattr(part, name)) for name in ("outputs", "biases", "gains")})
     write_record(group.create_group("data"), part.data)
     write_record(group.create_group("simulated"), part.simulated)
@@ -365,6 +365,7 @@ def _read_fitted_record(group: Stored, stated: dict[str, Any]) -> FittedRecord:
         biases=_json_names(attributes["biases"]),
         gains=tuple((_text(state), _text(output)) for state, output in json.loads(attributes["gains"])),
         nuisances=int(attributes["nuisances"]),
+        is_static=bool(attributes.get("is_static", False)),
     )
 
 

@@ -56,6 +56,10 @@ class AnyCriterion(ABC):
         """The rule in words, with its options."""
         return self.rule or self.name
 
+    def condition_on(self, data: Any) -> str:
+        """Return the condition for these data."""
+        return self.condition
+
     @property
     def gain_bias(self) -> float:
         """The relative error of the gain in units of σ², with relative noise σ in each component."""

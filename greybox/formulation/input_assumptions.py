@@ -39,14 +39,19 @@ def between_samples(
     """Return how each of the named inputs of a record is taken to run between its samples.
 
     Where neither `inputs` nor the record says it, `assumed` does (as `Record.hold`); otherwise it is interpolated.
+    Rows without a time have nothing between them.
     """
+    if not record.has_time:
+        return tuple(Intersample(False) for _ in names)
     stated = {"linear": CONTINUOUS, "held": HELD}
     holds = [stated.get(inputs, record.hold.get(name, assumed.get(name, CONTINUOUS))) for name in names]
     return tuple(intersample(hold, record.step) for hold in holds)
 
 
 def described_inputs(inputs: Inputs, names: Sequence[str], record: Record) -> dict[str, str]:
-    """Say how every input is taken to run between its samples, and who says so."""
+    """Say how every input is taken to run between its samples, and who says so; nothing of rows without a time."""
+    if not record.has_time:
+        return {}
     result = {}
     for name, between in zip(names, between_samples(inputs, names, record), strict=True):
         who = "as the record says"

@@ -7,12 +7,14 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from greybox.data.record import Record
+from greybox.data.record import Record, require_time
 from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.input_assumptions import Inputs, require_inputs
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.state_space import StateSpace
+
+ROWS_CONDITION = "independent errors of equal variance in each output"
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,15 +96,22 @@ class TimeCriterion(AnyCriterion):
             return f"{self.rule}, given variances"
         return f"{self.rule}, {'estimated variances' if self.noise == 'diagonal' else 'estimated covariance'}"
 
+    def condition_on(self, data: Any) -> str:
+        """Return the condition; rows without a time have no order along which their errors could be correlated."""
+        return self.condition if data.has_time else ROWS_CONDITION
+
     def compared(self, model: Model, record: Record) -> tuple[str, ...]:
         """Return the outputs of the model that the record holds.
 
         Raises
         ------
         ValueError
-            If an input is missing, none of the outputs is there, or a named signal does not exist.
+            If an input is missing, none of the outputs is there, a named signal does not exist, or the model is not
+            static and the record has no time.
         """
         label = model.label
+        if not model.is_static:
+            require_time(record, f"the dynamic model {label}")
         signals = ", ".join(record.signals) or "none"
         for name in model.input_names:
             if name not in record.signals:
@@ -181,6 +190,8 @@ class PredictionError(TimeCriterion):
         """Return every pair of a corrected state and an output."""
         if not isinstance(model, StateSpace):
             raise TypeError(f"{type(self).__name__} needs a StateSpace, whose states it corrects, not {model.label}.")
+        if not model.states:
+            raise ValueError(f"{model.label} has no states, which {type(self).__name__} corrects: use OutputError().")
         require_known(self.corrected, model.states, "state", model.label)
         return tuple((state, output) for state in self.corrected or model.states for output in outputs)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.intersample import HELD, intersample
-from greybox.data.record import GAP, Record, Recording
+from greybox.data.record import GAP, Record, Recording, require_time
 from greybox.data.text_table import counted
 from greybox.data.units import to_si
 from greybox.logs.ardupilot import gyro_filter
@@ -194,6 +194,7 @@ class _Source:
 
 def _source(recording: Recording, signal: str) -> _Source:
     record, field = recording.locate(signal)
+    require_time(record, "prepare")
     known = np.isfinite(record[field])
     time = record.time[known]
     values = record[field][known]

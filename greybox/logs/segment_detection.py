@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.record import Record, Recording
+from greybox.data.record import Record, Recording, require_time
 from greybox.data.test_segment import Segment
 from greybox.logs.ardupilot import ATTITUDE_SETPOINTS, SYSTEMID_AXES, SYSTEMID_DELAY
 from greybox.logs.sine_detection import sines_and_sweeps
@@ -56,6 +56,10 @@ def find_segments(
     KeyError, ValueError
         If the message, a field or a setpoint that was named does not exist; the sentence says what there is.
     """
+    if isinstance(data, Record):
+        require_time(data, "a test segment")
+    else:
+        data = replace(data, records={name: record for name, record in data.items() if record.has_time})
     segments = _system_identification(data)
     if message or (fields and isinstance(data, Record)):
         segments += _announced(data, message, fields)

@@ -102,6 +102,11 @@ class Model(ABC):
         """Names of the output signals."""
 
     @property
+    def is_static(self) -> bool:
+        """True when outputs depend on the inputs of the same moment alone: neither states nor delays."""
+        return False
+
+    @property
     def label(self) -> str:
         """The name of the structure, for tables."""
         return type(self).__name__

@@ -53,6 +53,11 @@ class StateSpace(Model):
         """Return every output, in the order of `outputs`."""
 
     @property
+    def is_static(self) -> bool:
+        """True for a model without states and delays."""
+        return not self.states and not self.delays
+
+    @property
     def input_names(self) -> tuple[str, ...]:
         """Names of the inputs."""
         return tuple(self.inputs)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -29,7 +30,6 @@ from greybox.plotting.style import (
     symbol,
 )
 from greybox.simulation.prediction import Prediction
-from greybox.simulation.windows import seconds
 
 Array = NDArray[np.float64]
 MEASURED = "#AAAAAA"
@@ -61,6 +61,8 @@ def time_history(
     legend: bool = True,
 ) -> AxesArray:
     """Draw measured and fitted outputs over time, below each its residuals, and the inputs at the bottom.
+
+    Rows without a time are dots over their numbers.
 
     Parameters
     ----------
@@ -155,10 +157,11 @@ def draw_history(places: AxesArray, drawn: Sequence[_History]) -> None:
 
     for ax, name in zip(places[2 * len(outputs) :], _inputs(drawn), strict=True):
         data = next(history.data for history in drawn if name in history.data.signals)
-        ax.plot(*drawn_line(data.time, data[name] * _scale(data, name), _pieces(data)), color=INPUT, linewidth=1.0)
+        values = data[name] * _scale(data, name)
+        ax.plot(*drawn_line(_along(data), values, _pieces(data)), color=INPUT, **_look(data, 1.0))
         finish(ax, _label(data, name))
 
-    label_horizontal(places, "Time, s")
+    label_horizontal(places, "Time, s" if drawn[0].data.has_time else "Row")
 
 
 def history_legend(drawn: Sequence[_History]) -> dict[str, tuple[Artist, ...]]:
@@ -195,7 +198,7 @@ def _of_prediction(prediction: Prediction) -> _History:
 
     predicted = prediction.record
     return _History(
-        label=f"{prediction.label}, {seconds(prediction.horizon)} s ahead",
+        label=prediction.title,
         data=prediction.data,
         outputs=prediction.outputs,
         inputs=prediction.inputs,
@@ -207,8 +210,22 @@ def _of_prediction(prediction: Prediction) -> _History:
 
 
 def _pieces(data: Record) -> list[Rows]:
-    """Return the rows between the gaps."""
+    """Return the rows between the gaps; rows without a time are not joined."""
+    if not data.has_time:
+        return [np.array([row]) for row in range(len(data))]
     return pieces(data.time, GAP * data.step)
+
+
+def _along(data: Record) -> Array:
+    """Return the times, or the numbers of the rows from one."""
+    return data.time if data.has_time else data.time + 1
+
+
+def _look(data: Record, width: float) -> dict[str, Any]:
+    """Return how values are drawn: a line of this width along the time, a dot for each row."""
+    if data.has_time:
+        return {"linewidth": width}
+    return {"linestyle": "none", "marker": ".", "markersize": 3 + width}
 
 
 def _outputs(drawn: Sequence[_History]) -> list[str]:
@@ -231,8 +248,8 @@ def _draw_output(ax: Axes, residual_ax: Axes, drawn: Sequence[_History], name: s
     scale = _scale(data, name)
     measured = np.isfinite(data[name])
 
-    if measured.sum() <= DOTS:
-        ax.plot(data.time[measured], scale * data[name][measured], ".", color=MEASURED, markersize=4.5, zorder=1.5)
+    if measured.sum() <= DOTS or not data.has_time:
+        ax.plot(_along(data)[measured], scale * data[name][measured], ".", color=MEASURED, markersize=4.5, zorder=1.5)
     else:
         line = drawn_line(data.time, scale * data[name], _pieces(data))
         ax.plot(*line, color=MEASURED, linewidth=2.4, zorder=1.5)
@@ -247,14 +264,18 @@ def _draw_output(ax: Axes, residual_ax: Axes, drawn: Sequence[_History], name: s
 
 
 def _draw_item(ax: Axes, residual_ax: Axes, history: _History, name: str, color: str, scale: float) -> None:
-    time = history.data.time
+    time = _along(history.data)
     values = scale * history.values[name]
     residual = scale * history.data[name] - values
-    ax.plot(*drawn_line(time, values, history.pieces), color=color, linewidth=1.1, zorder=2.5)
-    residual_ax.plot(*drawn_line(time, residual, history.pieces), color=color, linewidth=0.8)
+    ax.plot(*drawn_line(time, values, history.pieces), color=color, **_look(history.data, 1.1), zorder=2.5)
+    residual_ax.plot(*drawn_line(time, residual, history.pieces), color=color, **_look(history.data, 0.8))
 
     if name in history.half_width:
         half = scale * history.half_width[name]
+        if not history.data.has_time:
+            ax.errorbar(time, values, half, fmt="none", ecolor=color, alpha=0.4, zorder=2)
+            residual_ax.errorbar(time, np.zeros_like(half), half, fmt="none", ecolor=color, alpha=0.4, zorder=2)
+            return
         t, low = drawn_line(time, values - half, history.pieces, thin=False)
         _, high = drawn_line(time, values + half, history.pieces, thin=False)
         _, width = drawn_line(time, half, history.pieces, thin=False)

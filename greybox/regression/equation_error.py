@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.intersample import Intersample
-from greybox.data.record import Record
+from greybox.data.record import Record, require_time
 from greybox.data.text_table import number, one_line, text_table, with_error
 from greybox.formulation.input_assumptions import (
     Inputs,
@@ -276,6 +276,7 @@ def _require(model: Any, record: Any, cutoff: Any) -> None:
         raise TypeError(f"model is {model!r:.60}: give an instance such as LinearTilt(), not the class.")
     if not isinstance(record, Record):
         raise TypeError(f"record is {record!r:.60}: give a Record, as gb.prepare returns it.")
+    require_time(record, "equation_error")
     if cutoff is not None and not (isinstance(cutoff, (int, float, np.number)) and 0 < cutoff < math.inf):
         raise ValueError(f"cutoff {cutoff!r} must be a number of Hz above 0.")
 

@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.record import Record
+from greybox.data.record import Record, require_time
 from greybox.formulation.input_assumptions import Inputs, between_samples, require_inputs
 from greybox.formulation.time_criteria import OutputError, PredictionError, TimeCriterion
 from greybox.modeling.model import Model, require_known
@@ -116,7 +116,14 @@ class ModelAtEstimate:
         """Return the model with the inputs of a record, as they run between its samples.
 
         What neither the criterion nor the record says of an input, the record of the fit does.
+
+        Raises
+        ------
+        ValueError
+            If the model has states or delays, and the record has no time.
         """
+        if self.system.states or self.system.delayed:
+            require_time(record, f"the dynamic model {self.label}")
         assumed = self.part.data.hold if self.part is not None else {}
         between = between_samples(self.criterion.inputs, self.system.inputs, record, assumed)
         system = self.system.later([one.late for one in between])

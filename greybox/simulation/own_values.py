@@ -165,6 +165,8 @@ def _longer(model: ModelAtEstimate, windows: Windows, outputs: tuple[str, ...]) 
     """
     record = windows.record
     inputs = model.system.inputs
+    if not record.has_time:
+        return
     most = max(len(stretch) for stretch in gapless(record, inputs, outputs)) - windows.lead
     horizon = windows.horizon
     while horizon < most:

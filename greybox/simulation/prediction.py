@@ -99,7 +99,17 @@ class Prediction:
             if name not in signals:
                 signals[name] = self._spread(self.trajectory[i])
                 units[name] = self.data.units.get(name, "")
-        return Record(self.data.time, signals, units, name=f"{self.label}, {seconds(self.horizon)} s ahead")
+        return Record(self.data.time, signals, units, name=self.title, has_time=self.data.has_time)
+
+    @property
+    def title(self) -> str:
+        """The model, and how far ahead it predicts."""
+        return f"{self.label}, {seconds(self.horizon)} s ahead" if self.data.has_time else self.label
+
+    @property
+    def window(self) -> str:
+        """What a window is called: of rows without a time each is one."""
+        return "window" if self.data.has_time else "row"
 
     def kept(self, windows: NDArray[np.bool_]) -> "Prediction":
         """Return the prediction of some of the windows, (w,)."""
@@ -149,9 +159,7 @@ class Prediction:
         return result
 
     def __repr__(self) -> str:
-        return one_line(
-            self, self.label, counted(len(self), "window"), f"{seconds(self.horizon)} s ahead", ", ".join(self.outputs)
-        )
+        return one_line(self, self.title, counted(len(self), self.window), ", ".join(self.outputs))
 
     def __str__(self) -> str:
         head = (
@@ -159,6 +167,9 @@ class Prediction:
             f"{self.data.name or 'the record'}, the state of each estimated from the {seconds(self.lead)} s before it"
         )
         shares = reported_shares([self.rows.shape[1]])
+        if not self.data.has_time:
+            head = f"{self.label}: {counted(len(self), 'row')} of {self.data.name or 'the record'}"
+            shares = []
         ends = [f"after {seconds(self.ahead[samples_ahead(s, self.rows.shape[1]) - 1])} s" for s in shares]
         rows = [self._row(name, shares) for name in self.outputs]
         table = text_table(

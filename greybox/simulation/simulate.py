@@ -81,9 +81,11 @@ def simulate(
     _require_inputs(record, estimated)
     estimated = estimated.driven_by(record)
     outputs = estimated.system.outputs
-    stretches = gapless(record, estimated.system.inputs, ())
+    static = not (estimated.system.states or estimated.system.delayed)
+    stretches = gapless(record, estimated.system.inputs, (), shortest=1 if static else 2)
     if not stretches:
-        raise ValueError(f"{record.name or 'the record'} has no two consecutive samples with all inputs.")
+        what = "sample" if static else "two consecutive samples"
+        raise ValueError(f"{record.name or 'the record'} has no {what} with all inputs.")
     given = None if initial is None else _initial_by_name(initial, estimated, len(stretches))
     fitted_initial = initial is None and _is_fitted_record(record, estimated)
 
@@ -94,7 +96,7 @@ def simulate(
         start = _initial_of_stretch(estimated, given, k, fitted_initial)
         simulated, without_error = simulator.free_run(stretch, start, fitted_initial)
         unknown |= dict.fromkeys(without_error)
-        rows = stretch.first + np.arange(len(stretch))
+        rows = stretch.rows
         _require_bounded(simulated, record.time[rows], estimated)
         for name, values_there in simulated.items():
             if name in columns:
@@ -102,7 +104,8 @@ def simulate(
 
     units = {n: record.units[n.removesuffix(ERROR)] for n in columns if n.removesuffix(ERROR) in record.units}
     remark = f", {_not_known(tuple(unknown), estimated)}" if unknown else ""
-    return Record(record.time, columns, units, name=f"simulation of {estimated.label}{remark}")
+    name = f"simulation of {estimated.label}{remark}"
+    return Record(record.time, columns, units, name=name, has_time=record.has_time)
 
 
 def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
@@ -119,11 +122,11 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
 ) -> Prediction:
     """Predict the outputs over windows of a record, each from a state estimated over the lead-in before it.
 
-    The windows follow one another through every stretch without a gap. A free simulation of an unstable plant diverges
-    however good the model; over windows of about its time to double the prediction errors do show the quality of the
-    model. The state is the maximum a posteriori one (see `greybox.simulation.state_estimation`), with the noise of the
-    fit, or, where that is not known, of the residuals in the lead-ins; with innovations (`PredictionError`) the lead-in
-    corrects the states and the horizon does not.
+    The windows follow one another through every stretch without a gap; of rows without a time, each is one. A free
+    simulation of an unstable plant diverges however good the model; over windows of about its time to double the
+    prediction errors do show the quality of the model. The state is the maximum a posteriori one (see
+    `greybox.simulation.state_estimation`), with the noise of the fit, or, where that is not known, of the residuals in
+    the lead-ins; with innovations (`PredictionError`) the lead-in corrects the states and the horizon does not.
 
     On a record that the model was not fitted to, values that belong to a record and not to the model are estimated from
     it (see `greybox.simulation.own_values`), and `Prediction.notes` say so: biases of sensors, parameters that each
@@ -133,7 +136,7 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
     ----------
     horizon, lead : float, s
         Lengths of what is predicted and of what is measured before it, rounded to whole samples. By default 0.5 s or 10
-        samples, whichever is longer, for the lead-in also at least twice the longest delay.
+        samples, whichever is longer, for the lead-in also at least twice the longest delay. Rows have neither.
     own : sequence of str, optional
         Names of parameters, and of biases (``<signal>_bias``), to be estimated from the record; by default those named
         above, on a record that the fit does not have; ``()`` for none, which keeps the values of the fit.
@@ -181,7 +184,7 @@ def predict_windows(
     model = model.driven_by(windows.record)
     lead = windows.lead * windows.record.step
     horizon = windows.horizon * windows.record.step
-    if np.max(model.delays, initial=0.0) >= lead:
+    if windows.lead and np.max(model.delays, initial=0.0) >= lead:
         raise ValueError(
             f"the delay of {model.label} is {np.max(model.delays):.3g} s and lead={lead:.3g} s does not cover it: "
             "give a longer lead."
@@ -226,8 +229,11 @@ def _trouble(simulated: WindowSimulations, windows: Windows, outputs: tuple[str,
     when = int(np.argmax(bad.any(axis=1)))
     what = names[int(np.argmax(bad[when]))] if bad.any() else "the sensitivity of its outputs"
     time = windows.record.time[windows.rows[first, when]]
+    lost = int(simulated.not_finite.sum())
+    if not windows.lead:
+        return f"{model.label} is not finite in {counted(lost, 'row')} of {len(windows)}: {what} in row {time + 1:.0f}"
     place = "within its lead-in" if when < windows.lead else "beyond its lead-in"
-    count = counted(int(simulated.not_finite.sum()), "window")
+    count = counted(lost, "window")
     return (
         f"{model.label} is not finite in {count} of {len(windows)}: {what} at {time:.6g} s, "
         f"{place}{_last_states(model, states, when)}"

@@ -22,7 +22,7 @@ from greybox.modeling.step_size import (
     substep_growth,
 )
 from greybox.simulation.model_at_estimate import ModelAtEstimate
-from greybox.simulation.state_estimation import StateEstimates, estimate_states, one_step_errors
+from greybox.simulation.state_estimation import StateEstimates, estimate_states, one_step_errors, without_states
 from greybox.simulation.windows import Windows, sample_data
 
 Array = NDArray[np.float64]
@@ -212,6 +212,12 @@ class Simulator:
         mask = np.moveaxis(in_lead[:, :, :lead], 0, -1)
         past = np.where(mask, measured[:, :lead], np.nan)
 
+        def of_rows(step: SampleStep) -> _Run:
+            whole = self._segments_of(step, w, length, active)
+            made = _Run.of(whole, np.zeros((w, 0)), model.q, _columns(whole, data, in_lead))
+            errors = measured - whole.by_segment(made.outputs)
+            return replace(made, estimates=without_states(errors, model.noise(self._outputs), spread))
+
         def run(step: SampleStep) -> _Run:
             lead_in = self._segments_of(step, w, lead, np.zeros(0, dtype=int))
             before = _columns(lead_in, data, in_lead)
@@ -234,7 +240,7 @@ class Simulator:
             whole = self._segments_of(step, w, length, active)
             return _Run.of(whole, estimates.states, model.q, _columns(whole, data, in_lead), estimates)
 
-        return data, in_lead, self._accurate(windows.record.step, run)
+        return data, in_lead, self._accurate(windows.record.step, run if lead else of_rows)
 
     def _accurate(self, step: float, run: Callable[[SampleStep], _Run]) -> _Run:
         """Run with more and more substeps until halving them changes no sample noticeably."""
@@ -329,7 +335,7 @@ def _free_run_sensitivities(
     if not fitted_initial or part is None or not n:
         return by_value, no_variance
 
-    rows = stretch.first + np.arange(len(stretch))
+    rows = stretch.rows
     compared = np.array([np.isfinite(part.residual(name)[rows]) for name in part.outputs]).T
     places = [outputs.index(name) for name in part.outputs]
     weight = np.linalg.inv(np.linalg.cholesky(part.noise))

@@ -105,6 +105,16 @@ def estimate_states(
     return StateEstimates(x, _inverse(H, precision), R, mean, precision, ~finite)
 
 
+def without_states(errors: Array, noise: Array | None, spread: Array) -> StateEstimates:
+    """Return the estimates of a static model with these errors (w, samples, k): its noise, given or theirs."""
+    w, k = len(errors), errors.shape[-1]
+    if noise is None:
+        squares = np.nansum(errors.reshape(-1, k) ** 2, axis=0)
+        noise = np.diag(squares / np.maximum(np.isfinite(errors.reshape(-1, k)).sum(axis=0), 1))
+    R = noise + np.diag((ROUNDING * spread) ** 2)
+    return StateEstimates(np.zeros((w, 0)), np.zeros((w, 0, 0)), R, np.zeros(0), np.zeros(0), np.zeros(w, dtype=bool))
+
+
 def one_step_errors(e: Array, sensitivities: Array, offset: Array, precision: Array, noise: Array) -> Array:
     """Return the errors one sample ahead in units of their standard deviations, (w, samples, k); NaN where missing.
 

@@ -26,7 +26,7 @@ class Windows:
     rows : (w, lead + horizon) int array
         Indices in the record.
     lead, horizon : int
-        Samples.
+        Samples; 0 and 1 of rows without a time, each of which is a window.
     """
 
     record: Record
@@ -76,6 +76,8 @@ def cut(
     ValueError
         If a length is not positive or shorter than a sample, or no stretch is long enough.
     """
+    if not record.has_time:
+        return _rows(record, inputs, outputs)
     require_lengths(**{"lead": lead, called: horizon})
     _require_signals(record, inputs)
     stretches = gapless(record, tuple(inputs), tuple(outputs))
@@ -94,7 +96,7 @@ def cut(
         rows = starts[:, None] + np.arange(first + after)
         measured = np.any(np.isfinite(stretch.outputs), axis=0)[rows]
         usable = measured[:, :first].any(axis=1) & measured[:, first:].any(axis=1)
-        parts.append(stretch.first + rows[usable])
+        parts.append(stretch.rows[rows[usable]])
 
     rows = np.concatenate(parts)
     if not len(rows):
@@ -107,6 +109,16 @@ def cut(
     return Windows(record, rows, first, after)
 
 
+def _rows(record: Record, inputs: Sequence[str], outputs: Sequence[str]) -> Windows:
+    """Return a window for every row that has its inputs and some output; there is nothing before it."""
+    _require_signals(record, inputs)
+    kept = [s.rows[np.any(np.isfinite(s.outputs), axis=0)] for s in gapless(record, tuple(inputs), tuple(outputs))]
+    rows = np.concatenate([np.zeros(0, dtype=int), *kept])
+    if not rows.size:
+        raise ValueError(f"{record.name or 'the record'} has no row with all inputs and an output.")
+    return Windows(record, rows[:, None], 0, 1)
+
+
 def sample_data(windows: Windows, inputs: tuple[str, ...], outputs: tuple[str, ...], delays: Array) -> dict[str, Array]:
     """Return ``whole, around, measured, step``, each (rows, w, samples), of all samples in the windows.
 
@@ -117,7 +129,7 @@ def sample_data(windows: Windows, inputs: tuple[str, ...], outputs: tuple[str, .
     stretches = gapless(record, inputs, outputs, lead=np.maximum(delays, 0.0))
     whole, around = SampledData(tuple(stretches), outputs, 1).delayed_inputs(delays)
     column = np.full(len(record), -1)
-    column[np.concatenate([s.first + np.arange(len(s)) for s in stretches])] = np.arange(whole.shape[1])
+    column[np.concatenate([s.rows for s in stretches])] = np.arange(whole.shape[1])
     places = column[windows.rows]
     measured = np.concatenate([s.outputs for s in stretches], axis=1)
     step = np.repeat([s.step for s in stretches], [len(s) for s in stretches])[None]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.record import Record
+from greybox.data.record import Record, require_time
 from greybox.data.test_segment import Segment, checked_segments
 from greybox.spectral.demodulation import (
     UnusableSegmentError,
@@ -117,6 +117,7 @@ def finite_frequency(  # noqa: PLR0913 - one keyword for each choice
     ValueError
         If no segment can be used, or they are of several axes; the sentence says why.
     """
+    require_time(record, "a frequency response")
     segments = checked_segments(segments)
     known_method(method)
     axes = sorted({s.axis for s in segments if s.usable and s.kind == "sine"})

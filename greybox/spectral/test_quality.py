@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.record import GAP, Record
+from greybox.data.record import GAP, Record, require_time
 from greybox.data.test_segment import Segment
 from greybox.data.text_table import counted, number, one_line, text_table
 
@@ -142,6 +142,7 @@ def check(
     KeyError
         For a signal that the record does not hold.
     """
+    require_time(record, "a test")
     findings = [
         *_filters(record, (input, output)),
         *_gaps(record),

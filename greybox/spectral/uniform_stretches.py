@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.record import Record
+from greybox.data.record import Record, require_time
 
 Array = NDArray[np.float64]
 
@@ -49,6 +49,7 @@ def uniform_stretches(records: Record | Sequence[Record], signals: Sequence[str]
 
     stretches = []
     for record in [records] if isinstance(records, Record) else records:
+        require_time(record, "a frequency response")
         for piece in record.pieces:
             values = np.array([piece[name] for name in signals])
             present = np.flatnonzero(np.all(np.isfinite(values), axis=0))

@@ -48,7 +48,7 @@ def compare(
     window, lead : float, s
         What is predicted, and what is measured before it to estimate the state, rounded to whole samples. By default
         1 s and 0.5 s, or 10 samples of the slowest record where that is longer, for the lead-in also at least twice the
-        longest delay.
+        longest delay. Rows without a time are predicted one by one.
     labels : sequence of str, optional
         One for each fit; by default the names of the models.
     removed_at : mapping of name to value, optional
@@ -101,7 +101,7 @@ def compare(
     rows = fit_rows(fits, same_data=same_data, comparable=comparable)
     for kind, of_fits in predictions.items():
         rows += prediction_rows(kind, of_fits, fits)
-    first = next((of_fits[0][0] for of_fits in predictions.values()), None)
+    first = next((p for of_fits in predictions.values() for p in of_fits[0] if p.data.has_time), None)
     return Comparison(
         labels=names,
         data=shared_data(fits) if same_data else f"{different}: their costs are not compared",

@@ -52,7 +52,7 @@ class Comparison:
     statements : tuple of str
         What they mean, in sentences.
     window, lead : float or None
-        Lengths of the windows in s, as used in the first record: whole samples; None without records.
+        Lengths of the windows in s, as used in the first record in time: whole samples; None without one.
     windows : mapping of str to int
         How many there are on identification data and on held-out records.
     predictions : mapping of str to tuple of tuples
@@ -107,12 +107,18 @@ class Comparison:
     def _windows(self, data: str) -> str:
         """Say how many windows there are and how long, as used: whole samples of records that may differ."""
         of = self.predictions[data][0]
+        rows = [p for p in of if not p.data.has_time]
+        of = [p for p in of if p.data.has_time]
+        texts = [f"{counted(sum(map(len, rows)), 'row')}, each by itself"] if rows else []
+        return " and ".join([*texts, *([self._windows_in_time(of)] if of else [])])
+
+    def _windows_in_time(self, of: Sequence[Prediction]) -> str:
         window, lead = (
             " to ".join(dict.fromkeys((seconds(min(lengths)), seconds(max(lengths)))))
             for lengths in ([p.horizon for p in of], [p.lead for p in of])
         )
         samples = f" ({counted(of[0].rows.shape[1], 'sample')})" if len(of) == 1 else ""
-        return f"{counted(self.windows.get(data, 0), 'window')} of {window} s{samples}, each from {lead} s before it"
+        return f"{counted(sum(map(len, of)), 'window')} of {window} s{samples}, each from {lead} s before it"
 
     def _section(self, rows: Sequence[Row], title: str = "") -> list[str]:
         if not rows:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,8 @@ SHORTEST_LEAD = 0.5
 def window_lengths(
     fits: Sequence[Fit], records: Sequence[Record], window: float | None, lead: float | None
 ) -> tuple[float, float]:
-    """Return window and lead-in in s, by default as the records and the delays ask for; NaN without records."""
+    """Return window and lead-in in s, by default as records in time and delays ask for; NaN without such records."""
+    records = [record for record in records if record.has_time]
     if not records:
         return math.nan, math.nan
 
@@ -135,13 +137,14 @@ def _where_all_are_finite(
     reason = reason if reason.startswith(label) else f"{label}: {reason}"
     record = results[0][0].data.name or "the record"
     count = int(diverged.sum())
+    window = results[0][0].window
     if 2 * count >= diverged.size:
         raise ValueError(
-            f"no comparison is possible where {counted(count, 'window')} of {diverged.size} in {record} "
+            f"no comparison is possible where {counted(count, window)} of {diverged.size} in {record} "
             f"{'is' if count == 1 else 'are'} not finite ({reason}): {cure('window')}."
         )
     note = (
-        f"warning: {counted(count, 'window')} of {diverged.size} in {record} left out for all models, since the "
+        f"warning: {counted(count, window)} of {diverged.size} in {record} left out for all models, since the "
         f"prediction of one is not finite ({reason})."
     )
     return [prediction.kept(~diverged) for prediction, _, _ in results], [note]
@@ -161,7 +164,7 @@ def _with_all_signals(records: Sequence[Record]) -> Record:
         return first
     units = {name: r.units.get(name, "") for r in records for name in r.signals}
     hold = {name: seconds for r in records for name, seconds in r.hold.items()}
-    return Record(first.time, {**first.signals, **more}, units, first.name, first.source, first.checksum, hold=hold)
+    return replace(first, signals={**first.signals, **more}, units=units, hold=hold)
 
 
 def not_held_out(fits: Sequence[Fit], labels: Sequence[str], records: Sequence[Record]) -> list[str]:

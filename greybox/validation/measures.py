@@ -111,6 +111,11 @@ class _Output:
     def unit(self) -> str:
         return self.predictions[0][0].data.units.get(self.name, "")
 
+    @property
+    def in_time(self) -> bool:
+        """Whether one of its records has a time."""
+        return any(p.data.has_time for p in self.predictions[0])
+
     def row(self, measure: str, unit: str, values: Sequence[float]) -> Row:
         return Row(self.kind, self.name, measure, unit, _finite(values))
 
@@ -140,8 +145,10 @@ def _accuracy_rows(output: _Output) -> Iterator[Row]:
 
 
 def _growth_rows(output: _Output) -> Iterator[Row]:
-    """Yield how the error grows over the horizon."""
+    """Yield how the error grows over the horizon; rows have none."""
     first = output.predictions[0]
+    if not output.in_time:
+        return
     for share in reported_shares([_horizon(p) for p in first]):
         errors = []
         for of_fit in output.predictions:
@@ -153,6 +160,9 @@ def _growth_rows(output: _Output) -> Iterator[Row]:
 def _one_step_rows(output: _Output, fits: Sequence[Fit]) -> Iterator[Row]:
     """Yield the size of the errors one step ahead, in units of their standard deviations, and their whiteness."""
     errors = output.one_step()
+    if not output.in_time:
+        yield output.row("error over noise", "", [rms(np.concatenate(of_fit)) for of_fit in errors])
+        return
     tests = [whiteness(of_fit, fitted=_gains(fit, output.name)) for of_fit, fit in zip(errors, fits, strict=True)]
     yield output.row("one step ahead: error over noise", "", [rms(np.concatenate(of_fit)) for of_fit in errors])
     yield output.row("  white (p)", "", [test.p_value for test in tests])
@@ -160,6 +170,8 @@ def _one_step_rows(output: _Output, fits: Sequence[Fit]) -> Iterator[Row]:
 
 def _input_rows(output: _Output, fits: Sequence[Fit], outputs: Sequence[str]) -> Iterator[Row]:
     """Yield the correlation of the errors one step ahead with every signal that is no output."""
+    if not output.in_time:
+        return
     errors = output.one_step()
     for name in dict.fromkeys(name for fit in fits for part in fit.records for name in part.data.signals):
         if name in outputs or not all(name in p.data.signals for of_fit in output.predictions for p in of_fit):
@@ -190,7 +202,7 @@ def _in_time_order(prediction: Prediction, values: Array) -> list[Array]:
 
 def _pieces(record: Record, values: Array) -> list[Array]:
     """Cut values (n,) where the record has gaps."""
-    return np.split(values, np.cumsum([len(piece) for piece in record.pieces])[:-1])
+    return [values[rows] for rows in record.independent_pieces]
 
 
 def _gains(fit: Fit, output: str) -> int:

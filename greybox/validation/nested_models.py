@@ -8,10 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.text_table import listed, number, one_line
-from greybox.estimate.result import Fit
+from greybox.estimate.result import Fit, FittedResponse
 from greybox.validation.comparison import SIGNIFICANT, p_text
 from greybox.validation.nesting import Nesting, NotNestedError, nesting
-from greybox.validation.same_data import check_fits, data_difference, is_likelihood, labels_of, other_samples
+from greybox.validation.same_data import (
+    check_fits,
+    count_numbers,
+    data_difference,
+    is_likelihood,
+    labels_of,
+    other_samples,
+)
 
 # How far twice the log-likelihood of the larger model may lie below that of the smaller: 1e-3, where 3.84 is
 # significant at 5 %, or what solvers leave of a large cost, 1e-9 of it.
@@ -32,12 +39,15 @@ class NestedTest:
     likelihood_ratio : float
         Twice the difference of the negative log-likelihoods; NaN where the criterion is no likelihood.
     scale : float
-        By how much the correlation of the residuals in time inflates it; 1 for white residuals.
+        By how much the correlation of the residuals in time inflates it; 1 for white residuals. Of rows without a time
+        whose variance was given, by how much the residuals' own is larger.
     statistic : float
         What is compared with the F distribution.
     dof : (float, float)
         Its degrees of freedom; the second is `Fit.dof` of the larger.
     p_value : float
+    in_time : bool
+        False where all data are rows without a time.
     """
 
     small: str
@@ -48,6 +58,7 @@ class NestedTest:
     statistic: float
     dof: tuple[float, float]
     p_value: float
+    in_time: bool = True
 
     def __repr__(self) -> str:
         return one_line(self, f"{self.small} in {self.large}", p_text(self.p_value))
@@ -68,10 +79,9 @@ class NestedTest:
 
         method = "Wald test with the standard errors of the fit"
         if not math.isnan(self.likelihood_ratio):
-            method = (
-                f"likelihood ratio {number(self.likelihood_ratio, 4)}, divided by {number(self.scale, 3)} for "
-                "residuals that are correlated in time"
-            )
+            why = "residuals that are correlated in time" if self.in_time else "residuals beyond the given variance"
+            method = f"likelihood ratio {number(self.likelihood_ratio, 4)}"
+            method += f", divided by {number(self.scale, 3)} for {why}" if self.in_time or self.scale != 1.0 else ""
         return f"{verdict} ({statistic}, {p_text(self.p_value)}; {method})."
 
 
@@ -84,9 +94,10 @@ def nested_test(small: Fit, large: Fit, *, removed_at: Mapping[str, float] | Non
 
     The likelihood ratio is divided by the factor by which correlation of the residuals in time inflates the variance
     of these parameters, so that the test keeps its size there (the mean of the scaled statistic is that of chi-square,
-    over its degrees of freedom F). Where the cost is no likelihood, the estimates of these parameters are compared with
-    their values in `small` by their covariance (Wald). Where one of these values is on a bound, the statistic has half
-    of its distribution at one degree of freedom less; where several are, the p-value is an upper limit.
+    over its degrees of freedom F). Of rows without a time it is the F test of least squares. Where the cost is no
+    likelihood, the estimates of these parameters are compared with their values in `small` by their covariance (Wald).
+    Where one of these values is on a bound, the statistic has half of its distribution at one degree of freedom less;
+    where several are, the p-value is an upper limit.
 
     Parameters
     ----------
@@ -147,19 +158,24 @@ def nested_test_at(place: Nesting, small: Fit, large: Fit, labels: tuple[str, st
         raise ValueError(f"the data do not determine {listed(list(lost))} of {labels[1]}: nothing can be tested.")
 
     scale = 1.0
+    in_time = any(isinstance(part, FittedResponse) or part.data.has_time for part in large.parts)
     if is_likelihood(small) and is_likelihood(large) and large.white is not None:
         ratio = _likelihood_ratio(small, large, labels)
-        if H.size:
+        estimated = not in_time and not any(isinstance(p.settings.get("noise"), Mapping) for p in large.parts)
+        if H.size and not estimated:
             white = H.T @ large.white[np.ix_(inside, inside)] @ H
             scale = float(np.trace(np.linalg.solve(white, C))) / H.shape[1]
         statistic = max(ratio, 0.0) / (scale * r)
+        if estimated:  # n log(1 + x), x the relative decrease of the squares, of which F is x (n - p) / r
+            numbers = sum(count_numbers(part) for part in large.parts)
+            statistic = math.expm1(max(ratio, 0.0) / numbers) * large.dof / r
     else:
         ratio = math.nan
         moved = np.array([large.estimate[name] for name in large.free]) - place.point
         difference = H.T @ moved[inside]
         statistic = float(difference @ np.linalg.solve(C, difference)) / r if H.size else 0.0
     p_value = _p_value(statistic, r, large.dof, on_bound=len(place.on_bound) == 1)
-    return NestedTest(*labels, place.terms, ratio, scale, statistic, (r, large.dof), p_value)
+    return NestedTest(*labels, place.terms, ratio, scale, statistic, (r, large.dof), p_value, in_time)
 
 
 def _null_space(matrix: NDArray[np.float64]) -> NDArray[np.float64]:

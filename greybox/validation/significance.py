@@ -180,7 +180,7 @@ def _likelihoods_sample_by_sample(fits: Sequence[Fit], labels: Sequence[str], pa
     differences: list[Array] = []
     for one, other in zip(fits[a].records, fits[b].records, strict=True):
         along = _log_likelihoods(one) - _log_likelihoods(other)
-        differences += np.split(along, np.cumsum([len(piece) for piece in one.data.pieces])[:-1])
+        differences += [along[rows] for rows in one.data.independent_pieces]
     mean, error = mean_test(differences)
     count = sum(int(np.isfinite(d).sum()) for d in differences)
     mean -= (count_unknowns(fits[a]) - count_unknowns(fits[b])) / max(count, 1)
@@ -233,14 +233,19 @@ def _errors_window_by_window(
     differences = [second - first for first, second, _ in squares]
     first, second, rounding = (float(np.mean(np.concatenate(values))) for values in zip(*squares, strict=True))
     every = np.concatenate(differences)
-    windows = counted(every.size, "window")
+    windows = counted(every.size, predictions[a][0].window)
+    differences = [
+        part
+        for d, p in zip(differences, predictions[a], strict=True)
+        for part in ([d] if p.data.has_time else [*d[:, None]])
+    ]
     both = f"{labels[a]} and {labels[b]}"
     their_data = "their own data" if kind == IDENTIFICATION else "held-out data"
 
     if every.size < FEWEST_WINDOWS:
         return None, (
-            f"{windows} cannot show whether {labels[a]} or {labels[b]} predicts {their_data} better: give a shorter "
-            "window, or longer records."
+            f"{windows} cannot show whether {labels[a]} or {labels[b]} predicts {their_data} better: give "
+            f"{'a shorter window, or longer records' if predictions[a][0].data.has_time else 'more rows'}."
         )
     percent = number(100 * abs(second - first) / max(first, second, 1e-300), 2)
     if abs(second - first) <= max(EQUAL_SQUARES * min(first, second), rounding):
@@ -295,7 +300,8 @@ def _residuals_not_white(fits: Sequence[Fit], labels: Sequence[str]) -> Iterator
     """Warn of criteria that take residuals as white where they are not."""
     colored = []
     for fit, label in zip(fits, labels, strict=True):
-        tests = [whiteness([part.residual(output)]) for part in fit.records for output in part.outputs]
+        in_time = [part for part in fit.records if part.data.has_time]
+        tests = [whiteness([part.residual(output)]) for part in in_time for output in part.outputs]
         if any(test.p_value < NOT_WHITE for test in tests):
             colored.append(label)
     if colored:

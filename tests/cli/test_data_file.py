@@ -3,6 +3,7 @@
 import json
 from importlib.resources import files
 
+import numpy as np
 import pytest
 from command_line import refused, run
 
@@ -52,7 +53,7 @@ def test_a_table_of_a_record_is_fitted_with_a_model_alone(capsys):
             "no message with the signals of Drag (theta, v); it has data: pitch, v: make the record with",
         ),
         ("[rad]", "[deg]", "theta in deg, but a fit needs rad: make the record with gb.prepare(gb.read("),
-        ("time [s]", "when", "neither a frequency response, with columns omega_rad_s, alpha, beta, nor a record"),
+        ("time [s]", "when", "the dynamic model Drag needs samples in time, and data has rows without a time: give"),
     ],
 )
 def test_a_table_that_is_no_record_of_the_model_is_a_sentence_with_the_way(capsys, tmp_path, old, new, words):
@@ -128,3 +129,40 @@ def test_a_log_with_many_messages_asks_for_a_problem_file(capsys):
     assert "no message with the signals of Drag (theta, v)" in sentence
     assert "for the command line do so in a file my.py with a function problem()" in sentence
     assert len(sentence) < 800
+
+
+LINE = """
+import greybox as gb
+
+class Line(gb.StateSpace):
+    inputs = ("x",)
+    outputs = ("y",)
+    a = gb.Parameter(1.0, starts=(-5, 5))
+    b = gb.Parameter(0.5, starts=(-5, 5))
+
+    def output(self, x, u, p):
+        return (p.a + p.b * u.x,)
+"""
+
+
+def test_a_table_without_a_time_is_fitted_by_a_static_model(capsys, tmp_path):
+    x = np.array([0.3, -1.0, 2.0, 0.7, 1.4, -0.2])
+    y = 2 + 3 * x + np.array([0.1, -0.2, 0.05, 0.1, -0.1, 0.02])
+    (tmp_path / "line.py").write_text(LINE)
+    table = tmp_path / "table.csv"
+    table.write_text("x,y\n" + "".join(f"{a},{b}\n" for a, b in zip(x, y, strict=True)))
+    command = ("fit", "--model", tmp_path / "line.py:Line", "--data", table, "--starts", "2")
+    answer = json.loads(run(capsys, *command, "--json", "--out", tmp_path / "line.h5")[1])
+    A = np.vander(x, 2, increasing=True)
+    q, squares, _, _ = np.linalg.lstsq(A, y, rcond=None)
+    errors = np.sqrt(np.diag(np.linalg.inv(A.T @ A)) * squares[0] / 4)
+    assert list(answer["estimate"].values()) == pytest.approx(q, rel=1e-6)
+    assert list(answer["standard_error"].values()) == pytest.approx(errors, rel=1e-5)
+    assert answer["warnings"] == []
+    assert not gb.load(tmp_path / "line.h5").records[0].data.has_time
+    assert "6 rows without a time" in run(capsys, *command)[1]
+
+    text = run(capsys, "inspect", table)[1]
+    assert "no time column: rows in no order" in text
+    message = json.loads(run(capsys, "inspect", table, "--json")[1])["messages"][0]
+    assert (message["samples"], message["rate"], message["start"]) == (6, None, None)

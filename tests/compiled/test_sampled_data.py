@@ -98,13 +98,13 @@ def test_gaps_and_missing_inputs_end_a_stretch():
     time[45:] += 1.0
     data = gb.Record(time, data.signals)
     made = cut(data, segment_length=10)
-    assert [s.first for s in made.stretches] == [0, 21, 45]
+    assert [s.rows[0] for s in made.stretches] == [0, 21, 45]
     assert [len(s) for s in made.stretches] == [20, 24, 15]
     assert made.begins_stretch.tolist() == [True, False, True, False, False, True, False]
     assert made.coupled.tolist() == [True, False, True, True, False, True, False]
     for stretch in made.stretches:
-        assert_allclose(stretch.outputs[0], data["y"][stretch.first :][: len(stretch)])
-        assert_allclose(stretch.inputs[0], u[stretch.first :][: len(stretch)])
+        assert_allclose(stretch.outputs[0], data["y"][stretch.rows[0] :][: len(stretch)])
+        assert_allclose(stretch.inputs[0], u[stretch.rows[0] :][: len(stretch)])
         assert_allclose(stretch.step, STEP)
     back = made.unpadded(made.measured)
     assert [b.shape[1] for b in back] == [20, 24, 15]
@@ -115,8 +115,8 @@ def test_a_lost_sample_does_not_shift_those_after_it():
     data = record(200)
     lost = data.rows(np.delete(np.arange(200), [50, 120]))
     for stretch in cut(lost).stretches:
-        times = lost.time[stretch.first] + stretch.step * np.arange(len(stretch))
-        assert_allclose(times, lost.time[stretch.first :][: len(stretch)], atol=0.05 * STEP)
+        times = lost.time[stretch.rows[0]] + stretch.step * np.arange(len(stretch))
+        assert_allclose(times, lost.time[stretch.rows[0] :][: len(stretch)], atol=0.05 * STEP)
 
 
 def test_missing_outputs_stay_missing():
@@ -196,10 +196,10 @@ def test_a_thinned_experiment_is_a_part_of_the_whole():
     thin = made.excerpts(300)
     assert 200 <= sum(len(s) for s in thin.stretches) <= 400
     assert len(thin.stretches) == 5
-    assert thin.stretches[0].first == 0
-    assert thin.stretches[-1].first + len(thin.stretches[-1]) == 1000
+    assert thin.stretches[0].rows[0] == 0
+    assert thin.stretches[-1].rows[-1] == 999
     for stretch in thin.stretches:
-        assert_allclose(stretch.outputs[0], data["y"][stretch.first :][: len(stretch)])
+        assert_allclose(stretch.outputs[0], data["y"][stretch.rows[0] :][: len(stretch)])
     assert made.excerpts(2000) is made
 
 
@@ -213,7 +213,7 @@ def test_two_inputs_with_their_own_delays():
 
 
 def test_filling_up():
-    made = SampledData((Stretch(np.zeros((1, 5)), np.zeros((1, 5)), 0, 0.1),), ("y",), 4)
+    made = SampledData((Stretch(np.zeros((1, 5)), np.zeros((1, 5)), np.arange(5), 0.1),), ("y",), 4)
     assert_allclose(made.padded([np.ones((2, 5))], -1.0), np.array([[1, 1, 1, 1, 1, -1, -1, -1]] * 2))
 
 
@@ -250,5 +250,5 @@ def test_bad_records():
 def test_stretches_of_a_record_with_ramp_times():
     data = record(50)
     (stretch,) = gapless(data, ("u",), ("y",))
-    assert (stretch.first, len(stretch)) == (0, 50)
+    assert (stretch.rows[0], len(stretch)) == (0, 50)
     assert_allclose(stretch.step, STEP)

@@ -159,7 +159,10 @@ def test_poorly_identifiable_combinations_are_told_with_their_collinearity():
 def test_too_few_data_are_told_and_give_no_standard_errors(points, noise):
     data = measured(LagLagDelay(), [0.5, 8.0][:points], TWO_LAGS, noise=noise)
     fit = gb.fit(gb.Problem(LagLagDelay(), data), starts=8)
-    words = f"{2 * points} real numbers of data for 4 unknowns leave no degrees of freedom: add data."
+    words = (
+        f"{2 * points} real numbers of data for 4 unknowns leave no degrees of freedom, so that no standard error is "
+        "known: add data."
+    )
     assert words in fit.warnings
     assert np.isnan([fit.standard_error[n] for n in fit.free]).all()
 

@@ -1,4 +1,4 @@
-"""NIST's nonlinear regression problems: static models, data, starts and certified values.
+"""NIST's nonlinear regression problems: static models, rows without a time, starts and certified values.
 
 Source: NIST, Statistical Reference Datasets, https://www.itl.nist.gov/div898/strd/ (public domain).
 """
@@ -97,13 +97,14 @@ def certified(name):
         "inputs": tuple(signals),
         "outputs": ("y",),
         "output": lambda self, x, u, p: (formula(p, *(u[key] for key in signals)),),
-        **{key: gb.Parameter(values[0]) for key, values in table.items()},
+        # Default starts are drawn between zero and the first of theirs.
+        **{key: gb.Parameter(start, starts=(min(start, 0), max(start, 0))) for key, (start, *_) in table.items()},
     }
     model = type(name, (gb.StateSpace,), body)
-    record = gb.Record(np.arange(y.size, dtype=float), {**signals, "y": y}, name=name)
+    record = gb.Record(None, {**signals, "y": y}, name=name)
     starts = tuple({key: values[k] for key, values in table.items()} for k in (0, 1))
     return Certified(
-        gb.Problem(model(), record, gb.OutputError(inputs="held")),
+        gb.Problem(model(), record),
         starts,
         {key: values[2] for key, values in table.items()},
         {key: values[3] for key, values in table.items()},

@@ -68,7 +68,7 @@ def no_degrees_of_freedom(nlp: Nlp) -> Iterator[str]:
     leave = "leaves" if numbers == 1 else "leave"
     yield (
         f"{counted(numbers, 'real number')} of data for {counted(len(nlp.free), 'unknown')}{states} {leave} no degrees "
-        "of freedom: add data."
+        "of freedom, so that no standard error is known: add data."
     )
 
 

@@ -52,8 +52,8 @@ def _between(part: Part) -> dict[str, Intersample]:
 
 
 def _others(part: Part) -> Others:
-    """Return how the inputs of a part might run instead."""
-    if not isinstance(part, RecordPart):
+    """Return how the inputs of a part might run instead; a model without states and delays does not notice."""
+    if not isinstance(part, RecordPart) or part.is_static:
         return {}
     return other_assumptions(part.model.criterion.inputs, _between(part), part.model.record)
 

@@ -130,7 +130,8 @@ def _of_model(part: RecordPart, trajectory: Trajectory, samples: NDArray[np.inte
     point = dict(zip((*part.system.states, *part.system.inputs), (*x[:, at], *mean[:, at]), strict=True))
     where = ", ".join(f"{name} = {value:.4g}" for name, value in point.items())
     when = _time(part, int(samples[at]))
-    return Trouble(what, f"{what} is not finite at {when:.6g} s, where {where}", _elsewhere(part))
+    place = f"at {when:.6g} s" if part.model.record.has_time else f"in row {when + 1:.0f}"
+    return Trouble(what, f"{what} is not finite {place}, where {where}", _elsewhere(part))
 
 
 def _of_integration(part: RecordPart, trajectory: Trajectory) -> Trouble:
@@ -176,8 +177,8 @@ def _fastest_decay(part: RecordPart, trajectory: Trajectory) -> float:
 
 
 def _time(part: RecordPart, column: int) -> float:
-    """Return the time of a sample, counted over all segments."""
+    """Return the time of a sample, or the number of a row, counted over all segments."""
     experiment, time = part.data, part.model.record.time
-    times = [time[None, stretch.first + np.arange(len(stretch))] for stretch in experiment.stretches]
+    times = [time[None, stretch.rows] for stretch in experiment.stretches]
     padded = experiment.padded(times, None)[0]
     return float(padded[min(column, len(padded) - 1)])

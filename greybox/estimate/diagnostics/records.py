@@ -93,6 +93,14 @@ def _unexplained(part: RecordPart, fitted: FittedRecord, *, alone: bool) -> Iter
             continue
         record = fitted.data.name or fitted.name
         name = output if alone else f"{output} in {record!r}"
+        if not fitted.data.has_time:  # nothing varies from row to row that would show the noise
+            if not part.data.constant_inputs:
+                text = (
+                    f"the model reproduces almost none of the variation of {name} (fit {percent:.1f} %): try other "
+                    "starts, or another model structure, unless that variation is noise."
+                )
+                yield f"{output} in rows", record, text
+            continue
         found = noise_ratio([stretch.outputs[k] for stretch in part.data.stretches])
         if found.noisy:
             text = (
@@ -137,7 +145,9 @@ def _fed_back(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]
     residuals (is there feedback?). Each is made at the level that keeps the share of fits with a false alarm below
     `BIASED`, however many outputs and inputs there are, since without a bias one of the two hypotheses holds.
     """
-    tested = [(part, fitted) for part, fitted in pairs if not part.model.criterion.errors_are_white]
+    tested = [
+        (part, fitted) for part, fitted in pairs if fitted.data.has_time and not part.model.criterion.errors_are_white
+    ]
     outputs = sum(len(fitted.outputs) for _, fitted in tested)
     found = []
     for part, fitted in tested:
@@ -155,11 +165,12 @@ def _fed_back(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]
                 if p_value < BIASED / (outputs * len(inputs))
             ]
     if found:
+        static = all(part.is_static for part, _ in tested)
         yield (
             f"feedback responds to errors that are correlated in time ({some(found)}), as where a controller acts "
             "on process noise such as gusts: the estimate of OutputError is then biased, which its standard errors do "
-            f"not show (a false alarm in at most {100 * BIASED:g} % of fits); compare with "
-            "criterion=PredictionError()."
+            f"not show (a false alarm in at most {100 * BIASED:g} % of fits); "
+            + ("use data without feedback." if static else "compare with criterion=PredictionError().")
         )
 
 
@@ -206,8 +217,8 @@ def _masked(nlp: Nlp, part: RecordPart) -> Iterator[Found]:
 
 
 def _resting(parts: Sequence[RecordPart]) -> Iterator[str]:
-    """Say that nothing was excited, where that holds for all data."""
-    if not all(part.data.constant_inputs for part in parts):
+    """Say that nothing was excited, where that holds for all data; a static model has no free response."""
+    if any(part.is_static for part in parts) or not all(part.data.constant_inputs for part in parts):
         return
     inputs = dict.fromkeys(name for part in parts for name in part.system.inputs)
     which = "the record" if len(parts) == 1 else "any record"

@@ -4,7 +4,6 @@ import hashlib
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from greybox.data.delimited_text import MISSING, DecimalMark, DelimitedText, rea
 from greybox.data.record import Recording
 from greybox.data.text_table import counted, is_number
 from greybox.logs.readers.messages import on_one_clock, records
-from greybox.logs.readers.table_columns import SECONDS, Heading, heading, name_list, seconds, table
+from greybox.logs.readers.table_columns import SECONDS, TIMES, Heading, heading, name_list, of_rows, seconds, table
 
 Floats = NDArray[np.float64]
 
@@ -32,7 +31,8 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
 
     The time column is the first named time, t or timestamp (any case, with a unit in brackets or as in ``time_s``,
     ``time_ms``), or TimeUS, TimeMS as ArduPilot's tools write it; without a unit it is in seconds. Where there is none,
-    the first column serves if it increases and has the unit of a time.
+    the first column serves if it increases and has the unit of a time. A table without such a column holds rows that
+    have no order in time, see `Record`.
 
     Parameters
     ----------
@@ -49,8 +49,8 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     Raises
     ------
     ValueError
-        If there is no header, no time column, or no numeric column; if a line has more cells than the header, or its
-        decimal marks cannot be told from separators of thousands.
+        If there is no header or no numeric column; if a line has more cells than the header, or its decimal marks
+        cannot be told from separators of thousands.
     OSError
         If the file cannot be opened.
     """
@@ -64,7 +64,11 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     headings = _headings(text)
     columns, findings = _columns(headings, text)
     units = {h.name: h.unit for h in headings}
-    group, left_out = table(path.stem, _time_first(headings, columns, path), units)
+    columns = _time_first(headings, columns, path)
+    if columns and not any(seconds(name, units.get(name, "")) for name in columns):
+        record = of_rows(path.stem, columns, units, source=path.name, checksum=checksum, findings=findings)
+        return Recording({path.stem: record}, path.name, checksum, {}, findings)
+    group, left_out = table(path.stem, columns, units)
     groups, restarts = on_one_clock([group] if group else [])
     found, problems = records(groups, path.name, checksum)
     if not found:
@@ -160,12 +164,24 @@ def _infinite(columns: Mapping[str, Floats], line_numbers: Sequence[int]) -> tup
 
 
 def _time_first(headings: Sequence[Heading], columns: Mapping[str, Floats], path: Path) -> dict[str, Floats]:
-    """Return the columns; where none is named as a time, the first serves if it increases and has a unit of time."""
+    """Return the columns; where none is named as a time, the first serves if it increases and has a unit of time.
+
+    Raises
+    ------
+    ValueError
+        For a time that cannot be read: taken as rows without one, its samples would count as independent.
+    """
     if any(seconds(h.name, h.unit) and h.name in columns for h in headings):
         return dict(columns)
     name, unit = headings[0]
     if name in columns and unit.lower() in SECONDS and np.all(np.diff(columns[name]) > 0):
         others = {key: values for key, values in columns.items() if key not in (name, "time")}
         return {"time": columns[name] * SECONDS[unit.lower()], **others}
-    names = ", ".join(repr(h.name) for h in islice(headings, 12))
-    raise ValueError(f"{path} has no time column among {names}: name it 'time [s]', or time, t, time_s, TimeUS.")
+    unread = next((h for h in headings if h.name.lower() in TIMES or seconds(h.name, h.unit)), None)
+    if unread:
+        unit = f" [{unread.unit}]" if unread.unit else ""
+        raise ValueError(
+            f"{path} has the column '{unread.name}{unit}', which is no time in numbers and a known unit: give it in "
+            "seconds as 'time [s]', or another name if it is no time."
+        )
+    return dict(columns)

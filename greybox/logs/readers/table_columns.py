@@ -2,12 +2,13 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.intersample import CONTINUOUS, HELD
+from greybox.data.record import Record
 from greybox.logs.readers.messages import Messages
 
 Floats = NDArray[np.float64]
@@ -105,6 +106,12 @@ def table(
         findings.append(f"{name}: left out, because their length is not that of the time: {name_list(wrong_length)}.")
     messages = Messages(name, np.arange(time.size), time, kept, {}, labels, hold=hold) if kept else None
     return messages, tuple(findings)
+
+
+def of_rows(name: str, columns: Mapping[str, Floats], units: Mapping[str, str], **about: Any) -> Record:
+    """Return a record of rows without a time; `about` are its source, checksum and findings."""
+    named = {key: _unit_and_hold(units.get(key, ""))[0] for key in columns}
+    return Record(None, columns, {key: unit for key, unit in named.items() if unit}, name, **about)  # type: ignore[arg-type]
 
 
 def _unit_and_hold(text: str) -> tuple[str, float | None]:

@@ -117,7 +117,8 @@ def test_the_clock_may_start_again(saved):
     [
         ("t,x\n", "has no table: write a header line"),
         ("0,1\n1,2\n2,3\n", "has no header line: its first line, '0,1', must name the columns"),
-        ("pitch,roll\n1,2\n2,3\n", r"has no time column among 'pitch', 'roll': name it 'time \[s\]'"),
+        ("time,x\n10:00:01,2\n10:00:02,3\n", "has the column 'time', which is no time in numbers and a known unit"),
+        ("time [days],x\n1,2\n2,3\n", r"has the column 'time \[days\]', which is no time"),
         ("t,name\n1,a\n2,b\n", "has no numeric column beside the time"),
         ("t,x,x\n1,2,3\n2,3,4\n", "has two columns named 'x'"),
     ],
@@ -125,6 +126,16 @@ def test_the_clock_may_start_again(saved):
 def test_what_is_no_table_is_refused(saved, text, match):
     with pytest.raises(ValueError, match=match):
         saved(text)
+
+
+def test_a_table_without_a_time_holds_rows(saved):
+    recording = saved("x [V]; y [m held]\n3,5; 2\n1,25; nan\n2,0; 4\n")
+    record = recording["flight"]
+    assert not record.has_time
+    assert (len(record), record.units, dict(record.hold)) == (3, {"x": "V", "y": "m"}, {})
+    np.testing.assert_array_equal(record["x"], [3.5, 1.25, 2])
+    np.testing.assert_array_equal(record["y"], [2, np.nan, 4])
+    assert str(record) == "flight: 3 rows without a time: x (V), y (m)"
 
 
 def test_other_encodings(saved):
