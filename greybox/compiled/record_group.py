@@ -6,6 +6,7 @@ residual covariances, delays, is an axis of arrays. The rest of greybox sees par
 between the two.
 """
 
+import math
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
@@ -97,7 +98,8 @@ class RecordGroup(RecordPart):
     def _columns_of(self, values: Array, segments: slice) -> Array:
         """Return the columns (r, c) of some segments."""
         of_all = values.reshape(len(values), self.data.segment_length, self.data.segments)
-        return of_all[:, :, segments].reshape(len(values), -1)
+        chosen = of_all[:, :, segments]
+        return chosen.reshape(len(values), math.prod(chosen.shape[1:]))  # a static model has no rows
 
     def by_part(self, nodes: Array) -> list[Array]:
         """Return the nodes of the records."""
@@ -128,13 +130,14 @@ class RecordGroup(RecordPart):
         n, active = self.states, len(self.model.active)
         if not which.any():
             return Placed(q.ravel(), slope, self._data_at(delay.ravel()), initial.ravel(), initial_slope)
+        count = int(which.max()) + 1
         stretches = np.repeat(which, [len(part.data.stretches) for part in self.parts])
         return Placed(
             q=q[:, which[self.segments.records]],
-            slope=slope.reshape(-1, active, len(z))[which],
+            slope=slope.reshape(count, active, len(z))[which],
             data=self._data_at(delay[:, stretches]),
-            initial=initial.T[which],
-            initial_slope=initial_slope.reshape(-1, n, active)[which],
+            initial=initial.T.reshape(count, n)[which],
+            initial_slope=initial_slope.reshape(count, n, active)[which],
         )
 
     def initial_trajectory(self, z: Array) -> Trajectory:

@@ -257,3 +257,16 @@ def test_a_figure_has_a_dot_for_each_row():
     assert np.array_equal(drawn[np.isfinite(drawn)], fit.records[0].simulated["y"])
     time_history(gb.predict(fit, record=rows(30, 7)))
     gb.plot(fit)
+
+
+def test_several_tables_share_a_slope():
+    """By least squares with a constant for each table, weighted by the variances that were found."""
+    tables = [rows(20, k, noise=0.05 * (k + 1)) for k in range(3)]
+    fit = gb.fit(gb.several(Line(), tables, own=["a"]), starts=1, progress=False)
+    weights = np.repeat([1 / np.sqrt(part.noise[0, 0]) for part in fit.records], 20)
+    A = np.hstack([np.concatenate([t["x"] for t in tables])[:, None], np.kron(np.eye(3), np.ones((20, 1)))])
+    y = np.concatenate([t["y"] for t in tables])
+    q, _, _, _ = np.linalg.lstsq(A * weights[:, None], y * weights, rcond=None)
+    assert [fit.estimate[name] for name in ("b", "a_1", "a_2", "a_3")] == pytest.approx(q, rel=1e-6)
+    error = np.sqrt(np.linalg.inv((A.T * weights**2) @ A)[0, 0])
+    assert fit.standard_error["b"] == pytest.approx(error, rel=0.1)  # each variance has degrees of freedom of its own
