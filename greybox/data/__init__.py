@@ -2,7 +2,7 @@
 
 Begin with `record` (named signals on one time base) and `frequency_response` (one input-output pair over frequency);
 `test_segment` is one test within a record, and the table of several; `units` converts those of logs to SI;
-`intersample` is how a signal runs between its samples.
+`intersample` is how a signal runs between its samples, `numerical_range` how large a number may be.
 
 Files: `record_file` (HDF5) and `response_file` (CSV, HDF5) write and read them; `delimited_text` finds out how a
 table of numbers was written (separator, decimal mark, comments), `text_table` formats those that are printed;

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from greybox.data.numerical_range import out_of_range
 from greybox.data.text_table import counted, one_line, printable
 
 
@@ -35,7 +36,8 @@ class FrequencyResponse:
     Raises
     ------
     ValueError
-        For empty data, lengths that differ, NaN or infinite values, non-positive or repeated frequencies.
+        For empty data, lengths that differ, NaN or infinite values, values beyond 1e75 or below 1e-75 (but zero),
+        non-positive or repeated frequencies.
     """
 
     omega: NDArray[np.float64]
@@ -63,6 +65,8 @@ class FrequencyResponse:
             self._check_column(column)
         self._check_omega()
         self._check_ranges()
+        for column in ("omega", "response"):
+            self._check_size(column)
 
     def _set(self, name: str, value: ArrayLike, kind: type) -> None:
         try:
@@ -98,6 +102,15 @@ class FrequencyResponse:
             raise ValueError(
                 f"omega = {values[counts.argmax()]:g} rad/s is repeated: average the points of one frequency, "
                 "or add two problems, one for each experiment."
+            )
+
+    def _check_size(self, name: str) -> None:
+        values = getattr(self, name)
+        bad = np.flatnonzero(out_of_range(values))
+        if bad.size:
+            raise ValueError(
+                f"{name} is {values[bad[0]]:g} at index {bad[0]}: squares of such numbers are beyond floating-point "
+                "arithmetic; choose another unit, or leave the point out."
             )
 
     def _check_ranges(self) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.intersample import checked_hold
+from greybox.data.numerical_range import within_range
 from greybox.data.text_table import counted, one_line, printable
 
 # Median steps: a longer one is a gap, across which nothing is interpolated. One lost sample makes a step of two, which
@@ -30,7 +31,8 @@ class Record:
         Strictly increasing. None for rows that have no order in time, as in a table of independent measurements: `time`
         is then the number of each row, `has_time` is False, and static models alone can be fitted.
     signals : mapping of name to (n,) array
-        NaN marks a sample that is missing.
+        NaN marks a sample that is missing. Beyond ±1e75 values become infinite, which is missing too, and below 1e-75
+        zero: sums of squares could not hold them.
     units : mapping of name to str
         SI after `prepare`; those of the log before.
     name, source : str
@@ -84,7 +86,7 @@ class Record:
                 f"time does not increase after {time[back[0]]:.6f} s (index {back[0]}): "
                 "sort the samples and remove duplicates."
             )
-        signals = {_printable(name): _read_only(values, name) for name, values in self.signals.items()}
+        signals = {_printable(name): within_range(_read_only(values, name)) for name, values in self.signals.items()}
         for name, values in signals.items():
             if values.size != time.size:
                 other = "time" if self.has_time else next(iter(signals))

@@ -319,7 +319,7 @@ def _curve(
     curve = response(grid)
     for _ in range(12):
         steps = np.abs(np.diff(curve.response))
-        turns = np.abs(np.angle(curve.response[1:] / curve.response[:-1]))
+        turns = np.abs(np.angle(curve.response[1:] * curve.response[:-1].conj()))
         coarse = (steps > 0.02 * np.abs(curve.response).max()) | (turns > np.radians(5))
         if not coarse.any() or grid.size > CURVE:
             break

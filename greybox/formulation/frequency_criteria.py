@@ -299,7 +299,8 @@ def evaluate(criterion: Criterion, model: NDArray[np.complex128], data: Frequenc
         criterion.check(data)
     except ValueError:
         return math.nan
-    return float(criterion.cost(Complex(model.real, model.imag), data))
+    with np.errstate(all="ignore"):  # the logarithm of a response that is zero: the cost is infinite
+        return float(criterion.cost(Complex(model.real, model.imag), data))
 
 
 def _variance(data: FrequencyResponse) -> NDArray[np.float64]:

@@ -23,7 +23,6 @@ WIDTH = 8.0
 # Residuals for each lag of the correlation length: with a fifth as many lags, every lag averages over most residuals.
 RESIDUALS_PER_LAG = 5
 ROUNDING = 1e-24  # of the power of a target: residuals smaller than this are rounding
-TINY = 1e-300  # instead of a division by zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +83,10 @@ def residuals(blocks: Sequence[Block], unknowns: Array) -> list[Array]:
 
 
 def spread(blocks: Sequence[Block], errors: Sequence[Array]) -> Array:
-    """Return the root mean square of the errors of every equation, (equations,); at least rounding of its target."""
+    """Return the root mean square of the errors of every equation, (equations,); at least rounding of its target.
+
+    One of an equation whose target is zero and whose errors are: any other would do.
+    """
     count = 1 + max(block.equation for block in blocks)
     squares = np.zeros(count)
     power = np.zeros(count)
@@ -93,7 +95,8 @@ def spread(blocks: Sequence[Block], errors: Sequence[Array]) -> Array:
         squares[block.equation] += error @ error
         power[block.equation] += block.target @ block.target
         size[block.equation] += error.size
-    return np.sqrt((squares + ROUNDING * power + TINY) / np.maximum(size, 1))
+    total = squares + ROUNDING * power
+    return np.sqrt(np.where(total > 0, total / np.maximum(size, 1), 1.0))
 
 
 def autocovariances(blocks: Sequence[Block], errors: Sequence[Array]) -> list[Autocovariance]:
