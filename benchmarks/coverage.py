@@ -30,6 +30,7 @@ from greybox.modeling.complex_arithmetic import Complex
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import Tilt
 
+UNEQUAL = ("MaximumLikelihood", "MagnitudePhase, coherence", "MagnitudePhase, variances")  # errors of several sizes
 CHECKS = 5  # repeats of every cell that gb.fit does too
 SMOOTHINGS = (1e-6, 1e-9, 1e-13)
 NOMINAL = (92.0, 97.0)  # per cent; outside, a number is marked
@@ -63,7 +64,9 @@ CRITERIA: dict[str, Any] = {
     "RelativeError, model": gb.RelativeError(normalized="model"),
     "SquaredRelativeError": gb.SquaredRelativeError(),
     "SquaredRelativeError, model": gb.SquaredRelativeError(normalized="model"),
+    "RelativeLikelihood": gb.RelativeLikelihood(),
     "MagnitudePhase": gb.MagnitudePhase(),
+    "MagnitudePhase, coherence": gb.MagnitudePhase(),
     "MagnitudePhase, variances": gb.MagnitudePhase(),
     "MaximumLikelihood": gb.MaximumLikelihood(),
 }
@@ -79,7 +82,7 @@ class Part:
     free: tuple[str, ...] = ()
 
     def sizes(self, given: bool) -> np.ndarray:
-        """Noise of every point; where variances are given to the fit they differ fourfold in size."""
+        """Noise of every point; where the fit is told of them they differ fourfold in size."""
         if not given:
             return np.full(self.omega.size, self.noise)
         order = np.argsort(np.sin(7.0 * np.arange(self.omega.size)))
@@ -98,10 +101,11 @@ class Part:
 
     def problem(self, response: np.ndarray, criterion: str, fixed: Any) -> gb.Problem:
         """State the problem for one set of noisy data."""
+        sizes = self.sizes(criterion in UNEQUAL)
         given = criterion in ("MaximumLikelihood", "MagnitudePhase, variances")
-        variance = 2 * (self.sizes(given) * np.abs(self.exact())) ** 2 if given else None
-        # A coherence such as those variances come with, for the weights of the criterion.
-        coherence = 1 / (1 + 20 * self.sizes(given) ** 2) if criterion == "MagnitudePhase, variances" else None
+        variance = 2 * (sizes * np.abs(self.exact())) ** 2 if given else None
+        # A coherence such as errors of these sizes come with: (1 - γ²)/γ² in proportion to their variances.
+        coherence = 1 / (1 + 20 * sizes**2) if criterion.startswith("MagnitudePhase, ") else None
         signals = {"input": self.model.input_names[0], "output": self.model.output_names[0]}
         data = gb.FrequencyResponse(self.omega, response, **signals, variance=variance, coherence=coherence)
         return gb.Problem(self.model, data, criterion=CRITERIA[criterion], free=self.free, fixed=fixed)
@@ -234,7 +238,7 @@ class Cell:
                 # A direction of negative curvature is gone down as if it were of positive one.
                 values = np.maximum(np.abs(values), 1e-9 * np.abs(values).max(axis=1, keepdims=True))
                 step = np.einsum("rij,rj->ri", vectors, np.einsum("rji,rj->ri", vectors, g) / values)
-                decrement = np.einsum("ri,ri->r", g, step) / np.maximum(f, 1e-12)
+                decrement = np.einsum("ri,ri->r", g, step) / np.maximum(np.abs(f), 1e-12)
                 if decrement.max() < 1e-12:
                     break
                 new = evaluate(z - step, smoothing)
@@ -324,7 +328,7 @@ def by_fit(problem: Any, names: Sequence[str]) -> Answer:
 def cell(case: Case, criterion: str, repeats: int, seed: int) -> Outcome:
     """Run one cell."""
     random = np.random.default_rng(seed)
-    given = criterion in ("MaximumLikelihood", "MagnitudePhase, variances")
+    given = criterion in UNEQUAL
     draws = [part.draw(random, repeats, given) for part in case.parts]
     known: list[Known | None] = [None] * repeats
     if case.first is not None:
@@ -434,7 +438,7 @@ def main() -> None:
         "largest bias: in standard deviations of the estimate, and whose; error / sd: root mean square of the\n"
         "printed standard error over the actual standard deviation; by gb.fit: repeats where Newton's method left the\n"
         "bounds or did not converge; differ: largest difference to gb.fit in the first repeats, in standard errors.\n"
-        "All criteria but the two with given variances see the same draws, so their coverages vary together."
+        "Criteria that are not told of errors of several sizes see the same draws, so their coverages vary together."
     )
     for number, case in enumerate(cases()):
         if arguments.only not in case.label:

@@ -45,6 +45,7 @@ from greybox.formulation import OutputError as OutputError
 from greybox.formulation import PredictionError as PredictionError
 from greybox.formulation import Problem as Problem
 from greybox.formulation import RelativeError as RelativeError
+from greybox.formulation import RelativeLikelihood as RelativeLikelihood
 from greybox.formulation import SquaredRelativeError as SquaredRelativeError
 from greybox.formulation import Starts as Starts
 from greybox.formulation import TimeCriterion as TimeCriterion

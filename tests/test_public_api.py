@@ -12,8 +12,9 @@ import greybox as gb
 
 NAMES = """
 Collocation Controller Criterion Fit FrequencyResponse Integrator MagnitudePhase MaximumLikelihood MultipleShooting
-OutputError Parameter PredictionError Problem Record RelativeError Rosenbrock RungeKutta SingleShooting
-SquaredRelativeError Starts StateSpace TimeCriterion TransferFunction Transcription compare cost feedback fit
+OutputError Parameter PredictionError Problem Record RelativeError RelativeLikelihood Rosenbrock RungeKutta
+SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion TransferFunction Transcription compare cost
+feedback fit
 frequency_response load plot predict prepare read read_response save several simulate virtual_flight
 """.split()
 
@@ -26,7 +27,7 @@ NAMESPACES = {
     "experiment": "Controller Excitation ardupilot_script multisine sine_schedule sweep systemid_parameters "
     "virtual_flight write_excitation",
     "formulation": "Criterion MagnitudePhase MaximumLikelihood OutputError PredictionError Problem RelativeError "
-    "SquaredRelativeError Starts Sum TimeCriterion several",
+    "RelativeLikelihood SquaredRelativeError Starts Sum TimeCriterion several",
     "logs": "find_segments horizontal_velocity negative prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response linearize rational",

@@ -115,7 +115,7 @@ def _restated_part(part: Problem, fix: dict[str, float], free: Sequence[str]) ->
     freed = [inside[name] for name in free if name in inside]
     held = {name: value for name, value in part.fixed_values.items() if name not in freed}
     kept = [name for name in part.free if name not in new]
-    return replace(part, fixed={**held, **new}, free=tuple(dict.fromkeys([*kept, *freed])))
+    return part.with_(fixed={**held, **new}, free=tuple(dict.fromkeys([*kept, *freed])))
 
 
 def _criteria() -> dict[str, Criterion | TimeCriterion]:

@@ -23,7 +23,8 @@ from greybox.modeling.complex_arithmetic import Complex
 # expression is built in half a second at most, and it is evaluated faster.
 LARGE = 300_000
 
-# Of φ'' per row: criteria whose cost is a sum over the frequencies have two, the real and the imaginary part of one.
+# Rows of φ'' in the column of one number: two where a cost is a sum over the frequencies, real and imaginary part of
+# one; all where it is a function of such sums, as a logarithm.
 SPARSE = 4
 
 Array = NDArray[np.float64]
@@ -59,7 +60,7 @@ class Mapped(NamedTuple):
 
 def lagrangian_hessian(
     parts: Sequence[tuple[Mapped, ca.SX, Callable[[Complex, Any], Any], float]], z: ca.SX, limits: ca.SX
-) -> ca.Function | None:
+) -> ca.Function:
     """Return the Hessian of a weighted sum of costs and constraints, as the option ``hess_lag`` of `casadi.nlpsol`.
 
     Parameters
@@ -71,22 +72,19 @@ def lagrangian_hessian(
 
     Returns
     -------
-    casadi.Function or None
-        (z, smoothing, weight of the cost, multipliers) -> upper triangle; None where a cost is no sum over the
-        frequencies, so that φ'' would be full.
+    casadi.Function
+        (z, smoothing, weight of the cost, multipliers) -> upper triangle.
     """
     point, smoothing = ca.MX.sym("z", z.numel()), ca.MX.sym("smoothing")
     total: Any = ca.MX(z.numel(), z.numel())
     for mapped, local, cost, weight in parts:
-        slope, second = _criterion_derivatives(cost, mapped.omega.size)
-        if second.nnz_out(0) > SPARSE * 2 * mapped.omega.size:
-            return None
+        slope, curvature_times = _criterion_derivatives(cost, mapped.omega.size, z.numel())
         omega = ca.SX.sym("omega")
         rows = ca.Function("rows", [z, omega], [ca.vertcat(*mapped.formula(local, omega))])
         r = ca.vec(_over(rows, mapped.omega)(point, mapped.omega[None]))
         jacobian = _over(_transposed_jacobian(rows), mapped.omega)(point, mapped.omega[None])
         pull = slope(r, smoothing)
-        total += weight * ca.mtimes([jacobian, second(r, smoothing), jacobian.T])
+        total += weight * ca.mtimes(jacobian, curvature_times(r, smoothing, jacobian.T))
         curvature = _curvature(rows)
         if curvature.nnz_out(0):
             summed = curvature.map("curvatures", "serial", mapped.omega.size, [0], [0])
@@ -126,12 +124,17 @@ def _over(function: ca.Function, omega: Array) -> ca.Function:
     return function.map(function.name(), "serial", omega.size, [0], [])
 
 
-def _criterion_derivatives(cost: Callable[[Complex, Any], Any], size: int) -> tuple[ca.Function, ca.Function]:
-    """Return (r, smoothing) -> φ' and φ'', r the real and imaginary parts in turn."""
+def _criterion_derivatives(
+    cost: Callable[[Complex, Any], Any], size: int, columns: int
+) -> tuple[ca.Function, Callable[[Any, Any, Any], Any]]:
+    """Return (r, smoothing) -> φ' and (r, smoothing, X) -> φ'' X, r and `columns` of X the parts in turn (2 size,)."""
     r, smoothing = ca.SX.sym("r", 2 * size), ca.SX.sym("smoothing")
     value = ca.SX(cost(Complex(r[0::2], r[1::2]), smoothing))
-    slope = ca.gradient(value, r)
-    return (
-        ca.Function("slope", [r, smoothing], [ca.densify(slope)]),
-        ca.Function("second", [r, smoothing], [ca.jacobian(slope, r)]),
-    )
+    gradient = ca.densify(ca.gradient(value, r))
+    slope = ca.Function("slope", [r, smoothing], [gradient])
+    if ca.jacobian(gradient, r[0]).nnz() <= SPARSE:
+        second = ca.Function("second", [r, smoothing], [ca.jacobian(gradient, r)])
+        return slope, lambda r, smoothing, x: ca.mtimes(second(r, smoothing), x)
+
+    along = slope.forward(1).map("along", "serial", columns, [0, 1, 2, 4], [])
+    return slope, lambda r, smoothing, x: along(r, smoothing, slope(r, smoothing), x, 0)

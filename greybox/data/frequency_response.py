@@ -1,13 +1,24 @@
 """The measured frequency response of one input-output pair."""
 
 import hashlib
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.numerical_range import out_of_range
 from greybox.data.text_table import counted, one_line, printable
+
+
+class Stretch(NamedTuple):
+    """A stretch of a record: the checksum of the record, and from when to when, s on its clock."""
+
+    checksum: str
+    start: float
+    end: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +43,9 @@ class FrequencyResponse:
         A label for tables and figures.
     source : str
         Where the numbers come from.
+    stretches : sequence of Stretch
+        The stretches of records that it was estimated from, as far as known: a fit to these and to the response would
+        use the same data twice.
 
     Raises
     ------
@@ -49,6 +63,7 @@ class FrequencyResponse:
     dof: NDArray[np.float64] | None = None
     name: str = ""
     source: str = field(default="", repr=False)
+    stretches: Sequence[Stretch] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check every value; write out control characters in names."""
@@ -67,6 +82,7 @@ class FrequencyResponse:
         self._check_ranges()
         for column in ("omega", "response"):
             self._check_size(column)
+        object.__setattr__(self, "stretches", tuple(_checked_stretch(*stretch) for stretch in self.stretches))
 
     def _set(self, name: str, value: ArrayLike, kind: type) -> None:
         try:
@@ -175,3 +191,9 @@ class FrequencyResponse:
             f"{self.name or 'frequency response'}: {pair}, {counted(len(self), 'frequency', 'frequencies')} from "
             f"{self.omega.min():g} to {self.omega.max():g} rad/s" + (f", with {', '.join(extras)}" if extras else "")
         )
+
+
+def _checked_stretch(checksum: str, start: float, end: float) -> Stretch:
+    if not (math.isfinite(start) and math.isfinite(end) and start <= end):
+        raise ValueError(f"a stretch runs from {start:g} to {end:g} s: give its first and its last time.")
+    return Stretch(printable(str(checksum)), float(start), float(end))

@@ -1,5 +1,6 @@
 """Frequency responses in files: CSV and HDF5."""
 
+import contextlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from greybox.data.delimited_text import DecimalMark, read_delimited
-from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.safe_files import require_file, write_text
 from greybox.data.text_table import counted
 
@@ -15,6 +16,7 @@ COLUMNS = ("omega_rad_s", "alpha", "beta", "coherence", "variance", "dof")
 EXTRAS = COLUMNS[3:]
 KIND = "frequency response"
 HDF5 = (".h5", ".hdf5")
+STRETCH = "# stretch"  # begins a comment line of a CSV file: checksum, start and end
 Node = Any
 
 
@@ -41,7 +43,8 @@ def read_response(
     if path.suffix.lower() in HDF5:
         return _read_hdf5(path, input, output, name)
 
-    table = read_delimited(path, path.read_bytes())
+    raw = path.read_bytes()
+    table = read_delimited(path, raw)
     header = table.header
     wanted = {c: header.index(_column(c, prefix)) for c in COLUMNS if _column(c, prefix) in header}
     missing = [_column(c, prefix) for c in COLUMNS[:3] if c not in wanted]
@@ -69,6 +72,7 @@ def read_response(
             **{c: values[c] for c in EXTRAS if c in values},
             name=name or path.stem,
             source=path.name,
+            stretches=_stretches_in(raw),
         )
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
@@ -77,9 +81,10 @@ def read_response(
 def write_response(response: FrequencyResponse, path: str | Path) -> None:
     """Write `response` to a CSV or, by the suffix .h5 or .hdf5, an HDF5 file that `read_response` reads back exactly.
 
-    CSV holds the numbers; HDF5 also the names of signals and source, and a checksum (see `greybox.data.sealed_files`):
-    attributes ``input, output, name, source`` and datasets ``omega, alpha, beta`` and, if known, ``coherence, variance,
-    dof``.
+    CSV holds the numbers and, in comments after them, the stretches of records that they come from; HDF5 also the names
+    of signals and source, and a checksum (see `greybox.data.sealed_files`): attributes ``input, output, name, source``
+    and datasets ``omega, alpha, beta`` and, if known, ``coherence, variance, dof`` and ``stretches`` (a text for each:
+    checksum, start and end).
     """
     path = Path(path)
     if path.suffix.lower() in HDF5:
@@ -91,6 +96,7 @@ def write_response(response: FrequencyResponse, path: str | Path) -> None:
     columns |= {c: getattr(response, c) for c in EXTRAS if getattr(response, c) is not None}
     rows = zip(*columns.values(), strict=True)
     lines = [",".join(columns), *(",".join(repr(float(v)) for v in row) for row in rows)]
+    lines += [f"{STRETCH} {_stretch_line(s)}" for s in response.stretches]
     write_text(path, "\n".join(lines) + "\n")
 
 
@@ -98,6 +104,11 @@ def write_group(group: Node, response: FrequencyResponse) -> None:
     """Write `response` into an HDF5 group."""
     for name in ("input", "output", "name", "source"):
         group.attrs[name] = getattr(response, name)
+    if response.stretches:
+        import h5py  # noqa: PLC0415  (reading does not need it)
+
+        lines = [_stretch_line(s) for s in response.stretches]
+        group.create_dataset("stretches", data=lines, dtype=h5py.string_dtype())
     for column in ("omega", "alpha", "beta", *EXTRAS):
         if getattr(response, column) is not None:
             group[column] = getattr(response, column)
@@ -107,7 +118,9 @@ def read_group(group: Node) -> FrequencyResponse:
     """Read a `FrequencyResponse` from an HDF5 group."""
     extras = {column: group[column][()] for column in EXTRAS if column in group}
     texts: dict[str, Any] = {name: str(group.attrs[name]) for name in ("input", "output", "name", "source")}
-    return FrequencyResponse(group["omega"][()], group["alpha"][()] + 1j * group["beta"][()], **texts, **extras)
+    stretches = [_stretch(line) for line in group["stretches"][()]] if "stretches" in group else []
+    response = group["alpha"][()] + 1j * group["beta"][()]
+    return FrequencyResponse(group["omega"][()], response, **texts, **extras, stretches=stretches)
 
 
 def _read_hdf5(path: Path, input: str, output: str, name: str) -> FrequencyResponse:
@@ -121,6 +134,25 @@ def _read_hdf5(path: Path, input: str, output: str, name: str) -> FrequencyRespo
         output=output or response.output,
         name=name or response.name,
     )
+
+
+def _stretch_line(stretch: Stretch) -> str:
+    return f"{stretch.checksum} {stretch.start!r} {stretch.end!r}"
+
+
+def _stretch(line: str) -> Stretch:
+    checksum, start, end = line.rsplit(maxsplit=2)
+    return Stretch(checksum.strip(), float(start), float(end))
+
+
+def _stretches_in(raw: bytes) -> list[Stretch]:
+    """Return the stretches that comments of a CSV file state; comments that only begin like them state none."""
+    found = []
+    for line in raw.decode("utf-8", "replace").splitlines():
+        if line.startswith(f"{STRETCH} "):
+            with contextlib.suppress(ValueError):
+                found.append(_stretch(line.removeprefix(STRETCH)))
+    return found
 
 
 def _column(name: str, prefix: str) -> str:

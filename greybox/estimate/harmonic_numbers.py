@@ -52,7 +52,7 @@ def _enough(problem: Problem) -> int | None:
 def _with_harmonics(problem: AnyProblem, harmonics: Sequence[int | None]) -> AnyProblem:
     """Return the problem with these numbers of harmonics; None where there is no sine."""
     parts = [
-        part if number is None else replace(part, amplitude=replace(part.amplitude, harmonics=number))
+        part if number is None else part.with_(amplitude=replace(part.amplitude, harmonics=number))
         for part, number in zip(problem.parts, harmonics, strict=True)
     ]
     return parts[0] if isinstance(problem, Problem) else Sum(tuple(parts), problem.name)

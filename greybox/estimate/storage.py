@@ -15,7 +15,7 @@ Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``
                  condition, delay, weight, label, equation, checksum`` and, as JSON, ``settings`` (of the criterion),
                  ``model, rename, tied, constraints``, and group ``data``.
                  Of a response: attribute ``pade_error``, as JSON ``at`` and, if any, ``sine``; groups ``data`` and
-                 ``curve`` (``omega, alpha, beta`` and, if known, ``coherence, variance, dof``) and the fitted
+                 ``curve`` (``omega, alpha, beta`` and, if known, ``coherence, variance, dof, stretches``), the fitted
                  ``response_alpha, response_beta`` at the data's frequencies.
                  Of a record: attributes ``method, inputs, nuisances``, as JSON ``outputs, biases, gains``; groups
                  ``data`` and ``simulated`` (``time`` and ``signals/...``, each with its ``unit`` and, if

@@ -18,11 +18,14 @@ from numpy.typing import NDArray
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.formulation.criterion import AnyCriterion
 from greybox.modeling.complex_arithmetic import Complex
-from greybox.modeling.functions import sqrt
+from greybox.modeling.functions import log, sqrt
 
 _DB_PER_NEPER = 20 / math.log(10)  # dB per unit of natural logarithm of a magnitude
 _DEGREES_PER_RADIAN = 180 / math.pi
 
+
+# Relative variance that is added to an estimated one: an exact fit has that of rounding errors, as in time.
+ROUNDING_VARIANCE = 1e-18
 
 # Of the fixed point for the size of the noise, each of which halves what is left, at worst (two degrees of freedom).
 SCALE_ITERATIONS = 40
@@ -32,9 +35,15 @@ class Criterion(AnyCriterion):
     """A rule that measures the mismatch of frequency responses; its `cost` is what is minimized.
 
     See `AnyCriterion` for what a subclass states about itself.
+
+    Attributes
+    ----------
+    uses : tuple of str or None
+        What it takes of the data beside the response: "variance", "coherence"; None where it does not say.
     """
 
     condition: ClassVar[str] = "errors isotropic in the complex plane and of one relative size"
+    uses: ClassVar[tuple[str, ...] | None] = None
 
     def check(self, data: FrequencyResponse) -> None:
         """Raise ValueError when `data` do not hold what the criterion needs."""
@@ -66,6 +75,10 @@ class Criterion(AnyCriterion):
     ) -> tuple[float, NDArray[np.float64]]:
         """Return `bread` and `meat` (2n,); `correction` scales the noise size for the parameters estimated."""
 
+    def error_size(self, model: NDArray[np.complex128], data: FrequencyResponse) -> NDArray[np.float64]:
+        """Return what the errors of the points are in proportion to, (n,): by default the model's magnitude."""
+        return np.abs(model)
+
     def noise_ratio(self, model: NDArray[np.complex128], data: FrequencyResponse) -> float:
         """Return how many times as large as the given noise the residuals are, in squares; of `known_noise` alone."""
         return float(self.cost(Complex(model.real, model.imag), data)) / len(data)
@@ -80,6 +93,7 @@ class _Relative(Criterion):
 
     normalized: Literal["measured", "model"] = "measured"
     measured_bias: ClassVar[float]
+    uses: ClassVar[tuple[str, ...] | None] = ()
 
     @property
     def variant(self) -> str:
@@ -167,6 +181,54 @@ class SquaredRelativeError(_Relative):
 
 
 @dataclass(frozen=True, eq=False)
+class RelativeLikelihood(Criterion):
+    """Maximum likelihood for circular complex normal errors of one relative variance, which is estimated along.
+
+    With errors of variance E|P̂ - P|² = σ² |P|² the negative log-likelihood is n log σ² + Σ log |P|² + Σ |P̂ - P|²/(σ²
+    |P|²), and at the best σ² that is
+
+        n (log mean(|P̂ - P|² / |P|²) + 1) + Σ log (|P|² / v),
+
+    up to a constant of the data; v are their variances if they have them, so that it can be compared with
+    `MaximumLikelihood`, otherwise |P̂|². The gain has no bias: where errors are over the model's magnitude the term log
+    |P|² balances it. This is what `RelativeError` gives way to in a sum with a record, whose cost is such a likelihood
+    too. The standard errors s² (JᵀJ)⁻¹ are those of errors of one relative size.
+
+    Source: Pintelon and Schoukens, System Identification, 2nd ed., section 9.11, with σ² eliminated.
+    """
+
+    rule: ClassVar[str] = "maximum likelihood, one unknown relative variance"
+    is_likelihood: ClassVar[bool] = True
+    uses: ClassVar[tuple[str, ...] | None] = ()
+
+    @property
+    def locator(self) -> Criterion | None:
+        """The squared relative error, which has nearly the same minimum and no logarithm of it."""
+        return SquaredRelativeError()
+
+    def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
+        """Return the negative log-likelihood at the best variance, to which `smoothing` is added."""
+        size = _squares(model)
+        scale = np.abs(data.response) ** 2 if data.variance is None else data.variance
+        variance = _total(_squares(model - data.response) / size) / len(data) + smoothing + ROUNDING_VARIANCE
+        return len(data) * (log(variance) + 1) + _total(log(size / scale))
+
+    def jacobian(
+        self, model: NDArray[np.complex128], sensitivity: NDArray[np.complex128], data: FrequencyResponse
+    ) -> NDArray[np.float64]:
+        """Return the derivatives of the relative errors, the normalization held."""
+        return _stack(sensitivity / np.abs(model)[:, None])
+
+    def spread(
+        self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
+    ) -> tuple[float, NDArray[np.float64]]:
+        """Weights of the variance that the cost took, and the corrected one of the errors."""
+        s2 = float(np.mean(np.abs(1 - data.response / model) ** 2)) / 2
+        bread = 1 / s2 if s2 > 0 else math.inf
+        return bread, np.full(2 * len(data), correction**2 * bread)
+
+
+@dataclass(frozen=True, eq=False)
 class MagnitudePhase(Criterion):
     """Magnitude and phase errors weighted by coherence, the cost of CIFER.
 
@@ -175,11 +237,17 @@ class MagnitudePhase(Criterion):
 
     Source: Tischler and Remple, Aircraft and Rotorcraft System Identification, 2nd ed., section 11.2.
     Phases are compared on the circle, within ±180°. The minimum is located with the squared relative error first, since
-    wrapping makes local minima. The standard errors propagate isotropic errors of one relative size (or the data's own
-    variances, where given) through the weights.
+    wrapping makes local minima. The standard errors propagate isotropic errors through the weights: of the data's own
+    variances; or else of relative variances in proportion to (1 - γ²)/γ², as random errors of a spectral estimate have
+    (Bendat and Piersol, Random Data, 4th ed., section 9.2), or of one relative size, both scaled by the residuals.
     """
 
     rule: ClassVar[str] = "coherence-weighted magnitude (dB) and phase (deg), CIFER"
+    condition: ClassVar[str] = (
+        "errors isotropic in the complex plane, of the given variances, else of relative sizes by the coherence, else "
+        "of one relative size"
+    )
+    uses: ClassVar[tuple[str, ...] | None] = ("coherence",)
     magnitude_weight: ClassVar[float] = 1.0
     phase_weight: ClassVar[float] = 0.01745
 
@@ -206,12 +274,26 @@ class MagnitudePhase(Criterion):
         self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
     ) -> tuple[float, NDArray[np.float64]]:
         """Noise size of one component relative to the magnitude, times the weights."""
-        if data.variance is not None:
-            s2 = data.variance / 2 / np.abs(data.response) ** 2
-        else:
+        shape = self._relative_variance(data)
+        s2 = shape / 2
+        if data.variance is None:
+            # In the mean of the cost, in which a coherence that was rounded to 1 is no point without an error.
+            weight, _ = self._weights(data)
             error = np.log(model / data.response)
-            s2 = np.full(len(data), np.mean(np.abs(error) ** 2) / 2 * correction**2)
+            s2 = s2 * np.sum((weight * np.abs(error)) ** 2) / np.sum(weight**2 * shape) * correction**2
         return 2.0, 4 * np.concatenate([w**2 * s2 for w in self._weights(data)])
+
+    def error_size(self, model: NDArray[np.complex128], data: FrequencyResponse) -> NDArray[np.float64]:
+        """Return the roots of the given variances, or of those by the coherence."""
+        return np.abs(model) * np.sqrt(self._relative_variance(data))
+
+    def _relative_variance(self, data: FrequencyResponse) -> NDArray[np.float64]:
+        """Return the relative variances (n,), both components together, up to a factor where they are not given."""
+        if data.variance is not None:
+            return data.variance / np.abs(data.response) ** 2
+        if data.coherence is None or np.all(data.coherence == 1):
+            return np.ones(len(data))
+        return (1 - data.coherence) / data.coherence
 
     def _weights(self, data: FrequencyResponse) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Square roots of the weights of log magnitude and phase, with the units and 20/n inside."""
@@ -244,6 +326,7 @@ class MaximumLikelihood(Criterion):
     rule: ClassVar[str] = "maximum likelihood, given variances"
     known_noise: ClassVar[bool] = True
     is_likelihood: ClassVar[bool] = True
+    uses: ClassVar[tuple[str, ...] | None] = ("variance",)
     condition: ClassVar[str] = "circular errors of the given variances, scaled up if the residuals are larger"
 
     def check(self, data: FrequencyResponse) -> None:
@@ -278,6 +361,10 @@ class MaximumLikelihood(Criterion):
         ratio = max(self.noise_ratio(model, data) * correction**2, 1.0)
         few = np.ones(len(data)) if data.dof is None else (data.dof + 2) / data.dof
         return 2.0, 4 * 0.5 * ratio * np.tile(few, 2)
+
+    def error_size(self, model: NDArray[np.complex128], data: FrequencyResponse) -> NDArray[np.float64]:
+        """Return the roots of the given variances."""
+        return np.sqrt(_variance(data))
 
     def noise_ratio(self, model: NDArray[np.complex128], data: FrequencyResponse) -> float:
         """Return how many times as large as the given variances the squared residuals are, by maximum likelihood."""

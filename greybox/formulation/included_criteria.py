@@ -5,6 +5,7 @@ from greybox.formulation.frequency_criteria import (
     MagnitudePhase,
     MaximumLikelihood,
     RelativeError,
+    RelativeLikelihood,
     SquaredRelativeError,
 )
 from greybox.formulation.time_criteria import OutputError, PredictionError, TimeCriterion
@@ -13,6 +14,7 @@ CRITERIA: tuple[Criterion, ...] = (
     RelativeError(),
     RelativeError(normalized="model"),
     SquaredRelativeError(),
+    RelativeLikelihood(),
     MagnitudePhase(),
     MaximumLikelihood(),
 )

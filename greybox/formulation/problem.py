@@ -38,7 +38,8 @@ class Problem:
         Meets the model by the names of its inputs and outputs. Outputs that a record does not hold are not compared.
         Files are read first, by `gb.read_response` or `gb.read`; see `several` for more than one record.
     criterion : Criterion or TimeCriterion, optional
-        `RelativeError` (4.26) by default for a response, `OutputError` for a record.
+        `RelativeError` (4.26) by default for a response, `OutputError` for a record. In a sum with a record the default
+        for a response is `RelativeLikelihood`, see `Sum`.
     fixed : mapping of name to value, or a Fit
         Parameters held constant. A `Fit`, whole or as the value of a name, gives its estimate and its covariance, which
         then widens the standard errors here.
@@ -108,6 +109,7 @@ class Problem:
         self._check_functions()
 
     def _fill_in_defaults(self) -> None:
+        object.__setattr__(self, "_has_default_criterion", self.criterion is None)
         if self.criterion is None:
             object.__setattr__(self, "criterion", OutputError() if isinstance(self.data, Record) else RelativeError())
         if isinstance(self.free, str):
@@ -296,9 +298,15 @@ class Problem:
             return Sum((*other.as_added, self))
         return self if other == 0 else NotImplemented  # the built-in sum() begins with 0
 
+    @property
+    def has_default_criterion(self) -> bool:
+        """Whether no criterion was asked for."""
+        return self.__dict__["_has_default_criterion"]
+
     def with_(self, **changes: Any) -> Self:
-        """Return the same problem with some fields changed."""
-        return replace(self, **changes)
+        """Return the same problem with some fields changed; a criterion that was left out stays so."""
+        left_out = {"criterion": None} if self.has_default_criterion else {}
+        return replace(self, **{**left_out, **changes})
 
     def __repr__(self) -> str:
         return one_line(self, repr(self.name), f"{self.model.label} to {self.data!r:.60}", self.criterion.name)

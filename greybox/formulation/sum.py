@@ -7,6 +7,8 @@ from typing import Any, Generic
 import numpy as np
 
 from greybox.data.text_table import counted, one_line
+from greybox.formulation.added_criteria import with_costs_that_add
+from greybox.formulation.data_used_twice import require_data_once
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.formulation.sensor_biases import with_numbered_biases
 from greybox.formulation.summand import Part
@@ -27,19 +29,25 @@ class Sum(Generic[Part]):
     ``x_bias_2`` ..., numbered as the records are. Parts of the same record share it; so do parts that give it one name,
     ``rename={"x_bias": "x_bias"}``.
 
+    Likelihoods add. Beside one, as that of every record is, a response whose criterion was left out is fitted by
+    `RelativeLikelihood`, not by `RelativeError`.
+
     Raises
     ------
     ValueError
-        If parameters of one name have different units, or are fixed, tied or bounded in ways that contradict.
+        If a criterion that was asked for is a likelihood and another one is not, or a response was estimated from a
+        record that is added to it. If parameters of one name have different units, or are fixed, tied or bounded in
+        ways that contradict.
     """
 
     parts: tuple[Part, ...]
     name: str = ""
 
     def __post_init__(self) -> None:
-        """Give biases their numbers, merge the parameters and check that ties agree."""
+        """Give criteria whose costs add and biases their numbers, merge the parameters and check that ties agree."""
+        require_data_once(self.parts)
         object.__setattr__(self, "_as_added", self.parts)
-        object.__setattr__(self, "parts", with_numbered_biases(self.parts))
+        object.__setattr__(self, "parts", with_numbered_biases(with_costs_that_add(self.parts)))
         if not self.name:
             object.__setattr__(self, "name", " + ".join(dict.fromkeys(part.name for part in self.parts)))
 
@@ -71,7 +79,7 @@ class Sum(Generic[Part]):
 
     @property
     def as_added(self) -> tuple[Part, ...]:
-        """The parts as they were added, before their biases were numbered."""
+        """The parts as they were added, before their criteria were settled and their biases numbered."""
         return self.__dict__["_as_added"]
 
     @property

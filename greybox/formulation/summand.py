@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, Protocol, Self, TypeVar
 
+from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.modeling.model import Model
 from greybox.modeling.parameter import Parameter
@@ -24,6 +25,16 @@ class Summand(Protocol):
     @property
     def data(self) -> Any:
         """A record, or a frequency response."""
+        ...
+
+    @property
+    def criterion(self) -> AnyCriterion:
+        """The rule that measures the mismatch."""
+        ...
+
+    @property
+    def has_default_criterion(self) -> bool:
+        """Whether nothing else was asked for."""
         ...
 
     @property

@@ -20,6 +20,10 @@ from greybox.solve.outcome import INTERRUPTED, Outcome
 Array = NDArray[np.float64]
 
 CONVERGED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+
+# From a minimum that was located: its rounding errors are all that is left, as where a logarithm of nearly nothing is
+# minimized.
+ROUNDED = "Search_Direction_Becomes_Too_Small"
 INVALID = "Invalid_Number_Detected"
 STOPPED = "User_Requested_Stop"
 
@@ -100,8 +104,9 @@ class IpoptSolver(LocalSolver):
         """Solve from the parameters `start` (p,)."""
         began = time.perf_counter()
         z: Any = self._nlp.scaling.to_solver(start)
-        iterations, status = 0, ""
+        iterations, status, located = 0, "", False
         for stage in self._stages:
+            located = status in CONVERGED
             z = stage(x0=z, p=smoothing, **self._bounds)["x"]
             stats = stage.stats()
             iterations, status = iterations + int(stats["iter_count"]), stats["return_status"]
@@ -110,7 +115,8 @@ class IpoptSolver(LocalSolver):
                 break
         estimate = self._nlp.scaling.to_parameters(np.asarray(z).ravel())
         estimate = np.clip(estimate, self._nlp.lower, self._nlp.upper)
-        return Outcome(estimate, status, iterations, time.perf_counter() - began, status in CONVERGED)
+        converged = status in CONVERGED or (located and status == ROUNDED)
+        return Outcome(estimate, status, iterations, time.perf_counter() - began, converged)
 
     def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
         """Return the point x (p,): there is nothing hidden."""

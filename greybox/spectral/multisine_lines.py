@@ -76,8 +76,11 @@ def _whole_periods(stretch: UniformStretch, period: float) -> UniformStretch:
         raise ValueError(
             f"a period of {period:g} s is {period / stretch.step:.6g} samples: resample so that it is a whole number."
         )
-    kept = stretch.values.shape[1] // count * count
-    return stretch._replace(values=stretch.values[:, stretch.values.shape[1] - kept :], step=period / count)
+    left_out = stretch.values.shape[1] % count
+    origin = stretch.origin
+    if origin is not None:
+        origin = origin._replace(start=min(origin.start + left_out * stretch.step, origin.end))
+    return stretch._replace(values=stretch.values[:, left_out:], step=period / count, origin=origin)
 
 
 def _excited_lines(stretches: Sequence[UniformStretch], period: float) -> Array:

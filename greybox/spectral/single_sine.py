@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.record import Record, require_time
 from greybox.data.test_segment import Segment, checked_segments
 from greybox.spectral.demodulation import (
@@ -140,7 +141,9 @@ def finite_frequency(  # noqa: PLR0913 - one keyword for each choice
 
     frequencies = sorted({p.omega for p in points})
     merged = tuple(averaged([p for p in points if p.omega == omega]) for omega in frequencies)
-    return FiniteFrequency(_response(merged, record, input, output), merged, tuple(left_out))
+    response = _response(merged, record, input, output)
+    stretches = [Stretch(record.checksum, p.start, p.end) for p in points]
+    return FiniteFrequency(replace(response, stretches=stretches), merged, tuple(left_out))
 
 
 def _point(settings: _Settings, segment: Segment) -> FrequencyPoint:

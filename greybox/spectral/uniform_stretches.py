@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.data.frequency_response import Stretch
 from greybox.data.record import Record, require_time
 
 Array = NDArray[np.float64]
@@ -19,11 +20,12 @@ CONSTANT = 1e-12
 
 
 class UniformStretch(NamedTuple):
-    """Uniform samples without gaps, (signals, n); the sampling interval, s; and the file that they come from."""
+    """Uniform samples without gaps, (signals, n); the sampling interval, s; the file and the stretch of the record."""
 
     values: Array
     step: float
     source: str
+    origin: Stretch | None = None
 
 
 def uniform_stretches(records: Record | Sequence[Record], signals: Sequence[str], detrend: str) -> list[UniformStretch]:
@@ -55,8 +57,11 @@ def uniform_stretches(records: Record | Sequence[Record], signals: Sequence[str]
             present = np.flatnonzero(np.all(np.isfinite(values), axis=0))
             for rows in np.split(present, np.flatnonzero(np.diff(present) > 1) + 1):
                 if rows.size > 1:
-                    _check_uniform(piece.time[rows], record)
-                    stretches.append(UniformStretch(_detrended(values[:, rows], detrend), piece.step, record.source))
+                    time = piece.time[rows]
+                    _check_uniform(time, record)
+                    origin = Stretch(record.checksum, float(time[0]), float(time[-1]))
+                    kept = _detrended(values[:, rows], detrend)
+                    stretches.append(UniformStretch(kept, piece.step, record.source, origin))
 
     constant = [name for k, name in enumerate(signals) if all(np.ptp(s.values[k]) <= CONSTANT for s in stretches)]
     if stretches and constant:

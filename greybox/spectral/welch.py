@@ -188,6 +188,7 @@ def response_at(
         dof[good],
         name,
         ", ".join(dict.fromkeys(s.source for s in stretches if s.source)),
+        [s.origin for s in stretches if s.origin is not None],
     )
 
 

@@ -525,6 +525,8 @@ def coverage():
         ("rotor, 9 points, 2 % noise", "RelativeError"),
         ("tilt, 24 points, 5 % noise", "RelativeError"),
         ("lags, 40 points, 5 % noise", "MaximumLikelihood"),
+        ("tilt, 24 points, 5 % noise", "RelativeLikelihood"),
+        ("rotor, 9 points, 2 % noise", "MagnitudePhase, coherence"),
         ("two-step, rotor 2 %, then tilt 5 %", "SquaredRelativeError"),
     ],
 )

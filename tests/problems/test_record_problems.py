@@ -421,7 +421,7 @@ def joint(weights=(1.0, 1.0), seed=0):
     response = measured(StepLag(), np.geomspace(0.3, 20, 20), truth, noise=0.02, seed=seed)
     return [
         gb.Problem(StepLag(), data, HELD, weight=weights[0]),
-        gb.Problem(StepLag(), response, gb.SquaredRelativeError(), weight=weights[1]),
+        gb.Problem(StepLag(), response, gb.RelativeLikelihood(), weight=weights[1]),
     ]
 
 
@@ -438,8 +438,7 @@ def test_a_joint_fit_adds_information():
     names = ("K", "T")
     time, frequency = joint()
     alone = [fit(part) for part in (time, frequency)]
-    # The squared relative errors become a likelihood by their own noise.
-    together = fit(time + frequency.with_(weight=1 / (2 * 0.02**2)))
+    together = fit(time + frequency)
     information = sum(np.linalg.inv(f.covariance_of(names)) for f in alone)
     assert_allclose(errors(together, names), np.sqrt(np.diag(np.linalg.inv(information))), rtol=0.15)
     assert_true(together, {"K": 2.0, "T": 0.4})

@@ -1,0 +1,39 @@
+"""The same measurement must not enter a sum twice: as a record, and as a response estimated from it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from greybox.data.frequency_response import FrequencyResponse, Stretch
+from greybox.data.record import Record
+from greybox.formulation.summand import Summand
+
+
+def require_data_once(parts: Sequence[Summand]) -> None:
+    """Refuse a record together with a response that was estimated from a stretch of it.
+
+    Their errors are the same, and adding their likelihoods would count what they tell twice.
+
+    Raises
+    ------
+    ValueError
+        With the stretch.
+    """
+    records = [part for part in parts if isinstance(part.data, Record)]
+    for part in parts:
+        if not isinstance(part.data, FrequencyResponse):
+            continue
+        for stretch in part.data.stretches:
+            used = next((record for record in records if _holds(record.data, stretch)), None)
+            if used is not None:
+                raise ValueError(
+                    f"the response {part.name!r} was estimated from {stretch.start:g} to {stretch.end:g} s of the "
+                    f"record {used.name!r}, which would count the same data twice: leave one of them out, or fit the "
+                    "record between other times, record.between(start, end)."
+                )
+
+
+def _holds(record: Record, stretch: Stretch) -> bool:
+    """Tell whether a record has samples of a stretch, more than the one at which two stretches may meet."""
+    first, last = np.searchsorted(record.time, [stretch.start, np.nextafter(stretch.end, np.inf)])
+    return record.checksum == stretch.checksum and int(last - first) > 1
