@@ -105,6 +105,7 @@ def _as_json(result: Fit) -> dict[str, Any]:
         "outputs": [_output(part, name) for part in result.records for name in part.outputs],
         "at_bound": [q.name for q in result.quantities if q.at_bound],
         "warnings": list(result.warnings),
+        "notes": list(result.notes),
         "checksum": result.checksum,
         "seconds": result.seconds,
         "versions": dict(result.versions),

@@ -31,7 +31,9 @@ from greybox.estimate.diagnostics.general import warnings
 from greybox.estimate.diagnostics.harmonics import harmonic_warnings
 from greybox.estimate.diagnostics.intersample import intersample_warnings
 from greybox.estimate.diagnostics.not_finite import explained, not_finite_warnings
+from greybox.estimate.diagnostics.outlying_points import Deviations, outlying_points
 from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
+from greybox.estimate.diagnostics.unused_noise import unused_noise
 from greybox.estimate.fitted_record import fitted_record, stated
 from greybox.estimate.harmonic_numbers import are_open, with_enough_harmonics, with_more_harmonics
 from greybox.estimate.quantities import quantities
@@ -204,6 +206,8 @@ def assemble(
         fitted_part(part, trajectory, nlp.all_values(best), dict(part.problem.local_values(estimate)))
         for part, trajectory in zip(nlp.parts, trajectories or (None,) * len(nlp.parts), strict=True)
     )
+    # What one start found may be another minimum, which has other deviations.
+    deviations = outlying_points(nlp, best, accuracy, noted=len(search.runs) > 1) if found else Deviations()
     pade_errors = [part.pade_error if isinstance(part, FittedResponse) else None for part in parts]
     return Fit(
         name=problem.name,
@@ -225,7 +229,9 @@ def assemble(
             *(intersample_warnings(nlp, best, accuracy) if found else ()),
             *(harmonic_warnings(nlp, best, accuracy) if found else ()),
             *(warnings(nlp, search, accuracy, pade_errors, trajectories) if found else ()),
+            *deviations.warnings,
         ),
+        notes=(*deviations.notes, *(unused_noise(problem) if found else ())),
         seed=seed,
         starts=starts,
         seconds=time.perf_counter() - began,

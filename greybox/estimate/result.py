@@ -232,6 +232,8 @@ class Fit:
         not hold what it needs. Empty for fits with records.
     white : (p, p) array or None
         What the covariance of the free parameters would be if the cost were the likelihood of white errors.
+    warnings, notes : tuple of str
+        What to know before believing the estimate; and what may be worth a look.
     models, given : tuple of Model or None, tuple of Model or class
         The models that were fitted; None for a loaded fit, whose models are those of greybox and those given to `load`.
     """
@@ -255,6 +257,7 @@ class Fit:
     models: tuple[Model, ...] | None = field(default=None, repr=False)
     given: tuple[Model | type[Model], ...] = field(default=(), repr=False)
     white: NDArray[np.float64] | None = field(default=None, repr=False)
+    notes: tuple[str, ...] = ()
 
     @property
     def responses(self) -> tuple[FittedResponse, ...]:
@@ -436,7 +439,7 @@ def _text(fit: Fit) -> str:
         _overview(fit),
         [*_table(fit), *(["", f"  ± is the standard error for {_error_condition(fit)}."] if fit.dof > 0 else [])],
         _other_criteria(fit),
-        [*warnings, f"  {fit.seconds:.2f} s; starts: {fit.starts}"],
+        [*warnings, *(f"  note: {text}" for text in fit.notes), f"  {fit.seconds:.2f} s; starts: {fit.starts}"],
     )
     return "\n\n".join("\n".join(lines) for lines in sections if lines)
 

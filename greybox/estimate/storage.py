@@ -4,7 +4,7 @@ Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``
 -----------------------------------------------------------------------------------------
 ``/``            attributes ``format`` ("greybox fit"), ``layout``, ``name``, ``criterion``, ``delay``, ``status``,
                  ``cost``, ``dof``, ``seed``, ``starts``, ``seconds``, ``checksum`` (SHA-256 of the data, part by part);
-                 JSON attributes ``costs`` and ``versions``; dataset ``warnings``.
+                 JSON attributes ``costs`` and ``versions``; datasets ``warnings`` and, if any, ``notes``.
 ``/quantities``  one row per parameter and derived quantity: ``name, value, standard_error, kind, unit, about, bounds,
                  at_bound, dof``.
 ``/covariance``  ``names`` (k,) and ``values`` (k, k); if known, ``white`` (p, p) of the free ones for white errors.
@@ -113,6 +113,8 @@ def _write(file: Node, fit: Fit) -> None:
     _attributes(file, format="greybox fit", layout=LAYOUT, **{name: getattr(fit, name) for name in scalars})
     _attributes(file, costs=json.dumps(_finite(fit.costs)), versions=json.dumps(dict(fit.versions)))
     _texts(file, "warnings", fit.warnings)
+    if fit.notes:
+        _texts(file, "notes", fit.notes)
     group = file.create_group("quantities")
     for column in ("name", "kind", "unit", "about"):
         _texts(group, column, [getattr(q, column) for q in fit.quantities])
@@ -199,6 +201,7 @@ def _read(file: Stored) -> Fit:
         runs=runs,
         minima=_read_minima(file, runs, len(free)),
         warnings=_read_texts(file["warnings"], keep=LINES),
+        notes=_read_texts(file["notes"], keep=LINES) if "notes" in file else (),
         seed=int(attributes["seed"]) if "seed" in attributes else None,
         starts=_text(attributes["starts"]),
         seconds=float(attributes["seconds"]),

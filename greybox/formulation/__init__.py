@@ -1,13 +1,12 @@
 """What is estimated from what, by which rule.
 
-Begin with `problem`: a model, data and a criterion, with fixed, free, tied and renamed parameters; problems add
-to a `sum`, which asks of each part what stands in `summand`: `added_criteria` sees to it that their costs add, and
-`data_used_twice` that none of their data are there twice. What all rules share is in `criterion`, the rules
-themselves in `frequency_criteria` and `time_criteria`, the list of them in `included_criteria`. `several` states one
-problem for several records, `sensor_biases` numbers the biases that each record has for itself, `held_estimate` is what
-a problem asks of an earlier `Fit` whose values it holds fixed, `input_assumptions` says how inputs run between their
-samples, and `starts` are the points from which a search begins,
-one rule a class.
+Begin with `problem`: a model, data and a criterion, with fixed, free, tied and renamed parameters; problems add to a
+`sum`, which asks of each part what stands in `summand`: `added_criteria` sees to it that their costs add, and
+`data_used_twice` that none of their data are there twice. What all rules share is in `criterion`, the rules themselves
+in `frequency_criteria` and `time_criteria`, the list of them in `included_criteria`. `several` states one problem for
+several records, `sensor_biases` numbers the biases that each record has for itself, `held_estimate` is what a problem
+asks of an earlier `Fit` whose values it holds fixed, `input_assumptions` says how inputs run between their samples, and
+`starts` are the points from which a search begins, one rule a class.
 """
 
 from greybox.formulation.frequency_criteria import Criterion as Criterion

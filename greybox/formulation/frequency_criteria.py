@@ -247,7 +247,7 @@ class MagnitudePhase(Criterion):
         "errors isotropic in the complex plane, of the given variances, else of relative sizes by the coherence, else "
         "of one relative size"
     )
-    uses: ClassVar[tuple[str, ...] | None] = ("coherence",)
+    uses: ClassVar[tuple[str, ...] | None] = ("coherence", "variance")
     magnitude_weight: ClassVar[float] = 1.0
     phase_weight: ClassVar[float] = 0.01745
 

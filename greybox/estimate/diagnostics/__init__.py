@@ -3,7 +3,9 @@
 Begin with `general`, which asks what concerns every fit, most serious first: `identifiability` (which parameters do the
 data determine?), `global_minimum` (is it the global minimum, and the only one?), `delay_approximation` (is the Padé
 delay close enough?), `noise_level` (is the noise as large as assumed?) and `frequency_correlation` (are the errors of
-neighboring frequencies independent?). `records` looks at residuals in time, `intersample` at what was assumed of the
-inputs between samples, `discretization` at the integration, `harmonics` at the number of harmonics of a sine test, and
-`not_finite` says where and why a model gives no finite value. `repeated` says once what holds for many records.
+neighboring frequencies independent?). `outlying_points` names the point that lies farthest off and gives the answer
+without it, `unused_noise` what the data say about their errors in vain. `records` looks at residuals in time,
+`intersample` at what was assumed of the inputs between samples, `discretization` at the integration, `harmonics` at the
+number of harmonics of a sine test, and `not_finite` says where and why a model gives no finite value. `repeated` says
+once what holds for many records.
 """
