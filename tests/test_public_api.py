@@ -23,7 +23,7 @@ arccos arcsin arctan arctan2 cos exp g log maximum minimum sign sin sqrt tan tan
 """.split()
 
 NAMESPACES = {
-    "data": "FrequencyResponse Record Recording Segment read_response segment_table write_response",
+    "data": "FrequencyResponse Record Recording Segment Stretch read_response segment_table write_response",
     "experiment": "Controller Excitation ardupilot_script multisine sine_schedule sweep systemid_parameters "
     "virtual_flight write_excitation",
     "formulation": "Criterion MagnitudePhase MaximumLikelihood OutputError PredictionError Problem RelativeError "

@@ -12,6 +12,7 @@ only place where an HDF5 file is read.
 """
 
 from greybox.data.frequency_response import FrequencyResponse as FrequencyResponse
+from greybox.data.frequency_response import Stretch as Stretch
 from greybox.data.record import Record as Record
 from greybox.data.record import Recording as Recording
 from greybox.data.response_file import read_response as read_response

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, share_samples
 from greybox.data.text_table import alternatives, counted, number, one_line, some, text_table, with_error
+from greybox.formulation.frequency_criteria import RelativeLikelihood
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.input_assumptions import Inputs, described_inputs
 from greybox.modeling.model import Model
@@ -139,6 +140,11 @@ class FittedResponse(FittedPart):
     at: Mapping[str, float]
     pade_error: float | None
     sine: Sine | None = None
+
+    @property
+    def nuisances(self) -> int:
+        """How many variances of the noise were estimated along: one by `RelativeLikelihood`."""
+        return int(self.criterion == RelativeLikelihood().name)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

@@ -79,7 +79,7 @@ def count_numbers(part: FittedResponse | FittedRecord) -> int:
 
 def count_unknowns(fit: Fit) -> int:
     """Return how many numbers were estimated: free parameters, initial states, and variances of the noise."""
-    return len(fit.free) + sum(part.nuisances for part in fit.records)
+    return len(fit.free) + sum(part.nuisances for part in fit.parts)
 
 
 def is_likelihood(fit: Fit) -> bool:

@@ -396,7 +396,7 @@ def _no_likelihood(fits: Sequence[Fit]) -> Iterator[str]:
     if rules:
         yield (
             f"AIC and BIC do not exist for {' and '.join(sorted(rules))}, which is no likelihood: compare the costs; "
-            "with the variance of every point, MaximumLikelihood() has them."
+            "RelativeLikelihood() has them, and with the variance of every point MaximumLikelihood()."
         )
 
 

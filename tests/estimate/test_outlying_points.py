@@ -78,7 +78,7 @@ def test_probabilities_are_those_of_the_fisher_test_of_a_mean_shift():
 
 @pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.MaximumLikelihood()], ids=repr)
 def test_clean_data_have_outliers_no_more_often_than_stated(criterion):
-    """400 draws: a share of 5 % is known to 1.1 %; the deviations, projected, are the same at the estimate and at the truth."""
+    """400 draws: a share of 5 % is known to 1.1 %. Deviations are the same at the truth as at the estimate."""
     exact = gb.frequency_response(Lag(), TRUTH, OMEGA).response
     variance = 2 * (0.05 * np.abs(exact)) ** 2
     problem = gb.Problem(Lag(), gb.FrequencyResponse(OMEGA, exact, variance=variance), criterion)

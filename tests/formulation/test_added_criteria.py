@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 from declared_models import Lag, measured
+from scipy.stats import norm
 
 import greybox as gb
+from greybox.validation.same_data import count_unknowns
 
 TRUTH = {"K": 5.0, "T": 0.3}
 OMEGA = np.geomspace(0.5, 20, 25)
@@ -79,3 +81,24 @@ def test_a_joint_error_is_no_larger_than_either_alone_and_what_repeats_show():
             assert np.all(np.array(errors[0]) < [fit.standard_error[name] for name in TRUTH])
     ratio = np.sqrt(np.mean(np.square(errors), axis=0)) / np.std(values, axis=0)
     assert np.all((ratio > 0.65) & (ratio < 1.6))
+
+
+def test_likelihoods_with_given_and_estimated_variances_are_compared_by_their_densities():
+    """AIC of both is twice what scipy's density says, but for the common constants of the data."""
+    variance = 2 * (0.05 * np.abs(gb.frequency_response(Lag(), TRUTH, OMEGA).response)) ** 2
+    data = gb.FrequencyResponse(OMEGA, RESPONSE.response, variance=variance)
+    fits = [
+        gb.fit(gb.Problem(Lag(), data, c), starts=[TRUTH]) for c in (gb.MaximumLikelihood(), gb.RelativeLikelihood())
+    ]
+
+    def negative(fit, variance):
+        model = fit.parts[0].response
+        scale = np.sqrt(variance / 2)
+        parts = norm.logpdf(data.response.real, model.real, scale) + norm.logpdf(data.response.imag, model.imag, scale)
+        return -np.sum(parts)
+
+    relative = np.mean(np.abs(1 - data.response / fits[1].parts[0].response) ** 2)
+    estimated = relative * np.abs(fits[1].parts[0].response) ** 2
+    expected = negative(fits[1], estimated) - negative(fits[0], variance)
+    assert fits[1].cost - fits[0].cost == pytest.approx(expected, rel=1e-6)
+    assert [count_unknowns(fit) for fit in fits] == [2, 3]

@@ -135,7 +135,7 @@ def largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviation
 
 
 def _ratios(residual: NDArray[np.complex128], sensitivity: NDArray[np.complex128], least: float) -> tuple[Array, float]:
-    """Return Q/2 over the mean square of the rest, of at least `least`, (n,), NaN where nothing is left; and the dof."""
+    """Return Q/2 over the mean square of the rest, at least `least`, (n,), NaN where nothing is left; and its dof."""
     n = residual.size
     jacobian = np.vstack([sensitivity.real, sensitivity.imag])
     length = np.linalg.norm(jacobian, axis=0)
