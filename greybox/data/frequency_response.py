@@ -4,7 +4,6 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,12 +12,21 @@ from greybox.data.numerical_range import out_of_range
 from greybox.data.text_table import counted, one_line, printable
 
 
-class Stretch(NamedTuple):
+@dataclass(frozen=True)
+class Stretch:
     """A stretch of a record: the checksum of the record, and from when to when, s on its clock."""
 
     checksum: str
     start: float
     end: float
+
+    def __post_init__(self) -> None:
+        """Check the times, and write out control characters."""
+        if not (math.isfinite(self.start) and math.isfinite(self.end) and self.start <= self.end):
+            raise ValueError(f"a stretch runs from {self.start:g} to {self.end:g} s: give its first and its last time.")
+        object.__setattr__(self, "checksum", printable(str(self.checksum)))
+        object.__setattr__(self, "start", float(self.start))
+        object.__setattr__(self, "end", float(self.end))
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +90,7 @@ class FrequencyResponse:
         self._check_ranges()
         for column in ("omega", "response"):
             self._check_size(column)
-        object.__setattr__(self, "stretches", tuple(_checked_stretch(*stretch) for stretch in self.stretches))
+        object.__setattr__(self, "stretches", tuple(self.stretches))
 
     def _set(self, name: str, value: ArrayLike, kind: type) -> None:
         try:
@@ -191,9 +199,3 @@ class FrequencyResponse:
             f"{self.name or 'frequency response'}: {pair}, {counted(len(self), 'frequency', 'frequencies')} from "
             f"{self.omega.min():g} to {self.omega.max():g} rad/s" + (f", with {', '.join(extras)}" if extras else "")
         )
-
-
-def _checked_stretch(checksum: str, start: float, end: float) -> Stretch:
-    if not (math.isfinite(start) and math.isfinite(end) and start <= end):
-        raise ValueError(f"a stretch runs from {start:g} to {end:g} s: give its first and its last time.")
-    return Stretch(printable(str(checksum)), float(start), float(end))

@@ -1,6 +1,7 @@
 """Frequency responses of multisines: whole periods in steady state, at the lines of their spectrum, free of leakage."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -79,7 +80,7 @@ def _whole_periods(stretch: UniformStretch, period: float) -> UniformStretch:
     left_out = stretch.values.shape[1] % count
     origin = stretch.origin
     if origin is not None:
-        origin = origin._replace(start=min(origin.start + left_out * stretch.step, origin.end))
+        origin = replace(origin, start=min(origin.start + left_out * stretch.step, origin.end))
     return stretch._replace(values=stretch.values[:, left_out:], step=period / count, origin=origin)
 
 

@@ -88,4 +88,4 @@ def test_comments_that_only_look_like_an_origin_are_comments(tmp_path):
 
 def test_a_stretch_that_ends_before_it_begins_is_refused():
     with pytest.raises(ValueError, match="a stretch runs from 3 to 2 s"):
-        gb.FrequencyResponse([1.0], [1.0], stretches=[("abc", 3, 2)])
+        Stretch("abc", 3, 2)
