@@ -220,6 +220,9 @@ def sampled_data(
             "nothing can be estimated from it."
         )
     usable = tuple(s for s in stretches if np.isfinite(s.outputs).any() and len(s) >= shortest)
+    if not usable and static:
+        what = "sample" if record.has_time else "row"
+        raise ValueError(f"{_called(record)} has no {what} with all inputs and an output ({names}; {listed(outputs)}).")
     if not usable:
         longest, taken = max((len(s) * s.step for s in stretches), default=0.0), float(np.max(lead, initial=0.0))
         taking = f", of which the longest delay in the bounds takes {taken:.3g} s" if taken else ""

@@ -135,6 +135,24 @@ def test_repeated_inputs_are_a_mean():
     assert fit.standard_error["a"] == pytest.approx(np.std(record["y"], ddof=1) / math.sqrt(5), rel=1e-6)
     assert fit.warnings == ()
 
+    class Constant(gb.StateSpace):
+        inputs = ()
+        a = gb.Parameter(1.0, starts=(-5, 5))
+
+        def output(self, x, u, p):
+            return (p.a,)
+
+    for time in (None, np.arange(5.0)):
+        alone = fitted(Constant(), gb.Record(time, {"y": record["y"]}))
+        assert alone.estimate["a"] == pytest.approx(np.mean(record["y"]))
+        assert alone.warnings == ()
+
+
+def test_no_row_with_input_and_output_is_a_sentence():
+    record = gb.Record(None, {"x": np.array([1.0, np.nan, 2.0]), "y": np.array([np.nan, 1.0, np.nan])})
+    with pytest.raises(ValueError, match=r"the record has no row with all inputs and an output \(x; y\)"):
+        fitted(Line(), record)
+
 
 def test_an_output_that_never_changes_is_fitted_exactly():
     for size in (1e-9, 5.0):

@@ -87,6 +87,8 @@ def _short(nlp: Nlp, accuracy: Accuracy) -> Iterator[Found]:
 def _unexplained(part: RecordPart, fitted: FittedRecord, *, alone: bool) -> Iterator[Found]:
     if part.model.criterion.corrects_states:
         return
+    if part.is_static and (part.data.constant_inputs or not part.system.inputs):  # a mean, which explains nothing
+        return
     for k, output in enumerate(fitted.outputs):
         percent = fitted.fit_percent(output)
         if not percent < LITTLE:
@@ -94,12 +96,11 @@ def _unexplained(part: RecordPart, fitted: FittedRecord, *, alone: bool) -> Iter
         record = fitted.data.name or fitted.name
         name = output if alone else f"{output} in {record!r}"
         if not fitted.data.has_time:  # nothing varies from row to row that would show the noise
-            if not part.data.constant_inputs:
-                text = (
-                    f"the model reproduces almost none of the variation of {name} (fit {percent:.1f} %): try other "
-                    "starts, or another model structure, unless that variation is noise."
-                )
-                yield f"{output} in rows", record, text
+            text = (
+                f"the model reproduces almost none of the variation of {name} (fit {percent:.1f} %): try other starts, "
+                "or another model structure, unless that variation is noise."
+            )
+            yield f"{output} in rows", record, text
             continue
         found = noise_ratio([stretch.outputs[k] for stretch in part.data.stretches])
         if found.noisy:
