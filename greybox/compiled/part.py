@@ -12,7 +12,7 @@ check of the discretization (`refined`), IPOPT (`program`, where there are nodes
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -106,8 +106,8 @@ class ColoredErrors:
 
     Attributes
     ----------
-    meat : (k, k) array
-        Of the sandwich, for all values.
+    meat : (r, r) array
+        Of the sandwich, for the directions that were given.
     dof : float
         Degrees of freedom of the variances that follow.
     correlation_times : (outputs,) array
@@ -141,9 +141,15 @@ class Information:
         the covariance B⁻¹ M B⁻¹ of an M-estimator, see `greybox.formulation.frequency_criteria`.
     relative_noise : float
         Standard deviation of one component of the relative error of a frequency response; NaN for a record.
-    colored : function of B⁻¹ (p, p) or None
-        For a record whose errors are taken as correlated in time: what that makes of it, given the covariance of the
-        free parameters for white errors times the weight of the part. `spread` takes them as white.
+    reach : (k,) array
+        Lengths of the columns of the Jacobian before the initial states were fitted along: what is left of them is
+        rounding where initial states make up for a value.
+    initial : mapping of state to (stretches, k) array
+        How the initial states follow the values, in changes that the data notice; empty without states.
+    colored : function of a square root (p, r) of B⁻¹, or None
+        For a record whose errors are taken as correlated in time: what that makes of it, for the directions of the root
+        of the covariance of the free parameters for white errors times the weight of the part. `spread` takes them as
+        white. Directions of unit variance keep their digits where parameters are hardly determined.
     """
 
     part: "Part"
@@ -151,6 +157,8 @@ class Information:
     numbers: int
     spread: Callable[[float], tuple[float, Array]]
     relative_noise: float
+    reach: Array
+    initial: Mapping[str, Array] = field(default_factory=dict)
     colored: Callable[[Array], ColoredErrors] | None = None
 
 
@@ -291,6 +299,10 @@ class Part(ABC):
     @abstractmethod
     def is_near_data(self, trajectory: Trajectory, factor: float) -> bool:
         """Tell whether the rms of the residuals of every output is below `factor` times the spread of its signal."""
+
+    def explains_data(self, trajectory: Trajectory) -> bool:
+        """Tell whether the residuals look like noise, so that there is nothing left to explain."""
+        return True
 
     @abstractmethod
     def signature(self, trajectory: Trajectory) -> Array:

@@ -39,8 +39,12 @@ from greybox.modeling.model import Model, Names
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import traced
+from greybox.statistics.metrics import whiteness
 
 Array = NDArray[np.float64]
+
+# Share of records whose white residuals are not taken as such.
+WHITE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -357,6 +361,19 @@ class RecordPart(Part):
         limit = self.covariance.counts * (factor * self.covariance.spread) ** 2
         return bool(np.all(of_diagonal(trajectory.products) <= limit))
 
+    def explains_data(self, trajectory: Trajectory) -> bool:
+        """Tell whether the residuals of every output are white; rows without a time have no order to tell it by."""
+        if not self.model.record.has_time:
+            return False
+        stretches = [
+            np.where(np.isfinite(stretch.outputs), residuals, np.nan)
+            for stretch, residuals in zip(
+                self.data.stretches, self.data.unpadded(self.residuals(trajectory)), strict=True
+            )
+        ]
+        tests = (whiteness([rows[k] for rows in stretches]) for k in range(len(self.outputs)))
+        return all(test.p_value > WHITE / len(self.outputs) for test in tests)
+
     def signature(self, trajectory: Trajectory) -> Array:
         """Return up to some 500 simulated samples of every output, in units of the measured signal's spread."""
         along = trajectory.detail
@@ -618,7 +635,8 @@ class RecordPart(Part):
             dz_dx = np.ones(len(columns))
 
         weight = part.covariance.weight(trajectory.products)
-        triangle, white, weighted = part._jacobian(trajectory, weight)
+        told = part._jacobian(trajectory, weight)
+        white, weighted = told.white, told.weighted
         score = white
         if part.covariance.known is not None:  # what was given is not what the residuals show
             variance = np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1)
@@ -631,23 +649,27 @@ class RecordPart(Part):
             result[np.ix_(columns, columns)] = matrix * dz_dx * dz_dx[:, None]
             return result
 
-        jacobian = np.zeros((len(triangle), len(values)))
-        jacobian[:, columns] = triangle * dz_dx
+        def of_all_columns(matrix: Array) -> Array:
+            result = np.zeros((*matrix.shape[:-1], len(values)))
+            result[..., columns] = matrix * dz_dx
+            return result
+
         meat = of_all_values(score * independent / (independent - initial))
 
         def spread(correction: float) -> tuple[float, Array]:
             return 1.0, meat * correction**2
 
-        def colored(inverse: Array) -> ColoredErrors:
+        def colored(root: Array) -> ColoredErrors:
+            directions = np.pad(root, ((0, len(columns) - len(root)), (0, 0))) * dz_dx[:, None]
             found = colored_errors(
-                self.data.unpadded(weighted),
+                [directions.T @ J for J in self.data.unpadded(weighted)],
                 self.data.unpadded(part.residuals(trajectory)),
-                np.pad(inverse, (0, len(columns) - len(inverse))) * dz_dx * dz_dx[:, None],
+                np.eye(root.shape[1]),
                 weight,
                 initial,
             )
             return ColoredErrors(
-                meat=of_all_values(found.meat),
+                meat=found.meat,
                 dof=found.dof,
                 correlation_times=found.correlation_times * longest.step,
                 duration=len(longest) * longest.step,
@@ -656,12 +678,22 @@ class RecordPart(Part):
 
         longest = max(self.data.stretches, key=len)
         by_output = self.model.record.has_time and not self.model.criterion.errors_are_white
-        return Information(self, jacobian, self.numbers - initial, spread, math.nan, colored if by_output else None)
+        return Information(
+            self,
+            of_all_columns(told.triangle),
+            self.numbers - initial,
+            spread,
+            relative_noise=math.nan,
+            reach=np.abs(of_all_columns(told.reach)),
+            initial={name: of_all_columns(rows) for name, rows in told.initial.items()},
+            colored=colored if by_output else None,
+        )
 
-    def _jacobian(self, trajectory: Trajectory, weight: Array) -> tuple[Array, Array, Array]:
-        """Return a triangular factor (p, p) of the Jacobian of the weighted residuals, JᵀJ, and WᵀJ (k, p, samples)."""
+    def _jacobian(self, trajectory: Trajectory, weight: Array) -> "_Sensitivity":
+        """Return how the residuals times `weight` follow the parameters, the initial states fitted along."""
         linearization = self.linearize(trajectory, weight)
         sensitivity = self.condense(linearization, trajectory, np.zeros(self.states)).node_sensitivity.copy()
+        noticed = np.sqrt(np.maximum(linearization.node_hessian.diagonal(axis1=1, axis2=2), 0.0).sum(axis=0))
         del linearization  # of a long record, a tenth of what fits into memory
         placed = trajectory.detail.placed
         known = self.model.known_states
@@ -673,14 +705,49 @@ class RecordPart(Part):
         weighted = np.empty((s, length, k, p))
         triangle = np.zeros((0, p))
         white = np.zeros((p, p))
+        squares = np.zeros(p)
         for batch in self.segments.batches(s):
             _, J, _ = self.segments.sensitivities(trajectory.detail.states, placed.q, placed.data, batch)
-            root = weight @ (J[..., :n] @ sensitivity[batch, None] + J[..., n:] @ placed.slope)
+            by_states = weight @ (J[..., :n] @ sensitivity[batch, None])
+            by_parameters = weight @ (J[..., n:] @ placed.slope)
+            root = by_states + by_parameters
             rows = root.reshape(-1, p)
+            squares += np.einsum("ijkp,ijkp->p", by_states, by_states)
+            squares += np.einsum("ijkp,ijkp->p", by_parameters, by_parameters)
             triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows]), mode="r"))
             white += rows.T @ rows
             weighted[batch] = weight.T @ root
-        return triangle, white, np.moveaxis(weighted.reshape(s * length, k, p), 0, -1)
+        first = sensitivity[self.data.begins_stretch] * noticed[:, None]
+        return _Sensitivity(
+            triangle=triangle,
+            white=white,
+            weighted=np.moveaxis(weighted.reshape(s * length, k, p), 0, -1),
+            reach=np.sqrt(squares),
+            initial={name: first[:, i] for i, name in enumerate(self.system.states) if not known[i]},
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Sensitivity:
+    """How the weighted residuals of a record follow p parameters, the initial states fitted along.
+
+    Attributes
+    ----------
+    triangle, white : (p, p) arrays
+        A triangular factor of the Jacobian J, and JᵀJ.
+    weighted : (k, p, samples) array
+        WᵀJ.
+    reach : (p,) array
+        Lengths of the columns of J if what states and parameters contribute to it could not cancel.
+    initial : mapping of state to (stretches, p) array
+        How the unknown initial states follow, in changes that the data notice.
+    """
+
+    triangle: Array
+    white: Array
+    weighted: Array
+    reach: Array
+    initial: Mapping[str, Array]
 
 
 class RecordProgram(Program):

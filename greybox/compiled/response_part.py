@@ -188,7 +188,7 @@ class ResponsePart(Part):
         errors = np.abs(response[nonzero] / data.response[nonzero] - 1)
         # Of isotropic normal errors of deviation s in each component, the mean magnitude is s sqrt(π/2).
         noise = float(errors.mean()) * math.sqrt(2 / math.pi) if errors.size else math.nan
-        return Information(self, jacobian, len(jacobian), spread, noise)
+        return Information(self, jacobian, len(jacobian), spread, noise, np.linalg.norm(jacobian, axis=0))
 
 
 class ResponseProgram(Program):

@@ -14,12 +14,15 @@ from greybox.formulation.held_estimate import HeldEstimate
 
 Array = NDArray[np.float64]
 
-DEAD = 1e-7  # singular value of the unit-column Jacobian below which a combination is not determined at all
+# Singular value of the Jacobian below which a combination is not determined at all, with columns of unit length before
+# the initial states are fitted along.
+DEAD = 1e-7
 BLIND = 1e-5  # share of an invisible direction from which a quantity has no standard error
 ROUNDING = 1e-12  # what the data see of a change of a parameter as large as itself, below which it is none
 CLOSE = 0.01  # of a standard error: what is so close to a bound may be held by it
 PUSHED = 0.01  # multiplier of a bound that holds, in standard deviations that the gradient has by the noise
 ROUNDED = 1e-7  # of its size: what the solvers' tolerances leave between a parameter and its bound
+MOVED = 1e-3  # of what a direction would change if nothing made up for it: initial states that change less take no part
 COLLINEAR = 20.0  # collinearity index from which a combination is suspect, see `Combination`
 LOOSE = 0.5  # relative standard error from which a suspect combination is reported
 
@@ -36,10 +39,16 @@ class Combination:
         Collinearity index: 1 / smallest singular value of the Jacobian with columns scaled to unit length; infinite
         when the data do not see the combination at all. Above 10 to 20 parameters compensate one another.
         Source: Brun, Reichert and Künsch (2001), Water Resources Research 37(4).
+    directions : int
+        In how many directions the parameters move without effect.
+    states : tuple of str
+        States whose unknown initial values take part.
     """
 
     names: tuple[str, ...]
     index: float
+    directions: int = 1
+    states: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,11 +100,17 @@ class Accuracy:
 
 @dataclass(frozen=True, eq=False)
 class _Share:
-    """What one part tells of the unknowns: bread (p, k) against all values, meat (p, p), weighted Jacobian (n, p)."""
+    """What one part tells of the unknowns: bread (p, k) against all values, its root (n, p), and meat (p, p).
+
+    `jacobian` is the root with a limit on the weight that one part may have beside others, and `reach` (p,) has the
+    lengths of its columns before the initial states were fitted along.
+    """
 
     bread: Array
+    root: Array
     meat: Array
     jacobian: Array
+    reach: Array
     dof: float
 
 
@@ -113,12 +128,19 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
     at_bound = _at_bound(nlp, x, shares, trajectories)
     active, holding = _active_constraints(nlp, x)
     length = np.linalg.norm(jacobian, axis=0)
-    length[length * np.abs(1 / nlp.scaling.slope(x)) < ROUNDING] = 0
+    reach = np.sqrt(sum((share.reach**2 for share in shares), np.zeros(p)))
+    reach[reach * np.abs(1 / nlp.scaling.slope(x)) < ROUNDING] = 0
+    length[(length * np.abs(1 / nlp.scaling.slope(x)) < ROUNDING) | (length < DEAD * reach)] = 0
     jacobian = jacobian * (length > 0)
-    # In units in which every column of the Jacobian has length one, ranks can be judged.
-    size = np.where(np.isfinite(length) & (length > 0), 1 / np.where(length > 0, length, 1.0), 1.0)
+    # In units in which every column of the Jacobian had length one before initial states were fitted along, ranks can
+    # be judged: less than a share of that is what rounding leaves where they make up for a parameter.
+    size = np.where(np.isfinite(reach) & (reach > 0), 1 / np.where(reach > 0, reach, 1.0), 1.0)
     unit = np.nan_to_num(jacobian * size)
-    seen, blind = _directions(unit, active * size, [nlp.free.index(name) for name in at_bound])
+    bounded = [nlp.free.index(name) for name in at_bound]
+    seen, invisible = _directions(unit, active * size, bounded)
+    idle = [k for k in bounded if not (unit[:, k].any() or active[:, k].any())]
+    combinations = _undetermined(np.hstack([invisible, np.eye(p)[:, idle]]), size, nlp.free, parts)
+    blind = np.hstack([invisible, np.eye(p)[:, bounded]])
     dof = sum(part.numbers for part in parts) - seen.shape[1]
     covariance, contributions, inverse = np.full((k, k), np.nan), (), None
     correlation: tuple[ColoredErrors | None, ...] = (None,) * len(parts)
@@ -126,18 +148,17 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
     blind = np.vstack([blind, np.zeros((k - p, blind.shape[1]))])
     if dof > 0 and all(np.all(np.isfinite(share.bread)) for share in shares):
         basis = seen * size[:p, None]
-        shares, correlation, dof = _corrected(parts, shares, basis)
-        inverse, slope = _inverse(shares, basis)
-        contributions, unknown = _contributions(nlp, shares, inverse, slope)
+        before = _root_of_inverse(shares, basis)
+        corrected, correlation, dof = _corrected(parts, shares, before)
+        root = _root_of_inverse(corrected, basis)
+        inverse, slope = root @ root.T, _slope(corrected, root)
+        contributions, unknown = _contributions(nlp, shares, before, corrected, correlation, root, slope)
         covariance = sum((c for c, _ in contributions), np.zeros((k, k)))
         # What depends on a constant that has no standard error has none either.
         lost = slope[:, unknown] / size[:, None]
         blind = np.hstack([blind, lost / np.maximum(np.linalg.norm(lost, axis=0), 1e-300)])
-    combinations = tuple(
-        c
-        for c in _combinations(unit, active * size[:p], nlp.free, at_bound)
-        if math.isinf(c.index) or _is_loose(c, nlp, covariance, x)
-    )
+    suspect = _collinear(jacobian, active, nlp.free, at_bound, invisible)
+    combinations = (*combinations, *(c for c in suspect if _is_loose(c, nlp, covariance, x)))
     return Accuracy(
         names=nlp.names,
         covariance=covariance,
@@ -192,27 +213,27 @@ def propagate(accuracy: Accuracy, gradient: Array) -> Array:
 def _corrected(
     parts: Sequence[Information],
     shares: Sequence[_Share],
-    basis: Array,
+    root: Array,
 ) -> tuple[list[_Share], tuple[ColoredErrors | None, ...], float]:
     """Scale the noise of every part for the parameters that it pays: pᵢ = tr(B⁻¹ Bᵢ) of the p in all.
 
     2nᵢ residuals then have 2nᵢ - pᵢ degrees of freedom, as if the part had been fitted alone with pᵢ parameters.
     Records whose errors are correlated in time have their own. Returns these, and the degrees of freedom of all parts,
-    too.
+    too. `root` (p, r) is one of B⁻¹.
     """
-    inverse, _ = _inverse(shares, basis)
-    p = len(inverse)
+    p = len(root)
     result: list[_Share] = []
     correlation: list[ColoredErrors | None] = []
     degrees = 0.0
     for part, share in zip(parts, shares, strict=True):
         problem = part.part.problem
-        left = max(part.numbers - float(np.trace(inverse @ share.bread[:, :p])), 0.5)
-        colored = None if part.colored is None else part.colored(problem.weight * inverse)
+        paid = round(float(np.sum((share.root @ root) ** 2)), 9)  # of a fit alone a whole number
+        left = max(part.numbers - paid, 0.5)
+        colored = None if part.colored is None else part.colored(math.sqrt(problem.weight) * root)
         correlation.append(colored)
         if colored is not None:
             degrees += colored.dof
-            result.append(replace(share, meat=problem.weight**2 * colored.meat[:p, :p], dof=colored.dof))
+            result.append(replace(share, dof=colored.dof))
             continue
         degrees += left
         dof = math.inf if problem.criterion.known_noise else left
@@ -220,26 +241,45 @@ def _corrected(
     return result, tuple(correlation), degrees
 
 
-def _inverse(shares: Sequence[_Share], basis: Array) -> tuple[Array, Array]:
-    """Return B⁻¹ (p, p) within `basis` (p, r), and the derivative (k, k) of all values to the constants."""
+def _root_of_inverse(shares: Sequence[_Share], basis: Array) -> Array:
+    """Return a square root (p, r) of B⁻¹ within `basis` (p, r), accurate also where B has lost its smallest digits."""
+    triangle = np.linalg.qr(np.vstack([share.root for share in shares]) @ basis, mode="r")
+    return basis @ np.linalg.inv(triangle).astype(float)
+
+
+def _slope(shares: Sequence[_Share], root: Array) -> Array:
+    """Return the derivative (k, k) of all values to the constants."""
     bread = sum((share.bread for share in shares), np.zeros_like(shares[0].bread))
     p, k = bread.shape
-    inverse = basis @ np.linalg.inv(basis.T @ bread[:, :p] @ basis) @ basis.T
     slope = np.zeros((k, k))
-    slope[:p, p:] = -inverse @ bread[:, p:]
+    slope[:p, p:] = -root @ (root.T @ bread[:, p:])
     slope[p:, p:] = np.eye(k - p)
-    return inverse, slope
+    return slope
 
 
 def _contributions(
-    nlp: Nlp, shares: Sequence[_Share], inverse: Array, slope: Array
+    nlp: Nlp,
+    before: Sequence[_Share],
+    root_before: Array,
+    shares: Sequence[_Share],
+    correlation: Sequence[ColoredErrors | None],
+    root: Array,
+    slope: Array,
 ) -> tuple[tuple[tuple[Array, float], ...], NDArray[np.bool_]]:
-    """Return B⁻¹ Mᵢ B⁻¹ of every part and S Σ Sᵀ of every earlier fit; and which constants (k,) have no error."""
+    """Return B⁻¹ Mᵢ B⁻¹ of every part and S Σ Sᵀ of every earlier fit; and which constants (k,) have no error.
+
+    The meat of correlated errors is known in the directions of the root of the inverse `before` the correction.
+    """
     p, k = len(nlp.free), len(nlp.names)
+    stacked = np.vstack([share.root for share in before])
+    turned = (stacked @ root).T @ (stacked @ root_before)
     result = []
-    for share in shares:
+    for share, colored, part in zip(shares, correlation, nlp.parts, strict=True):
+        middle = root.T @ share.meat @ root
+        if colored is not None:
+            middle = part.weight * turned @ colored.meat @ turned.T
         own = np.zeros((k, k))
-        own[:p, :p] = inverse @ share.meat @ inverse
+        own[:p, :p] = root @ middle @ root.T
         result.append((own, share.dof))
     unknown = np.zeros(k, dtype=bool)
     for known, dof in _known_covariances(nlp):
@@ -249,9 +289,9 @@ def _contributions(
 
 
 def _directions(jacobian: Array, active: Array, bounded: Sequence[int]) -> tuple[Array, Array]:
-    """Split the space of the unknowns (p,) into what the data see, and what they do not or a bound closes.
+    """Split the space of the unknowns (p,) into what the data see, and what they do not.
 
-    Directions closed by an active constraint are in neither: the constraint determines them.
+    Directions closed by a bound or an active constraint are in neither.
     """
     p = jacobian.shape[1]
     closed = np.vstack([active, np.eye(p)[list(bounded)]])
@@ -261,7 +301,7 @@ def _directions(jacobian: Array, active: Array, bounded: Sequence[int]) -> tuple
         basis = rows[int(np.sum(singular > 1e-12 * singular[0])) :].T
     _, singular, rows = np.linalg.svd(np.linalg.qr(jacobian @ basis, mode="r"), full_matrices=True)
     rank = int(np.sum(singular > DEAD))
-    return basis @ rows[:rank].T, np.hstack([basis @ rows[rank:].T, np.eye(p)[:, list(bounded)]])
+    return basis @ rows[:rank].T, basis @ rows[rank:].T
 
 
 def _share(part: Information, *, p: int, correction: float, dof: float) -> _Share:
@@ -270,8 +310,10 @@ def _share(part: Information, *, p: int, correction: float, dof: float) -> _Shar
     free, weight = part.jacobian[:, :p], part.part.weight
     return _Share(
         bread=weight * scale * free.T @ part.jacobian,
+        root=math.sqrt(weight * scale) * free,
         meat=weight**2 * meat[:p, :p],
         jacobian=math.sqrt(weight * min(scale, 1e12)) * free,
+        reach=math.sqrt(weight * min(scale, 1e12)) * part.reach[:p],
         dof=dof,
     )
 
@@ -327,24 +369,69 @@ def _active_constraints(nlp: Nlp, x: Array) -> tuple[Array, tuple[str, ...]]:
     return gradient[active], tuple(label for label, holds in zip(nlp.limits, active, strict=True) if holds)
 
 
-def _combinations(
-    unit: Array, active: Array, names: tuple[str, ...], at_bound: Sequence[str]
+def _undetermined(
+    invisible: Array, size: Array, names: tuple[str, ...], parts: Sequence[Information]
 ) -> tuple[Combination, ...]:
-    """Return the suspect combinations of a Jacobian with unit columns (2N, p)."""
-    dead = [k for k in range(len(names)) if not (unit[:, k].any() or active[:, k].any())]
-    inside = [k for k, name in enumerate(names) if name not in at_bound and k not in dead]
-    found = [Combination((names[k],), math.inf) for k in dead]
+    """Return the groups of parameters that move without effect in the `invisible` directions (p, b), of unit columns.
+
+    Directions that share no parameter are different groups, whatever mixture of them the directions are.
+    """
+    projector = invisible @ invisible.T
+    linked = np.abs(projector) > BLIND
+    left = set(np.flatnonzero(np.diag(projector) > BLIND**2).tolist())
+    found = []
+    while left:
+        # What is invisible takes the error from everything that it involves, however little.
+        group = {max(left, key=lambda k: (projector[k, k], -k))}
+        while more := {k for k in left - group if linked[k, list(group)].any()}:
+            group |= more
+        left -= group
+        members = sorted(group, key=lambda k: (-round(projector[k, k], 6), k))
+        moves = np.zeros((len(names), len(members)))
+        moves[members] = projector[np.ix_(members, members)] * size[members, None]
+        found.append(
+            Combination(
+                tuple(names[k] for k in members),
+                math.inf,
+                max(round(float(np.trace(projector[np.ix_(members, members)]))), 1),
+                _moved_states(parts, moves),
+            )
+        )
+    return tuple(sorted(found, key=lambda combination: names.index(combination.names[0])))
+
+
+def _moved_states(parts: Sequence[Information], moves: Array) -> tuple[str, ...]:
+    """Name the states whose unknown initial values make up for `moves` (p, m) of the parameters."""
+    found: dict[str, None] = {}
+    for part in parts:
+        for name, follow in part.initial.items():
+            if np.any(np.abs(follow[:, : len(moves)] @ moves) > MOVED):
+                found[name] = None
+    return tuple(found)
+
+
+def _collinear(
+    jacobian: Array, active: Array, names: tuple[str, ...], at_bound: Sequence[str], invisible: Array
+) -> tuple[Combination, ...]:
+    """Return the combinations whose effects nearly cancel, of the directions that are not `invisible` (p, b).
+
+    Singular vectors of the same parameters are one combination, with the largest index.
+    """
+    rows = np.vstack([jacobian, active])
+    inside = [k for k, name in enumerate(names) if name not in at_bound and rows[:, k].any()]
+    unit = jacobian[:, inside] / np.maximum(np.linalg.norm(jacobian[:, inside], axis=0), 1e-300)
     limits = active[:, inside]
-    unit = np.vstack([unit[:, inside], limits / np.maximum(np.linalg.norm(limits, axis=1, keepdims=True), 1e-300)])
+    unit = np.vstack([unit, limits / np.maximum(np.linalg.norm(limits, axis=1, keepdims=True), 1e-300)])
     _, singular, rows = np.linalg.svd(np.linalg.qr(unit, mode="r"), full_matrices=True)
     singular = np.concatenate([singular, np.zeros(len(rows) - len(singular))])
-    for value, row in zip(singular, np.abs(rows), strict=True):
-        if value <= 1 / COLLINEAR:
-            # What is invisible takes the error from everything that it involves, however little.
-            least = BLIND if value < DEAD else 0.2 * row.max()
-            group = tuple(names[inside[i]] for i in np.argsort(-row) if row[i] > least)
-            found.append(Combination(group, math.inf if value < DEAD else float(1 / value)))
-    return tuple(found)
+    seen = len(rows) - round(float(np.sum(invisible[inside] ** 2)))
+    found: dict[frozenset[str], Combination] = {}
+    for value, row in zip(singular[:seen][::-1], np.abs(rows[:seen][::-1]), strict=True):
+        if value > 1 / COLLINEAR:
+            break
+        group = tuple(names[inside[i]] for i in np.argsort(-row) if row[i] > 0.2 * row.max())
+        found.setdefault(frozenset(group), Combination(group, float(1 / max(value, 1e-300))))
+    return tuple(found.values())
 
 
 def _is_loose(combination: Combination, nlp: Nlp, covariance: Array, x: Array) -> bool:

@@ -1,36 +1,74 @@
 """Which parameters the data determine, and which the answer treats as known."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.data.text_table import counted, listed
-from greybox.estimate.covariance import Accuracy
+from greybox.data.text_table import counted, listed, text_table
+from greybox.estimate.covariance import Accuracy, Combination
 from greybox.modeling.realization import has_branches
 from greybox.solve.minima import Minimum
+
+# Combinations that get a sentence each; more of them become one table.
+FEW_COMBINATIONS = 3
 
 
 def not_determined(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
     """Name the combinations of parameters that the data determine poorly or not at all."""
-    for combination in sorted(accuracy.combinations, key=lambda c: -c.index):
-        names = listed(combination.names)
-        if math.isinf(combination.index) and len(combination.names) == 1:
-            yield (
-                f"{names} is not determined: it does not change the response to these data at this estimate; "
-                f"fix it{_inactive_branch(nlp, combination.names)}."
-            )
-        elif math.isinf(combination.index):
-            yield (
-                f"{names} are not determined: at this estimate the data depend only on a combination of them, so no "
-                f"standard error is given; fix one of them{_inactive_branch(nlp, combination.names)}."
-            )
-        else:
-            yield (
-                f"{names} are poorly identifiable: their effects nearly cancel one another (collinearity index "
-                f"{combination.index:.0f}); fix one of them, or add data in which their effects differ."
-            )
+    every = accuracy.combinations
+    invisible = [c for c in every if math.isinf(c.index)]
+    collinear = sorted((c for c in every if not math.isinf(c.index)), key=lambda c: -c.index)
+    if len(every) > FEW_COMBINATIONS:
+        yield _table(nlp, [*invisible, *collinear])
+        return
+    for combination in invisible:
+        yield _not_determined(nlp, combination)
+    for combination in collinear:
+        yield (
+            f"{listed(combination.names)} are poorly identifiable: their effects nearly cancel one another "
+            f"(collinearity index {combination.index:.0f}); fix one of them, or add data in which their effects differ."
+        )
+
+
+def _not_determined(nlp: Nlp, combination: Combination) -> str:
+    """Name the parameters of one group that the data do not see, and what to fix."""
+    names, count = combination.names, combination.directions
+    branch = _inactive_branch(nlp, names)
+    if len(names) == 1 and not combination.states:
+        return (
+            f"{names[0]} is not determined: it does not change the response to these data at this estimate; "
+            f"fix it{branch}."
+        )
+    members = [*names, *(f"the initial state of {name}" for name in combination.states)]
+    cure = f"fix {names[0]}" if len(names) == 1 else f"fix {'one' if count == 1 else count} of them"
+    if combination.states:
+        cure += f", or give a known initial state, initial={{{combination.states[0]!r}: ...}}"
+    combined = "a combination" if count == 1 else "combinations"
+    return (
+        f"{listed(members)} are not determined: at this estimate the data depend only on {combined} of them, so no "
+        f"standard error is given; {cure}{branch}."
+    )
+
+
+def _table(nlp: Nlp, combinations: Sequence[Combination]) -> str:
+    """Return all combinations as one table, what the data do not see at all first."""
+    rows = []
+    for combination in combinations:
+        members = [*combination.names, *(f"initial state of {name}" for name in combination.states)]
+        seen = "no effect" if len(members) == 1 else "invisible"
+        index = seen if math.isinf(combination.index) else f"{combination.index:.0f}"
+        free = str(combination.directions)
+        rows.append([index, free, ", ".join(members)])
+    table = text_table(["collinearity", "directions", "parameters"], rows, left=(0, 2))
+    names = dict.fromkeys(name for c in combinations for name in c.names if math.isinf(c.index))
+    without = f"; {listed(tuple(names))} have no standard error" if names else ""
+    return (
+        f"the data determine {counted(len(rows), 'combination')} of parameters poorly or not at all{without}: fix as "
+        f"many parameters of each as it has directions, or add data in which their effects differ"
+        f"{_inactive_branch(nlp, tuple(names))}.\n" + "\n".join("    " + line for line in table.splitlines())
+    )
 
 
 def _inactive_branch(nlp: Nlp, names: tuple[str, ...]) -> str:

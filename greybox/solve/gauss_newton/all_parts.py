@@ -75,6 +75,10 @@ class AllParts:
             part.is_near_data(trajectory, factor) for part, trajectory in self._pairs(iterate)
         )
 
+    def explain_data(self, iterate: Iterate) -> bool:
+        """Tell whether all residuals look like noise."""
+        return all(part.explains_data(trajectory) for part, trajectory in self._pairs(iterate))
+
     def is_continuous(self, iterate: Iterate) -> bool:
         """Tell whether what gaps are left is rounding."""
         tolerance = self.settings.gap_rounding

@@ -50,6 +50,16 @@ EXACT = 1e-18
 # Decrease and half squared length of an undamped step from which the best minimum is polished by damped ones first.
 LONG_STEP = 1e-7
 
+# Iterations from one look to the next whether noise hides what is left to gain; most runs take fewer in all.
+LONG_RUN = 50
+
+# Share of the half unit of log-likelihood per parameter by which noise moves the minimum from the truth, in the mean:
+# what is left to gain at a distance of a tenth of a standard error in every direction.
+AGAINST_NOISE = 0.01
+
+# Half the square of a tenth of a standard error.
+TENTH = 5e-3
+
 # A step of up to a thousand times the tolerance that no line search can take any more is rounding of the merit.
 ROUNDED = 1e3
 
@@ -338,7 +348,10 @@ class GaussNewton(LocalSolver):
             merit = merit_function(parts, weights, progress)
             before = merit(iterate)
             settled = self._is_settled(iterate, step, before, progress, states_only=alone)
-            if settled and step.distance <= settings.tolerance:
+            looks = not alone and (iteration + 1) % LONG_RUN == 0
+            if (settled and step.distance <= settings.tolerance) or (
+                looks and self._is_within_noise(iterate, step, progress)
+            ):
                 return iterate, "converged", iteration
             trial, length = line_search(parts, iterate, step, merit, before, progress)
             if trial is None and settled and step.distance <= ROUNDED * settings.tolerance:
@@ -392,14 +405,31 @@ class GaussNewton(LocalSolver):
         little = (1 + progress.damping) * step.decrease <= small
         if not (progress.is_exact and little and self._parts.is_continuous(iterate)):
             return False
-        return not progress.damping or self._is_confirmed(iterate, step, progress, states_only=states_only)
+        if not progress.damping:
+            return True
+        return (
+            self._undamped_step(iterate, step, progress, states_only=states_only).decrease <= progress.undamped_decrease
+        )
 
-    def _is_confirmed(self, iterate: Iterate, damped: Step, progress: Progress, *, states_only: bool) -> bool:
-        """Tell whether what an undamped step would gain is small against the standard errors."""
+    def _is_within_noise(self, iterate: Iterate, step: Step, progress: Progress) -> bool:
+        """Tell whether noise hides all that is left to gain, wherever bounds let a step go.
+
+        Where the data hardly determine some directions, short steps go on along them for thousands of iterations, for
+        a hundredth of a unit of log-likelihood. What is far from the data, on a plateau, looks the same; but there the
+        residuals are not noise.
+        """
+        if not (progress.is_exact and self._parts.is_continuous(iterate) and self._parts.explain_data(iterate)):
+            return False
+        undamped = self._undamped_step(iterate, step, progress, states_only=False)
+        # What no bound stops decreases the cost by its distance, and goes on to converge.
+        stopped = undamped.decrease > 2 * undamped.distance
+        return stopped and undamped.distance <= TENTH and undamped.decrease <= AGAINST_NOISE * len(iterate.z) / 2
+
+    def _undamped_step(self, iterate: Iterate, damped: Step, progress: Progress, *, states_only: bool) -> Step:
+        """Return the step from the same linearization without damping."""
         undamped = copy(progress)
         undamped.damping, undamped.multipliers = 0.0, list(progress.multipliers)
-        step = self._step(iterate, list(damped.linearizations), undamped, states_only=states_only)
-        return step.decrease <= progress.undamped_decrease
+        return self._step(iterate, list(damped.linearizations), undamped, states_only=states_only)
 
     def _tighten(
         self,

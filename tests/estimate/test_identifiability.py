@@ -1,0 +1,203 @@
+"""Planted directions that the data do not determine: named with all that takes part, and nothing else harmed."""
+
+import numpy as np
+import pytest
+
+import greybox as gb
+
+N, STEP = 1000, 0.02
+RANDOM = np.random.default_rng(7)
+U = np.repeat(RANDOM.normal(size=N // 20), 20)
+NOISE = 0.02
+
+
+class Integrator(gb.StateSpace):
+    """A pure integrator."""
+
+    states, inputs, outputs = ("x",), ("u",), ("x",)
+    G = gb.Parameter(1.0, bounds=(-20, 20))
+
+    def derivative(self, x, u, p):
+        return (p.G * u.u,)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+class TwoViews(Integrator):
+    """Two sensors of one integral."""
+
+    outputs = ("x", "y")
+
+    def output(self, x, u, p):
+        return (x.x, 2 * x.x)
+
+
+class Drifting(gb.StateSpace):
+    """A rate that is the sum of a parameter and of a constant of unknown size, seen through an integrator only."""
+
+    states, inputs, outputs = ("x", "c"), ("u",), ("x",)
+    G, rate = Integrator.G, gb.Parameter(0.1, bounds=(-5, 5))
+
+    def derivative(self, x, u, p):
+        return (p.G * u.u + x.c + p.rate, 0 * x.c)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+class Gains(gb.StateSpace):
+    """Two lags, each with two gains that are seen as their product alone, and a parameter without effect."""
+
+    states, inputs, outputs = ("x", "z"), ("u",), ("x", "z")
+    k1 = gb.Parameter(1.0, bounds=(0.1, 10))
+    k2 = gb.Parameter(2.0, bounds=(0.1, 10))
+    h1 = gb.Parameter(1.0, bounds=(0.1, 10))
+    h2 = gb.Parameter(2.0, bounds=(0.1, 10))
+    mass = gb.Parameter(1.0, bounds=(0.1, 10))
+    a = gb.Parameter(1.0, bounds=(0.1, 10))
+
+    def derivative(self, x, u, p):
+        return p.k1 * p.k2 * u.u - p.a * x.x + 0 * p.mass, p.h1 * p.h2 * u.u - x.z
+
+    def output(self, x, u, p):
+        return x.x, x.z
+
+
+class Lags(gb.StateSpace):
+    """Two lags that may swap."""
+
+    states, inputs, outputs = ("x", "z"), ("u",), ("z",)
+    a = gb.Parameter(1.0, bounds=(0.1, 10))
+    b = gb.Parameter(2.0, bounds=(0.1, 10))
+
+    def derivative(self, x, u, p):
+        return p.a * (u.u - x.x), p.b * (x.x - x.z)
+
+    def output(self, x, u, p):
+        return (x.z,)
+
+
+def record(model, values, **initial):
+    t = STEP * np.arange(N)
+    known = {name: initial.get(name, 0.0) for name in model.states}
+    clean = gb.simulate(model, values, gb.Record(t, {"u": U}), inputs="held", initial=known)
+    noise = np.random.default_rng(3)
+    return gb.Record(t, {"u": U} | {name: clean[name] + NOISE * noise.normal(size=N) for name in model.outputs})
+
+
+def fitted(model, data, starts=3, biases=(), **options):
+    criterion = gb.OutputError(inputs="held", biases=biases)
+    return gb.fit(gb.Problem(model, data, criterion, **options), starts=starts, progress=False)
+
+
+def undetermined(fit):
+    return [text for text in fit.warnings if "determine" in text]
+
+
+def same_errors(fit, other, names):
+    for name in names:
+        assert fit.standard_error[name] == pytest.approx(other.standard_error[name], rel=1e-3), name
+
+
+def test_a_bias_that_an_initial_state_makes_up_for_is_named_with_it_and_has_no_error():
+    data = record(Integrator(), {"G": 1.5}, x=0.3)
+    fit, known = (fitted(Integrator(), data, biases=biases) for biases in (("x",), ()))
+    (text,) = undetermined(fit)
+    assert text.startswith("x_bias and the initial state of x are not determined")
+    assert "initial={'x': ...}" in text
+    assert np.isnan(fit.standard_error["x_bias"])
+    assert all(np.isnan(fit.interval()["x_bias"]))
+    assert not any("ordering" in warning for warning in fit.warnings)
+    same_errors(fit, known, ["G"])
+    # By least squares with the initial state among the unknowns: the model is linear in both.
+    regressors = np.column_stack([np.concatenate([[0.0], np.cumsum(U[:-1]) * STEP]), np.ones(N)])
+    gain, *_ = np.linalg.lstsq(regressors, data["x"], rcond=None)[0]
+    assert fit.estimate["G"] == pytest.approx(gain, rel=1e-6)
+
+
+def test_the_same_bias_is_determined_once_the_initial_state_is_known():
+    data = record(Integrator(), {"G": 1.5})
+    data = data.with_signals(x=data["x"] + 0.3)
+    criterion = gb.OutputError(inputs="held", biases=("x",), initial={"x": 0.0})
+    fit = gb.fit(gb.Problem(Integrator(), data, criterion), starts=2, progress=False)
+    assert not undetermined(fit)
+    assert fit.estimate["x_bias"] == pytest.approx(0.3, abs=4 * fit.standard_error["x_bias"])
+    assert fit.standard_error["x_bias"] < NOISE
+
+
+def test_two_biases_of_one_state_are_named_together_once():
+    fit = fitted(TwoViews(), record(TwoViews(), {"G": 1.5}), biases=("x", "y"))
+    (text,) = undetermined(fit)
+    assert "x_bias" in text
+    assert "y_bias" in text
+    assert "the initial state of x" in text
+    assert np.isnan([fit.standard_error["x_bias"], fit.standard_error["y_bias"]]).all()
+    # What one bias is beyond half the other is seen all the same.
+    assert np.isfinite(fit.standard_error["G"])
+
+
+@pytest.mark.parametrize("segment", [2, 20])
+def test_a_rate_that_a_hidden_state_makes_up_for_is_named_with_it(segment):
+    data = record(Drifting(), {"G": 1.5, "rate": 0.2})
+    problem = gb.Problem(Drifting(), data, gb.OutputError(inputs="held"))
+    fit = gb.fit(problem, starts=2, method=gb.MultipleShooting(segment=segment), progress=False)
+    (text,) = undetermined(fit)
+    assert text.startswith("rate and the initial state of c are not determined")
+    assert np.isnan(fit.standard_error["rate"])
+    same_errors(fit, fitted(Drifting(), data, fixed={"rate": 0.0}), ["G"])
+
+
+def test_groups_that_share_nothing_are_told_apart_each_once():
+    data = record(Gains(), {"k1": 1.0, "k2": 2.0, "h1": 1.0, "h2": 2.0, "mass": 1.0, "a": 1.0})
+    fit = fitted(Gains(), data)
+    texts = undetermined(fit)
+    assert len(texts) == 3
+    groups = [
+        {name for name in fit.free if name in text.partition(" not determined")[0].replace(",", "").split()}
+        for text in texts
+    ]
+    assert sorted(groups, key=sorted) == [{"h1", "h2"}, {"k1", "k2"}, {"mass"}]
+    assert np.isnan([fit.standard_error[name] for name in ("k1", "k2", "h1", "h2", "mass")]).all()
+    same_errors(fit, fitted(Gains(), data, fixed={"k1": 1.0, "h1": 1.0, "mass": 1.0}), ["a"])
+
+
+class ManyProducts(gb.StateSpace):
+    """Five outputs, each with a product of gains of its own."""
+
+    states, inputs = ("x",), ("u",)
+    outputs = tuple(f"y{k}" for k in range(5))
+    locals().update({f"{letter}{k}": gb.Parameter(1.0, bounds=(0.1, 10)) for k in range(5) for letter in "gh"})
+
+    def derivative(self, x, u, p):
+        return (u.u - x.x,)
+
+    def output(self, x, u, p):
+        return tuple(p[f"g{k}"] * p[f"h{k}"] * x.x for k in range(5))
+
+
+def test_a_flood_is_one_table_with_every_group_once():
+    model = ManyProducts()
+    fit = fitted(model, record(model, dict.fromkeys(model.parameters, 1.0)), starts=2)
+    (text,) = undetermined(fit)
+    rows = [line for line in text.splitlines() if "invisible" in line]
+    assert sorted(tuple(sorted(row.replace(",", "").split()[2:4])) for row in rows) == [
+        (f"g{k}", f"h{k}") for k in range(5)
+    ]
+
+
+def test_lags_that_swap_are_an_ordering_and_no_direction():
+    fit = fitted(Lags(), record(Lags(), {"a": 1.0, "b": 4.0}), starts=8)
+    assert not undetermined(fit)
+    assert any("ordering constraint" in text for text in fit.warnings)
+    assert np.isfinite([fit.standard_error["a"], fit.standard_error["b"]]).all()
+
+
+@pytest.mark.parametrize("biases", [(), ("z",)])
+def test_what_is_determined_raises_no_alarm(biases):
+    """A lag forgets its initial state, so that a bias is seen after it."""
+    fit = fitted(Lags(), record(Lags(), {"a": 1.0, "b": 4.0}, x=0.5, z=-0.5), starts=2, biases=biases, fixed={"b": 4.0})
+    assert not undetermined(fit)
+    assert all(np.isfinite(list(fit.standard_error.values())))
+    for name in biases:
+        assert abs(fit.estimate[f"{name}_bias"]) < 4 * fit.standard_error[f"{name}_bias"]
