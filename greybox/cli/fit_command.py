@@ -100,6 +100,7 @@ def _as_json(result: Fit) -> dict[str, Any]:
         "costs": all_finite(result.costs),
         "status": result.status,
         "estimate": all_finite(result.estimate),
+        "best_effort": None if result.best_effort is None else all_finite(result.best_effort),
         "standard_error": all_finite(result.standard_error),
         "derived": all_finite(result.derived),
         "outputs": [_output(part, name) for part in result.records for name in part.outputs],

@@ -154,6 +154,11 @@ class RecordGroup(RecordPart):
     def _products(self, of_records: Array) -> Array:
         return of_records
 
+    def explains_data(self, trajectory: Trajectory) -> bool:
+        """Tell whether the residuals of every record are white."""
+        each = zip(self.parts, self.split(trajectory), strict=True)
+        return all(part.explains_data(own) for part, own in each)
+
     def signature(self, trajectory: Trajectory) -> Array:
         """Return up to some 500 simulated samples of every output, in units of the spread in their records."""
         outputs = self.segments.by_segment(self._outputs(trajectory))

@@ -175,6 +175,18 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
     )
 
 
+def steepness(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None]) -> Array:
+    """Return how far (p,) the cost falls on along each parameter alone, in the standard errors it would have alone.
+
+    Infinite where the data see nothing of a parameter along which the cost falls.
+    """
+    p = len(nlp.free)
+    shares = [_share(part, p=p, correction=1.0, dof=math.inf) for part in informations(nlp, x, trajectories)]
+    curvature = sum((np.diag(share.bread[:, :p]) for share in shares), np.zeros(p))
+    gradient = _gradient(nlp, x, trajectories)
+    return np.abs(gradient) / np.sqrt(np.maximum(curvature, 1e-300))
+
+
 def informations(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -> list[Information]:
     """Return what every part says about all values at the unknowns `x` (p,), see `Part.information`."""
     values = nlp.all_values(x)

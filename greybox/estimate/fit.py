@@ -27,6 +27,7 @@ from greybox.data.text_table import counted
 from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.diagnostics.delay_approximation import pade_error
 from greybox.estimate.diagnostics.discretization import discretization_warnings
+from greybox.estimate.diagnostics.failure import failure_warnings
 from greybox.estimate.diagnostics.general import warnings
 from greybox.estimate.diagnostics.harmonics import harmonic_warnings
 from greybox.estimate.diagnostics.intersample import intersample_warnings
@@ -113,7 +114,8 @@ def fit(
     Returns
     -------
     Fit
-        Also when no start converged: then `Fit.converged` is False and the values are NaN.
+        Also when no start converged: then `Fit.converged` is False, the values are NaN, and `Fit.best_effort` has those
+        of the best run.
 
     Raises
     ------
@@ -170,7 +172,7 @@ def _fitted_from(
             with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
                 search = multistart(nlp, solver, points, lambda done, _: _advance(bar, done), movable, executor)
         nlp, search, solver = with_more_harmonics(nlp, search, solver, open_parts, solver_options)
-        search = explained(nlp, search)
+        search = explained(nlp, search, solver)
         nlp, search, solver, error = refine_discretization(nlp, search, solver)
         search = solver.polished(search)
     if not search.runs:
@@ -222,7 +224,8 @@ def assemble(
         runs=search.runs,
         minima=search.minima,
         warnings=(
-            *not_finite_warnings(nlp, search),
+            *not_finite_warnings(nlp, search, solver),
+            *(() if found else failure_warnings(nlp, search, solver)),
             *finding_warnings(nlp),
             *(discretization_warnings(nlp, trajectories, error) if found else ()),
             *(record_warnings(nlp, parts, trajectories, accuracy) if found else ()),

@@ -23,7 +23,7 @@ from greybox.modeling.periodic_motions import response_of_test
 from greybox.modeling.realization import dynamics
 from greybox.modeling.sine import Sine
 from greybox.simulation.model_at_estimate import ModelAtEstimate, criterion_of
-from greybox.solve.minima import Minimum, Multistart, agreeing_runs
+from greybox.solve.minima import Minimum, Multistart, agreeing_runs, best_unfinished
 from greybox.solve.outcome import Run
 from greybox.statistics.metrics import fit_percent, rms
 
@@ -315,6 +315,19 @@ class Fit:
         return {q.name: q.value for q in self.quantities if q.kind != "derived"}
 
     @property
+    def best_effort(self) -> dict[str, float] | None:
+        """Of a fit that failed, the values at which its best run ended, of free and fixed parameters by name.
+
+        They are no estimate and have no errors. None where there is an estimate, or where no run ended at a finite
+        cost.
+        """
+        run = None if self.converged else best_unfinished(self.runs)
+        if run is None:
+            return None
+        ended = dict(zip(self.free, run.estimate.tolist(), strict=True))
+        return {q.name: ended.get(q.name, q.value) for q in self.quantities if q.kind in ("free", "fixed")}
+
+    @property
     def derived(self) -> dict[str, float]:
         """Values of the derived quantities by name."""
         return {q.name: q.value for q in self.quantities if q.kind == "derived"}
@@ -438,7 +451,10 @@ def _text(fit: Fit) -> str:
     title = f"{fit.name}: {', '.join(dict.fromkeys(part.label for part in fit.parts))}"
     warnings = [f"  warning: {text}" for text in fit.warnings]
     if not fit.converged:
-        return "\n".join([title, "", f"  FAILED: {fit.status}.", *warnings])
+        lines = [title, "", f"  FAILED: {fit.status}.", *warnings]
+        if fit.best_effort is not None:
+            lines += ["", "  best effort, no estimate:", "", *_best_effort_table(fit, fit.best_effort)]
+        return "\n".join(lines)
 
     sections = (
         [title],
@@ -586,6 +602,17 @@ def _row_of_many(quantities: Sequence[Quantity]) -> list[str]:
         f"{at_bound} AT BOUND" if at_bound else "" if first.kind == "free" else first.kind,
         first.about,
     ]
+
+
+def _best_effort_table(fit: Fit, values: Mapping[str, float]) -> list[str]:
+    header = ["parameter", "value", "unit", "bounds", "", "meaning"]
+    rows = []
+    for quantity in fit.quantities:
+        if quantity.name in values:
+            low, high = quantity.bounds
+            bounds, note = (f"[{low:g}, {high:g}]", "") if quantity.kind == "free" else ("", quantity.kind)
+            rows.append([quantity.name, number(values[quantity.name]), quantity.unit, bounds, note, quantity.about])
+    return ["  " + line for line in text_table(header, rows, left=(0, 2, 4, 5)).splitlines()]
 
 
 def _error_condition(fit: Fit) -> str:

@@ -20,7 +20,7 @@ from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
 from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Minimum, Multistart, find_minima
-from greybox.solve.outcome import Outcome, Run
+from greybox.solve.outcome import TOO_COARSE, Outcome, Run
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,6 @@ ALIAS = 1.0
 # Ends that are looked at, at most: one look takes as long as two iterations.
 JUDGED = 10
 
-TOO_COARSE = "integration too coarse"  # status of a run that ended at an alias
 
 # Of the largest eigenvalue of the Hessian in units of its diagonal, below which a direction is not determined.
 RANK = 1e-12

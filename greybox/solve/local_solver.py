@@ -62,6 +62,13 @@ class LocalSolver(ABC):
         """Tell whether a run can begin at the parameters `start` (p,)."""
         return True
 
+    def lost_beyond(self, x: Array, nodes: Sequence[Array]) -> tuple[Trajectory, ...] | None:
+        """Return where the shortest step from an end leads at which the model is not finite; None where there is none.
+
+        `x` (p,) and `nodes` are where a run ended.
+        """
+        return None
+
     def judged(self, outcomes: list[Outcome]) -> list[Outcome]:
         """Return the outcomes with costs and signatures, where a run leaves them to be evaluated for all at once."""
         return outcomes

@@ -1,5 +1,6 @@
 """What a multistart leaves: every run, and the distinct minima that they found."""
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.data.text_table import counted, one_line
-from greybox.solve.outcome import Run
+from greybox.solve.outcome import TOO_COARSE, Run
 
 SAME_COST = 1e-4  # relative; the smoothing moves costs by up to 6e-5
 SAME_LIKELIHOOD = 1e-2  # of negative log-likelihoods: a tenth of a standard error is 5e-3
@@ -48,13 +49,15 @@ class Minimum:
 class Multistart:
     """All runs of a problem, in the order of their starts, and its minima, best first.
 
-    `nodes` are the best run's states at the beginning of every segment, (s, n) for each record.
+    `nodes` are the best run's states at the beginning of every segment, (s, n) for each record. Where no run converged,
+    `ends` has those of all runs.
     """
 
     runs: tuple[Run, ...]
     minima: tuple[Minimum, ...]
     seconds: float
     nodes: tuple[NDArray[np.float64], ...] | None = None
+    ends: tuple[tuple[NDArray[np.float64], ...] | None, ...] = ()
 
     @property
     def converged(self) -> int:
@@ -74,6 +77,12 @@ class Multistart:
             f"{self.converged} of {counted(len(self.runs), 'run')} converged",
             counted(len(self.minima), "minimum", "minima"),
         )
+
+
+def best_unfinished(runs: Sequence[Run]) -> Run | None:
+    """Return the run that ended at the lowest cost without having converged; None where all ended without one."""
+    ended = [run for run in runs if not run.converged and run.status != TOO_COARSE and math.isfinite(run.cost)]
+    return min(ended, key=lambda run: run.cost, default=None)
 
 
 def agreeing_runs(

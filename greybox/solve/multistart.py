@@ -79,7 +79,8 @@ def multistart(
     runs = _as_runs([*tried, *search.further_starts], outcomes)
     minima = find_minima(nlp, runs, [outcome.signature for outcome in outcomes])
     nodes = outcomes[minima[0].runs[0]].nodes if minima else None
-    return Multistart(runs, minima, time.perf_counter() - began, nodes)
+    ends = () if minima else tuple(outcome.nodes for outcome in outcomes)
+    return Multistart(runs, minima, time.perf_counter() - began, nodes, ends)
 
 
 def _moved_to_finite(nlp: Nlp, solver: LocalSolver, starts: Array) -> Iterator[Array]:

@@ -12,6 +12,7 @@ Array = NDArray[np.float64]
 
 
 NOT_FINITE = "not finite at the start"  # status of a run that could not begin
+TOO_COARSE = "integration too coarse"  # status of a run that ended at an alias
 INTERRUPTED = "interrupted"  # status of the run that was at hand when Ctrl-C was pressed
 WORKER_LOST = "worker lost"  # status of a run that ended the process it was made in, as often as it was tried
 

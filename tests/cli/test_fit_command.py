@@ -28,6 +28,7 @@ def test_json_has_the_promised_keys_and_no_nan(capsys):
     assert set(promised.split()) | {"warnings", "seconds", "versions"} <= set(answer)
     assert answer["problem"] == "yaw_hover"
     assert answer["starts"] == 8
+    assert answer["best_effort"] is None
     assert answer["estimate"]["T_rotor"] == 0.048
     assert any("a1_tilde" in warning for warning in answer["warnings"])
 

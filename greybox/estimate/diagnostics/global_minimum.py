@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.estimate.covariance import Accuracy
-from greybox.solve.discretization_error import TOO_COARSE
 from greybox.solve.minima import Multistart, agreeing_runs
+from greybox.solve.outcome import TOO_COARSE
 
 # Share of agreeing starts below which the best minimum is in doubt. On the paper's tables 75 to 100 % of the starts
 # reach it; one that only one start in ten finds may well hide another that none has found.

@@ -14,11 +14,13 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.modeling.integrators import Rosenbrock
 from greybox.solve.ipopt import INVALID
+from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
 from greybox.solve.outcome import NOT_FINITE, Run
 
 Array = NDArray[np.float64]
 NAMED = 4  # values of parameters in a sentence
+EDGE = "next to where"  # of an end beyond which the model is not finite
 FEW = 0.5  # share of converged runs below which a sentence is due
 
 
@@ -39,13 +41,23 @@ class Trouble:
     cure: str = ""
 
 
-def explained(nlp: Nlp, search: Multistart) -> Multistart:
+def explained(nlp: Nlp, search: Multistart, solver: LocalSolver) -> Multistart:
     """Return the search with a reason for every run that met a value that is not finite, at its start or its end."""
-    return replace(search, runs=tuple(_explained(nlp, run) for run in search.runs))
+    runs = [_explained(nlp, run) for run in search.runs]
+    for k, run in enumerate(runs if search.ends else ()):
+        trouble = None if run.reason else _beyond(nlp, solver, search, run)
+        if trouble is not None:
+            runs[k] = replace(run, reason=f"{EDGE} {trouble.what.partition(',')[0]} is not finite")
+    return replace(search, runs=tuple(runs))
 
 
-def not_finite_warnings(nlp: Nlp, search: Multistart) -> Iterator[str]:
-    """Say of the first run that could not begin why, where few runs converged."""
+def not_finite_warnings(nlp: Nlp, search: Multistart, solver: LocalSolver) -> Iterator[str]:
+    """Say of the first run that could not begin why, where few runs converged; and of the first that met an edge."""
+    stopped = next((run for run in search.runs if run.reason.startswith(EDGE)), None)
+    if stopped is not None:
+        trouble = _beyond(nlp, solver, search, stopped)
+        if trouble is not None and trouble.cure:
+            yield f"run {stopped.index} ended {EDGE} {trouble.why}: {trouble.cure}."
     troubled = [run for run in search.runs if _is_candidate(run) and run.reason]
     if troubled and search.converged < FEW * len(search.runs):
         trouble = _trouble(nlp, troubled[0].start)
@@ -58,6 +70,19 @@ def _explained(nlp: Nlp, run: Run) -> Run:
         return run
     trouble = _trouble(nlp, run.start) or _trouble(nlp, run.estimate)
     return run if trouble is None else replace(run, reason=trouble.what)
+
+
+def _beyond(nlp: Nlp, solver: LocalSolver, search: Multistart, run: Run) -> Trouble | None:
+    """Return what is not finite where the next step of an unfinished run leads."""
+    nodes = search.ends[run.index]
+    if nodes is None or not np.all(np.isfinite(run.estimate)):
+        return None
+    with np.errstate(all="ignore"):
+        trajectories = solver.lost_beyond(run.estimate, nodes) or ()
+        for part, trajectory in zip(nlp.parts, trajectories, strict=False):
+            if isinstance(part, RecordPart) and not trajectory.finite:
+                return _located(part, trajectory)
+    return None
 
 
 def _is_candidate(run: Run) -> bool:

@@ -262,6 +262,29 @@ class GaussNewton(LocalSolver):
         found = status == "converged" and are_stable(self._parts, iterate)
         return iterate, self._parts.cost(iterate, 0.0), found
 
+    @DIVERGING
+    def lost_beyond(self, x: Array, nodes: Nodes) -> tuple[Trajectory, ...] | None:
+        """Return where the shortest step from an end leads at which the model is not finite; None without one."""
+        iterate = self._parts.at(self._nlp.scaling.to_solver(x), self._parts.joined(nodes))
+        if not iterate.finite:
+            return self._parts.split(iterate)
+        progress = Progress.exact(self._settings)
+        lost = None
+        try:
+            linearizations = self._parts.linearize(iterate, self._parts.residual_weights(iterate))
+            progress.begin(iterate, self._parts.gap_variances(linearizations))
+            step = self._step(iterate, linearizations, progress, states_only=False)
+        except np.linalg.LinAlgError:
+            return None
+        length = 1.0
+        while length > self._settings.shortest_step:
+            trial = self._parts.moved(iterate, step, length)
+            if trial.finite:
+                break
+            lost = self._parts.split(trial)
+            length *= self._settings.step_reduction
+        return lost
+
     def cost(self, values: Array) -> float:
         """Return the smallest cost at all values (k,) with exact continuity; NaN where there is none.
 

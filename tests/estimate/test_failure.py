@@ -1,0 +1,124 @@
+"""A fit that failed says why, what came closest, what blocks it and what to try."""
+
+import numpy as np
+import pytest
+
+import greybox as gb
+
+N, STEP = 200, 0.1
+TIME = STEP * np.arange(N)
+U = np.repeat(np.random.default_rng(0).uniform(0, 1, N // 20), 20)
+NOISE = 0.02 * np.random.default_rng(1).normal(size=N)
+
+
+class Lag(gb.StateSpace):
+    """A lag with an offset that nothing shows."""
+
+    states, inputs, outputs = ("x",), ("u",), ("x",)
+    a = gb.Parameter(1.0, bounds=(0.1, 10), unit="1/s")
+    k = gb.Parameter(1.0, bounds=(0.1, 10))
+    mass = gb.Parameter(1.0, bounds=(0.1, 10))
+    held = gb.Parameter(0.5, fixed=True)
+
+    def derivative(self, x, u, p):
+        return (p.k * u.u - p.a * x.x + 0 * p.mass * p.held,)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+class Root(gb.StateSpace):
+    """A tank whose sensor gives a root of the level: data below zero drive it out of its domain."""
+
+    states, inputs, outputs = ("h",), ("u",), ("y",)
+    a = gb.Parameter(1.0, bounds=(0.01, 10))
+    c = gb.Parameter(1.0, bounds=(0.01, 10))
+
+    def derivative(self, x, u, p):
+        return (p.a * u.u - p.c * gb.sqrt(x.h),)
+
+    def output(self, x, u, p):
+        return (gb.sqrt(x.h),)
+
+
+def unfinished():
+    clean = gb.simulate(Lag(), {"a": 3.0, "k": 20.0}, gb.Record(TIME, {"u": U}), inputs="held")["x"]
+    problem = gb.Problem(Lag(), gb.Record(TIME, {"u": U, "x": clean + NOISE}), gb.OutputError(inputs="held"))
+    method = gb.MultipleShooting(strategies=gb.solve.Strategies(continued_runs=False))
+    return gb.fit(problem, starts=[{}], method=method, solver_options={"max_iter": 4}, progress=False)
+
+
+def test_the_best_end_is_given_without_errors_with_what_blocks_it():
+    fit = unfinished()
+    (run,) = fit.runs
+    assert not fit.converged
+    assert fit.status == "no start converged (1 × iterations exceeded)"
+    assert fit.best_effort == dict(zip(fit.free, run.estimate.tolist(), strict=True)) | {"held": 0.5}
+    assert np.isnan([fit.standard_error[name] for name in fit.free]).all()
+    closest, *blocking = fit.warnings
+    assert closest.startswith("run 0 came closest")
+    assert "solver_options={'max_iter': ...}" in closest
+    # The gain belongs at twice its upper bound, and nothing shows the mass.
+    assert any(text.startswith("k ended at a bound") for text in blocking)
+    assert any(text.startswith("mass is not determined") for text in blocking)
+    said = str(fit)
+    assert all(text in said for text in fit.warnings)
+    assert "best effort, no estimate" in said
+    # From there the rest is found.
+    problem = gb.Problem(Lag(), fit.records[0].data, gb.OutputError(inputs="held"), fixed={"mass": 1.0})
+    started = {name: fit.best_effort[name] for name in ("a", "k")}
+    assert gb.fit(problem, starts=[started], progress=False).converged
+
+
+def test_the_parameters_along_which_the_cost_falls_are_named():
+    """Far from the minimum of a lag in both parameters; the distance is that to the minimum along one alone."""
+    clean = gb.simulate(Lag(), {"a": 3.0, "k": 6.0}, gb.Record(TIME, {"u": U}), inputs="held")["x"]
+    problem = gb.Problem(
+        Lag(),
+        gb.Record(TIME, {"u": U, "x": clean + NOISE}),
+        gb.OutputError(inputs="held", noise={"x": 0.02}, initial={"x": 0.0}),
+        fixed={"mass": 1.0, "a": 3.0},
+    )
+    method = gb.MultipleShooting(strategies=gb.solve.Strategies(continued_runs=False))
+    fit = gb.fit(problem, starts=[{"k": 1.0}], method=method, solver_options={"max_iter": 1}, progress=False)
+    best = gb.fit(problem, starts=1, progress=False)
+    assert not fit.converged
+    (text,) = [text for text in fit.warnings if "still falls" in text]
+    said = float(text.partition("k (")[2].partition(")")[0])
+    away = abs(fit.best_effort["k"] - best.estimate["k"]) / 0.02 * np.linalg.norm(best_slope(best))
+    assert said == pytest.approx(away, rel=0.02)
+
+
+def best_slope(best):
+    """Return the derivative of the simulated output by k, in which the model is linear."""
+    values = best.estimate | {"k": 1.0}
+    return gb.simulate(Lag(), values, best.records[0].data, inputs="held", initial={"x": 0.0})["x"]
+
+
+def test_an_estimate_leaves_no_best_effort():
+    clean = gb.simulate(Lag(), {"a": 3.0, "k": 6.0}, gb.Record(TIME, {"u": U}), inputs="held")["x"]
+    problem = gb.Problem(Lag(), gb.Record(TIME, {"u": U, "x": clean + NOISE}), fixed={"mass": 1.0})
+    fit = gb.fit(problem, starts=1, progress=False)
+    assert fit.converged
+    assert fit.best_effort is None
+
+
+def test_runs_that_end_at_the_edge_of_a_root_say_so():
+    fit = gb.fit(
+        gb.Problem(Root(), gb.Record(TIME, {"u": U, "y": NOISE - 1}), gb.OutputError(inputs="held")),
+        starts=2,
+        progress=False,
+    )
+    assert not fit.converged
+    assert all(run.reason == "next to where the derivative of h is not finite" for run in fit.runs)
+    assert "next to where the derivative of h is not finite" in fit.status
+    assert any("is not finite at" in text and "where h = -" in text for text in fit.warnings)
+    assert fit.best_effort is not None
+
+
+def test_a_saved_failure_keeps_its_best_effort(tmp_path):
+    fit = unfinished()
+    gb.save(fit, tmp_path / "failed.h5")
+    loaded = gb.load(tmp_path / "failed.h5")
+    assert loaded.best_effort == fit.best_effort
+    assert str(loaded) == str(fit)
