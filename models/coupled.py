@@ -17,6 +17,7 @@ class CoupledVelocity(gb.StateSpace):
     states = ("v", "p", "phi")
     inputs = ("u",)
     outputs = ("p", "phi", "v")
+    units = {"p": "rad/s", "phi": "rad", "v": "m/s"}
     delays = {"u": "T_delay"}
     a1 = gb.Parameter(-0.2, bounds=(-50, 50), unit="1/s", about="drag on the velocity")
     a2 = gb.Parameter(-5.0, bounds=(-50, 50), unit="1/(m·s)", about="angular acceleration per velocity")
@@ -69,6 +70,7 @@ class DampedCoupledVelocity(gb.StateSpace):
     states = ("v", "p", "phi")
     inputs = ("u",)
     outputs = ("p", "phi", "v")
+    units = {"p": "rad/s", "phi": "rad", "v": "m/s"}
     a11 = gb.Parameter(-0.2, bounds=(-50, 50), unit="1/s", about="drag on the velocity")
     a12 = gb.Parameter(0.1, bounds=(-50, 50), unit="m/s", about="acceleration per roll rate")
     a21 = gb.Parameter(-5.0, bounds=(-50, 50), unit="1/(m·s)", about="angular acceleration per velocity")

@@ -17,6 +17,7 @@ class Drag(gb.StateSpace):
     states = ("v",)
     inputs = ("theta",)
     outputs = ("v",)
+    units = {"theta": "rad", "v": "m/s"}
     a5 = gb.Parameter(0.2, bounds=(-1, 5), unit="1/s", about="linear drag on the velocity, (4.24)")
     C_x = gb.Parameter(0.05, bounds=(-1, 2), unit="1/m", about="drag per squared velocity, (4.23)")
 

@@ -49,6 +49,7 @@ class LinearTilt(TiltParameters, gb.StateSpace):
     states = ("v", "q", "theta", "rotor")
     inputs = ("u",)
     outputs = ("theta", "v")
+    units = {"theta": "rad", "v": "m/s"}
     delays = {"u": "T_delay"}
     a5 = Tilt.a5
 
@@ -79,6 +80,7 @@ class NonlinearTilt(TiltParameters, gb.StateSpace):
     states = ("v", "q", "theta", "rotor")
     inputs = ("u",)
     outputs = ("theta", "v")
+    units = {"theta": "rad", "v": "m/s"}
     delays = {"u": "T_delay"}
     C_x = gb.Parameter(0.05, bounds=(0.001, 2), unit="1/m", about="drag per squared velocity", scale="log")
 

@@ -55,6 +55,7 @@ class YawStates(gb.StateSpace):
     states = ("nu", "r", "rotor", "psi")
     inputs = ("u",)
     outputs = ("r", "psi")
+    units = {"r": "rad/s", "psi": "rad"}
     delays = {"u": "T_delay"}
     a1 = gb.Parameter(0.0, bounds=(-20000, 20000), unit="1/s²", about="yaw acceleration per ν")
     a2 = YawRate.a2

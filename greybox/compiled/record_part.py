@@ -21,6 +21,7 @@ from greybox.compiled.residual_covariance import (
     followed_by_covariance,
     of_diagonal,
     reduced_hessian,
+    require_independent,
     residual_covariance_of,
 )
 from greybox.compiled.sample_step import SampleStep, sample_step
@@ -831,6 +832,9 @@ def compile_records(
         )
         for model in models
     ]
+    for model, each in zip(models, data, strict=True):
+        if model.criterion.noise == "full":
+            require_independent(model.outputs, each.measured)
     lots: dict[Any, list[int]] = {}
     drawn = [drawn_parameters(problem) for problem in problems]
     for k, (model, points) in enumerate(zip(models, drawn, strict=True)):

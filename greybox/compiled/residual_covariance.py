@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.data.text_table import listed
 from greybox.formulation.time_criteria import TimeCriterion
 
 Array = NDArray[np.float64]
@@ -16,6 +17,42 @@ ROUNDING = 1e-9
 
 # Of the curvature, added in every direction for the factorization where the data do not see one.
 RIDGE = 1e-10
+
+
+# Of the spread of signals, below which a combination of them is constant: single precision, in which logs are.
+DEPENDENT = 1e-6
+
+# Share of the largest coefficient from which a signal takes part in such a combination.
+PART = 1e-3
+
+
+def require_independent(outputs: tuple[str, ...], measured: Array) -> None:
+    """Check that no measured output (k, samples) follows from the others, so that a full covariance can be inverted.
+
+    Raises
+    ------
+    ValueError
+        If one does: the residuals of any model that fits depend on one another then as well.
+    """
+    complete = measured[:, np.isfinite(measured).all(axis=0)]
+    count = complete.shape[1]
+    if count <= len(outputs):
+        return
+    centered = complete - complete.mean(axis=1, keepdims=True)
+    spread = np.sqrt((centered**2).mean(axis=1))
+    moving = np.flatnonzero(spread > 0)
+    if moving.size < 2:
+        return
+    directions, singular, _ = np.linalg.svd(centered[moving] / spread[moving, None], full_matrices=False)
+    if singular[-1] > DEPENDENT * math.sqrt(count):
+        return
+    share = np.abs(directions[:, -1])
+    names = [outputs[k] for k, part in zip(moving, share, strict=True) if part > PART * share.max()]
+    raise ValueError(
+        f"{listed(names)} are exactly dependent in the record, one following from the other"
+        f"{'s' if len(names) > 2 else ''}, so that their full covariance is singular: use noise='diagonal', or leave "
+        "one of them out."
+    )
 
 
 @dataclass(frozen=True, eq=False)

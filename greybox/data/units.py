@@ -178,6 +178,15 @@ def to_si(unit: str) -> Conversion:
     return Conversion(factor, 0.0, _written(powers))
 
 
+def are_of_one_kind(a: Conversion, b: Conversion) -> bool:
+    """Tell whether numbers in two units measure the same kind of quantity; radians are pure numbers."""
+    kinds = []
+    for conversion in (a, b):
+        powers = _powers(conversion.si)
+        kinds.append({name: power for name, power in powers.items() if power and name not in ("rad", "1")})
+    return kinds[0] == kinds[1]
+
+
 def _named(name: str) -> _Unit | None:
     """Return a unit that has a name, or a name and a prefix."""
     if name in NAMED:

@@ -14,6 +14,7 @@ from greybox.data.record import Record, Recording
 from greybox.data.text_table import one_line
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
 from greybox.formulation.held_estimate import HeldEstimate
+from greybox.formulation.signal_units import check_units
 from greybox.formulation.sum import Sum
 from greybox.formulation.time_criteria import OutputError, TimeCriterion
 from greybox.modeling.harmonic_balance import check_sine
@@ -127,6 +128,7 @@ class Problem:
         assert isinstance(self.data, Record)
         assert isinstance(self.criterion, TimeCriterion)
         self.criterion.compared(self.model, self.data)
+        check_units(self.model, self.data)
         added = self.criterion.parameters(self.model, self.data)
         for name in added:
             if name in self.model.parameters:

@@ -59,9 +59,12 @@ class Model(ABC):
     derived : mapping of name to function
         Quantities computed from the parameters, ``{"a3_tilde": lambda p: gb.g * p.a3}``; each gets its own standard
         error.
+    units : mapping of signal name to str
+        Of inputs and outputs, ``{"theta": "rad"}``, as far as declared: records in other units are refused.
     """
 
     parameters: Mapping[str, Parameter] = MappingProxyType({})
+    units: Mapping[str, str] = MappingProxyType({})
     derived: ClassVar[Mapping[str, Callable[[Any], Any]]] = MappingProxyType({})
     arguments: tuple[tuple[Any, ...], dict[str, Any]]
 

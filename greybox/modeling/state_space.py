@@ -12,7 +12,8 @@ class StateSpace(Model):
     """An ODE ``x' = derivative(x, u, p)``, ``y = output(x, u, p)``, e.g. equation (4.23).
 
     A subclass declares `states`, `inputs` and `outputs`, `delays` (input name to the name of the parameter that delays
-    it), its parameters, `derivative` and `output`. With ``states = ()`` it is a static model and needs no derivative.
+    it), its parameters, `derivative` and `output`, and, for records in other units to be refused, the `units` of its
+    signals. With ``states = ()`` it is a static model and needs no derivative.
 
     It may declare ``trim(self, at, p)``, which returns the remaining states and inputs at the operating point `at` by
     name; without it they follow from ``derivative = 0``.

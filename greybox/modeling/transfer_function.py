@@ -49,6 +49,8 @@ class SeriesConnection(TransferFunction):
         self.parameters = merged_parameters((first, second))
         self.input = first.input
         self.output = second.output
+        ends = ((first, first.input), (second, second.output))
+        self.units = {name: model.units[name] for model, name in ends if name in model.units}
 
     @property
     def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
@@ -81,6 +83,7 @@ class FeedbackLoop(TransferFunction):
         self.parameters = merged_parameters((forward,) if back is None else (forward, back))
         self.input = forward.input
         self.output = forward.output
+        self.units = forward.units
 
     @property
     def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]

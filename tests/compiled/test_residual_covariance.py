@@ -31,6 +31,61 @@ def density(values, sigma):
     return -sum(norm.logpdf(v[np.isfinite(v)], scale=s).sum() for v, s in zip(values, sigma, strict=True))
 
 
+class Twins(gb.StateSpace):
+    """A lag seen by three sensors, two of them alike."""
+
+    states, inputs, outputs = ("x",), ("u",), ("x", "same", "other")
+    a = gb.Parameter(1.0, bounds=(0.1, 20))
+
+    def derivative(self, x, u, p):
+        return (p.a * (u.u - x.x),)
+
+    def output(self, x, u, p):
+        return x.x, 2 * x.x, x.x
+
+
+def twins(noise, **signals):
+    random, n = np.random.default_rng(4), 300
+    u = np.repeat(random.normal(size=n // 10), 10)
+    flown = gb.simulate(Twins(), {"a": 3.0}, gb.Record(0.05 * np.arange(n), {"u": u}), inputs="held")
+    measured = {"x": flown["x"] + 0.05 * random.normal(size=n), "other": flown["other"] + 0.05 * random.normal(size=n)}
+    measured["same"] = 2 * measured["x"] + 1e-3 * random.normal(size=n)
+    made = {name: make(measured) for name, make in signals.items()}
+    record = gb.Record(0.05 * np.arange(n), {"u": u} | measured | made)
+    return gb.Problem(Twins(), record, gb.OutputError(noise=noise, inputs="held"))
+
+
+@pytest.mark.parametrize(
+    ("signals", "words"),
+    [
+        (
+            {"same": lambda m: 2 * m["x"]},
+            "x and same are exactly dependent in the record, one following from the other,",
+        ),
+        ({"same": lambda m: np.degrees(m["x"]).astype(np.float32) - 7}, "x and same are exactly dependent"),
+        (
+            {"same": lambda m: m["x"] - 3 * m["other"]},
+            "x, same and other are exactly dependent in the record, one following from the others,",
+        ),
+    ],
+    ids=["twice", "single precision", "sum"],
+)
+def test_outputs_that_are_exactly_dependent_are_named_with_the_cure(signals, words):
+    with pytest.raises(ValueError, match=r"noise='diagonal', or leave one of them out\.$") as refused:
+        gb.fit(twins("full", **signals), starts=1, progress=False)
+    assert str(refused.value).startswith(words)
+    assert gb.fit(twins("diagonal", **signals), starts=1, progress=False).runs[0].status
+
+
+def test_outputs_with_errors_of_their_own_are_not_refused():
+    """Two sensors whose errors are nearly one; the covariance is theirs."""
+    fit = gb.fit(twins("full"), starts=1, progress=False)
+    assert fit.converged
+    noise = fit.records[0].noise
+    errors = np.array([[1, 0, 0], [2, 1e-3 / 0.05, 0], [0, 0, 1]]) * 0.05
+    assert_allclose(noise, errors @ errors.T, rtol=0.2, atol=3e-4)
+
+
 @pytest.mark.parametrize("values", [RESIDUALS, holed()], ids=["whole", "holes"])
 def test_given_deviations(values):
     noise, products = made(SIGMA, values)

@@ -7,5 +7,5 @@ neighboring frequencies independent?). `outlying_points` names the point that li
 without it, `unused_noise` what the data say about their errors in vain. `records` looks at residuals in time,
 `intersample` at what was assumed of the inputs between samples, `discretization` at the integration, `harmonics` at the
 number of harmonics of a sine test, and `not_finite` says where and why a model gives no finite value. `repeated` says
-once what holds for many records.
+once what holds for many records, and `failure` what came closest where no run converged.
 """

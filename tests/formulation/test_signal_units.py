@@ -1,0 +1,75 @@
+"""Records in other units than the model declares are refused before a fit, with the sentence that converts them."""
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.models.tilt import NonlinearTilt
+
+
+class Rate(gb.StateSpace):
+    """A lag from a servo angle to a rate and a temperature."""
+
+    states, inputs, outputs = ("q",), ("delta",), ("q", "T")
+    units = {"delta": "rad", "q": "rad/s", "T": "K"}
+    a = gb.Parameter(3.0, bounds=(0.1, 20))
+
+    def derivative(self, x, u, p):
+        return (p.a * (u.delta - x.q),)
+
+    def output(self, x, u, p):
+        return (x.q, 300 + 0 * x.q)
+
+
+def record(factor=1.0, **units):
+    n = 200
+    delta = np.repeat(np.random.default_rng(0).normal(size=n // 10), 10)
+    flown = gb.simulate(Rate(), {"a": 3.0}, gb.Record(0.05 * np.arange(n), {"delta": delta}), inputs="held")["q"]
+    signals = {"delta": delta, "q": factor * flown, "T": 300 + 0.1 * np.random.default_rng(1).normal(size=n)}
+    return gb.Record(0.05 * np.arange(n), signals, units=units, name="flight")
+
+
+@pytest.mark.parametrize(
+    ("units", "words"),
+    [
+        ({"q": "deg/s"}, "q is in deg/s in the record 'flight' and in rad/s in Rate: convert it"),
+        ({"delta": "deg"}, "delta is in deg in the record 'flight' and in rad in Rate: convert it"),
+        ({"q": "mrad/s"}, "q=0.001 * record['q']"),
+        ({"T": "degC"}, "T=1 * record['T'] + 273.15"),
+        ({"q": "m/s"}, "q is in m/s in the record 'flight' and in rad/s in Rate: these are different quantities"),
+    ],
+)
+def test_another_unit_is_refused_with_the_cure(units, words):
+    with pytest.raises(ValueError, match=r"^[^\n]+\.$") as refused:
+        gb.Problem(Rate(), record(**units))
+    assert words in str(refused.value)
+
+
+def test_the_cure_works():
+    degrees = record(np.degrees(1.0), q="deg/s")
+    with pytest.raises(ValueError, match="convert it") as refused:
+        gb.Problem(Rate(), degrees)
+    cure = str(refused.value).partition("convert it, ")[2].removesuffix(".")
+    converted = eval(cure, {"record": degrees})
+    fit = gb.fit(gb.Problem(Rate(), converted, gb.OutputError(inputs="held")), starts=1, progress=False)
+    assert fit.estimate["a"] == pytest.approx(3.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("units", [{}, {"q": "rad/s"}, {"q": "1/s"}, {"q": "rad s^-1"}, {"q": "furlong"}, {"T": "K"}])
+def test_the_same_unit_in_other_words_and_unknown_ones_pass(units):
+    gb.Problem(Rate(), record(**units))
+
+
+def test_a_unit_of_a_signal_that_is_not_there_is_a_sentence():
+    class Wrong(Rate):
+        units = {"theta": "rad"}
+
+    with pytest.raises(ValueError, match="Wrong has no signal 'theta'"):
+        gb.Problem(Wrong(), record())
+
+
+def test_the_tilt_of_a_log_in_degrees_is_refused():
+    t = 0.01 * np.arange(50)
+    data = gb.Record(t, {"u": np.sin(t), "theta": np.cos(t)}, units={"theta": "deg"})
+    with pytest.raises(ValueError, match=r"theta is in deg .* and in rad in NonlinearTilt"):
+        gb.Problem(NonlinearTilt(), data)
