@@ -12,6 +12,7 @@ from hard_models import (
     chain,
     overflow,
     reactor,
+    tanh_chain,
     tanks,
     too_simple,
     unseen,
@@ -46,6 +47,16 @@ def test_hidden_states_do_not_explain_what_parameters_should():
     found = fit(chain())
     assert found.agreeing >= 6
     near(found, CHAIN)
+
+
+def test_what_the_data_hardly_determine_does_not_use_up_all_iterations():
+    """Thirteen parameters of a chain of five states: what is left to gain is noise, in directions that stay unknown."""
+    found = fit(tanh_chain(5, 300), [{}])
+    assert found.converged
+    assert max(run.iterations for run in found.runs) <= 300
+    residuals = np.concatenate([found.records[0].residual(name) for name in found.records[0].outputs])
+    assert np.sqrt(np.mean(residuals**2)) == pytest.approx(0.01, rel=0.1)
+    assert any("determine" in text for text in found.warnings)
 
 
 def test_a_state_that_nothing_shows_hinders_nothing_and_its_parameter_is_named():
