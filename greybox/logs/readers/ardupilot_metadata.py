@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from pymavlink.mavutil import mode_mapping_bynumber
 
 from greybox.logs.readers.messages import Messages
@@ -40,8 +39,11 @@ def unit(label: str) -> str:
     return UNITS.get(label, label.replace("/s/s", "/s²"))
 
 
-def metadata(groups: Iterable[Messages]) -> dict[str, Any]:
-    """Return the metadata of a recording from MSG, VER, PARM, MODE, ARM and EV; only what is known."""
+def metadata(groups: Iterable[Messages], span: tuple[float, float]) -> dict[str, Any]:
+    """Return the metadata of a recording from MSG, VER, PARM, MODE, ARM and EV; only what is known.
+
+    The `span` is the first and the last time of the log, s.
+    """
     by_name = {group.name: group for group in groups}
     known = {
         **_firmware(by_name),
@@ -49,7 +51,7 @@ def metadata(groups: Iterable[Messages]) -> dict[str, Any]:
         "texts": _texts(by_name.get("MSG")),
     }
     known["modes"] = _modes(by_name.get("MODE"), known.get("vehicle", ""))
-    known["armed"] = armed_intervals(_arming(by_name), _span(by_name.values()))
+    known["armed"] = armed_intervals(_arming(by_name), span)
     return {key: value for key, value in known.items() if value}
 
 
@@ -127,10 +129,3 @@ def _arming(by_name: Mapping[str, Messages]) -> list[tuple[float, bool]]:
         pairs = zip(event.time.tolist(), event.columns["Id"].tolist(), strict=True)
         changes += [(t, i == EVENT_ARMED) for t, i in pairs if i in (EVENT_ARMED, EVENT_DISARMED)]
     return [(time, state) for time, state in changes if not math.isnan(time)]
-
-
-def _span(groups: Iterable[Messages]) -> tuple[float, float]:
-    """First and last time of the log, s."""
-    times = [group.time[np.isfinite(group.time)] for group in groups if group.time is not None]
-    times = [time for time in times if time.size]
-    return (min(float(t.min()) for t in times), max(float(t.max()) for t in times)) if times else (0.0, 0.0)

@@ -69,12 +69,12 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
         record = of_rows(path.stem, columns, units, source=path.name, checksum=checksum, findings=findings)
         return Recording({path.stem: record}, path.name, checksum, {}, findings)
     group, left_out = table(path.stem, columns, units)
-    groups, restarts = on_one_clock([group] if group else [])
-    found, problems = records(groups, path.name, checksum)
+    log = on_one_clock([group] if group else [])
+    found, problems = records(log.groups, path.name, checksum)
     if not found:
         raise ValueError(f"{path} has no numeric column beside the time: it needs one for each signal.")
 
-    findings = (*findings, *left_out, *restarts, *problems)
+    findings = (*findings, *left_out, *log.findings, *problems)
     found = {name: replace(record, findings=findings) for name, record in found.items()}
     return Recording(found, path.name, checksum, {}, findings)
 

@@ -1,4 +1,4 @@
-"""ArduPilot DataFlash logs, binary (.BIN): decoded one whole column at a time.
+"""ArduPilot DataFlash logs, binary (.BIN): decoded piece by piece of the file, one column at a time.
 
 `dataflash_index` finds the messages in the file; what the numbers mean (scales of the format letters, unit and
 multiplier tables) follows pymavlink, and the values are equal to pymavlink's to the last bit.
@@ -6,7 +6,8 @@ multiplier tables) follows pymavlink, and the values are equal to pymavlink's to
 
 import hashlib
 import mmap
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,9 @@ from numpy.typing import NDArray
 from greybox.data.record import Recording
 from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.controller_outputs import with_holds
-from greybox.logs.readers.dataflash_index import Index, Layout, index, text
+from greybox.logs.readers.dataflash_index import PIECE, Index, Layout, index, release, text
 from greybox.logs.readers.dataflash_units import Units, UnitTables, with_usual_units
-from greybox.logs.readers.messages import Messages, bare, merged, on_one_clock, records
+from greybox.logs.readers.messages import Clocked, Messages, bare, merged, on_one_clock, records
 
 ABOUT = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE")  # about the log or the vehicle: no time histories
 ALWAYS = ("PARM", "MSG", "MODE", "VER", "ARM", "EV")  # metadata, read whatever is requested
@@ -50,69 +51,134 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     messages = bare(messages)
     with open(path, "rb") as file:
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    found = index(data)
-    checksum = hashlib.sha256(data).hexdigest()
-    return recording(_groups(data, found, messages), path, checksum, messages, _damage(found))
+    log, damage = _contents(data, messages)
+    return recording(log, path, _checksum(data), messages, damage)
 
 
 def recording(
-    groups: Iterable[Messages],
+    log: Clocked,
     path: Path,
     checksum: str,
     messages: Collection[str] | None,
     findings: Sequence[str],
 ) -> Recording:
     """Make a recording of the messages of an ArduPilot log, binary or text; all of them serve the metadata."""
-    groups, assumed = with_usual_units(list(groups))
+    restarts, span = log.findings, log.span
+    groups, assumed = with_usual_units(log.groups)
+    log.groups.clear()
     groups, conflicts = merged(groups)
-    groups, restarts = on_one_clock(groups)
-
     wanted = [g for g in groups if g.name not in ABOUT and (messages is None or g.name in messages)]
-    metadata = ardupilot_metadata.metadata(groups)
-    found, problems = records(with_holds(wanted, metadata.get("parameters", {})), path.name, checksum)
+    metadata = ardupilot_metadata.metadata(groups, span)
+    missing = _missing({g.name for g in groups}, messages)
+    del groups
+    wanted = with_holds(wanted, metadata.get("parameters", {}))
+    found, problems = records(wanted, path.name, checksum)
     if not found and not metadata:
         raise ValueError(f"{path} holds no ArduPilot message that can be read; copy it from the vehicle again.")
-    missing = _missing({g.name for g in groups}, messages)
     findings = (*findings, *conflicts, *restarts, *missing, *problems, *assumed)
     return Recording(found, path.name, checksum, metadata, findings)
 
 
-def _groups(data: mmap.mmap, found: Index, messages: Collection[str] | None) -> list[Messages]:
-    """Decode every type that is requested, and of the others the times."""
-    layouts = [(layout, found.of(i)) for i, layout in enumerate(found.layouts)]
-    layouts = [(layout, rows) for layout, rows in layouts if rows.size]
-    no_units = Units({}, "")
-    tables = UnitTables(
-        _decode(data, found, layout, rows, no_units) for layout, rows in layouts if layout.name in TABLES
-    )
-    groups = []
-    for layout, rows in layouts:
-        if layout.name not in TABLES:
-            whole = messages is None or layout.name in {*messages, *ALWAYS}
-            groups.append(_decode(data, found, layout, rows, tables.of(layout), whole))
-    return groups
+def _checksum(data: mmap.mmap) -> str:
+    digest = hashlib.sha256()
+    for start in range(0, len(data), PIECE):
+        digest.update(data[start : start + PIECE])
+        release(data, start, start + PIECE)
+    return digest.hexdigest()
 
 
-def _decode(
-    data: mmap.mmap, found: Index, layout: Layout, rows: NDArray[np.intp], units: Units, whole: bool = True
-) -> Messages:
-    """Return the messages of one layout; without `whole` only their times."""
-    timer = clock_column(layout)
-    offsets = found.offsets[rows]
+def _contents(data: mmap.mmap, messages: Collection[str] | None) -> tuple[Clocked, tuple[str, ...]]:
+    """Return the messages on one clock, those that are requested with their columns, and what is damaged.
 
-    # A view of a body at every byte of the file; indexing a field of it copies only the messages of this layout.
-    bodies = np.ndarray((len(data) - layout.length + 1,), layout.dtype, data, 3, (1,))
-    time = None
-    columns = {}
-    texts = {}
-    for i, name in enumerate(layout.columns):
-        if name == timer:
-            time = bodies[f"f{i}"][offsets] / CLOCKS.get(name, 1e3)
-        elif whole and layout.format[i] in "nNZ" and layout.name != "FILE":
-            texts[name] = [text(value) for value in bodies[f"f{i}"][offsets].tolist()]
-        elif whole and layout.format[i] not in "anNZ":
-            columns[name] = _numbers(bodies[f"f{i}"][offsets], layout.scale(i))
-    return Messages(layout.name, rows, time, columns, texts, units.columns, units.instance if whole else "")
+    What the index takes, of a log of gigabytes as much as a message or two, is not kept.
+    """
+    found = index(data)
+    damage = _damage(found)
+    each, stamps = _decoded(data, found, messages)
+    del found
+    tables = UnitTables(one.messages(Units({}, ""), stamps) for one in each if one.count and one.layout.name in TABLES)
+    used = [one for one in each if one.count and one.layout.name not in TABLES]
+    groups = [one.messages(tables.of(one.layout), stamps) for one in used]
+    del each, used
+    return on_one_clock(groups, stamps), damage
+
+
+def _decoded(
+    data: mmap.mmap, found: Index, messages: Collection[str] | None
+) -> "tuple[list[_Columns], NDArray[np.float64]]":
+    """Decode every type that is requested, of the others the times; return the columns, and the times of all, s.
+
+    Piece by piece of the file, so that nothing else of it is ever in memory.
+    """
+    counts = np.bincount(found.which, minlength=len(found.layouts))
+    each = [
+        _Columns(data, layout, count, messages is None or layout.name in {*messages, *ALWAYS, *TABLES})
+        for layout, count in zip(found.layouts, counts.tolist(), strict=True)
+    ]
+    is_timed = np.array([one.is_timed for one in each], dtype=bool)
+    stamps = np.empty(int(counts[is_timed].sum()))
+    before = 0
+    ends = np.searchsorted(found.offsets, np.arange(PIECE, len(data) + PIECE, PIECE)).tolist()
+    for piece, (first, last) in enumerate(pairwise([0, *ends])):
+        which = found.which[first:last]
+        offsets = found.offsets[first:last].astype(np.int64)
+        numbers = before + np.cumsum(is_timed[which])
+        for k in np.unique(which).tolist():
+            rows = np.flatnonzero(which == k)
+            each[k].take(offsets[rows], numbers[rows] - 1 if is_timed[k] else rows + first, stamps)
+        before = int(numbers[-1]) if numbers.size else before
+        release(data, (piece - 1) * PIECE, (piece + 1) * PIECE)
+    return each, stamps
+
+
+class _Columns:
+    """The columns of all messages of one layout, filled one piece of the file after the other.
+
+    Those that are not wanted as a `whole` give their times alone, to the stamps of the log, which has those of all
+    timed messages by their number. The tables have no part in that: they are written anew at times, with any time.
+    """
+
+    def __init__(self, data: mmap.mmap, layout: Layout, count: int, whole: bool) -> None:
+        self.layout = layout
+        self.count = count
+        self._whole = whole
+        self._timer = clock_column(layout)
+        self.is_timed = bool(self._timer) and layout.name not in TABLES
+        # A view of a body at every byte of the file; indexing a field of it copies only the messages of this layout.
+        size = max(len(data) - layout.length + 1, 0)
+        self._bodies = np.ndarray((size,), layout.dtype, data, 3, (1,)) if count else np.empty(0, layout.dtype)
+        kept = count if whole else 0
+        self._filled = 0
+        self._order = np.empty(kept, dtype=np.int32 if len(data) < 2**31 else np.int64)
+        letters = dict(zip(layout.columns, layout.format, strict=True))
+        letters.pop(self._timer, None)
+        self._texts: dict[str, list[str]] = {
+            name: [] for name, letter in letters.items() if whole and letter in "nNZ" and layout.name != "FILE"
+        }
+        self._columns = {name: np.empty(kept) for name, letter in letters.items() if whole and letter not in "anNZ"}
+
+    def take(self, offsets: NDArray[np.int64], numbers: NDArray[np.intp], stamps: NDArray[np.float64]) -> None:
+        """Decode the messages of these offsets and numbers."""
+        here = slice(self._filled, self._filled + numbers.size)
+        for i, name in enumerate(self.layout.columns):
+            field = self._bodies[f"f{i}"]
+            if name == self._timer and self.is_timed:
+                stamps[numbers] = field[offsets] / CLOCKS.get(name, 1e3)
+            elif name in self._texts:
+                self._texts[name] += [text(value) for value in field[offsets].tolist()]
+            elif name in self._columns:
+                self._columns[name][here] = _numbers(field[offsets], self.layout.scale(i))
+        if self._whole:
+            self._order[here] = numbers
+            self._filled += numbers.size
+
+    def messages(self, units: Units, stamps: NDArray[np.float64]) -> Messages:
+        """Return the messages; of those that are not wanted as a whole, how many there are."""
+        if not self._whole:
+            nothing = np.broadcast_to(np.intp(0), (self.count,))
+            return Messages(self.layout.name, nothing, None, {}, {}, units.columns)
+        time = stamps[self._order] if self.is_timed else None
+        return Messages(self.layout.name, self._order, time, self._columns, self._texts, units.columns, units.instance)
 
 
 def _numbers(values: NDArray[np.generic], scale: float | None) -> NDArray[np.float64]:

@@ -8,6 +8,7 @@ of format letters is pymavlink's.
 import mmap
 import struct
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +59,7 @@ class Index:
     layouts : tuple of Layout
         Every description in the file; one type may have several that differ.
     offsets : (n,) array
-        Where each message starts, bytes.
+        Where each message starts, bytes; in four bytes where that is enough.
     which : (n,) array
         Its layout, as an index.
     skipped, places, first : int
@@ -68,7 +69,7 @@ class Index:
     """
 
     layouts: tuple[Layout, ...]
-    offsets: NDArray[np.int64]
+    offsets: NDArray[np.integer]
     which: NDArray[np.uint16]
     skipped: int
     places: int
@@ -78,6 +79,27 @@ class Index:
     def of(self, layout: int) -> NDArray[np.intp]:
         """Numbers of the messages of one layout, in the order of the file."""
         return np.flatnonzero(self.which == layout)
+
+
+class _Growing:
+    """An array that is appended to in place: of ten million messages, arrays to join would be in memory twice."""
+
+    def __init__(self, dtype: Any) -> None:
+        self.values = np.empty(1024, dtype)
+        self.size = 0
+
+    def append(self, more: NDArray[Any]) -> None:
+        """Append values."""
+        end = self.size + more.size
+        if end > self.values.size:
+            self.values.resize(max(end, 2 * self.values.size), refcheck=False)
+        self.values[self.size : end] = more
+        self.size = end
+
+    def trimmed(self) -> NDArray[Any]:
+        """Return the values; nothing can be appended afterwards."""
+        self.values.resize(self.size, refcheck=False)
+        return self.values
 
 
 class _Walk:
@@ -90,27 +112,32 @@ class _Walk:
         self.lengths = np.zeros(256, dtype=np.int64)
         self.current = np.zeros(256, dtype=np.uint16)
         self.lengths[FMT] = FMT_LENGTH
-        self.offsets: list[NDArray[np.int64]] = []
-        self.which: list[NDArray[np.uint16]] = []
+        self.offsets = _Growing(np.uint32 if len(data) <= 0xFFFFFFFF else np.int64)
+        self.which = _Growing(np.uint16)
         self.skipped = self.places = 0
         self.first = -1
         self.cut = ""
+        self.piece = -1
+        self.heads = np.empty(0, dtype=np.int64)
 
     def run(self) -> Index:
         """Go from message to message: many at once where every header is where it should be, one by one elsewhere."""
-        heads = _heads(self.raw)
         at = 0
         last = len(self.data) - 3
         while at <= last:
-            at = self._stride(at, heads)
+            at = self._stride(at)
             if at <= last:
                 at = self._step(at)
-        offsets = np.concatenate([np.empty(0, dtype=np.int64), *self.offsets])
-        which = np.concatenate([np.empty(0, dtype=np.uint16), *self.which])
-        return Index(tuple(self.layouts), offsets, which, self.skipped, self.places, self.first, self.cut)
+        found = self.offsets.trimmed(), self.which.trimmed()
+        return Index(tuple(self.layouts), *found, self.skipped, self.places, self.first, self.cut)
 
-    def _stride(self, at: int, heads: NDArray[np.int64]) -> int:
-        """Take messages that follow each other exactly, up to the next description; return where to continue."""
+    def _stride(self, at: int) -> int:
+        """Take messages that follow each other exactly, up to the next description or piece; return where to go on."""
+        if at // PIECE != self.piece:
+            release(self.data, self.piece * PIECE, at)
+            self.piece = at // PIECE
+            self.heads = _heads(self.raw, self.piece * PIECE)
+        heads = self.heads
         here = int(np.searchsorted(heads, at))
         size = STRIDE
         while here + 1 < heads.size and heads[here] == at:
@@ -141,17 +168,13 @@ class _Walk:
         return at + length
 
     def _take(self, offsets: NDArray[np.int64], which: NDArray[np.uint16]) -> None:
-        if offsets.size:
-            self.offsets.append(offsets)
-            self.which.append(which.copy())
+        self.offsets.append(offsets)
+        self.which.append(which)
 
     def _drop_last(self) -> None:
         """Forget the message taken last."""
-        self.offsets[-1] = self.offsets[-1][:-1]
-        self.which[-1] = self.which[-1][:-1]
-        if not self.offsets[-1].size:
-            self.offsets.pop()
-            self.which.pop()
+        self.offsets.size -= 1
+        self.which.size -= 1
 
     def _define(self, at: int) -> None:
         layout = _layout(self.data[at + 3 : at + FMT_LENGTH])
@@ -165,8 +188,8 @@ class _Walk:
     def _recover(self, at: int) -> int:
         """Return where to continue after bytes that start no known message; the message before may be truncated."""
         start = at
-        if self.offsets:
-            before = int(self.offsets[-1][-1])
+        if self.offsets.size:
+            before = int(self.offsets.values[self.offsets.size - 1])
             inside = self._next_sound(before + 3, at)
             if inside >= 0:
                 self._drop_last()
@@ -225,14 +248,19 @@ def text(raw: bytes) -> str:
         return raw.decode("iso-8859-1")
 
 
-def _heads(raw: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Return every offset of the two bytes of a header with room for a third; in pieces, to save memory."""
-    found = []
-    for start in range(0, raw.size - 2, PIECE):
-        piece = raw[start : min(start + PIECE, raw.size - 2) + 1]
-        at = np.flatnonzero(piece[:-1] == HEAD[0])
-        found.append(at[piece[at + 1] == HEAD[1]] + start)
-    return np.concatenate([np.empty(0, dtype=np.int64), *found])
+def release(data: Bytes, start: int, end: int) -> None:
+    """Let go of the pages of a mapped file: what was read of it counts as memory of this process until then."""
+    if isinstance(data, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+        first = max(start, 0) // mmap.PAGESIZE * mmap.PAGESIZE
+        if end > first:
+            data.madvise(mmap.MADV_DONTNEED, first, end - first)
+
+
+def _heads(raw: NDArray[np.uint8], start: int) -> NDArray[np.int64]:
+    """Return the offsets in the piece at `start` of the two bytes of a header with room for a third."""
+    piece = raw[start : min(start + PIECE, raw.size - 2) + 1]
+    at = np.flatnonzero(piece[:-1] == HEAD[0])
+    return at[piece[at + 1] == HEAD[1]] + start
 
 
 def _is_padding(raw: bytes) -> bool:

@@ -14,7 +14,7 @@ from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.dataflash import CLOCKS, TABLES, clock_column, recording
 from greybox.logs.readers.dataflash_index import Layout
 from greybox.logs.readers.dataflash_units import Units, UnitTables
-from greybox.logs.readers.messages import Messages, bare
+from greybox.logs.readers.messages import Messages, bare, on_one_clock
 
 FMT_FIELDS = 5  # type, length, name, format, columns
 
@@ -80,7 +80,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     ]
     unknown = sum(len(bodies) for name, bodies in lines.bodies.items() if name not in lines.layouts and name != "FMT")
     findings = _damage(damaged, unknown)
-    return recording(groups + _banner(lines), path, hashlib.sha256(raw).hexdigest(), messages, findings)
+    return recording(on_one_clock(groups + _banner(lines)), path, hashlib.sha256(raw).hexdigest(), messages, findings)
 
 
 def _messages(lines: Lines, name: str, units: Units, damaged: dict[str, int]) -> Messages:

@@ -65,7 +65,7 @@ class UnitTables:
 def with_usual_units(groups: list[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
     """Give the messages of a log without unit tables the units that ArduPilot has always used, with a finding."""
     if any(unit for group in groups for unit in group.units.values()):
-        return groups, ()
+        return list(groups), ()
     known = [group.name for group in groups if group.name in USUAL]
     made = [replace(g, units={**g.units, **USUAL[g.name]}) if g.name in USUAL else g for g in groups]
     names = ", ".join(dict.fromkeys(known))

@@ -1,7 +1,8 @@
 """From the messages of a log of any format to records: one per instance, on one clock, with increasing times."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ class Messages:
     ----------
     name : str
     order : (n,) array
-        Number of each among all messages of the file.
+        Number of each among all messages of the file, of the timed ones among these.
     time : (n,) array, s, or None
         On the log's clock; None when the messages have no time.
     columns : mapping of str to (n,) array
@@ -35,7 +36,7 @@ class Messages:
     """
 
     name: str
-    order: NDArray[np.intp]
+    order: NDArray[np.integer]
     time: Floats | None
     columns: Mapping[str, Floats]
     texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -96,50 +97,89 @@ def _joined(lots: Sequence[Messages]) -> Messages:
     return replace(lots[0], order=order, time=time, columns=columns, texts=texts).rows(np.argsort(order))
 
 
-def on_one_clock(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
-    """Put all timed messages on one clock that never restarts; see `time_stamps.one_clock`."""
+@dataclass(frozen=True, eq=False)
+class Clocked:
+    """Messages on one clock that never restarts, what was found, and the first and last time of the log, s."""
+
+    groups: list[Messages]
+    findings: tuple[str, ...]
+    span: tuple[float, float]
+
+
+def on_one_clock(groups: Iterable[Messages], stamps: Floats | None = None) -> Clocked:
+    """Put all timed messages on one clock that never restarts; see `time_stamps.one_clock`.
+
+    The `stamps` are the times of all messages of the log by their number, where not all are among the groups.
+    """
     groups = list(groups)
+    stamps = stamps_of(groups) if stamps is None else stamps
+    shifted, findings = time_stamps.one_clock(stamps)
+    if shifted is not stamps:
+        groups = [group if group.time is None else replace(group, time=shifted[group.order]) for group in groups]
+    there = np.isfinite(shifted)
+    span = (float(shifted.min(where=there, initial=np.inf)), float(shifted.max(where=there, initial=-np.inf)))
+    return Clocked(groups, findings, span if there.any() else (0.0, 0.0))
+
+
+def stamps_of(groups: Iterable[Messages]) -> Floats:
+    """Return the times of all messages by their number, NaN for those without."""
     timed = [group for group in groups if group.time is not None and len(group)]
-    if not timed:
-        return groups, ()
-    stamps = np.full(1 + max(int(group.order.max()) for group in timed), np.nan)
+    stamps = np.full(max((1 + int(group.order.max()) for group in timed), default=0), np.nan)
     for group in timed:
         stamps[group.order] = group.time
-    stamps, findings = time_stamps.one_clock(stamps)
-    return [replace(group, time=stamps[group.order]) if group in timed else group for group in groups], findings
+    return stamps
 
 
 def records(groups: Iterable[Messages], source: str, checksum: str) -> tuple[dict[str, Record], tuple[str, ...]]:
-    """Return a record for every type and instance with a time and a number, and findings."""
+    """Return a record for every type and instance with a time and a number, and findings.
+
+    A list of groups is emptied, so that no column is in memory twice.
+    """
     made: dict[str, Record] = {}
     findings: list[str] = []
-    for group in groups:
-        if not group.columns or not len(group):
+    for name, part in chain.from_iterable(map(_instances, _consumed(groups))):
+        if part.time is None:
+            findings.append(f"{name}: its {len(part)} messages have no time and were left out.")
             continue
-        if group.time is None:
-            findings.append(f"{group.name}: its {len(group)} messages have no time and were left out.")
+        record = _record(name, part, source, checksum)
+        if record is None:
+            findings.append(f"{name}: none of its {len(part)} messages has a plausible time; it was left out.")
             continue
-        for name, part in _instances(group):
-            record = _record(name, part, source, checksum)
-            if record is None:
-                findings.append(f"{name}: none of its {len(part)} messages has a plausible time; it was left out.")
-                continue
-            made[name] = record
-            findings += record.findings
+        made[name] = record
+        findings += record.findings
     return made, tuple(findings)
 
 
-def _instances(group: Messages) -> Iterable[tuple[str, Messages]]:
-    """Yield the instances as NAME[0], NAME[1] in order; a single nameless one without brackets."""
-    if not group.instance:
+def _consumed(groups: Iterable[Messages]) -> Iterator[Messages]:
+    if not isinstance(groups, list):
+        yield from groups
+        return
+    groups.reverse()
+    while groups:
+        yield groups.pop()
+
+
+def _instances(group: Messages) -> Iterator[tuple[str, Messages]]:
+    """Yield the instances as NAME[0], NAME[1] in order; a single nameless one without brackets, as without a time."""
+    if not group.columns or not len(group):
+        return
+    if not group.instance or group.time is None:
         yield group.name, group
         return
     labels = group.texts.get(group.instance)
     values = np.array(labels) if labels is not None else group.columns[group.instance]
-    rest = replace(group, columns={k: v for k, v in group.columns.items() if k != group.instance})
-    for value in np.unique(values):
+    columns = {name: column for name, column in group.columns.items() if name != group.instance}
+    rest, name = replace(group, columns={}), group.name
+    del group  # whose columns go one by one
+    rows = {value: np.flatnonzero(values == value) for value in np.unique(values).tolist()}
+    split: dict[object, dict[str, Floats]] = {value: {} for value in rows}
+    for column in list(columns):
+        whole = columns.pop(column)
+        for value, own in rows.items():
+            split[value][column] = whole[own]
+    for value, own in rows.items():
         label = str(value) if labels is not None else f"{value:g}"
-        yield f"{group.name}[{label}]", rest.rows(np.flatnonzero(values == value))
+        yield f"{name}[{label}]", replace(rest.rows(own), columns=split.pop(value))
 
 
 def _record(name: str, part: Messages, source: str, checksum: str) -> Record | None:
@@ -154,6 +194,8 @@ def _record(name: str, part: Messages, source: str, checksum: str) -> Record | N
         findings = (_dropped(name, time.size - rows.size, time),)
         time = time[rows]
         columns = {column: values[rows] for column, values in columns.items()}
+    for values in (time, *columns.values()):
+        values.setflags(write=False)  # a record keeps, without a copy, what nobody can change
     units = {column: part.units.get(column, "") for column in columns}
     findings += time_stamps.gaps(name, time)
     return Record(time, columns, units, name, source, checksum, hold=part.hold, findings=findings)

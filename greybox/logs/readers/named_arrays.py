@@ -82,11 +82,11 @@ def recording(
         if messages is not None and name not in messages:
             continue
         part, problems = table(name, group, units[name])
-        clocked, restarts = on_one_clock([part] if part else [])
-        clocked = clocked if parameters is None else with_holds(clocked, parameters)
+        log = on_one_clock([part] if part else [])
+        clocked = log.groups if parameters is None else with_holds(log.groups, parameters)
         records_of_group, dropped = records(clocked, path.name, checksum)
         made.update(records_of_group)
-        findings += [*problems, *restarts, *dropped]
+        findings += [*problems, *log.findings, *dropped]
     if not made:
         raise ValueError(
             f"{path} has no group with a vector 'time' (or t, timestamp) and vectors of its length; "

@@ -12,6 +12,7 @@ BACK = 1.0  # s by which stamps must fall at a clock restart; between messages o
 WINDOW = (
     50  # messages before and after, whose medians must agree that the clock restarted: 24 damaged ones do not matter
 )
+BLOCK = 2**16  # stamps that are looked at together: half a megabyte, against logs of ten million messages
 PAUSE = 10.0  # s between two boots on the common clock: the real pause is not known
 SLACK = 600.0  # s before the first or after the last stamps, beyond which a stamp is damaged or of another clock
 REGULAR = 20  # samples that a message needs for its usual interval to be known
@@ -23,7 +24,8 @@ def restarts(stamps: NDArray[np.float64]) -> tuple[int, ...]:
 
     A single damaged stamp is not a restart: the median stamp after must lie below the median before.
     """
-    drops = np.flatnonzero(np.diff(stamps) < -BACK) + 1
+    pieces = [(start, stamps[start : start + BLOCK + 1]) for start in range(0, stamps.size, BLOCK)]
+    drops = np.concatenate([np.zeros(0, int), *(np.flatnonzero(np.diff(s) < -BACK) + start + 1 for start, s in pieces)])
     found: list[int] = []
     for drop in drops:
         start = found[-1] if found else 0
@@ -36,23 +38,31 @@ def restarts(stamps: NDArray[np.float64]) -> tuple[int, ...]:
 def one_clock(stamps: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
     """Return the stamps (s) on one clock that continues at a restart, NaN where they are implausible, and findings.
 
-    After a restart the clock is set to `PAUSE` after the last stamp before it, so that all boots stay in the record,
-    separated by a gap.
+    They are the stamps given where these are so already. After a restart the clock is set to `PAUSE` after the last
+    stamp before it, so that all boots stay in the record, separated by a gap.
     """
     finite = np.isfinite(stamps)
-    ticks = stamps[finite]
+    ticks = stamps if finite.all() else stamps[finite]
     findings = []
     end = 0.0
+    changed = False
     for i, (start, stop) in enumerate(pairwise([0, *restarts(ticks), ticks.size])):
-        piece = _plausible(ticks[start:stop])
+        logged = ticks[start:stop]
+        piece = _plausible(logged)
         shift = end + PAUSE - float(np.nanmin(piece)) if i else 0.0
-        ticks[start:stop] = piece + shift
+        last = float(np.nanmax(piece)) + shift if piece.size else 0.0
+        if i or piece is not logged:
+            ticks = ticks.copy() if ticks is stamps else ticks
+            ticks[start:stop] = piece + shift
+            changed = True
         if i:
             findings.append(
                 f"the clock restarted at {end:.1f} s (another boot): later times were shifted by {shift:+.1f} s, "
                 f"to {PAUSE:g} s after it; the real pause is not known."
             )
-        end = float(np.nanmax(piece)) + shift if piece.size else 0.0
+        end = last
+    if not changed:
+        return stamps, ()
     shifted = np.full_like(stamps, np.nan)
     shifted[finite] = ticks
     return shifted, tuple(findings)
@@ -64,7 +74,7 @@ def _plausible(stamps: NDArray[np.float64]) -> NDArray[np.float64]:
         return stamps
     first, last = _edge(stamps[:WINDOW], -1), _edge(stamps[-WINDOW:], 1)
     plausible = (stamps >= first - SLACK) & (stamps <= last + SLACK)
-    return np.where(plausible, stamps, np.nan) if plausible.any() else stamps
+    return np.where(plausible, stamps, np.nan) if plausible.any() and not plausible.all() else stamps
 
 
 def _edge(stamps: NDArray[np.float64], side: int) -> float:

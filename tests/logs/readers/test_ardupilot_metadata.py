@@ -43,7 +43,7 @@ def test_what_a_log_says_about_its_vehicle():
         messages("MODE", [1, 2], {"Mode": np.array([4.0, np.nan])}),
         messages("EV", [1, 8, 9], {"Id": np.array([10.0, 11.0, 77.0])}),
     ]  # fmt: skip
-    assert metadata(log) == {
+    assert metadata(log, (0.5, 9.0)) == {
         "vehicle": "ArduCopter",
         "firmware": "ArduCopter V4.5.1 (abc)",
         "parameters": {"INS_GYRO_FILTER": 20.0, "FRAME": 3.0},
@@ -52,7 +52,7 @@ def test_what_a_log_says_about_its_vehicle():
         "modes": ((1.0, "GUIDED"), (2.0, "?")),
         "armed": ((1.0, 8.0),),
     }
-    assert metadata([]) == {}
+    assert metadata([], (0.0, 0.0)) == {}
 
 
 def test_units_are_written_as_greybox_writes_them():

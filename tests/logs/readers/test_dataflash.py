@@ -1,4 +1,6 @@
 import struct
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 
@@ -311,3 +313,37 @@ def test_nothing_is_printed(saved, capfd):
     data[3000:3100] = b"\xa3\x95" * 50
     saved(bytes(data))
     assert capfd.readouterr() == ("", "")
+
+
+PEAK = """
+import sys
+import greybox.logs.readers.dataflash as dataflash
+def peak():
+    return next(int(line.split()[1]) * 1024 for line in open("/proc/self/status") if line.startswith("VmHWM"))
+before = peak()
+recording = dataflash.read(sys.argv[1], ["RATE", "GPS"])
+kept = sum(record.time.nbytes * (1 + len(record.signals)) for record in recording.values())
+print(peak() - before, kept, len(recording["RATE"]))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory of a process is read as Linux has it")
+def test_a_long_log_is_never_in_memory(tmp_path):
+    """Of 40 MB with a small message that is asked for, read in less memory than the file has."""
+    one = Log().fmt("RATE", "Qf", "TimeUS,R").fmt("BULK", "Q" + "d" * 15, "TimeUS," + ",".join("ABCDEFGHIJKLMNO"))
+    head, one.parts = one.binary, []
+    one.add("BULK", 0, *range(15))
+    bulk = one.parts.pop()
+    one.add("RATE", 0, 0.5)
+    cycle = np.frombuffer(bulk * 20 + one.parts.pop(), dtype=np.uint8)
+    number = 40_000_000 // cycle.size
+    cycles = np.tile(cycle, (number, 1))
+    for k in range(21):
+        at = k * len(bulk) + 3
+        cycles[:, at : at + 8] = (1000 * (21 * np.arange(number)[:, None] + k)).astype("<u8").view(np.uint8)
+    path = tmp_path / "long.BIN"
+    path.write_bytes(head + cycles.tobytes())
+    answer = subprocess.run([sys.executable, "-c", PEAK, str(path)], capture_output=True, text=True, check=True)
+    peak, kept, samples = map(int, answer.stdout.split())
+    assert samples == number
+    assert peak < kept + path.stat().st_size / 2

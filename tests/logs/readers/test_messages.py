@@ -38,7 +38,8 @@ def test_one_clock_for_all_messages_of_a_log():
     n = 200
     fast = messages("IMU", order=np.arange(n), time=np.concatenate([np.arange(100.0), np.arange(100.0)]) + 5)
     slow = messages("GPS", order=(n,), time=(105.0,))
-    (fast, slow), (finding,) = on_one_clock([fast, slow])
+    log = on_one_clock([fast, slow])
+    (fast, slow), (finding,) = log.groups, log.findings
     assert np.all(np.diff(fast.time) > 0)
     assert slow.time[0] > fast.time[-1]
     assert "the clock restarted at 104.0 s" in finding
