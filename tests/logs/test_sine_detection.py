@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from sine_schedules import STEP, schedule
 
 from greybox.data.test_segment import segment_table
-from greybox.logs.sine_detection import sines_and_sweeps
+from greybox.logs.sine_detection import _phase_bend, sines_and_sweeps
 
 
 def assert_found(runs, plan, starts, within=1.0):
@@ -123,3 +123,11 @@ def test_what_is_found_does_not_depend_on_when_the_clock_began(samples):
     r = np.where((t > 5) & (t < 5 + 12 * samples * STEP), np.sin(math.pi * (t - 5) / (samples * STEP) + 0.5), 0.0)
     first, later = (sines_and_sweeps(start + t, r) for start in (0.0, 5000.0))
     assert [round(run.start, 3) for run in first] == [round(run.start - 5000, 3) for run in later]
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.8, 1.6, 2.9])
+@pytest.mark.parametrize("rate", [0.004, -0.004])
+def test_the_bend_of_the_phase_is_that_of_a_slow_chirp(phase, rate):
+    t = np.linspace(-5, 5, 2001)
+    x = 2 * np.sin(4 * t + rate * t**2 + phase) + 0.3
+    assert _phase_bend(t, x, 4.0, 5.0) == pytest.approx(abs(rate) * 5**2, rel=0.05)
