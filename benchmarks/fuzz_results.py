@@ -45,7 +45,7 @@ def sound(path: Path) -> None:
     for k in range(99):
         y[k + 1] = y[k] + 0.05 * (2 * u[k] - 3 * y[k])
     record = gb.Record(time_, {"u": u, "y": y + 0.01 * np.cos(50 * time_)}, name="record")
-    problem = gb.Problem(lag, response, gb.MagnitudePhase()) + gb.Problem(lag, record)
+    problem = gb.Problem(lag, response, gb.RelativeLikelihood()) + gb.Problem(lag, record)
     gb.save(gb.fit(problem, starts=3, progress=False), path)
 
 

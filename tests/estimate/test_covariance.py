@@ -195,7 +195,10 @@ def test_magnitude_phase_sandwich_by_hand(given):
     if given:
         s2 = np.tile(data.variance / 2 / np.abs(data.response) ** 2, 2)
     else:
-        s2 = np.mean((logarithm(x) / units) ** 2) * 40 / (40 - 4)
+        # Random errors of a spectral estimate, scaled by the weighted residuals.
+        shape = (1 - coherence) / coherence
+        squares = ((logarithm(x) / units) ** 2).reshape(2, -1).sum(axis=0)
+        s2 = np.tile(shape / 2 * (weight @ squares) / (weight @ shape) * 40 / (40 - 4), 2)
     bread = np.linalg.inv(j.T @ (weights[:, None] * j))
     meat = j.T @ ((weights**2 * s2 * units**2)[:, None] * j)
     same_covariance(fit.covariance_of(fit.free), bread @ meat @ bread)
