@@ -20,6 +20,8 @@ diverge, whatever the parameters. (Bock 1983; Bock, Kostina and Schlöder 2007, 
    Maratos effect; Nocedal and Wright, Numerical Optimization, 2nd ed., section 15.5).
 5. *Converged* when gaps are rounding and the predicted decrease is negligible, with a step that is small in standard
    errors; when the last two decreases show that the next one will be; or when a negligible step finds no decrease.
+   Where the Hessian has lost the digits of a direction that the data determine, steps by a factor of the Jacobian
+   follow (`sharpening`).
 
 **Far from the minimum** continuity is a penalty on the gaps instead, with a standard deviation that shrinks in stages
 to zero (`homotopy`); the first iterations move the nodes alone. Long records are first solved on excerpts.

@@ -24,6 +24,7 @@ from greybox.solve.gauss_newton.iterate import Iterate, Nodes, Step
 from greybox.solve.gauss_newton.line_search import line_search
 from greybox.solve.gauss_newton.merit import merit_function
 from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
+from greybox.solve.gauss_newton.sharpening import is_blurred, sharp_step
 from greybox.solve.gauss_newton.stability import are_stable, best_gains, simulate_stable
 from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver, Profile
@@ -78,6 +79,7 @@ class GaussNewton(LocalSolver):
         self._has_free_gains = any(name in nlp.free for gain in gains for name in gain.names)
         jumping = {name for part in self._parts.parts for name in part.discontinuous_delays}
         self._is_discontinuous = np.array([name in jumping for name in nlp.free])
+        self._is_whole = parts is None
         self._coarse = self._on_excerpts() if parts is None else None
 
     def __reduce__(self) -> tuple[Callable[..., "GaussNewton"], tuple[Any, ...]]:
@@ -219,6 +221,8 @@ class GaussNewton(LocalSolver):
             )
         except np.linalg.LinAlgError:
             return Outcome(nlp.scaling.to_parameters(iterate.z), "singular", 0, 0.0, False, math.inf)
+        if status == "converged" and self._is_whole and is_blurred(progress.hessian):
+            iterate = self._sharpened(iterate)
         estimate = np.clip(nlp.scaling.to_parameters(iterate.z), nlp.lower, nlp.upper)
         cost = self._parts.cost(iterate, 0.0)
         if status == "converged" and self._limits.violation(iterate.z) > 0:
@@ -228,6 +232,26 @@ class GaussNewton(LocalSolver):
         converged = status == "converged" and math.isfinite(cost)
         signature, nodes = self._parts.signature(iterate), self._parts.nodes_by_part(iterate)
         return Outcome(estimate, status, count, 0.0, converged, cost, signature, nodes)
+
+    def _sharpened(self, iterate: Iterate) -> Iterate:
+        """Return where steps lead that are exact where the Hessian has lost its digits, within all limits."""
+        progress = Progress.exact(self._settings)
+        for k in range(POLISHING):
+            weights = self._parts.residual_weights(iterate)
+            linearizations = self._parts.linearize(iterate, weights, covariance_curvature=True)
+            if k == 0:
+                progress.begin(iterate, self._parts.gap_variances(linearizations))
+            blurred = self._step(iterate, linearizations, progress, states_only=False)
+            step = sharp_step(self._nlp, self._parts, iterate, blurred)
+            normals, bounds = self._limits.linearized(iterate.z)
+            if step.decrease <= self._settings.tolerance or np.any(normals @ step.dz < bounds):
+                break
+            merit = merit_function(self._parts, weights, progress)
+            trial, _ = line_search(self._parts, iterate, step, merit, merit(iterate), progress)
+            if trial is None or not are_stable(self._parts, trial):
+                break
+            iterate = self._continuous(trial, step, progress)
+        return iterate
 
     @DIVERGING
     def is_finite_at(self, start: Array) -> bool:

@@ -57,6 +57,8 @@ class Progress:
         Predicted by the last full undamped step, or half its squared length where that is more; NaN without.
     delays_held : bool
         True where delays at which the cost jumps keep their values: the cost is least at the jump.
+    hessian : (p, p) array or None
+        Of the last step of the parameters, undamped.
     start, homotopy_end : z and nodes, or None
         Where the iteration began, and where continuity became exact, as long as Newton steps close the gaps.
     """
@@ -74,6 +76,7 @@ class Progress:
     undamped_decrease: float = UNDAMPED_DECREASE
     last_decrease: float = math.nan
     delays_held: bool = False
+    hessian: Array | None = None
     start: tuple[Array, Nodes] | None = None
     homotopy_end: tuple[Array, Nodes] | None = None
 

@@ -49,6 +49,7 @@ def gauss_newton_step(
     if states_only:
         return progress.update_multipliers(Step(linearizations, condensed, np.zeros(p), decrease, 0.0))
 
+    progress.hessian = hessian
     damping = progress.damping * np.diag(np.diag(hessian)) if settings.damped_parameters else 0.0
     damped = hessian + damping + settings.parameter_ridge * np.eye(p)
     normals, bounds = parts.limits.linearized(iterate.z, held)
