@@ -290,7 +290,7 @@ def _row_numbers(signals: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
 def _read_only(values: ArrayLike, name: str) -> NDArray[np.float64]:
     # An array of its own that nobody can write to is kept: records of long logs are made without a copy.
     frozen = isinstance(values, np.ndarray) and not values.flags.writeable and values.base is None
-    array = np.array(values, dtype=float, copy=None if frozen else True)
+    array = np.asarray(values, dtype=float) if frozen else np.array(values, dtype=float)
     if array.ndim != 1:
         raise ValueError(f"{name} must be one-dimensional, but has shape {array.shape}.")
     array.setflags(write=False)
