@@ -15,7 +15,6 @@ from greybox.data.text_table import alternatives
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
-from greybox.formulation.sum import Sum
 from greybox.formulation.time_criteria import TimeCriterion
 
 
@@ -106,7 +105,7 @@ def _restated(problem: AnyProblem, fix: dict[str, float], free: Sequence[str]) -
     if not fix and not free:
         return problem
     parts = [_restated_part(part, fix, free) for part in problem.parts]
-    return parts[0] if isinstance(problem, Problem) else Sum(tuple(parts), problem.name)
+    return problem.with_parts(parts)
 
 
 def _restated_part(part: Problem, fix: dict[str, float], free: Sequence[str]) -> Problem:
@@ -145,4 +144,4 @@ def _with_criterion(problem: AnyProblem, criterion: Criterion | TimeCriterion) -
             parts.append(part.with_(criterion=replace(criterion, **shared)))
         else:
             parts.append(part if isinstance(part.data, Record) or in_time else part.with_(criterion=criterion))
-    return parts[0] if isinstance(problem, Problem) else Sum(tuple(parts), problem.name)
+    return problem.with_parts(parts)

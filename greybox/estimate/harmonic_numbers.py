@@ -14,7 +14,6 @@ from greybox.compiled.compiled_problem import AnyProblem, Nlp, compile_problem
 from greybox.estimate.covariance import assess
 from greybox.estimate.diagnostics.harmonics import too_few_harmonics
 from greybox.formulation.problem import Problem
-from greybox.formulation.sum import Sum
 from greybox.modeling.harmonic_balance import ENOUGH, enough_harmonics
 from greybox.modeling.pade_delay import delay_order
 from greybox.solve.interruption import stop_requested
@@ -55,7 +54,7 @@ def _with_harmonics(problem: AnyProblem, harmonics: Sequence[int | None]) -> Any
         part if number is None else part.with_(amplitude=replace(part.amplitude, harmonics=number))
         for part, number in zip(problem.parts, harmonics, strict=True)
     ]
-    return parts[0] if isinstance(problem, Problem) else Sum(tuple(parts), problem.name)
+    return problem.with_parts(parts)
 
 
 def with_more_harmonics(

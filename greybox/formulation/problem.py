@@ -300,6 +300,11 @@ class Problem:
             return Sum((*other.as_added, self))
         return self if other == 0 else NotImplemented  # the built-in sum() begins with 0
 
+    def with_parts(self, parts: "Sequence[Problem]") -> "Problem":
+        """Return the one problem that stands in place of this one, see `Sum.with_parts`."""
+        (part,) = parts
+        return part
+
     @property
     def has_default_criterion(self) -> bool:
         """Whether no criterion was asked for."""

@@ -1,6 +1,6 @@
 """Problems that are solved at once: costs add, parameters of one name are one unknown."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic
 
@@ -76,6 +76,10 @@ class Sum(Generic[Part]):
                         f"{outside!r} is tied in {part.name!r} and free or tied differently in another part: tie it "
                         f"alike in all, or give one another name, rename={{{name!r}: ...}}."
                     )
+
+    def with_parts(self, parts: Sequence[Part]) -> "Sum[Part]":
+        """Return the sum of other parts in place of these, under the same name."""
+        return Sum(tuple(parts), self.name)
 
     @property
     def as_added(self) -> tuple[Part, ...]:

@@ -40,7 +40,6 @@ ALIAS = 1.0
 # Ends that are looked at, at most: one look takes as long as two iterations.
 JUDGED = 10
 
-
 # Of the largest eigenvalue of the Hessian in units of its diagonal, below which a direction is not determined.
 RANK = 1e-12
 

@@ -15,12 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.compiled_problem import AnyProblem, Nlp, compile_problem
+from greybox.compiled.compiled_problem import Nlp, compile_problem
 from greybox.compiled.response_part import ResponsePart
 from greybox.data.text_table import number, with_error
 from greybox.estimate.covariance import Accuracy, assess
 from greybox.formulation.problem import Problem
-from greybox.formulation.sum import Sum
 from greybox.solve.multistart import multistart, solver_for
 
 Array = NDArray[np.float64]
@@ -160,8 +159,7 @@ def _fitted_without(nlp: Nlp, x: Array, part: int, point: int) -> tuple[Array, A
     """Return estimate and standard errors (p,) without a point, from the estimate with it; None if there is none."""
     parts = list(nlp.problem.parts)
     parts[part] = _without(parts[part], point)
-    problem: AnyProblem = parts[0] if isinstance(nlp.problem, Problem) else Sum(tuple(parts), nlp.problem.name)
-    smaller = compile_problem(problem, nlp.method)
+    smaller = compile_problem(nlp.problem.with_parts(parts), nlp.method)
     solver = solver_for(smaller)
     search = multistart(smaller, solver, x[None], movable=False)
     if not search.minima:

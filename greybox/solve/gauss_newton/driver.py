@@ -188,11 +188,7 @@ class GaussNewton(LocalSolver):
         highest = self._parts.cost(iterate) + self._settings.cost_rounding * max(1.0, abs(self._parts.cost(iterate)))
         last, end = math.inf, iterate
         for k in range(POLISHING):
-            weights = self._parts.residual_weights(iterate)
-            linearizations = self._parts.linearize(iterate, weights, covariance_curvature=True)
-            if k == 0:
-                progress.begin(iterate, self._parts.gap_variances(linearizations))
-            step = self._step(iterate, linearizations, progress, states_only=False)
+            step = self._exact_step(iterate, progress, first=k == 0)
             remaining = abs(step.decrease) + step.distance
             if not remaining < last:
                 break
@@ -204,6 +200,14 @@ class GaussNewton(LocalSolver):
             if not within or not self._parts.is_continuous(iterate) or not are_stable(self._parts, iterate):
                 break
         return end, last
+
+    def _exact_step(self, iterate: Iterate, progress: Progress, *, first: bool) -> Step:
+        """Return the step where continuity is exact and an estimated covariance follows; the `first` begins it."""
+        weights = self._parts.residual_weights(iterate)
+        linearizations = self._parts.linearize(iterate, weights, covariance_curvature=True)
+        if first:
+            progress.begin(iterate, self._parts.gap_variances(linearizations))
+        return self._step(iterate, linearizations, progress, states_only=False)
 
     def _continuous(self, iterate: Iterate, step: Step, progress: Progress) -> Iterate:
         """Close what gaps curvature has left, to rounding."""
@@ -237,16 +241,11 @@ class GaussNewton(LocalSolver):
         """Return where steps lead that are exact where the Hessian has lost its digits, within all limits."""
         progress = Progress.exact(self._settings)
         for k in range(POLISHING):
-            weights = self._parts.residual_weights(iterate)
-            linearizations = self._parts.linearize(iterate, weights, covariance_curvature=True)
-            if k == 0:
-                progress.begin(iterate, self._parts.gap_variances(linearizations))
-            blurred = self._step(iterate, linearizations, progress, states_only=False)
-            step = sharp_step(self._nlp, self._parts, iterate, blurred)
+            step = sharp_step(self._nlp, self._parts, iterate, self._exact_step(iterate, progress, first=k == 0))
             normals, bounds = self._limits.linearized(iterate.z)
             if step.decrease <= self._settings.tolerance or np.any(normals @ step.dz < bounds):
                 break
-            merit = merit_function(self._parts, weights, progress)
+            merit = merit_function(self._parts, self._parts.residual_weights(iterate), progress)
             trial, _ = line_search(self._parts, iterate, step, merit, merit(iterate), progress)
             if trial is None or not are_stable(self._parts, trial):
                 break
@@ -289,7 +288,7 @@ class GaussNewton(LocalSolver):
     @DIVERGING
     def lost_beyond(self, x: Array, nodes: Nodes) -> tuple[Trajectory, ...] | None:
         """Return where the shortest step from an end leads at which the model is not finite; None without one."""
-        iterate = self._parts.at(self._nlp.scaling.to_solver(x), self._parts.joined(nodes))
+        iterate = self._at(x, nodes)
         if not iterate.finite:
             return self._parts.split(iterate)
         progress = Progress.exact(self._settings)
