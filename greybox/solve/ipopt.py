@@ -1,5 +1,6 @@
 """IPOPT on a problem without hidden unknowns, such as frequency responses: a dense program in the parameters."""
 
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -37,6 +38,9 @@ CLOSE = 1e-2
 
 # The fits of the paper take some 30 iterations; what takes 500 does not converge.
 QUIET = {"print_level": 0, "sb": "yes", "max_iter": 500}
+
+# CasADi 3.8.2 crashes where two threads build solvers of functions with derivatives at once.
+_one_thread = threading.Lock()
 
 
 class StopCheck(ca.Callback):
@@ -192,7 +196,8 @@ def checked_nlpsol(
     """
     settings = {**_settings({**QUIET, **options}), **derivatives, "iteration_callback": stop_check}
     try:
-        return ca.nlpsol("ipopt", "ipopt", dict(expressions), settings)
+        with _one_thread:
+            return ca.nlpsol("ipopt", "ipopt", dict(expressions), settings)
     except RuntimeError:
         for name, value in options.items():
             _check_option(name, value)

@@ -101,7 +101,7 @@ class WorkerPool(Executor):
         from concurrent.futures import ProcessPoolExecutor  # noqa: PLC0415  (as above)
 
         # Forked processes would share the locks of threads that they do not have.
-        return ProcessPoolExecutor(self.num_workers, multiprocessing.get_context("spawn"), _ignore_interrupts)
+        return ProcessPoolExecutor(self.num_workers, multiprocessing.get_context("spawn"), _as_worker)
 
     def _hand_out(self) -> None:
         """Give the workers what waits; suspects one at a time, so that it is seen which of them ends its worker."""
@@ -165,9 +165,20 @@ def _never_began() -> NoWorkerError:
     )
 
 
-def _ignore_interrupts() -> None:
-    """Leave Ctrl-C to the process that started this one: a terminal sends it to both."""
+def _as_worker() -> None:
+    """Leave Ctrl-C to the process that started this one, which a terminal sends to both, and end when that one ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """Wait for the end of the process that started this one; killed, it cannot tell its workers."""
+    import multiprocessing  # noqa: PLC0415  (as above)
+
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 @contextmanager

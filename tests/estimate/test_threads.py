@@ -1,5 +1,8 @@
 """Fits in several threads at once are the same as one after the other."""
 
+import subprocess
+import sys
+import textwrap
 from concurrent.futures import ThreadPoolExecutor
 
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
@@ -43,3 +46,21 @@ def test_fits_of_records_of_responses_and_of_sine_tests_in_four_threads():
     with ThreadPoolExecutor(4) as threads:
         at_once = list(threads.map(fitted, 3 * problems))
     assert at_once == 3 * one_by_one
+
+
+def test_many_solvers_are_built_at_once():
+    script = textwrap.dedent(
+        """
+        from concurrent.futures import ThreadPoolExecutor
+        import greybox as gb
+        from greybox.problems import rotors
+
+        problem = rotors.problem()
+        with ThreadPoolExecutor(4) as threads:
+            fits = list(threads.map(lambda _: gb.fit(problem, starts=1, progress=False), range(60)))
+        print(len({fit.cost for fit in fits}))
+        """
+    )  # a process of its own: what goes wrong there ends it
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "1\n"

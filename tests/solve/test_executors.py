@@ -1,6 +1,7 @@
 """Runs made elsewhere: the same answer from every executor, and what becomes of workers that are killed."""
 
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -155,6 +156,28 @@ def test_ctrl_c_keeps_the_runs_that_were_made(press_ctrl_c, workers):
     assert all(run.status != "interrupted" for run in runs)
     again = gb.fit(RESPONSE, 8, executor=workers)  # the workers are as before
     assert again.converged
+
+
+def test_workers_end_with_the_process_that_started_them(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        textwrap.dedent(
+            """
+            import os, time
+            import greybox as gb
+            if __name__ == "__main__":
+                with gb.solve.WorkerPool(1) as workers:
+                    print(workers.submit(os.getpid).result(), flush=True)
+                    time.sleep(300)
+            """
+        )
+    )
+    with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True) as process:
+        assert int(process.stdout.readline()) != process.pid
+        process.kill()
+        # The worker holds the other end of the pipe: it is closed when the last of both ends.
+        assert select.select([process.stdout], [], [], 60)[0]
+        assert process.stdout.read() == ""
 
 
 def test_a_script_without_its_guard_is_told_what_is_missing(tmp_path):
