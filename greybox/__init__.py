@@ -6,8 +6,8 @@ Declare a model as a `TransferFunction` or a `StateSpace` with `Parameter`s, sta
 `greybox.data` records, responses and their files; `greybox.logs` flight logs; `greybox.spectral` from records to
 frequency responses; `greybox.modeling` what a model is and how it is read; `greybox.experiment` test signals,
 controllers and virtual flights; `greybox.simulation` models run at given values; `greybox.regression` estimates by
-linear least squares; `greybox.solve` starts and solvers; `greybox.validation` tests between models; `greybox.plotting`
-figures.
+linear least squares; `greybox.solve` starts and solvers; `greybox.validation` tests between models; `greybox.study`
+batches of fits; `greybox.plotting` figures.
 """
 
 from greybox.cli.startup import guard_imports as _guard_imports
@@ -26,6 +26,7 @@ from greybox import regression as regression
 from greybox import simulation as simulation
 from greybox import solve as solve
 from greybox import spectral as spectral
+from greybox import study as study
 from greybox import validation as validation
 from greybox.compiled.transcription import Collocation as Collocation
 from greybox.compiled.transcription import MultipleShooting as MultipleShooting
@@ -81,6 +82,7 @@ from greybox.modeling.functions import where as where
 from greybox.simulation import predict as predict
 from greybox.simulation import simulate as simulate
 from greybox.solve.cost import cost as cost
+from greybox.study import batch as batch
 from greybox.validation import compare as compare
 
 __version__ = "0.1.0"

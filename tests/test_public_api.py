@@ -13,7 +13,7 @@ import greybox as gb
 NAMES = """
 Collocation Controller Criterion Fit FrequencyResponse Integrator MagnitudePhase MaximumLikelihood MultipleShooting
 OutputError Parameter PredictionError Problem Record RelativeError RelativeLikelihood Rosenbrock RungeKutta
-SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion TransferFunction Transcription compare cost
+SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion TransferFunction Transcription batch compare cost
 feedback fit
 frequency_response load plot predict prepare read read_response save several simulate virtual_flight
 """.split()
@@ -36,6 +36,7 @@ NAMESPACES = {
     "simulation": "Prediction predict simulate",
     "solve": "LatinHypercube Listed Sobol Starts Strategies Uniform WorkerPool",
     "spectral": "FiniteFrequency Quality check demodulate finite_frequency periodic_response spectral_response",
+    "study": "Member Study StudyMember batch read_study",
     "validation": "Comparison NestedTest compare nested_test",
 }
 EVERYTHING = [(gb, name) for name in (*NAMES, *FORMULAS)]

@@ -1,21 +1,21 @@
 """The command `greybox fit`: a problem from many starts."""
 
 import argparse
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from greybox.cli.options import UsageError, add_common_options, nonnegative, positive
-from greybox.cli.output import FAILED, USABLE, Answer, all_finite, finite, require_figure, require_writable, save_figure
+from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
 from greybox.cli.startup import INTERRUPTED
 from greybox.cli.stated_problem import add_problem_options, stated_problem
 from greybox.cli.workers import add_worker_options, stated_executor
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.data.response_file import HDF5
 from greybox.estimate.fit import Interrupted, fit
-from greybox.estimate.result import Fit, FittedRecord
+from greybox.estimate.result import Fit
 from greybox.estimate.storage import save
+from greybox.estimate.summary import summary
 from greybox.solve.interruption import Response, responding, take_interrupt
 
 
@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> Answer:
     with stated_executor(options) as executor:
         result, interrupted = _fitted(problem, settings | {"executor": executor})
 
-    answer = _as_json(result)
+    answer = summary(result)
     status = USABLE if result.converged else FAILED
     if not result.converged:
         answer["error"] = ": ".join([result.status, *result.warnings[:1]]).rstrip(".") + "."
@@ -84,38 +84,3 @@ def _figure(result: Fit) -> Any:
     from greybox.plotting import plot  # noqa: PLC0415  (imports matplotlib)
 
     return plot(result)
-
-
-def _as_json(result: Fit) -> dict[str, Any]:
-    return {
-        "problem": result.name,
-        "criterion": result.criterion,
-        "delay": result.delay,
-        "starts": len(result.runs),
-        "seed": result.seed,
-        "converged": sum(run.converged for run in result.runs),
-        "agreeing": result.agreeing,
-        "minima": len(result.minima),
-        "cost": finite(result.cost),
-        "costs": all_finite(result.costs),
-        "status": result.status,
-        "estimate": all_finite(result.estimate),
-        "best_effort": None if result.best_effort is None else all_finite(result.best_effort),
-        "standard_error": all_finite(result.standard_error),
-        "derived": all_finite(result.derived),
-        "outputs": [_output(part, name) for part in result.records for name in part.outputs],
-        "at_bound": [q.name for q in result.quantities if q.at_bound],
-        "warnings": list(result.warnings),
-        "notes": list(result.notes),
-        "checksum": result.checksum,
-        "seconds": result.seconds,
-        "versions": dict(result.versions),
-    }
-
-
-def _output(part: FittedRecord, name: str) -> dict[str, Any]:
-    """Return how well an output of a record is fitted."""
-    # The standard deviation of the residuals, given or estimated.
-    noise = float(part.noise[part.outputs.index(name), part.outputs.index(name)])
-    answer = {"part": part.name, "output": name, "unit": part.data.units.get(name, "")}
-    return answer | {"fit_percent": finite(part.fit_percent(name)), "noise": finite(math.sqrt(noise))}

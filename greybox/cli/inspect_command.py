@@ -5,7 +5,8 @@ from typing import Any
 
 from greybox.cli.log_tests import add_test_options, segment_as_json, segments_of
 from greybox.cli.options import add_common_options
-from greybox.cli.output import USABLE, Answer, finite, require_figure, save_figure
+from greybox.cli.output import USABLE, Answer, require_figure, save_figure
+from greybox.data.json_numbers import finite
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.data.text_table import number, text_table

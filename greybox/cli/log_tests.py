@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from greybox.cli.output import finite
+from greybox.data.json_numbers import finite
 from greybox.data.record import Recording
 from greybox.data.test_segment import Segment
 from greybox.logs.segment_detection import find_segments

@@ -12,7 +12,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NoReturn
 
-from greybox.cli import fit_command, inspect_command, list_command, response_command
+from greybox.cli import (
+    batch_command,
+    compare_command,
+    fit_command,
+    inspect_command,
+    list_command,
+    response_command,
+)
 from greybox.cli.options import UsageError
 from greybox.cli.output import BAD_INPUT, FAILED, NO_WORKING_DIRECTORY, USABLE, Answer, has_working_directory
 from greybox.cli.startup import INTERRUPTED
@@ -20,7 +27,7 @@ from greybox.cli.terminal import has_all_characters, write
 from greybox.data.text_table import alternatives, nearest, printable
 from greybox.solve.interruption import Response, listening, responding, take_interrupt
 
-COMMANDS = (list_command, inspect_command, response_command, fit_command)
+COMMANDS = (list_command, inspect_command, response_command, fit_command, batch_command, compare_command)
 
 
 class _Parser(argparse.ArgumentParser):

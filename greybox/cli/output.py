@@ -1,8 +1,7 @@
 """What a command gives: the answer as JSON and as text, the exit status, files and figures."""
 
-import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -28,16 +27,6 @@ def has_working_directory() -> bool:
     except FileNotFoundError:
         return False
     return True
-
-
-def finite(value: float) -> float | None:
-    """Return a number as JSON has it: None for what is not finite."""
-    return float(value) if math.isfinite(value) else None
-
-
-def all_finite(values: Mapping[str, float]) -> dict[str, float | None]:
-    """Return numbers by name as JSON has them."""
-    return {name: finite(value) for name, value in values.items()}
 
 
 def require_writable(path: Path | None, force: bool) -> None:

@@ -820,6 +820,11 @@ def compile_records(
     local = [ca.vertcat(ca.SX(0, 1), *problem.local_values(expressions).values()) for problem in problems]
     for problem, q in zip(problems, local, strict=True):
         models.append(record_model(problem, q, z, method, models))
+    numbers: dict[int, int] = {}  # small ones: the same in every process, as hashes are not
+    models = [
+        replace(model, expressions=tuple(numbers.setdefault(e, len(numbers)) for e in model.expressions))
+        for model in models
+    ]
     data = [
         sampled_data(
             model.record,

@@ -46,7 +46,9 @@ from greybox.formulation.starts import Chained, Listed, Sobol, Starts, as_starts
 from greybox.formulation.sum import Sum
 from greybox.modeling.periodic_motions import response_of_test
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
+from greybox.solve.executors import packed
 from greybox.solve.interruption import Response, listening, responding, take_interrupt
+from greybox.solve.kept_runs import KeptRuns
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
 from greybox.solve.multistart import multistart, solver_for
@@ -126,6 +128,30 @@ def fit(
     KeyboardInterrupt
         After Ctrl-C, when the iteration at hand has ended; its attribute ``fit`` is the best fit so far.
     """
+    return fit_keeping(
+        None,
+        problem,
+        starts,
+        seed,
+        method=method,
+        solver_options=solver_options,
+        executor=executor,
+        progress=progress,
+    )
+
+
+def fit_keeping(
+    kept: KeptRuns | None,
+    problem: AnyProblem,
+    starts: int | Starts | Sequence[Mapping[str, float] | Starts] | None = None,
+    seed: int | None = None,
+    *,
+    method: Transcription | None = None,
+    solver_options: Mapping[str, Any] = MappingProxyType({}),
+    executor: Executor | None = None,
+    progress: bool | Callable[[int, int], None] = True,
+) -> Fit:
+    """Fit as `fit` does, and keep every run as soon as it is done; runs that were kept before are not made again."""
     if not isinstance(problem, Problem | Sum):
         raise TypeError(f"problem is {problem!r:.80}: give a Problem(model, data) or a sum of them.")
     if not isinstance(solver_options, Mapping):
@@ -136,7 +162,7 @@ def fit(
         raise TypeError(f"executor is {executor!r:.60}: give an instance such as greybox.solve.WorkerPool(2).")
     try:
         with listening():
-            answer = _fitted_from(problem, starts, seed, method, solver_options, executor, progress)
+            answer = _fitted_from(problem, starts, seed, method, solver_options, progress, executor=executor, kept=kept)
             if answer is None or take_interrupt():
                 raise Interrupted(answer)
             return answer
@@ -146,14 +172,25 @@ def fit(
         raise Interrupted(None) from pressed
 
 
+def fingerprint(
+    problem: AnyProblem,
+    method: Transcription | None = None,
+    solver_options: Mapping[str, Any] = MappingProxyType({}),
+) -> str:
+    """Return what a fit keeps its runs under: a number of the compiled problem, its data and its solver's options."""
+    return packed(solver_for(compile_problem(with_enough_harmonics(problem), method), solver_options))[0]
+
+
 def _fitted_from(
     problem: AnyProblem,
     starts: Any,
     seed: int | None,
     method: Transcription | None,
     solver_options: Mapping[str, Any],
-    executor: Executor | None,
     progress: bool | Callable[[int, int], None],
+    *,
+    executor: Executor | None,
+    kept: KeptRuns | None,
 ) -> Fit | None:
     """Return the fit from these starts, or after Ctrl-C from those that were done; None if there are none."""
     began = time.perf_counter()
@@ -167,10 +204,14 @@ def _fitted_from(
     movable = not isinstance(rule, Listed)
     with responding(Response.STOP):
         if callable(progress) or not progress:
-            search = multistart(nlp, solver, points, progress or None, movable, executor)
+            search = multistart(nlp, solver, points, progress or None, movable, executor, kept)
         else:
             with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
-                search = multistart(nlp, solver, points, lambda done, _: _advance(bar, done), movable, executor)
+
+                def advance(done: int, _: int) -> None:
+                    bar.update(done - bar.n)
+
+                search = multistart(nlp, solver, points, advance, movable, executor, kept)
         nlp, search, solver = with_more_harmonics(nlp, search, solver, open_parts, solver_options)
         search = explained(nlp, search, solver)
         nlp, search, solver, error = refine_discretization(nlp, search, solver)
@@ -275,10 +316,6 @@ def _rule(starts: Any, seed: int | None, solver: LocalSolver) -> Starts:
     if isinstance(number, Starts | Sequence) or not solver.tries_declared_values:
         return rule
     return Chained((Listed(({},)), Sobol(number - 1, rule.seed or 0))) if number > 1 else Listed(({},))
-
-
-def _advance(bar: tqdm, done: int) -> None:
-    bar.update(done - bar.n)
 
 
 def _nothing(nlp: Nlp) -> Accuracy:

@@ -3,9 +3,9 @@
 Begin with `multistart`, which chooses the solver, and `local_solver`, what every solver answers. `ipopt` solves
 problems of frequency responses, `gauss_newton/` those with records, and `transcribed_program` hands records to IPOPT as
 one sparse program; an `outcome` is what one run leaves, `minima` groups the runs. `executors` has the runs made by
-other processes, `worker_pool` has such on this machine. `local_search` tries more than the starts,
-`discretization_error` refines the integration, `cost` evaluates a problem at given parameters. `constraints` and
-`quadratic_program` serve the Gauss-Newton steps. `interruption` says what becomes of Ctrl-C.
+other processes, `worker_pool` has such on this machine, `kept_runs` says what keeps them. `local_search` tries more
+than the starts, `discretization_error` refines the integration, `cost` evaluates a problem at given parameters.
+`constraints` and `quadratic_program` serve the Gauss-Newton steps. `interruption` says what becomes of Ctrl-C.
 """
 
 from greybox.compiled.strategies import Strategies as Strategies

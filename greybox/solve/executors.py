@@ -16,22 +16,25 @@ import pickle
 import signal
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError, Executor, Future
 from concurrent.futures import TimeoutError as StillRunning
 from contextlib import contextmanager
-from itertools import islice
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greybox.solve.interruption import stop_requested
+from greybox.solve.kept_runs import KeptRuns, KeptRunsError, NothingKept
 from greybox.solve.local_solver import LocalSolver
-from greybox.solve.outcome import WORKER_LOST, Outcome
+from greybox.solve.outcome import INTERRUPTED, WORKER_LOST, Outcome
 from greybox.solve.worker_pool import NoWorkerError, WorkerLostError
 
 Array = NDArray[np.float64]
+
+Known = Mapping[int, tuple[Array, Outcome]]
+"""Start and outcome of the runs that were kept, by the number of the start."""
 
 # Work of one task, s: two hundred times what a distributed scheduler takes to hand out a task, and little enough for
 # progress to be seen and for Ctrl-C to be obeyed.
@@ -44,114 +47,219 @@ MOST_WAITING = 128
 MOST_BYTES = 1 << 28
 
 SOLVERS_KEPT = 4  # by a worker, so that it serves the members of a study in turn without building anew
-LOOK = 0.1  # s, after which a search that waits for workers looks whether Ctrl-C was pressed
+LOOK = 0.1  # s, after which a search that waits for workers keeps what is done and looks whether Ctrl-C was pressed
+
+
+class ExecutorLostError(RuntimeError):
+    """An executor has lost its workers, or its tasks cannot be done there."""
 
 
 def run_all(
-    solver: LocalSolver, starts: Iterable[Array], count: int, executor: Executor | None = None
+    solver: LocalSolver,
+    starts: Iterable[Array],
+    count: int,
+    executor: Executor | None = None,
+    kept: KeptRuns | None = None,
 ) -> Iterator[tuple[Array, Outcome]]:
     """Give the starts (p,) and what a run from each leaves, in their order, until a stop is requested.
 
-    `count` is how many there are. With an executor the first run is made here: it tells how long they take.
+    `count` is how many there are. With an executor the first run is made here: it tells how long they take. Runs that
+    were `kept` are not made again.
 
     Raises
     ------
-    RuntimeError
+    ExecutorLostError
         When the executor has lost its workers.
+    KeptRunsError
+        When the runs that were kept are not of this problem, or began elsewhere.
     """
-    starts = iter(starts)
-    for start in starts:
+    key, payload = packed(solver) if kept is not None or executor is not None else ("", b"")
+    kept = kept or NothingKept()
+    known = kept.known(key)
+    numbered = _numbered(starts, known)
+    for number, start in numbered:
         if stop_requested():
             return
+        if number in known:
+            yield start, known[number][1]
+            continue
         outcome = solver.run(start)
+        _keep(kept, number, start, outcome)
         yield start, outcome
         if executor is not None:
-            yield from _on_workers(solver, starts, count - 1, executor, outcome.seconds)
+            left = count - number - 1
+            yield from _on_workers(_Tasks((key, payload), numbered, left, executor, kept, known, outcome))
             return
 
 
-def _on_workers(
-    solver: LocalSolver, starts: Iterator[Array], count: int, executor: Executor, seconds: float
-) -> Iterator[tuple[Array, Outcome]]:
-    """Give starts and outcomes in order; `seconds` is what a run takes, about."""
-    tasks = _Tasks(solver, starts, count, executor, seconds)
+def packed(solver: LocalSolver) -> tuple[str, bytes]:
+    """Return what names a solver, the same in every process, and the solver as it travels."""
+    payload = pickle.dumps(solver)
+    return hashlib.sha256(payload).hexdigest(), payload
+
+
+def _numbered(starts: Iterable[Array], known: Known) -> Iterator[tuple[int, Array]]:
+    """Give the starts with their numbers; those that are known must be the same."""
+    for number, start in enumerate(starts):
+        if number in known and not np.array_equal(start, known[number][0]):
+            raise KeptRunsError(
+                f"the runs that were kept began at other starts, from number {number} on: give the same rule and seed."
+            )
+        yield number, start
+
+
+def _keep(kept: KeptRuns, number: int, start: Array, outcome: Outcome) -> None:
+    """Keep a run, unless it was cut short, so that it is made again."""
+    if outcome.status != INTERRUPTED:
+        kept.add(number, start, outcome)
+
+
+def _on_workers(tasks: "_Tasks") -> Iterator[tuple[Array, Outcome]]:
+    """Give starts and outcomes in order."""
     try:
         while not stop_requested():
             tasks.hand_out()
             if not tasks.waiting:
                 return
-            if _is_done(tasks.waiting[0].future):
+            if tasks.is_next_done():
                 yield from tasks.next()
         # Ctrl-C: what has begun is finished.
         tasks.cancel()
-        while tasks.waiting and not tasks.waiting[0].future.cancelled():
+        while tasks.waiting and not tasks.waiting[0].is_cancelled:
             yield from tasks.next()
     finally:
         tasks.cancel()
 
 
-class _Task(NamedTuple):
+@dataclass
+class _Task:
+    """Some starts, and where their outcomes come from: a future, or runs that were kept."""
+
+    numbers: list[int]
     starts: list[Array]
-    future: Future[list[Outcome]]
+    future: Future[list[Outcome]] | None = None
+    outcomes: list[Outcome] | None = None
+
+    @property
+    def is_cancelled(self) -> bool:
+        return self.future is not None and self.future.cancelled()
 
 
 class _Tasks:
-    """The tasks of one search that are handed out, in the order of the starts."""
+    """The tasks of one search that are handed out, in the order of the starts; `first` is the run that was made."""
 
     def __init__(
-        self, solver: LocalSolver, starts: Iterator[Array], count: int, executor: Executor, seconds: float
+        self,
+        solver: tuple[str, bytes],
+        numbered: Iterator[tuple[int, Array]],
+        count: int,
+        executor: Executor,
+        kept: KeptRuns,
+        known: Known,
+        first: Outcome,
     ) -> None:
         self.waiting: deque[_Task] = deque()
-        self._starts = starts
+        self._solver = solver
+        self._numbered = numbered
         self._executor = executor
-        self._payload = pickle.dumps(solver)
-        self._key = hashlib.sha256(self._payload).hexdigest()
-        self._most = min(max(MOST_BYTES // len(self._payload), 2), MOST_WAITING)
+        self._kept = kept
+        self._known = known
+        self._ahead: tuple[int, Array] | None = None
+        self._most = min(max(MOST_BYTES // len(solver[1]), 2), MOST_WAITING)
         self._largest = max(math.ceil(count / FEWEST_TASKS), 1)
-        self._done, self._seconds = 1, seconds
+        self._done, self._seconds = 1, first.seconds
 
     def hand_out(self) -> None:
         """Hand out tasks until enough are waiting, or none is left."""
         while len(self.waiting) < self._most and not stop_requested():
             size = max(int(TASK_SECONDS * self._done / max(self._seconds, 1e-6)), 1)
-            starts = list(islice(self._starts, min(size, self._largest)))
-            if not starts:
+            if not self._take(min(size, self._largest)):
                 return
-            self.waiting.append(self._task(starts))
+
+    def _take(self, most: int) -> bool:
+        """Make a task of the next starts, at most so many, or of one that is known; False when none is left."""
+        some: list[tuple[int, Array]] = []
+        while len(some) < most:
+            following = self._ahead or next(self._numbered, None)
+            self._ahead = None
+            if following is None:
+                break
+            number, start = following
+            if number in self._known:
+                if some:
+                    self._ahead = following
+                else:
+                    self.waiting.append(_Task([number], [start], outcomes=[self._known[number][1]]))
+                    return True
+                break
+            some.append(following)
+        if some:
+            self.waiting.append(self._submitted([number for number, _ in some], [start for _, start in some]))
+        return bool(some)
+
+    def is_next_done(self) -> bool:
+        """Wait for the first of the waiting tasks; False when a stop was requested before."""
+        first = self.waiting[0]
+        while not stop_requested():
+            if first.outcomes is not None or first.future is None:
+                return True
+            try:
+                first.future.exception(timeout=LOOK)
+            except StillRunning:
+                self._look()
+                continue
+            except CancelledError:
+                pass
+            return True
+        return False
 
     def next(self) -> Iterator[tuple[Array, Outcome]]:
         """Give what the first of the waiting tasks left; where its worker was lost, its starts are tried one by one."""
-        starts, future = self.waiting.popleft()
-        outcomes = _results(future)
-        if outcomes is None and len(starts) > 1:
-            self.waiting.extendleft([self._task([start]) for start in reversed(starts)])
+        task = self.waiting.popleft()
+        if task.outcomes is None:
+            self._finish(task)
+        if task.outcomes is None and len(task.starts) > 1:
+            each = zip(reversed(task.numbers), reversed(task.starts), strict=True)
+            self.waiting.extendleft([self._submitted([number], [start]) for number, start in each])
             return
-        outcomes = outcomes or [Outcome(starts[0], WORKER_LOST, 0, 0.0, converged=False, cost=math.inf)]
-        self._done += len(outcomes)
-        self._seconds += sum(outcome.seconds for outcome in outcomes)
-        yield from zip(starts, outcomes, strict=True)
+        if task.outcomes is None:
+            task.outcomes = [Outcome(task.starts[0], WORKER_LOST, 0, 0.0, converged=False, cost=math.inf)]
+            self._keep(task, task.outcomes)
+        yield from zip(task.starts, task.outcomes, strict=True)
 
     def cancel(self) -> None:
         """Take back what has not begun."""
         for task in self.waiting:
-            task.future.cancel()
+            if task.future is not None:
+                task.future.cancel()
 
-    def _task(self, starts: list[Array]) -> _Task:
-        arguments = (self._key, self._payload, np.array(starts), os.getpid())
-        return _Task(starts, self._executor.submit(run_starts, *arguments))
+    def _look(self) -> None:
+        """Keep what is done, whatever is waited for."""
+        for task in self.waiting:
+            if task.outcomes is None and task.future is not None and _is_without_error(task.future):
+                self._finish(task)
+        self._kept.look()
+
+    def _finish(self, task: _Task) -> None:
+        """Take the outcomes of a task that is done, if its worker was not lost."""
+        assert task.future is not None
+        task.outcomes = _results(task.future)
+        if task.outcomes is not None:
+            self._done += len(task.outcomes)
+            self._seconds += sum(outcome.seconds for outcome in task.outcomes)
+            self._keep(task, task.outcomes)
+
+    def _keep(self, task: _Task, outcomes: list[Outcome]) -> None:
+        for number, start, outcome in zip(task.numbers, task.starts, outcomes, strict=True):
+            _keep(self._kept, number, start, outcome)
+
+    def _submitted(self, numbers: list[int], starts: list[Array]) -> _Task:
+        return _Task(numbers, starts, self._executor.submit(run_starts, *self._solver, np.array(starts), os.getpid()))
 
 
-def _is_done(future: Future[list[Outcome]]) -> bool:
-    """Wait for a task; False when a stop was requested before."""
-    while not stop_requested():
-        try:
-            future.exception(timeout=LOOK)
-        except StillRunning:
-            continue
-        except CancelledError:
-            pass
-        return True
-    return False
+def _is_without_error(future: Future[list[Outcome]]) -> bool:
+    """Tell whether a task is done and has left its outcomes."""
+    return future.done() and not future.cancelled() and future.exception() is None
 
 
 def _results(future: Future[list[Outcome]]) -> list[Outcome] | None:
@@ -160,13 +268,13 @@ def _results(future: Future[list[Outcome]]) -> list[Outcome] | None:
         return future.result()
     except WorkerLostError:
         return None
-    except NoWorkerError:
-        raise
+    except NoWorkerError as error:
+        raise ExecutorLostError(str(error)) from error
     except CancelledError as error:
-        raise RuntimeError("the executor gave up its tasks: its workers or its scheduler are gone.") from error
+        raise ExecutorLostError("the executor gave up its tasks: its workers or its scheduler are gone.") from error
     except Exception as error:
         said = " ".join(str(error).split())[:300].rstrip(".") or "no reason given"
-        raise RuntimeError(
+        raise ExecutorLostError(
             f"a task of the executor failed, {type(error).__name__}: {said}. Start its workers again, or use "
             "greybox.solve.WorkerPool, which replaces those that it loses."
         ) from error

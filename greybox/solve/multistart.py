@@ -16,6 +16,7 @@ from greybox.solve.executors import run_all
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.interruption import stop_requested
 from greybox.solve.ipopt import IpoptSolver
+from greybox.solve.kept_runs import KeptRuns
 from greybox.solve.local_search import LocalSearch
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart, find_minima
@@ -53,13 +54,15 @@ def multistart(
     progress: ProgressReport | None = None,
     movable: bool = True,
     executor: Executor | None = None,
+    kept: KeptRuns | None = None,
 ) -> Multistart:
     """Run the solver from every row of `starts` (r, p) and group the runs into minima.
 
     Starts that are `movable` go to where a run can begin. Every run is kept; runs from elsewhere, see
     `greybox.solve.local_search`, follow those of the starts. A run that fails is a result with its status; it is never
     ranked before one that converged. When a stop is requested (`greybox.solve.interruption`) the run at hand is the
-    last. With an executor the runs from the starts are made by its workers, see `greybox.solve.executors`.
+    last. With an executor the runs from the starts are made by its workers, see `greybox.solve.executors`. Those that
+    were `kept` are not made again.
     """
     began = time.perf_counter()
     points: Iterable[Array] = starts
@@ -68,7 +71,7 @@ def multistart(
     search = LocalSearch(nlp, solver, neighbors=len(starts) > 1)
     tried: list[Array] = []
     outcomes = []
-    for start, outcome in run_all(solver, points, len(starts), executor):
+    for start, outcome in run_all(solver, points, len(starts), executor, kept):
         tried.append(start)
         outcomes.append(search.improved(outcome))
         if progress is not None:

@@ -1,19 +1,10 @@
-"""Numbers as JSON has them, and files that may be written."""
+"""Files that may be written."""
 
-import json
-
-import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 from greybox.cli.options import UsageError
-from greybox.cli.output import all_finite, finite, require_figure, require_writable, save_figure
-
-
-def test_what_is_not_finite_is_null():
-    values = {"a": 1.5, "b": np.nan, "c": -np.inf, "d": np.float64(2)}
-    assert json.loads(json.dumps(all_finite(values), allow_nan=False)) == {"a": 1.5, "b": None, "c": None, "d": 2.0}
-    assert type(finite(np.float64(2))) is float
+from greybox.cli.output import require_figure, require_writable, save_figure
 
 
 def test_files_that_exist_are_kept_unless_forced(tmp_path):

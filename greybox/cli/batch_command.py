@@ -1,0 +1,89 @@
+"""The command `greybox batch`: many fits, kept in a folder as they are made."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from greybox.cli.options import UsageError, add_common_options, positive
+from greybox.cli.output import FAILED, USABLE, Answer
+from greybox.cli.startup import INTERRUPTED
+from greybox.cli.study_file import read_study_file
+from greybox.cli.workers import add_worker_options, stated_executor
+from greybox.solve.executors import ExecutorLostError
+from greybox.study.batch import BatchInterrupted, batch
+from greybox.study.study import Study
+from greybox.study.study_folder import is_study, read_json, write_json
+
+ORIGIN = "origin.json"  # of a study: the study file it was begun with
+
+
+def add_command(commands: Any) -> None:
+    """Declare the command and its options."""
+    parser = commands.add_parser("batch", help="fit many problems, and lose nothing when killed", allow_abbrev=False)
+    add = parser.add_argument
+    add("study", nargs="?", type=Path, metavar="STUDY", help="study.toml, or study.py with a function members()")
+    add("--out", type=Path, metavar="DIR", help="keep every run and the answers in this folder")
+    add("--resume", type=Path, metavar="DIR", help="go on with the study in this folder, whatever ended it")
+    add("--starts", type=positive, help="number of starts of every member (default: the study's, or as of greybox fit)")
+    add_worker_options(parser)
+    add_common_options(parser)
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> Answer:
+    """Run the batch, or go on with it."""
+    source, folder, starts = _stated(options)
+    members = read_study_file(source, starts)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(folder / ORIGIN, {"study": str(source.resolve()), "starts": starts})
+    resume = f"`greybox batch --resume {folder}` goes on"
+    try:
+        with stated_executor(options) as executor:
+            study = batch(members, folder, executor=executor)
+    except BatchInterrupted as stopped:
+        answer = {**as_json(stopped.study), "error": f"interrupted; {resume}."}
+        return answer, str(stopped.study), INTERRUPTED
+    except (ExecutorLostError, OSError) as error:
+        if isinstance(error, BlockingIOError):
+            raise
+        return {"error": f"{str(error).rstrip('.')}; {resume}."}, "", FAILED
+    answer = as_json(study)
+    bad = [member.name for member in study.members if member.status != "done"]
+    if bad:
+        answer["error"] = f"{len(bad)} of {len(study.members)} members have no answer: {', '.join(bad)}."
+    return answer, str(study), FAILED if bad else USABLE
+
+
+def _stated(options: argparse.Namespace) -> tuple[Path, Path, int | None]:
+    """Return the study file, the folder, and the starts that are asked for."""
+    if options.resume is None:
+        if options.study is None or options.out is None:
+            raise UsageError("give a study file and --out DIR, or --resume DIR.")
+        if options.out.exists() and not options.out.is_dir():
+            raise UsageError(f"{options.out} is a file: give a folder.")
+        if is_study(options.out):
+            raise UsageError(
+                f"{options.out} has a study: go on with it by --resume {options.out}, or give another folder."
+            )
+        return options.study, options.out, options.starts
+    if options.study is not None or options.out is not None:
+        raise UsageError("--resume DIR knows its study file and its folder: leave out the others.")
+    if not is_study(options.resume):
+        raise UsageError(f"{options.resume} is no study: begin one with greybox batch STUDY --out {options.resume}.")
+    try:
+        origin = read_json(options.resume / ORIGIN)
+    except FileNotFoundError:
+        origin = {}
+    source, starts = origin.get("study"), origin.get("starts")
+    if not isinstance(source, str) or not isinstance(starts, int | None):
+        raise UsageError(f"{options.resume} does not say which study file it is of: call gb.batch as it was begun.")
+    return Path(source), options.resume, options.starts or starts
+
+
+def as_json(study: Study) -> dict[str, Any]:
+    """Return a study as plain values."""
+    members = [
+        {"name": m.name, "status": m.status, "runs": m.runs, "error": m.error or None, "answer": dict(m.answer) or None}
+        for m in study.members
+    ]
+    return {"study": str(study.folder), "members": members}

@@ -1,0 +1,11 @@
+"""Many fits, kept in a folder as they are made.
+
+Begin with `batch`, which makes them; `study` is what they have come to so far, also while they run. `study_folder` says
+what is in the folder, `run_files` how the runs of one problem are kept.
+"""
+
+from greybox.study.batch import Member as Member
+from greybox.study.batch import batch as batch
+from greybox.study.study import Study as Study
+from greybox.study.study import StudyMember as StudyMember
+from greybox.study.study import read_study as read_study

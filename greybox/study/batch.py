@@ -1,0 +1,254 @@
+"""A batch of fits: every run is on disk soon after it is made, and a batch that was killed goes on."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from tqdm import tqdm
+
+from greybox.compiled.compiled_problem import AnyProblem
+from greybox.compiled.transcription.method import Transcription
+from greybox.data.text_table import counted, printable
+from greybox.estimate.fit import fingerprint, fit_keeping
+from greybox.estimate.result import Fit
+from greybox.estimate.storage import save
+from greybox.estimate.summary import summary
+from greybox.formulation.problem import Problem
+from greybox.formulation.starts import Starts
+from greybox.formulation.sum import Sum
+from greybox.solve.executors import ExecutorLostError
+from greybox.solve.interruption import Response, listening, responding
+from greybox.solve.kept_runs import KeptRunsError
+from greybox.study.run_files import RunFiles
+from greybox.study.study import Study, read_study
+from greybox.study.study_folder import ANSWER, FIT, locked, member_folder, read_json, write_index, write_json
+
+# A problem that cannot be fitted ends its own member; anything else is a mistake of the program.
+MEMBER_ERRORS = (ValueError, TypeError, ArithmeticError, LookupError, RuntimeError)
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """One fit of a batch: a problem, and what `greybox.fit` takes besides.
+
+    Parameters
+    ----------
+    problem : Problem or a sum of problems
+    starts, seed, method, solver_options
+        As of `greybox.fit`.
+    name : str
+        The problem's by default; no two members have the same.
+    """
+
+    problem: AnyProblem
+    starts: int | Starts | Sequence[Mapping[str, float] | Starts] | None = None
+    seed: int | None = None
+    method: Transcription | None = None
+    solver_options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        """Take the problem's name where none is given."""
+        if not isinstance(self.problem, Problem | Sum):
+            raise TypeError(f"problem is {self.problem!r:.80}: give a Problem(model, data) or a sum of them.")
+        if not self.name:
+            object.__setattr__(self, "name", self.problem.name)
+        if self.name != printable(self.name):
+            raise ValueError(f"name is {self.name!r}: leave out what cannot be printed.")
+
+
+class BatchInterrupted(KeyboardInterrupt):
+    """Ctrl-C during a batch.
+
+    Attributes
+    ----------
+    study : Study
+        What was done; the same call goes on.
+    """
+
+    def __init__(self, study: Study) -> None:
+        super().__init__(study)
+        self.study = study
+
+    def __str__(self) -> str:
+        return f"interrupted; what was done is in {self.study.folder}, and the same batch goes on from there"
+
+
+def batch(
+    members: Sequence[Member | AnyProblem],
+    folder: str | Path,
+    *,
+    executor: Executor | None = None,
+    progress: bool = True,
+) -> Study:
+    """Fit many problems, one after the other, and keep every run in a folder.
+
+    A batch that ended in any way, `kill -9` included, goes on when it is begun again with the same members and folder:
+    runs that are on disk are not made again, at most some two seconds of work of each worker are lost, and the answer
+    is that of a batch that was never interrupted. Members that failed are tried again. A member with more starts of the
+    same seed keeps the runs that it has; new members are added to those in the folder.
+
+    Parameters
+    ----------
+    members : sequence of Member, Problem or sums of problems
+    folder : str or Path
+        Is made where it does not exist; see `greybox.study.study_folder` for what is in it.
+    executor : concurrent.futures.Executor, optional
+        What makes the runs, as of `greybox.fit`.
+    progress : bool
+        A bar on a terminal for anything longer than two seconds.
+
+    Returns
+    -------
+    Study
+        A member that failed does not stop the others.
+
+    Raises
+    ------
+    ValueError, TypeError
+        For bad input, in one sentence; and when a member is not the problem that the folder has under its name.
+    OSError
+        When the folder cannot be written, or another process is at work on it. What was written stays usable.
+    RuntimeError
+        When the executor has lost its workers; the same batch goes on with another.
+    KeyboardInterrupt
+        After Ctrl-C; its attribute ``study`` is what was done.
+    """
+    listed = [member if isinstance(member, Member) else Member(member) for member in members]
+    require_distinct(listed)
+    if executor is not None and not isinstance(executor, Executor):
+        raise TypeError(f"executor is {executor!r:.60}: give an instance such as greybox.solve.WorkerPool(2).")
+    folder = Path(folder)
+    with locked(folder):
+        own = write_index(folder, [member.name for member in listed])
+        try:
+            with listening(), _shown(listed, progress) as bar:
+                for member in listed:
+                    _fit_member(member, member_folder(folder, own[member.name]), executor, bar)
+        except KeyboardInterrupt as pressed:
+            raise BatchInterrupted(read_study(folder)) from pressed
+        return read_study(folder)
+
+
+def require_distinct(members: Sequence[Member]) -> None:
+    """Refuse a batch without members, or of two with one name.
+
+    Raises
+    ------
+    ValueError
+    """
+    if not members:
+        raise ValueError("members is empty: give at least one problem.")
+    names = [member.name for member in members]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"{counted(names.count(name), 'member')} have the name {name!r}: name them apart.")
+
+
+@contextmanager
+def _shown(members: Sequence[Member], progress: bool) -> Iterator["_Display"]:
+    with tqdm(total=len(members), disable=None if progress else True, delay=2, unit="member", leave=False) as bar:
+        yield _Display(bar)
+
+
+class _Display:
+    """How far a batch is."""
+
+    def __init__(self, bar: Any) -> None:
+        self._bar = bar
+        self._done = 0
+        self._failed = 0
+
+    def begin(self, name: str) -> Callable[[int, int], None]:
+        """Return what reports the runs of a member."""
+
+        def report(done: int, count: int) -> None:
+            self._bar.set_postfix_str(f"{name}: {done} of {counted(count, 'start')}{self._failures}", refresh=False)
+            self._bar.update(self._done + 0.99 * done / count - self._bar.n)
+
+        return report
+
+    def end(self, *, failed: bool) -> None:
+        """Count a member that is done."""
+        self._done += 1
+        self._failed += failed
+        self._bar.update(self._done - self._bar.n)
+
+    @property
+    def _failures(self) -> str:
+        return f", {self._failed} failed" if self._failed else ""
+
+
+def _fit_member(member: Member, folder: Path, executor: Executor | None, bar: _Display) -> None:
+    """Fit a member, unless it is done; an error of its own is its answer."""
+    if _is_done(member, folder):
+        bar.end(failed=False)
+        return
+    kept = RunFiles(folder)
+    report = bar.begin(member.name)
+    result, error = None, ""
+    try:
+        result = _fitted(member, kept, executor, report)
+        error = "" if result.converged else ": ".join([result.status, *result.warnings[:1]])
+    except (ExecutorLostError, KeptRunsError):
+        raise
+    except MEMBER_ERRORS as raised:
+        error = " ".join(str(raised).split()) or type(raised).__name__
+    finally:
+        with responding(Response.FINISH):
+            kept.write()
+    with responding(Response.FINISH):
+        _write_answer(folder, kept.fingerprint, _asked(member), result, error)
+    bar.end(failed=bool(error))
+
+
+def _fitted(member: Member, kept: RunFiles, executor: Executor | None, report: Callable[[int, int], None]) -> Fit:
+    return fit_keeping(
+        kept,
+        member.problem,
+        member.starts,
+        member.seed,
+        method=member.method,
+        solver_options=member.solver_options,
+        executor=executor,
+        progress=report,
+    )
+
+
+def _write_answer(folder: Path, mark: str, asked: str, result: Fit | None, error: str) -> None:
+    """Write what a member has come to; that it is done is said last."""
+    marks = {"fingerprint": mark, "asked": asked}
+    if result is not None:
+        save(result, folder / FIT)
+        marks = {**summary(result), **marks}
+    write_json(folder / ANSWER, {**marks, "error": error} if error else marks)
+
+
+def _is_done(member: Member, folder: Path) -> bool:
+    """Tell whether a member has a usable answer from the starts that are asked for.
+
+    Raises
+    ------
+    ValueError
+        If it is the answer to another problem.
+    """
+    if not (folder / ANSWER).is_file() or not (folder / FIT).is_file():
+        return False
+    answer = read_json(folder / ANSWER)
+    if answer.get("error"):
+        return False
+    if answer.get("fingerprint") != fingerprint(member.problem, member.method, member.solver_options):
+        raise ValueError(
+            f"{folder} has the answer to another problem than that of {member.name!r}, or of other options or another "
+            "version of greybox or CasADi: give what the study was begun with, or begin another one."
+        )
+    return answer.get("asked") == _asked(member)
+
+
+def _asked(member: Member) -> str:
+    """Return the starts that are asked for, as text."""
+    return f"{member.starts!r}, seed {member.seed!r}"

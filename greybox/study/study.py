@@ -1,0 +1,154 @@
+"""What a study has found so far: its members, each with its answer or why there is none, and one table of them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from greybox.data.text_table import counted, number, one_line, printable, text_table, with_error
+from greybox.estimate.result import Fit
+from greybox.study.run_files import count_runs
+from greybox.study.study_folder import ANSWER, FIT, member_folder, read_index, read_json
+
+Status = Literal["done", "failed", "unfinished"]
+
+
+@dataclass(frozen=True, eq=False)
+class StudyMember:
+    """One fit of a study.
+
+    Attributes
+    ----------
+    name : str
+    folder : Path
+        Where its files are.
+    status : str
+        "done" with a usable answer; "failed" without one, for the reason in `error`; "unfinished".
+    error : str
+        Why it failed.
+    runs : int
+        How many are on disk, or those of the answer.
+    answer : mapping
+        The numbers of the fit as ``greybox fit --json`` gives them; empty where there are none.
+    """
+
+    name: str
+    folder: Path
+    status: Status
+    error: str
+    runs: int
+    answer: Mapping[str, Any]
+
+    @property
+    def fit(self) -> Fit:
+        """The whole fit, read from its file.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the member has none yet.
+        """
+        from greybox.estimate.storage import load  # noqa: PLC0415  (few look at more than the numbers)
+
+        return load(self.folder / FIT)
+
+    def __repr__(self) -> str:
+        return one_line(self, self.name, self.status, counted(self.runs, "run"))
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """All members of a study, in their order; printed, it is the table that compares them."""
+
+    folder: Path
+    members: tuple[StudyMember, ...]
+
+    def __getitem__(self, name: str) -> StudyMember:
+        for member in self.members:
+            if member.name == name:
+                return member
+        raise KeyError(f"the study has no member {name!r}; it has {', '.join(m.name for m in self.members)}.")
+
+    def count(self, status: Status) -> int:
+        """Return how many members have this status."""
+        return sum(member.status == status for member in self.members)
+
+    def __repr__(self) -> str:
+        return one_line(self, str(self.folder), self._state())
+
+    def _state(self) -> str:
+        found = [f"{self.count(status)} {status}" for status in ("done", "failed", "unfinished") if self.count(status)]
+        return f"{counted(len(self.members), 'member')}: {', '.join(found) or 'none'}"
+
+    def __str__(self) -> str:
+        blocks = [f"Study {printable(str(self.folder))}, {self._state()}", _overview(self.members)]
+        groups: dict[tuple[str, ...], list[StudyMember]] = {}
+        for member in self.members:
+            if member.status == "done":
+                groups.setdefault(tuple(member.answer["standard_error"]), []).append(member)
+        blocks += [_estimates(names, members) for names, members in groups.items()]
+        failed = [f"{member.name}: {member.error}" for member in self.members if member.status == "failed"]
+        if failed:
+            blocks.append("\n".join(["Failed:", *(f"  {printable(text)}" for text in failed)]))
+        return "\n\n".join(blocks)
+
+
+def read_study(folder: str | Path) -> Study:
+    """Read a study, also while it runs.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no study in the folder.
+    ValueError
+        If a file of it is damaged.
+    """
+    folder = Path(folder)
+    return Study(folder, tuple(_member(name, member_folder(folder, own)) for name, own in read_index(folder).items()))
+
+
+def _member(name: str, folder: Path) -> StudyMember:
+    runs = count_runs(folder) if folder.is_dir() else 0
+    if not (folder / ANSWER).is_file():
+        return StudyMember(name, folder, "unfinished", "", runs, {})
+    answer = read_json(folder / ANSWER)
+    error = answer.get("error", "")
+    try:
+        if not error:
+            _row(StudyMember(name, folder, "done", "", runs, answer))
+            _cells(answer)
+            runs = int(answer["starts"])
+    except (LookupError, TypeError, ValueError, AttributeError):
+        raise ValueError(f"{folder / ANSWER} is damaged: delete it to have it made again.") from None
+    return StudyMember(name, folder, "failed" if error else "done", str(error), runs, answer)
+
+
+def _overview(members: tuple[StudyMember, ...]) -> str:
+    header = ["member", "status", "criterion", "delay", "runs", "converged", "agreeing", "minima", "cost", "warnings"]
+    return text_table(header, [_row(member) for member in members], left=(0, 1, 2, 3))
+
+
+def _row(member: StudyMember) -> list[str]:
+    if member.status != "done":
+        return [member.name, member.status, "", "", str(member.runs), *[""] * 5]
+    answer = member.answer
+    counts = [str(int(answer[name])) for name in ("starts", "converged", "agreeing", "minima")]
+    cost = "-" if answer["cost"] is None else number(answer["cost"], 6)
+    texts = [str(answer[name]) for name in ("criterion", "delay")]
+    return [member.name, member.status, *texts, *counts, cost, str(len(answer["warnings"]))]
+
+
+def _estimates(names: tuple[str, ...], members: list[StudyMember]) -> str:
+    return text_table(["member", *names], [[member.name, *_cells(member.answer)] for member in members])
+
+
+def _cells(answer: Mapping[str, Any]) -> list[str]:
+    values = {**answer["derived"], **answer["estimate"]}
+    cells = []
+    for name, error in answer["standard_error"].items():
+        value = values[name]
+        if value is None or not error:  # unknown, or a constant
+            cells.append("-" if value is None else number(value))
+        else:
+            cells.append(" ± ".join(with_error(value, error)))
+    return cells

@@ -1,0 +1,180 @@
+"""`greybox batch` and `greybox compare`, as they are typed."""
+
+import json
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+from greybox.cli.main import main
+
+STUDY = """
+starts = 12
+
+[[member]]
+problem = "rotors"
+criterion = ["relative-error", "magnitude-phase"]
+seed = [0, 1]
+
+[[member]]
+problem = "mine.py:small"
+fix = [{}, {T = 0.05}]
+"""
+
+MINE = """
+import numpy as np
+import greybox as gb
+
+class Lag(gb.TransferFunction):
+    input, output = "u", "y"
+    K = gb.Parameter(1.0, bounds=(0.1, 10))
+    T = gb.Parameter(0.1, bounds=(0.01, 1))
+
+    def response(self, s, p):
+        return p.K / (p.T * s + 1)
+
+def small():
+    omega = np.array([1.0, 3, 10, 30])
+    rng = np.random.default_rng(1)
+    response = 2 / (0.05j * omega + 1) * (1 + 0.01 * rng.standard_normal(4))
+    return gb.Problem(Lag(), gb.FrequencyResponse(omega, response, "u", "y"))
+"""
+
+
+@pytest.fixture
+def study(tmp_path, monkeypatch):
+    folder = tmp_path / "files"
+    folder.mkdir()
+    (folder / "study.toml").write_text(STUDY)
+    (folder / "mine.py").write_text(MINE)
+    monkeypatch.chdir(tmp_path)
+    yield folder / "study.toml"
+    sys.modules.pop("mine", None)  # Python keeps modules by name
+
+
+def answer(capsys, *words):
+    status = main([*map(str, words), "--json"])
+    shown = capsys.readouterr()
+    return status, json.loads(shown.out), shown.err
+
+
+def test_a_study_is_run_compared_and_resumed(study, tmp_path, capsys):
+    status, found, _ = answer(capsys, "batch", study, "--out", "out")
+    assert status == 0
+    assert [member["name"] for member in found["members"]] == [
+        "rotors: relative-error, seed 0",
+        "rotors: relative-error, seed 1",
+        "rotors: magnitude-phase, seed 0",
+        "rotors: magnitude-phase, seed 1",
+        "mine:small: nothing fixed",
+        "mine:small: T=0.05",
+    ]
+    assert all(member["status"] == "done" and member["runs"] == 12 for member in found["members"])
+    assert found["members"][5]["answer"]["standard_error"]["T"] == 0
+
+    assert answer(capsys, "compare", "out")[:2] == (0, found)
+    assert main(["compare", "out"]) == 0
+    table = capsys.readouterr().out
+    assert "Study out, 6 members: 6 done" in table
+    assert "mine:small: T=0.05" in table
+    assert answer(capsys, "batch", "--resume", "out")[:2] == (0, found)
+
+    status, more, _ = answer(capsys, "batch", "--resume", "out", "--starts", 20)
+    assert status == 0
+    assert all(member["runs"] == 20 for member in more["members"])
+    assert more["members"][0]["answer"]["cost"] == pytest.approx(found["members"][0]["answer"]["cost"])
+
+
+def test_a_study_in_python(tmp_path, capsys):
+    path = tmp_path / "study_of_two_seeds.py"
+    path.write_text(
+        MINE
+        + "\ndef members():\n    return [gb.study.Member(small(), 5, seed=k, name=f'seed {k}') for k in range(2)]\n"
+    )
+    status, found, _ = answer(capsys, "batch", path, "--out", tmp_path / "out", "--workers", 2)
+    assert status == 0
+    assert [member["name"] for member in found["members"]] == ["seed 0", "seed 1"]
+
+
+def test_members_without_an_answer_are_named(study, capsys):
+    study.write_text('[[member]]\nproblem = "rotors"\nstarts = 5\n[[member]]\nproblem = "mine.py:hopeless"\n')
+    (study.parent / "mine.py").write_text(
+        MINE + "\ndef hopeless():\n    return small().with_(constraints=[lambda p: -1 - p.K**2])\n"
+    )
+    status, found, said = answer(capsys, "batch", study, "--out", "out")
+    assert status == 1
+    assert found["error"] == "1 of 2 members have no answer: mine:hopeless."
+    assert "greybox: 1 of 2 members" in said
+    assert found["members"][1]["error"].startswith("no start converged")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[[member]", "study.toml is not read: "),
+        ("", "has no members: write [[member]]"),
+        ("start = 3\n[[member]]\nproblem = 'rotors'", "states 'start', which is not known"),
+        ("[[member]]\nproblems = 'rotors'", "has 'problems', which is not known"),
+        ("[[member]]\nproblem = 'rotorz'", "there is no included problem 'rotorz'; did you mean 'rotors'?"),
+        ("[[member]]\nproblem = 'rotors'\ncriterion = 3", "criterion = 3 is not understood: give text"),
+        ("[[member]]\nproblem = 'rotors'\nseed = [0, 'a']", "seed = 'a' is not understood: give a whole number"),
+        ("[[member]]\nproblem = 'rotors'\nstarts = 'a'", "starts = 'a' is not understood: give a whole number"),
+        ("[[member]]\nproblem = 'rotors'\nfix = 3", "fix = 3 is not understood: give a table"),
+        ("[[member]]\nproblem = 'rotors'\nfix = {T = 'a'}", "is not understood: give a table {name = number}"),
+        ("[[member]]\nproblem = 'rotors'\nfree = 3", "free = 3 is not understood: give a list of names"),
+        ("[[member]]\nproblem = 'rotors'\n[[member]]\nproblem = 'rotors'", "2 members have the name 'rotors'"),
+    ],
+)
+def test_what_is_wrong_in_a_study_file_is_said_before_anything_is_written(study, tmp_path, capsys, text, said):
+    study.write_text(text)
+    status, found, _ = answer(capsys, "batch", study, "--out", "out")
+    assert status == 2
+    assert said in found["error"]
+    assert not (tmp_path / "out").exists()
+
+
+def test_usage(study, tmp_path, capsys):
+    for words, said in [
+        (["batch"], "give a study file and --out DIR, or --resume DIR"),
+        (["batch", study], "give a study file and --out DIR"),
+        (["batch", "none.toml", "--out", "out"], "there is no file none.toml"),
+        (["batch", tmp_path / "files" / "mine.py", "--out", "out"], "has no function members()"),
+        (["batch", "--resume", "none"], "none is no study"),
+        (["batch", study, "--resume", "out"], "leave out the others"),
+        (["compare", "none"], "none is no study"),
+    ]:
+        status, found, _ = answer(capsys, *words)
+        assert status == 2, words
+        assert said in found["error"]
+    study.write_text("[[member]]\nproblem = 'rotors'\nstarts = 2\n")
+    assert answer(capsys, "batch", study, "--out", "out")[0] == 0
+    assert "go on with it by --resume out" in answer(capsys, "batch", study, "--out", "out")[1]["error"]
+
+
+def test_ctrl_c_says_how_to_go_on(study, tmp_path, capsys):
+    script = tmp_path / "script.py"
+    script.write_text(
+        textwrap.dedent(
+            """
+            import os, signal, sys
+            from greybox.cli.main import main
+            from greybox.study.run_files import RunFiles
+            add = RunFiles.add
+            def pressed(self, number, start, outcome):
+                add(self, number, start, outcome)
+                if number == 7:
+                    os.kill(os.getpid(), signal.SIGINT)
+            RunFiles.add = pressed
+            sys.exit(main(sys.argv[1:]))
+            """
+        )
+    )
+    command = [sys.executable, script, "batch", study, "--out", "out"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 130
+    assert "greybox: interrupted; `greybox batch --resume out` goes on." in done.stderr
+    assert "6 members: 6 unfinished" in done.stdout
+    status, found, _ = answer(capsys, "batch", "--resume", "out")
+    assert status == 0
+    assert all(member["runs"] == 12 for member in found["members"])

@@ -1,0 +1,299 @@
+"""Batches: what is kept, what goes on, and what is refused."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import pytest
+from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
+from numpy.testing import assert_array_equal
+from sampled_lag import lag_problem
+
+import greybox as gb
+from greybox.estimate.fit import fingerprint, fit_keeping
+from greybox.study.run_files import NAME, RunFiles, count_runs
+
+RESPONSE = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2))
+OTHER = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=3))
+
+
+def members(starts=30):
+    return [
+        gb.study.Member(RESPONSE, starts, name="response"),
+        gb.study.Member(lag_problem(), 4, name="record"),
+        gb.study.Member(RESPONSE, starts, seed=1, name="other seed"),
+    ]
+
+
+def require_same(fit, other):
+    assert len(fit.runs) == len(other.runs)
+    for run, wanted in zip(fit.runs, other.runs, strict=True):
+        assert_array_equal(run.start, wanted.start)
+        assert_array_equal(run.estimate, wanted.estimate)
+        assert (run.status, run.iterations, run.cost) == (wanted.status, wanted.iterations, wanted.cost)
+    assert fit.cost == other.cost
+    assert fit.estimate == other.estimate
+    assert fit.standard_error == other.standard_error
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """The numbers of the starts from which runs are made, in their order."""
+    numbers = []
+    add = RunFiles.add
+
+    def noted(self, number, start, outcome):
+        numbers.append(number)
+        add(self, number, start, outcome)
+
+    monkeypatch.setattr(RunFiles, "add", noted)
+    return numbers
+
+
+def test_members_are_the_fits_that_gb_fit_makes(tmp_path):
+    study = gb.batch(members(), tmp_path / "study", progress=False)
+    assert [member.status for member in study.members] == ["done"] * 3
+    for member, stated in zip(study.members, members(), strict=True):
+        require_same(member.fit, gb.fit(stated.problem, stated.starts, stated.seed, progress=False))
+    assert study["record"].fit.parts[0].data.checksum == lag_problem().data.checksum
+    assert "other seed  done" in str(study)
+    assert repr(gb.study.read_study(tmp_path / "study")) == repr(study)
+
+
+def test_what_is_done_is_not_made_again(tmp_path, made):
+    first = gb.batch(members(), tmp_path, progress=False)
+    assert len(made) == 30 + 4 + 30
+    files = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.h5")}
+    again = gb.batch(members(), tmp_path, progress=False)
+    assert len(made) == 64
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.h5")} == files
+    assert str(again) == str(first)
+
+
+def test_more_starts_keep_the_old_ones(tmp_path, made):
+    gb.batch(members(), tmp_path, progress=False)
+    made.clear()
+    study = gb.batch(members(50), tmp_path, progress=False)
+    assert made == 2 * list(range(30, 50))
+    require_same(study["response"].fit, gb.fit(RESPONSE, 50, progress=False))
+
+
+def test_more_members_join_those_in_the_folder(tmp_path, made):
+    gb.batch(members()[:1], tmp_path, progress=False)
+    made.clear()
+    study = gb.batch(members()[1:2], tmp_path, progress=False)
+    assert [member.name for member in study.members] == ["response", "record"]
+    assert len(made) == 4
+
+
+def test_a_member_that_fails_does_not_stop_the_rest(tmp_path):
+    bad = gb.study.Member(RESPONSE, [{"none": 1.0}], name="bad")
+    study = gb.batch([bad, *members()[:1]], tmp_path, progress=False)
+    assert [member.status for member in study.members] == ["failed", "done"]
+    assert "none" in study["bad"].error
+    assert f"bad: {study['bad'].error}" in str(study)
+    mended = gb.batch([gb.study.Member(RESPONSE, 5, name="bad"), *members()[:1]], tmp_path, progress=False)
+    assert [member.status for member in mended.members] == ["done", "done"]
+
+
+def test_another_problem_under_the_same_name_is_refused_and_changes_nothing(tmp_path):
+    gb.batch(members()[:1], tmp_path, progress=False)
+    files = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
+    with pytest.raises(ValueError, match="has the answer to another problem than that of 'response'"):
+        gb.batch([gb.study.Member(OTHER, 30, name="response")], tmp_path, progress=False)
+    (tmp_path / "members/001-response/answer.json").unlink()
+    with pytest.raises(ValueError, match="was made for another problem, with other options"):
+        gb.batch([gb.study.Member(OTHER, 30, name="response")], tmp_path, progress=False)
+    with pytest.raises(ValueError, match="began at other starts, from number 0 on: give the same rule and seed"):
+        gb.batch([gb.study.Member(RESPONSE, 30, seed=5, name="response")], tmp_path, progress=False)
+    (tmp_path / "members/001-response/answer.json").write_bytes(files[tmp_path / "members/001-response/answer.json"])
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*.*")} == files
+
+
+def test_a_damaged_file_is_named(tmp_path):
+    gb.batch(members()[:1], tmp_path, progress=False)
+    folder = tmp_path / "members/001-response"
+    (path,) = folder.glob("runs-*.h5")
+    whole = path.read_bytes()
+    for damaged in (whole[:-100], b"", whole[:2000] + b"\xff" * 100 + whole[2100:]):
+        path.write_bytes(damaged)
+        (folder / "answer.json").unlink(missing_ok=True)
+        with pytest.raises(ValueError, match=rf"{path.name} is (damaged|not a greybox runs)"):
+            gb.batch(members()[:1], tmp_path, progress=False)
+    path.write_bytes(whole)
+    (folder / "answer.json").write_text("[")
+    with pytest.raises(ValueError, match=r"answer\.json is damaged: delete it"):
+        gb.study.read_study(tmp_path)
+    (folder / "answer.json").write_text('{"cost": 1.0}')
+    with pytest.raises(ValueError, match=r"answer\.json is damaged: delete it"):
+        gb.study.read_study(tmp_path)
+    (tmp_path / "study.json").write_text('{"format": "greybox study", "layout": 9, "members": []}')
+    with pytest.raises(ValueError, match="has layout 9 and this version reads up to 1"):
+        gb.study.read_study(tmp_path)
+    escaping = '{"format": "greybox study", "layout": 1, "members": [{"name": "a", "folder": "../../a"}]}'
+    (tmp_path / "study.json").write_text(escaping)
+    with pytest.raises(ValueError, match=r"study\.json is damaged"):
+        gb.study.read_study(tmp_path)
+
+
+def test_what_is_no_study_is_said(tmp_path):
+    with pytest.raises(FileNotFoundError, match="is no study"):
+        gb.study.read_study(tmp_path)
+    with pytest.raises(ValueError, match="2 members have the name"):
+        gb.batch([RESPONSE, RESPONSE], tmp_path)
+    with pytest.raises(ValueError, match="members is empty"):
+        gb.batch([], tmp_path)
+    with pytest.raises(TypeError, match="give a Problem"):
+        gb.batch([3], tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_runs_of_a_binary_number_of_files(tmp_path, monkeypatch):
+    monkeypatch.setattr("greybox.study.run_files.UNWRITTEN", 0.0)
+    study = gb.batch([gb.study.Member(RESPONSE, 21, name="a")], tmp_path, progress=False)
+    folder = study["a"].folder
+    counts = sorted(int(NAME.fullmatch(path.name)[2]) for path in folder.glob("runs-*"))
+    assert counts == [1, 4, 16]
+    assert count_runs(folder) == 21
+
+
+# --- processes that are killed ----------------------------------------------------------------------------------------
+
+SCRIPT = """
+import sys, time
+sys.path[:0] = {paths!r}
+import greybox as gb
+from greybox.solve.ipopt import IpoptSolver
+from test_batch import members
+
+run = IpoptSolver.run
+def slow(self, start, *others):
+    time.sleep(0.05)
+    return run(self, start, *others)
+IpoptSolver.run = slow
+
+if __name__ == "__main__":
+    workers = gb.solve.WorkerPool(2) if {workers} else None
+    print("begins", flush=True)
+    gb.batch(members(100), sys.argv[1], executor=workers, progress=False)
+    print("done", flush=True)
+"""
+
+
+def script(tmp_path, *, workers):
+    path = tmp_path / "script.py"
+    here = Path(__file__).parent
+    paths = [str(here), str(here.parent / "support")]
+    path.write_text(textwrap.dedent(SCRIPT).format(paths=paths, workers=workers))
+    return path
+
+
+@pytest.mark.parametrize("workers", [False, True])
+def test_a_batch_that_is_killed_goes_on_and_has_lost_no_more_than_seconds(tmp_path, workers):
+    path, folder = script(tmp_path, workers=workers), tmp_path / "study"
+    for after in (2.8, 0.8):
+        before = kept(folder)
+        with subprocess.Popen([sys.executable, path, folder], stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout.readline() == "begins\n"
+            time.sleep(after)
+            process.send_signal(signal.SIGKILL)
+        assert kept(folder) >= before
+    assert kept(folder) > 10  # of some 3 s, in which a run takes 0.05
+    study = gb.batch(members(100), folder, progress=False)
+    for member, stated in zip(study.members, members(100), strict=True):
+        require_same(member.fit, gb.fit(stated.problem, stated.starts, stated.seed, progress=False))
+
+
+def kept(folder):
+    """How many runs are on disk."""
+    return sum(count_runs(own) for own in (folder / "members").iterdir()) if (folder / "members").exists() else 0
+
+
+def test_a_second_process_is_refused(tmp_path):
+    folder = tmp_path / "study"
+    with subprocess.Popen(
+        [sys.executable, script(tmp_path, workers=False), folder], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout.readline() == "begins\n"
+        while not (folder / "members").exists():
+            time.sleep(0.01)
+        with pytest.raises(BlockingIOError, match="another process is at work on the study"):
+            gb.batch(members(), folder, progress=False)
+        assert len(gb.study.read_study(folder).members) == 3  # reading is free
+        process.kill()
+    assert gb.batch(members(), folder, progress=False).count("done") == 3
+
+
+def test_ctrl_c_keeps_what_was_done(tmp_path, monkeypatch, press_ctrl_c, made):
+    display = sys.modules["greybox.study.batch"]._Display
+
+    def begin(self, name):
+        def pressed(done, count):
+            if name == "other seed" and done == 10:
+                press_ctrl_c()
+
+        return pressed
+
+    monkeypatch.setattr(display, "begin", begin)
+    with pytest.raises(KeyboardInterrupt) as stopped:
+        gb.batch(members(), tmp_path, progress=False)
+    assert [member.status for member in stopped.value.study.members] == ["done", "done", "unfinished"]
+    assert stopped.value.study["other seed"].runs == 10
+    monkeypatch.undo()
+    study = gb.batch(members(), tmp_path, progress=False)
+    require_same(study["other seed"].fit, gb.fit(RESPONSE, 30, 1, progress=False))
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="limits of the size of files are those of Unix")
+def test_a_full_disk_is_a_sentence_and_the_batch_goes_on(tmp_path):
+    code = textwrap.dedent(
+        """
+        import resource, signal, sys
+        sys.path[:0] = {paths!r}
+        import greybox as gb
+        from test_batch import members
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (8000, resource.RLIM_INFINITY))
+        try:
+            gb.batch(members(), sys.argv[1], progress=False)
+        except OSError as error:
+            print(error)
+        """
+    ).format(paths=[str(Path(__file__).parent), str(Path(__file__).parents[1] / "support")])
+    done = subprocess.run([sys.executable, "-c", code, tmp_path], capture_output=True, text=True, check=True)
+    assert "cannot be written (File too large): free space" in done.stdout
+    study = gb.batch(members(), tmp_path, progress=False)
+    require_same(study["response"].fit, gb.fit(RESPONSE, 30, progress=False))
+
+
+@pytest.mark.parametrize(
+    "problem", [lag_problem(), lag_problem() + lag_problem(1), RESPONSE], ids=["record", "two", "response"]
+)
+def test_runs_of_every_kind_come_back_as_they_were(tmp_path, problem):
+    found = {}
+
+    class Noted(RunFiles):
+        def add(self, number, start, outcome):
+            found[number] = start, outcome
+            super().add(number, start, outcome)
+
+    kept = Noted(tmp_path)
+    fit = fit_keeping(kept, problem, 4, progress=False)
+    kept.write()
+    known = RunFiles(tmp_path).known(fingerprint(problem))
+    assert sorted(known) == sorted(found) == [0, 1, 2, 3]
+    for number, (start, outcome) in known.items():
+        assert_array_equal(start, found[number][0])
+        wanted = found[number][1]
+        for name in ("status", "iterations", "seconds", "converged"):
+            assert getattr(outcome, name) == getattr(wanted, name)
+        assert_array_equal(outcome.cost, wanted.cost)
+        assert_array_equal(outcome.estimate, wanted.estimate)
+        assert (outcome.signature is None) == (wanted.signature is None) == (problem is RESPONSE)
+        for array, other in zip(outcome.nodes or (), wanted.nodes or (), strict=True):
+            assert_array_equal(array, other)
+    require_same(fit_keeping(RunFiles(tmp_path), problem, 4, progress=False), fit)
