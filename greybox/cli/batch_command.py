@@ -7,7 +7,7 @@ from typing import Any
 from greybox.cli.options import UsageError, add_common_options, positive
 from greybox.cli.output import FAILED, USABLE, Answer
 from greybox.cli.startup import INTERRUPTED
-from greybox.cli.study_file import read_study_file
+from greybox.cli.study_file import INCLUDED, find_study, read_study_file
 from greybox.cli.workers import add_worker_options, stated_executor
 from greybox.solve.executors import ExecutorLostError
 from greybox.study.batch import BatchInterrupted, batch
@@ -21,7 +21,7 @@ def add_command(commands: Any) -> None:
     """Declare the command and its options."""
     parser = commands.add_parser("batch", help="fit many problems, and lose nothing when killed", allow_abbrev=False)
     add = parser.add_argument
-    add("study", nargs="?", type=Path, metavar="STUDY", help="study.toml, or study.py with a function members()")
+    add("study", nargs="?", metavar="STUDY", help="study.toml, study.py with a function members(), or included: paper")
     add("--out", type=Path, metavar="DIR", help="keep every run and the answers in this folder")
     add("--resume", type=Path, metavar="DIR", help="go on with the study in this folder, whatever ended it")
     add("--starts", type=positive, help="number of starts of every member (default: the study's, or as of greybox fit)")
@@ -33,9 +33,10 @@ def add_command(commands: Any) -> None:
 def run(options: argparse.Namespace) -> Answer:
     """Run the batch, or go on with it."""
     source, folder, starts = _stated(options)
-    members = read_study_file(source, starts)
+    path = find_study(source)
+    members = read_study_file(path, starts)
     folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / ORIGIN, {"study": str(source.resolve()), "starts": starts})
+    write_json(folder / ORIGIN, {"study": source if source in INCLUDED else str(path.resolve()), "starts": starts})
     resume = f"`greybox batch --resume {folder}` goes on"
     try:
         with stated_executor(options) as executor:
@@ -54,8 +55,8 @@ def run(options: argparse.Namespace) -> Answer:
     return answer, str(study), FAILED if bad else USABLE
 
 
-def _stated(options: argparse.Namespace) -> tuple[Path, Path, int | None]:
-    """Return the study file, the folder, and the starts that are asked for."""
+def _stated(options: argparse.Namespace) -> tuple[str, Path, int | None]:
+    """Return the study, the folder, and the starts that are asked for."""
     if options.resume is None:
         if options.study is None or options.out is None:
             raise UsageError("give a study file and --out DIR, or --resume DIR.")
@@ -77,7 +78,7 @@ def _stated(options: argparse.Namespace) -> tuple[Path, Path, int | None]:
     source, starts = origin.get("study"), origin.get("starts")
     if not isinstance(source, str) or not isinstance(starts, int | None):
         raise UsageError(f"{options.resume} does not say which study file it is of: call gb.batch as it was begun.")
-    return Path(source), options.resume, options.starts or starts
+    return source, options.resume, options.starts or starts
 
 
 def as_json(study: Study) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Study files: the members of a batch, stated in TOML or in Python."""
 
 import argparse
+import importlib
 import itertools
 import re
 import tomllib
@@ -19,6 +20,25 @@ from greybox.study.batch import Member, require_distinct
 GRID = ("problem", "criterion", "delay", "fix", "seed")
 SINGLE = ("name", "model", "data", "input", "output", "at", "free", "starts")
 SETTINGS = ("starts", "seed")  # of the whole file
+
+
+INCLUDED = ("paper",)  # by name, each in a file of greybox.problems
+
+
+def find_study(text: str) -> Path:
+    """Return the study file of an included name, or the path that `text` is.
+
+    Raises
+    ------
+    UsageError
+        If it is neither.
+    """
+    path = Path(text)
+    if text in INCLUDED and not path.is_file():
+        return Path(str(importlib.import_module(f"greybox.problems._{text}_study").__file__))
+    if not path.suffix and not path.exists():
+        raise UsageError(f"there is no included study {text!r}, there is {', '.join(INCLUDED)}: or give study.toml.")
+    return path
 
 
 def read_study_file(path: Path, starts: int | None = None) -> list[Member]:
@@ -52,7 +72,10 @@ def _with_starts(member: Member, starts: int) -> Member:
 
 
 def _stated_in_python(path: Path) -> list[Member]:
-    module = module_from_file(path)
+    included = [name for name in INCLUDED if find_study(name) == path]
+    module: Any = (
+        importlib.import_module(f"greybox.problems._{included[0]}_study") if included else module_from_file(path)
+    )
     function = getattr(module, "members", None)
     if not callable(function):
         raise UsageError(f"{path} has no function members(): define it, and return a list of gb.study.Member.")

@@ -16,7 +16,7 @@ import pickle
 import signal
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from concurrent.futures import CancelledError, Executor, Future
 from concurrent.futures import TimeoutError as StillRunning
 from contextlib import contextmanager
@@ -26,15 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.solve.interruption import stop_requested
-from greybox.solve.kept_runs import KeptRuns, KeptRunsError, NothingKept
+from greybox.solve.kept_runs import Memory
 from greybox.solve.local_solver import LocalSolver
-from greybox.solve.outcome import INTERRUPTED, WORKER_LOST, Outcome
+from greybox.solve.outcome import WORKER_LOST, Outcome
 from greybox.solve.worker_pool import NoWorkerError, WorkerLostError
 
 Array = NDArray[np.float64]
-
-Known = Mapping[int, tuple[Array, Outcome]]
-"""Start and outcome of the runs that were kept, by the number of the start."""
 
 # Work of one task, s: two hundred times what a distributed scheduler takes to hand out a task, and little enough for
 # progress to be seen and for Ctrl-C to be obeyed.
@@ -59,36 +56,32 @@ def run_all(
     starts: Iterable[Array],
     count: int,
     executor: Executor | None = None,
-    kept: KeptRuns | None = None,
+    memory: Memory | None = None,
 ) -> Iterator[tuple[Array, Outcome]]:
     """Give the starts (p,) and what a run from each leaves, in their order, until a stop is requested.
 
     `count` is how many there are. With an executor the first run is made here: it tells how long they take. Runs that
-    were `kept` are not made again.
+    are in the `memory` are not made again.
 
     Raises
     ------
     ExecutorLostError
         When the executor has lost its workers.
     KeptRunsError
-        When the runs that were kept are not of this problem, or began elsewhere.
+        When the runs in the memory began elsewhere.
     """
-    key, payload = packed(solver) if kept is not None or executor is not None else ("", b"")
-    kept = kept or NothingKept()
-    known = kept.known(key)
-    numbered = _numbered(starts, known)
+    memory = memory or Memory()
+    numbered = enumerate(starts)
     for number, start in numbered:
         if stop_requested():
             return
-        if number in known:
-            yield start, known[number][1]
-            continue
-        outcome = solver.run(start)
-        _keep(kept, number, start, outcome)
+        known = memory.recall(number, start)
+        outcome = known or solver.run(start)
+        if known is None:
+            memory.keep(number, start, outcome)
         yield start, outcome
-        if executor is not None:
-            left = count - number - 1
-            yield from _on_workers(_Tasks((key, payload), numbered, left, executor, kept, known, outcome))
+        if known is None and executor is not None:
+            yield from _on_workers(_Tasks(solver, numbered, count - number - 1, executor, memory, outcome))
             return
 
 
@@ -96,22 +89,6 @@ def packed(solver: LocalSolver) -> tuple[str, bytes]:
     """Return what names a solver, the same in every process, and the solver as it travels."""
     payload = pickle.dumps(solver)
     return hashlib.sha256(payload).hexdigest(), payload
-
-
-def _numbered(starts: Iterable[Array], known: Known) -> Iterator[tuple[int, Array]]:
-    """Give the starts with their numbers; those that are known must be the same."""
-    for number, start in enumerate(starts):
-        if number in known and not np.array_equal(start, known[number][0]):
-            raise KeptRunsError(
-                f"the runs that were kept began at other starts, from number {number} on: give the same rule and seed."
-            )
-        yield number, start
-
-
-def _keep(kept: KeptRuns, number: int, start: Array, outcome: Outcome) -> None:
-    """Keep a run, unless it was cut short, so that it is made again."""
-    if outcome.status != INTERRUPTED:
-        kept.add(number, start, outcome)
 
 
 def _on_workers(tasks: "_Tasks") -> Iterator[tuple[Array, Outcome]]:
@@ -150,22 +127,20 @@ class _Tasks:
 
     def __init__(
         self,
-        solver: tuple[str, bytes],
+        solver: LocalSolver,
         numbered: Iterator[tuple[int, Array]],
         count: int,
         executor: Executor,
-        kept: KeptRuns,
-        known: Known,
+        memory: Memory,
         first: Outcome,
     ) -> None:
         self.waiting: deque[_Task] = deque()
-        self._solver = solver
+        self._packed = packed(solver)
         self._numbered = numbered
         self._executor = executor
-        self._kept = kept
-        self._known = known
+        self._memory = memory
         self._ahead: tuple[int, Array] | None = None
-        self._most = min(max(MOST_BYTES // len(solver[1]), 2), MOST_WAITING)
+        self._most = min(max(MOST_BYTES // len(self._packed[1]), 2), MOST_WAITING)
         self._largest = max(math.ceil(count / FEWEST_TASKS), 1)
         self._done, self._seconds = 1, first.seconds
 
@@ -185,13 +160,13 @@ class _Tasks:
             if following is None:
                 break
             number, start = following
-            if number in self._known:
+            known = self._memory.recall(number, start)
+            if known is not None:
                 if some:
                     self._ahead = following
-                else:
-                    self.waiting.append(_Task([number], [start], outcomes=[self._known[number][1]]))
-                    return True
-                break
+                    break
+                self.waiting.append(_Task([number], [start], outcomes=[known]))
+                return True
             some.append(following)
         if some:
             self.waiting.append(self._submitted([number for number, _ in some], [start for _, start in some]))
@@ -238,7 +213,7 @@ class _Tasks:
         for task in self.waiting:
             if task.outcomes is None and task.future is not None and _is_without_error(task.future):
                 self._finish(task)
-        self._kept.look()
+        self._memory.look()
 
     def _finish(self, task: _Task) -> None:
         """Take the outcomes of a task that is done, if its worker was not lost."""
@@ -251,10 +226,10 @@ class _Tasks:
 
     def _keep(self, task: _Task, outcomes: list[Outcome]) -> None:
         for number, start, outcome in zip(task.numbers, task.starts, outcomes, strict=True):
-            _keep(self._kept, number, start, outcome)
+            self._memory.keep(number, start, outcome)
 
     def _submitted(self, numbers: list[int], starts: list[Array]) -> _Task:
-        return _Task(numbers, starts, self._executor.submit(run_starts, *self._solver, np.array(starts), os.getpid()))
+        return _Task(numbers, starts, self._executor.submit(run_starts, *self._packed, np.array(starts), os.getpid()))
 
 
 def _is_without_error(future: Future[list[Outcome]]) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.solve.outcome import Outcome
+from greybox.solve.outcome import INTERRUPTED, Outcome
 
 Array = NDArray[np.float64]
 
@@ -16,11 +16,11 @@ class KeptRunsError(ValueError):
 
 
 class KeptRuns(ABC):
-    """The runs of one problem by the numbers of their starts."""
+    """The runs of one problem by number: that of the start, below zero for runs that began elsewhere."""
 
     @abstractmethod
     def known(self, fingerprint: str) -> Mapping[int, tuple[Array, Outcome]]:
-        """Return start (p,) and outcome of the runs that an earlier search made, by the number of the start.
+        """Return start (p,) and outcome of the runs that an earlier search made, by their numbers.
 
         `fingerprint` stands for the compiled problem and the options of its solver.
 
@@ -39,15 +39,41 @@ class KeptRuns(ABC):
         """Write what is due; called often."""
 
 
-class NothingKept(KeptRuns):
-    """Keeps nothing."""
+class Memory:
+    """What a search remembers of an earlier one, and hands on to be kept; nothing where nothing is kept.
 
-    def known(self, fingerprint: str) -> Mapping[int, tuple[Array, Outcome]]:
-        """Return no run."""
-        return {}
+    The numbers of runs that begin elsewhere than at the starts are negative.
+    """
 
-    def add(self, number: int, start: Array, outcome: Outcome) -> None:
-        """Do nothing."""
+    def __init__(self, kept: KeptRuns | None = None, fingerprint: str = "") -> None:
+        self._kept = kept
+        self._known = {} if kept is None else kept.known(fingerprint)
+
+    def recall(self, number: int, start: Array) -> Outcome | None:
+        """Return what is known of a run, None if it has to be made.
+
+        Raises
+        ------
+        KeptRunsError
+            If the run of this number began at another start.
+        """
+        if number not in self._known:
+            return None
+        before, outcome = self._known[number]
+        if np.array_equal(before, start):
+            return outcome
+        if number < 0:
+            return None
+        raise KeptRunsError(
+            f"the runs that were kept began at other starts, from number {number} on: give the same rule and seed."
+        )
+
+    def keep(self, number: int, start: Array, outcome: Outcome) -> None:
+        """Keep a run, unless it was cut short, so that it is made again."""
+        if self._kept is not None and outcome.status != INTERRUPTED:
+            self._kept.add(number, start, outcome)
 
     def look(self) -> None:
-        """Do nothing."""
+        """Have written what is due."""
+        if self._kept is not None:
+            self._kept.look()

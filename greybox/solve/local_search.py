@@ -5,6 +5,8 @@ same ones, therefore tries all that a shorter one does, and never ends at a high
 """
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 from greybox.compiled.compiled_problem import Nlp
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.interruption import stop_requested
+from greybox.solve.kept_runs import Memory
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import same_cost
 from greybox.solve.outcome import NOT_FINITE, Outcome
@@ -28,10 +31,12 @@ class LocalSearch:
         Of the runs that began elsewhere than at the starts.
     """
 
-    def __init__(self, nlp: Nlp, solver: LocalSolver, *, neighbors: bool) -> None:
+    def __init__(self, nlp: Nlp, solver: LocalSolver, memory: Memory, *, neighbors: bool) -> None:
         """Begin a search; with `neighbors` the neighborhood of every new best end is tried."""
         self._nlp = nlp
         self._solver = solver
+        self._memory = memory
+        self._number = 0  # of the run that was made last, below zero
         self._neighbors = neighbors and nlp.strategies.scaled_neighbors
         self._best: Outcome | None = None
         self.further_starts: list[Array] = []
@@ -39,14 +44,15 @@ class LocalSearch:
 
     def improved(self, outcome: Outcome) -> Outcome:
         """Return what a run left, continued where it is not finished, and try what its end suggests."""
-        if not isinstance(self._solver, GaussNewton):
+        solver, unfinished = self._solver, outcome
+        if not isinstance(solver, GaussNewton):
             return outcome
         if self._nlp.strategies.continued_runs and self._is_unfinished(outcome) and not stop_requested():
-            outcome = self._solver.continued(outcome)
+            outcome = self._remembered(outcome.estimate, lambda: solver.continued(unfinished))
         if self._is_best(outcome):
             self._best = outcome
             if self._neighbors:
-                self._try_neighbors(self._solver)
+                self._try_neighbors(solver)
         return outcome
 
     def _is_unfinished(self, outcome: Outcome) -> bool:
@@ -65,13 +71,27 @@ class LocalSearch:
         while self._best is not None and not stop_requested():
             best = self._best
             points = _scaled(self._nlp, best.estimate)
-            tried = [(point, self._run_near(solver, point, best)) for point in points if not stop_requested()]
+            tried: list[tuple[Array, Outcome]] = []
+            for point in points:
+                if not stop_requested():
+                    run = partial(self._run_near, solver, point, best)
+                    tried.append((point, self._remembered(point, run)))
             better = [(point, outcome) for point, outcome in tried if self._is_best(outcome)]
             if not better:
                 break
-            point, self._best = min(better, key=lambda pair: pair[1].cost)
+            point, lowest = min(better, key=lambda pair: pair[1].cost)
+            self._best = lowest
             self.further_starts.append(point)
-            self.further_outcomes.append(self._best)
+            self.further_outcomes.append(lowest)
+
+    def _remembered(self, start: Array, make: Callable[[], Outcome]) -> Outcome:
+        """Return what a run leaves, from the memory if it was made before."""
+        self._number -= 1
+        outcome = self._memory.recall(self._number, start)
+        if outcome is None:
+            outcome = make()
+            self._memory.keep(self._number, start, outcome)
+        return outcome
 
     def _run_near(self, solver: GaussNewton, point: Array, best: Outcome) -> Outcome:
         settings = self._nlp.strategies

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.strategies import with_options
-from greybox.solve.executors import run_all
+from greybox.solve.executors import packed, run_all
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.interruption import stop_requested
 from greybox.solve.ipopt import IpoptSolver
-from greybox.solve.kept_runs import KeptRuns
+from greybox.solve.kept_runs import KeptRuns, Memory
 from greybox.solve.local_search import LocalSearch
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart, find_minima
@@ -68,10 +68,11 @@ def multistart(
     points: Iterable[Array] = starts
     if movable and nlp.strategies.moved_starts:
         points = _moved_to_finite(nlp, solver, starts)
-    search = LocalSearch(nlp, solver, neighbors=len(starts) > 1)
+    memory = Memory() if kept is None else Memory(kept, packed(solver)[0])
+    search = LocalSearch(nlp, solver, memory, neighbors=len(starts) > 1)
     tried: list[Array] = []
     outcomes = []
-    for start, outcome in run_all(solver, points, len(starts), executor, kept):
+    for start, outcome in run_all(solver, points, len(starts), executor, memory):
         tried.append(start)
         outcomes.append(search.improved(outcome))
         if progress is not None:

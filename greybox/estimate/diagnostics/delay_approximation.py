@@ -25,7 +25,7 @@ def pade_error(part: Problem, values: dict[str, float]) -> float | None:
     signals = {"input": data.input, "output": data.output, "at": part.at}
     exact = frequency_response(part.model, values, omega, **signals)
     approximate = frequency_response(part.model, values, omega, **signals, delay=part.delay)
-    return float(np.degrees(np.abs(np.angle(approximate.response / exact.response))).max())
+    return float(np.degrees(np.abs(np.angle(approximate.response * exact.response.conj()))).max())
 
 
 def coarse_pade(nlp: Nlp, errors: Sequence[float | None]) -> Iterator[str]:
