@@ -248,6 +248,11 @@ class Part(ABC):
     def has_states(self) -> bool:
         """True when there are hidden unknowns, which IPOPT sees only after transcription."""
 
+    @property
+    def travels_whole(self) -> bool:
+        """True when its `information` is known in another process too, where the user's classes are not."""
+        return True
+
     @abstractmethod
     def initial_trajectory(self, z: Array) -> Trajectory:
         """Return the trajectory at z (p,) with nodes from the data."""

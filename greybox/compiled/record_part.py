@@ -97,6 +97,10 @@ class RecordModel:
         State and output of every estimated entry of the Kalman gain.
     active : (q,) array
         Places of the estimated parameters among the declared ones.
+    has_time : bool
+        Whether the record's samples follow one another in time.
+    errors_are_white : bool
+        Whether the criterion takes the errors for white, so that no correlation is looked for.
     locate : casadi.Function
         (z) -> values of the declared parameters, derivatives of the active ones by z, delays.
     initial : casadi.Function
@@ -111,6 +115,8 @@ class RecordModel:
     problem: Problem
     record: Record
     criterion: TimeCriterion
+    has_time: bool
+    errors_are_white: bool
     method: Transcription
     system: Dynamics
     between: tuple[Intersample, ...]
@@ -364,7 +370,7 @@ class RecordPart(Part):
 
     def explains_data(self, trajectory: Trajectory) -> bool:
         """Tell whether the residuals of every output are white; rows without a time have no order to tell it by."""
-        if not self.model.record.has_time:
+        if not self.model.has_time:
             return False
         stretches = [
             np.where(np.isfinite(stretch.outputs), residuals, np.nan)
@@ -678,7 +684,7 @@ class RecordPart(Part):
             )
 
         longest = max(self.data.stretches, key=len)
-        by_output = self.model.record.has_time and not self.model.criterion.errors_are_white
+        by_output = self.model.has_time and not self.model.errors_are_white
         return Information(
             self,
             of_all_columns(told.triangle),
@@ -875,7 +881,13 @@ def record_model(
     twins = (other for other in others if kin and other.steps is kin.steps and other.expressions == expressions)
     twin = next(twins, None)
     if twin is not None:
-        return replace(twin, problem=problem, record=problem.data, outside_names=_outside_names(problem))
+        return replace(
+            twin,
+            problem=problem,
+            record=problem.data,
+            has_time=problem.data.has_time,
+            outside_names=_outside_names(problem),
+        )
     if kin is None:
         kin = _first_of_its_kind(problem, method)
 
@@ -889,6 +901,7 @@ def record_model(
         kin,
         problem=problem,
         record=problem.data,
+        has_time=problem.data.has_time,
         outside_names=_outside_names(problem),
         active=np.array(active, dtype=int),
         locate=ca.Function("locate", [z], [q, ca.densify(slope[active, :]), ca.densify(delay)]),
@@ -913,6 +926,8 @@ def _first_of_its_kind(problem: Problem, method: Transcription) -> RecordModel:
         problem=problem,
         record=problem.data,
         criterion=criterion,
+        has_time=problem.data.has_time,
+        errors_are_white=criterion.errors_are_white,
         method=method,
         system=system,
         between=between,

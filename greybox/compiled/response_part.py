@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.part import Condensed, Information, Part, Program, Trajectory
 from greybox.formulation.frequency_criteria import Criterion
+from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
 
 Array = NDArray[np.float64]
@@ -56,8 +57,14 @@ class ResponsePart(Part):
         self.magnitude = np.maximum(size, LEAST_MAGNITUDE * size.max() + 1e-150)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave the criterion behind too: its cost is compiled."""
-        return {name: value for name, value in super().__getstate__().items() if name != "criterion"}
+        """Leave a criterion of the user's behind too: its cost is compiled."""
+        state = super().__getstate__()
+        return state if self.travels_whole else {name: each for name, each in state.items() if name != "criterion"}
+
+    @property
+    def travels_whole(self) -> bool:
+        """Only with one of the included criteria."""
+        return type(getattr(self, "criterion", None)) in {type(criterion) for criterion in CRITERIA}
 
     def with_problem(self, problem: Problem) -> "ResponsePart":
         """Return the part for a problem that differs in its data alone: only the solver's cost is still the old one."""

@@ -8,6 +8,8 @@ from PIL import Image
 from readme_blocks import PICTURE, README, draw_picture, written
 
 import greybox as gb
+from greybox.cli.study_file import read_study_file
+from greybox.problems import pitch_hover
 
 TEXT = README.read_text(encoding="utf-8")
 NUMBER = re.compile(r"-?\d+\.?\d*(?:e[+-]?\d+)?")
@@ -59,3 +61,13 @@ def test_the_commands_are_there():
     for heading in ("Run it", "Test it"):
         section = TEXT.split(f"## {heading}\n")[1].split("\n## ")[0]
         assert re.search(r"```bash\n.+\n```", section)
+
+
+def test_the_study_file_is_read(tmp_path):
+    (block,) = re.findall(r"```toml\n(.*?)```", TEXT, re.DOTALL)
+    (tmp_path / "study.toml").write_text(block)
+    gb.data.write_response(pitch_hover.data(), tmp_path / "pitch.csv")
+    members = read_study_file(tmp_path / "study.toml")
+    assert len(members) == 2 * 2 * 2 * 2 + 2
+    assert {member.starts for member in members} == {200}
+    assert members[-1].problem.parameters["T_delay"].start == 0.0042

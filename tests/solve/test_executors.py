@@ -21,7 +21,34 @@ from greybox.solve.local_solver import LocalSolver
 from greybox.solve.outcome import Outcome
 
 RESPONSE = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2))
-PROBLEMS = {"response": (RESPONSE, None), "record": (lag_problem(), None), "record by IPOPT": (lag_problem(), True)}
+
+
+class Line(gb.StateSpace):
+    """Far from its intercept, so that the last steps need more digits."""
+
+    states, inputs, outputs = (), ("x",), ("y",)
+    a = gb.Parameter(0.0, bounds=(-1e9, 1e9))
+    b = gb.Parameter(0.0, bounds=(-1e3, 1e3))
+
+    def output(self, x, u, p):
+        return (p.a + p.b * u.x,)
+
+
+class OwnLikelihood(gb.RelativeLikelihood):
+    """A criterion that other processes do not know."""
+
+
+FAR = 1e6 + np.linspace(-0.5, 0.5, 30)
+LINE = gb.Problem(Line(), gb.Record(None, {"x": FAR, "y": 3 * FAR + 0.1 * np.random.default_rng(1).normal(size=30)}))
+GAIN = gb.FrequencyResponse(np.array([1.0, 2, 3]), np.array([3.0, 3.1, 2.9]) + 0j, "x", "y")
+PROBLEMS = {
+    "response": (RESPONSE, None),
+    "record": (lag_problem(), None),
+    "record by IPOPT": (lag_problem(), True),
+    "line": (LINE, None),
+    "line and response": (LINE + gb.Problem(Line(), GAIN), None),
+    "own criterion": (LINE + gb.Problem(Line(), GAIN, criterion=OwnLikelihood()), None),
+}
 
 
 class LastFirst(Executor):

@@ -79,7 +79,8 @@ class GaussNewton(LocalSolver):
         self._has_free_gains = any(name in nlp.free for gain in gains for name in gain.names)
         jumping = {name for part in self._parts.parts for name in part.discontinuous_delays}
         self._is_discontinuous = np.array([name in jumping for name in nlp.free])
-        self._is_whole = parts is None
+        # The answer does not depend on where a run is made.
+        self._can_sharpen = parts is None and all(part.travels_whole for part in nlp.parts)
         self._coarse = self._on_excerpts() if parts is None else None
 
     def __reduce__(self) -> tuple[Callable[..., "GaussNewton"], tuple[Any, ...]]:
@@ -225,7 +226,7 @@ class GaussNewton(LocalSolver):
             )
         except np.linalg.LinAlgError:
             return Outcome(nlp.scaling.to_parameters(iterate.z), "singular", 0, 0.0, False, math.inf)
-        if status == "converged" and self._is_whole and is_blurred(progress.hessian):
+        if status == "converged" and self._can_sharpen and is_blurred(progress.hessian):
             iterate = self._sharpened(iterate)
         estimate = np.clip(nlp.scaling.to_parameters(iterate.z), nlp.lower, nlp.upper)
         cost = self._parts.cost(iterate, 0.0)
