@@ -97,7 +97,7 @@ def main():
     with tempfile.TemporaryDirectory() as place:
         began = time.perf_counter()
         alone = gb.batch(members(options.starts), Path(place) / "alone", progress=False)
-        say(f"never interrupted, in one process: {time.perf_counter() - began:.1f} s, {alone._state()}")
+        say(f"never interrupted, in one process: {time.perf_counter() - began:.1f} s, {alone!r}")
         folder = Path(place) / "killed"
         command = [sys.executable, __file__, "--work", folder, "--starts", str(options.starts)]
         before, killed = 0, 0
@@ -122,7 +122,7 @@ def main():
             before = now
         began = time.perf_counter()
         study = gb.batch(members(options.starts), folder, progress=False)
-        say(f"resumed: {time.perf_counter() - began:.1f} s, {study._state()}")
+        say(f"resumed: {time.perf_counter() - began:.1f} s, {study!r}")
         for member, wanted in zip(study.members, alone.members, strict=True):
             fit, other = member.fit, wanted.fit
             same = all(
