@@ -27,6 +27,9 @@ from greybox.study.run_files import RunFiles
 from greybox.study.study import Study, read_study
 from greybox.study.study_folder import ANSWER, FIT, locked, member_folder, read_json, write_index, write_json
 
+DISPLAY = "{percentage:3.0f}%|{bar:20}| {elapsed}<{remaining}  {desc}"
+SHARE = 0.99  # of a member's time that its runs take, for the display: the judgment comes after them
+
 # A problem that cannot be fitted ends its own member; anything else is a mistake of the program.
 MEMBER_ERRORS = (ValueError, TypeError, ArithmeticError, LookupError, RuntimeError)
 
@@ -151,7 +154,7 @@ def require_distinct(members: Sequence[Member]) -> None:
 
 @contextmanager
 def _shown(members: Sequence[Member], progress: bool) -> Iterator["_Display"]:
-    with tqdm(total=len(members), disable=None if progress else True, delay=2, unit="member", leave=False) as bar:
+    with tqdm(total=len(members), disable=None if progress else True, delay=2, leave=False, bar_format=DISPLAY) as bar:
         yield _Display(bar)
 
 
@@ -167,8 +170,9 @@ class _Display:
         """Return what reports the runs of a member."""
 
         def report(done: int, count: int) -> None:
-            self._bar.set_postfix_str(f"{name}: {done} of {counted(count, 'start')}{self._failures}", refresh=False)
-            self._bar.update(self._done + 0.99 * done / count - self._bar.n)
+            members = f"{self._done} of {self._bar.total} done{self._failures}"
+            self._bar.set_description_str(f"{members}; {name}: {done} of {counted(count, 'start')}", refresh=False)
+            self._bar.update(self._done + SHARE * done / count - self._bar.n)
 
         return report
 
