@@ -1,8 +1,9 @@
 """The measured frequency response of one input-output pair."""
 
+import contextlib
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.numerical_range import out_of_range
 from greybox.data.text_table import counted, one_line, printable
+from greybox.data.units import to_si
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,11 @@ class FrequencyResponse:
     stretches : sequence of Stretch
         The stretches of records that it was estimated from, as far as known: a fit to these and to the response would
         use the same data twice.
+    units : mapping of signal name to str
+        Those of input and output, as far as known.
+    about : mapping of str to str
+        How it was measured, in words: excitation, instrument, points that were dropped, filters in the path, and the
+        like. It takes no part in the checksum.
 
     Raises
     ------
@@ -72,6 +79,8 @@ class FrequencyResponse:
     name: str = ""
     source: str = field(default="", repr=False)
     stretches: Sequence[Stretch] = field(default=(), repr=False)
+    units: Mapping[str, str] = field(default_factory=dict, repr=False)
+    about: Mapping[str, str] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check every value; write out control characters in names."""
@@ -91,6 +100,9 @@ class FrequencyResponse:
         for column in ("omega", "response"):
             self._check_size(column)
         object.__setattr__(self, "stretches", tuple(self.stretches))
+        for name in ("units", "about"):
+            texts = {printable(str(key)): printable(str(text)) for key, text in getattr(self, name).items()}
+            object.__setattr__(self, name, texts)
 
     def _set(self, name: str, value: ArrayLike, kind: type) -> None:
         try:
@@ -177,15 +189,20 @@ class FrequencyResponse:
 
     def times_s(self, output: str = "") -> "FrequencyResponse":
         """Multiply by jω, e.g. from an angle to its rate; `output` names the new signal."""
-        return self._scaled(1j * self.omega, output)
+        return self._scaled(1j * self.omega, output, "/s")
 
     def over_s(self, output: str = "") -> "FrequencyResponse":
         """Divide by jω, e.g. from a rate to its angle; `output` names the new signal."""
-        return self._scaled(1 / (1j * self.omega), output)
+        return self._scaled(1 / (1j * self.omega), output, "*s")
 
-    def _scaled(self, factor: NDArray[np.complexfloating], output: str) -> "FrequencyResponse":
+    def _scaled(self, factor: NDArray[np.complexfloating], output: str, unit: str) -> "FrequencyResponse":
         variance = None if self.variance is None else self.variance * np.abs(factor) ** 2
-        return replace(self, response=self.response * factor, variance=variance, output=output or self.output)
+        name = output or self.output
+        units = {key: value for key, value in self.units.items() if key == self.input}
+        with contextlib.suppress(ValueError):  # a unit that is not known has no rate that is
+            if self.units.get(self.output):
+                units[name] = to_si(self.units[self.output] + unit).si
+        return replace(self, response=self.response * factor, variance=variance, output=name, units=units)
 
     def __repr__(self) -> str:
         return one_line(

@@ -1,6 +1,7 @@
 """Frequency responses in files: CSV and HDF5."""
 
 import contextlib
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,9 @@ COLUMNS = ("omega_rad_s", "alpha", "beta", "coherence", "variance", "dof")
 EXTRAS = COLUMNS[3:]
 KIND = "frequency response"
 HDF5 = (".h5", ".hdf5")
+HEADER = re.compile(r"#\s*(?P<key>[^:]+?)\s*:\s*(?P<value>.*?)\s*")  # a comment line of a CSV file: a key and its value
+UNIT = "unit of "  # begins the key of a unit
+NAMES = ("input", "output", "name", "source")
 STRETCH = "# stretch"  # begins a comment line of a CSV file: checksum, start and end
 Node = Any
 
@@ -44,6 +48,7 @@ def read_response(
         return _read_hdf5(path, input, output, name)
 
     raw = path.read_bytes()
+    stated = {} if prefix else _stated(raw)
     table = read_delimited(path, raw)
     header = table.header
     wanted = {c: header.index(_column(c, prefix)) for c in COLUMNS if _column(c, prefix) in header}
@@ -63,15 +68,13 @@ def read_response(
     numbers = [_numbers(path, number, cells, mark) for number, cells in rows]
     kept = np.array(numbers, dtype=float).reshape(-1, len(wanted))
     values = dict(zip(wanted, kept.T, strict=True))
+    extras: dict[str, Any] = {c: values[c] for c in EXTRAS if c in values}
     try:
         return FrequencyResponse(
             values["omega_rad_s"],
             values["alpha"] + 1j * values["beta"],
-            input=input,
-            output=output,
-            **{c: values[c] for c in EXTRAS if c in values},
-            name=name or path.stem,
-            source=path.name,
+            **_texts(stated, input=input, output=output, name=name or path.stem, source=path.name),
+            **extras,
             stretches=_stretches_in(raw),
         )
     except ValueError as error:
@@ -81,10 +84,11 @@ def read_response(
 def write_response(response: FrequencyResponse, path: str | Path) -> None:
     """Write `response` to a CSV or, by the suffix .h5 or .hdf5, an HDF5 file that `read_response` reads back exactly.
 
-    CSV holds the numbers and, in comments after them, the stretches of records that they come from; HDF5 also the names
-    of signals and source, and a checksum (see `greybox.data.sealed_files`): attributes ``input, output, name, source``
-    and datasets ``omega, alpha, beta`` and, if known, ``coherence, variance, dof`` and ``stretches`` (a text for each:
-    checksum, start and end).
+    CSV holds the numbers; before them, in comments ``# key: value``, the names and units of the signals and what the
+    response says about itself; after them the stretches of records that they come from. HDF5 also has the names of
+    response and source, and a checksum (see `greybox.data.sealed_files`): attributes ``input, output, name, source``
+    and datasets ``omega, alpha, beta`` and, if known, ``coherence, variance, dof``, ``stretches`` (a text for each:
+    checksum, start and end) and ``about`` (texts ``key: value``).
     """
     path = Path(path)
     if path.suffix.lower() in HDF5:
@@ -95,20 +99,26 @@ def write_response(response: FrequencyResponse, path: str | Path) -> None:
     columns = {"omega_rad_s": response.omega, "alpha": response.alpha, "beta": response.beta}
     columns |= {c: getattr(response, c) for c in EXTRAS if getattr(response, c) is not None}
     rows = zip(*columns.values(), strict=True)
-    lines = [",".join(columns), *(",".join(repr(float(v)) for v in row) for row in rows)]
+    stated = {name: text for name in ("input", "output") if (text := getattr(response, name))} | _described(response)
+    lines = [f"# {key}: {text}" for key, text in stated.items()]
+    lines += [",".join(columns), *(",".join(repr(float(v)) for v in row) for row in rows)]
     lines += [f"{STRETCH} {_stretch_line(s)}" for s in response.stretches]
     write_text(path, "\n".join(lines) + "\n")
 
 
 def write_group(group: Node, response: FrequencyResponse) -> None:
     """Write `response` into an HDF5 group."""
-    for name in ("input", "output", "name", "source"):
+    for name in NAMES:
         group.attrs[name] = getattr(response, name)
-    if response.stretches:
-        import h5py  # noqa: PLC0415  (reading does not need it)
+    lines = {
+        "stretches": [_stretch_line(s) for s in response.stretches],
+        "about": [f"{key}: {text}" for key, text in _described(response).items()],
+    }
+    for name, texts in lines.items():
+        if texts:
+            import h5py  # noqa: PLC0415  (reading does not need it)
 
-        lines = [_stretch_line(s) for s in response.stretches]
-        group.create_dataset("stretches", data=lines, dtype=h5py.string_dtype())
+            group.create_dataset(name, data=texts, dtype=h5py.string_dtype())
     for column in ("omega", "alpha", "beta", *EXTRAS):
         if getattr(response, column) is not None:
             group[column] = getattr(response, column)
@@ -117,7 +127,9 @@ def write_group(group: Node, response: FrequencyResponse) -> None:
 def read_group(group: Node) -> FrequencyResponse:
     """Read a `FrequencyResponse` from an HDF5 group."""
     extras = {column: group[column][()] for column in EXTRAS if column in group}
-    texts: dict[str, Any] = {name: str(group.attrs[name]) for name in ("input", "output", "name", "source")}
+    lines = list(group["about"][()]) if "about" in group else []
+    stated = {match["key"]: match["value"] for line in lines if (match := HEADER.fullmatch(f"# {line}"))}
+    texts = _texts(stated, **{name: str(group.attrs[name]) for name in NAMES})
     stretches = [_stretch(line) for line in group["stretches"][()]] if "stretches" in group else []
     response = group["alpha"][()] + 1j * group["beta"][()]
     return FrequencyResponse(group["omega"][()], response, **texts, **extras, stretches=stretches)
@@ -134,6 +146,31 @@ def _read_hdf5(path: Path, input: str, output: str, name: str) -> FrequencyRespo
         output=output or response.output,
         name=name or response.name,
     )
+
+
+def _described(response: FrequencyResponse) -> dict[str, str]:
+    """Return units and what is said about a response, by the keys that stand in its file."""
+    units = {f"{UNIT}{name}": unit for name, unit in response.units.items() if unit}
+    return units | {key: text for key, text in response.about.items() if key not in NAMES}
+
+
+def _stated(raw: bytes) -> dict[str, str]:
+    """Return the comments ``# key: value`` that stand before the numbers of a CSV file."""
+    stated = {}
+    for line in raw.decode("utf-8-sig", "replace").splitlines():
+        if line.strip() and not line.startswith(("#", "%")):
+            break
+        match = HEADER.fullmatch(line)
+        if match:
+            stated[match["key"]] = match["value"]
+    return stated
+
+
+def _texts(stated: dict[str, str], **names: str) -> dict[str, Any]:
+    """Return names, units and the rest of what a file states; names that are given go before those in the file."""
+    units = {key.removeprefix(UNIT): text for key, text in stated.items() if key.startswith(UNIT)}
+    about = {key: text for key, text in stated.items() if not key.startswith(UNIT) and key not in NAMES}
+    return {name: given or stated.get(name, "") for name, given in names.items()} | {"units": units, "about": about}
 
 
 def _stretch_line(stretch: Stretch) -> str:

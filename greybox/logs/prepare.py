@@ -129,7 +129,7 @@ def prepare(
         raise ValueError(f"held names {unknown[0]!r}, which is not among the signals {', '.join(signals)}.")
 
     needed = {name: item.inputs if isinstance(item, Derived) else (item,) for name, item in signals.items()}
-    sources = {name: _source(recording, name) for names in needed.values() for name in names}
+    sources = {name: _source(recording, name, start, end) for names in needed.values() for name in names}
     for name in {source for signal in held for source in needed[signal]}:
         sources[name] = replace(sources[name], hold=HELD)
     grid = _grid(sources, rate, start, end)
@@ -171,10 +171,7 @@ class _Source:
     unit: str
     findings: tuple[str, ...]
     hold: float | None
-
-    @property
-    def step(self) -> float:
-        return float(np.median(np.diff(self.time)))
+    step: float  # s, median of the stretch that is wanted: elsewhere it may have been logged at another rate
 
     @property
     def is_held(self) -> bool:
@@ -192,7 +189,7 @@ class _Source:
         return self.step if self.is_filtered(rate) else HELD
 
 
-def _source(recording: Recording, signal: str) -> _Source:
+def _source(recording: Recording, signal: str, start: float, end: float) -> _Source:
     record, field = recording.locate(signal)
     require_time(record, "prepare")
     known = np.isfinite(record[field])
@@ -209,7 +206,10 @@ def _source(recording: Recording, signal: str) -> _Source:
     else:
         values, unit = conversion.apply(values), conversion.si
         findings += (f"{signal}: {conversion.remark}.",) if conversion.remark else ()
-    return _Source(time, np.unwrap(values) if unit == "rad" else values, unit, findings, record.hold.get(field))
+    inside = time[(time >= start) & (time <= end)]
+    step = float(np.median(np.diff(inside if inside.size > 1 else time)))
+    values = np.unwrap(values) if unit == "rad" else values
+    return _Source(time, values, unit, findings, record.hold.get(field), step)
 
 
 def _grid(sources: Mapping[str, _Source], rate: float | None, start: float, end: float) -> Array:

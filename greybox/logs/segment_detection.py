@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from greybox.data.record import Record, Recording, require_time
 from greybox.data.test_segment import Segment
+from greybox.data.units import to_si
 from greybox.logs.ardupilot import ATTITUDE_SETPOINTS, SYSTEMID_AXES, SYSTEMID_DELAY
 from greybox.logs.sine_detection import sines_and_sweeps
 
@@ -209,8 +210,27 @@ def _usual_setpoints(data: Recording | Record) -> list[str]:
 def _in_setpoint(data: Recording | Record, name: str) -> list[Segment]:
     record, field = data.locate(name) if isinstance(data, Recording) else (data, name)
     found = []
+    unit = record.units.get(field, "")
+    turn = _turn(unit)
     for piece in record.pieces:
         known = np.isfinite(piece[field])
-        found += sines_and_sweeps(piece.time[known], piece[field][known])
-    unit = record.units.get(field, "")
+        values = piece[field][known]
+        found += sines_and_sweeps(piece.time[known], np.unwrap(values, period=turn) if turn else values)
     return [replace(s, axis=name, unit=unit, source=f"setpoint {name}") for s in found]
+
+
+def _turn(unit: str) -> float:
+    """Return a whole turn in the unit of an angle, which jumps by it, as a heading does at north; 0 for other units."""
+    try:
+        conversion = to_si(unit)
+    except ValueError:
+        return 0.0
+    return 2 * math.pi / conversion.factor if conversion.si == "rad" else 0.0
+
+
+def announcing(recording: Recording) -> tuple[str, ...]:
+    """Return the messages that look like announcements of tests, with the fields of `ANNOUNCED`."""
+    fields = {key: name for key, name in ANNOUNCED.items() if key in ("segment", "omega", "amplitude")}
+    return tuple(
+        name for name, record in recording.items() if record.has_time and set(fields.values()) <= set(record.signals)
+    )

@@ -8,6 +8,7 @@ one resolves it, and the combination weighs them.
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
+from greybox.data.text_table import counted
 from greybox.spectral.local_polynomials import Lines, lines_of, points_at, tiled_points
 from greybox.spectral.uniform_stretches import UniformStretch, uniform_stretches
 from greybox.spectral.welch import HZ, PERIODS, WindowedPoint, estimates, response_at, transforms
@@ -55,6 +57,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     instrument: str | None = None,
     conditioned: Sequence[str] = (),
     omega: ArrayLike | None = None,
+    band: tuple[float, float] | None = None,
     points: int = 40,
     windows: Sequence[float] | None = None,
     overlap: float = 0.8,
@@ -87,6 +90,8 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     omega : (n,) array, rad/s, optional
         By default frequencies where the excitation is strong. Where given ones are closer than the resolution, about
         8 / duration in Hz for a band of three points, the errors of neighbors are correlated.
+    band : (low, high), rad/s, optional
+        Where to estimate, as far as the record resolves it; by default where the excitation is strong.
     points : int
         About so many frequencies: there are fewer where the record does not resolve them, and more at resonances. With
         `windows` exactly so many, log spaced.
@@ -124,7 +129,8 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     lowest = PERIODS * HZ / lengths[0] if lengths else LOWEST * HZ / longest
     lines = lines_of(stretches)
     if omega is None:
-        ends = _excited_band(lines, lowest, HIGHEST * HZ / max(s.step for s in stretches))
+        limits = (lowest, HIGHEST * HZ / max(s.step for s in stretches))
+        ends = _excited_band(lines, *limits) if band is None else _within(band, *limits)
         grid = np.geomspace(*ends, max(points, 2))
     else:
         grid = np.atleast_1d(np.asarray(omega, dtype=float))
@@ -143,7 +149,25 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
 
     response = response_at(grid, found, (input, output, name), stretches)
     coherent = response.coherence >= COHERENT  # type: ignore[operator]
-    return response.where(coherent) if omega is None and coherent.any() else response
+    if omega is not None or not coherent.any() or coherent.all():
+        return response
+    low, high = response.omega[~coherent].min(), response.omega[~coherent].max()
+    where = f"{low:.4g} to {high:.4g} rad/s" if high > low else f"{low:.4g} rad/s"
+    text = f"{(~coherent).sum()} of {counted(len(response), 'point')}, of a coherence below {COHERENT}, at {where}"
+    return replace(response.where(coherent), about={"dropped": text})
+
+
+def _within(band: tuple[float, float], lowest: float, highest: float) -> tuple[float, float]:
+    """Return the part of a band that the records resolve."""
+    low, high = band
+    if not 0 < low < high < math.inf:
+        raise ValueError(f"the band from {low:g} to {high:g} rad/s is none: give 0 < low < high.")
+    if not max(low, lowest) < min(high, highest):
+        raise ValueError(
+            f"the band from {low:.4g} to {high:.4g} rad/s lies outside of what these records resolve, {lowest:.4g} to "
+            f"{highest:.4g} rad/s: choose another band, or record longer or faster."
+        )
+    return max(low, lowest), min(high, highest)
 
 
 def _window_lengths(stretches: Sequence[UniformStretch], windows: Sequence[float]) -> list[float]:

@@ -145,7 +145,7 @@ def check(
     require_time(record, "a test")
     findings = [
         *_filters(record, (input, output)),
-        *_gaps(record),
+        *_gaps(record, segments),
         *jitter(record),
         *_saturation(_excited(record, segments), input, limits),
         *_amplitude(record, (input, output)),
@@ -167,13 +167,15 @@ def _filters(record: Record, names: Sequence[str]) -> Iterator[Finding]:
             yield Finding("filters", "note", known.cutoff, f"{text}, greybox.models.filters.LowPass.")
 
 
-def _gaps(record: Record) -> Iterator[Finding]:
-    steps = np.diff(record.time)
-    wide = steps[steps > GAP * record.step]
+def _gaps(record: Record, segments: Sequence[Segment]) -> Iterator[Finding]:
+    spans = [(s.start, s.end) for s in segments if s.usable] or [(-math.inf, math.inf)]
+    before, after = record.time[:-1], record.time[1:]
+    within = np.any([(after > start) & (before < end) for start, end in spans], axis=0)
+    wide = np.diff(record.time)[within & (np.diff(record.time) > GAP * record.step)]
     if wide.size:
-        share = wide.sum() / record.duration
+        share = wide.sum() / sum(min(end, record.time[-1]) - max(start, record.time[0]) for start, end in spans)
         severity: Severity = "warning" if share > GAPS else "note"
-        text = f"{wide.size} gaps, the longest {wide.max():.2g} s, {100 * share:.2g} % of the time"
+        text = f"{counted(wide.size, 'gap')}, the longest {wide.max():.2g} s, {100 * share:.2g} % of the time"
         yield Finding("gaps", severity, float(share), f"{text}: nothing is interpolated across them.")
 
 
@@ -281,10 +283,18 @@ def _length(record: Record, response: FrequencyResponse | None, segments: Sequen
 
 def _rate(record: Record, response: FrequencyResponse | None, segments: Sequence[Segment]) -> Iterator[Finding]:
     highest, _ = _highest_lowest(response, segments)
+    reach = 2 * math.pi * record.rate / SAMPLES[1]
+    bands = [segment.band for segment in segments if segment.usable]
+    if response is None and any(low < reach for low, _ in bands):  # what is above is cut off, or a sine left out
+        highest = max(min(high, reach) for low, high in bands if low < reach)
+    swept = max((high for low, high in bands if low < high), default=math.nan)
+    if swept > reach * (1 + AT_LIMIT) and highest <= reach * (1 + AT_LIMIT):
+        text = f"the sweep runs to {swept:.4g} rad/s, but {record.rate:.4g} Hz resolve {reach:.4g} rad/s"
+        yield Finding("rate", "note", swept, f"{text}: it is used to {highest:.4g} rad/s.")
     samples = 2 * math.pi * record.rate / highest
     if samples < SAMPLES[0]:
         text = f"there are {samples:.2g} samples per period of the highest frequency, {highest:g} rad/s"
-        severity: Severity = "refusal" if samples < SAMPLES[1] else "warning"
+        severity: Severity = "refusal" if samples < SAMPLES[1] * (1 - AT_LIMIT) else "warning"
         yield Finding("rate", severity, samples, f"{text}: log faster, or leave the highest frequencies out.")
 
 

@@ -1,5 +1,7 @@
 """Frequency responses in files: what is written is read back, what is damaged is refused in a sentence."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -127,3 +129,17 @@ def test_a_damaged_hdf5_file_is_refused(tmp_path):
     path.write_bytes(b"something else")
     with pytest.raises(ValueError, match="is not a greybox frequency response"):
         gb.read_response(path)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".h5"])
+def test_what_a_response_says_about_itself_survives_the_file(tmp_path, suffix):
+    path = tmp_path / f"pitch{suffix}"
+    about = {"dropped": "3 of 10 points: of a low coherence, at 1 to 2 rad/s", "instrument": "SIDD.Targ"}
+    written = replace(measured(), units={"u": "1", "theta": "rad"}, about=about)
+    gb.data.write_response(written, path)
+    back = gb.read_response(path)
+    assert (back.input, back.output) == (written.input, written.output)
+    assert (back.units, back.about) == (written.units, written.about)
+    assert gb.read_response(path, output="y").output == "y"
+    assert back.times_s("q").units == {"u": "1", "q": "rad/s"}
+    assert back.times_s("q").over_s("theta").units == {"u": "1", "theta": "rad"}

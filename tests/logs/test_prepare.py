@@ -314,3 +314,13 @@ def test_the_first_and_the_last_sample_are_there(rate, start):
     assert record.time[[0, -1]] == pytest.approx(time[[0, -1]], abs=1e-6)
     assert np.isfinite(record["x"]).all()
     assert record["x"][[0, -1]] == pytest.approx([0, 3], abs=0.1)
+
+
+def test_the_rate_is_that_of_the_wanted_stretch():
+    """A log that is slow for long, and fast during the test: the samples of the test are all there."""
+    time = np.concatenate([np.arange(0, 400, 0.1), np.arange(400, 410, 0.005)])
+    log = recording(ATT=(time, {"Pitch": wave(time)}, {}))
+    record = gb.prepare(log, {"theta": "ATT.Pitch"}, start=401, end=409)
+    assert record.rate == pytest.approx(200)
+    assert len(record.pieces) == 1
+    assert record["theta"] == pytest.approx(wave(record.time), abs=1e-5)

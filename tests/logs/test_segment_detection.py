@@ -8,7 +8,7 @@ from sine_schedules import schedule
 
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import segment_table
-from greybox.logs.segment_detection import find_segments
+from greybox.logs.segment_detection import announcing, find_segments
 
 # --- System Identification mode
 
@@ -140,3 +140,20 @@ def test_setpoints_of_a_recording():
     assert [round(s.omega, 2) for s in find_segments(prepared, setpoint="r")] == [8, 4]
     gap = (t < starts[1][0] + 5) | (t > starts[1][0] + 8)
     assert len(find_segments(Record(t[gap], {"r": r[gap]}))) == 3
+
+
+def test_a_heading_is_unwrapped_before_it_is_searched():
+    """Sines of 5° about north, where the heading jumps between 0 and 360°."""
+    time, setpoint = np.arange(0, 100, 0.02), np.zeros(5000)
+    for start, omega in ((10, 4.0), (50, 2.0)):
+        rows = (time >= start) & (time < start + 30)
+        setpoint[rows] = 5 * np.sin(omega * (time[rows] - start))
+    log = Recording({"ATT": Record(time, {"DesYaw": setpoint % 360}, {"DesYaw": "degheading"})})
+    assert [s.omega for s in find_segments(log) if s.usable] == pytest.approx([4.0, 2.0], rel=0.01)
+
+
+def test_messages_that_announce_tests_are_named():
+    time = np.arange(0, 10, 0.1)
+    sine = Record(time, dict.fromkeys(("Seg", "Ax", "W", "Eta"), np.ones(100)))
+    log = Recording({"ATT": Record(time, {"Pitch": time}), "SINE": sine})
+    assert announcing(log) == ("SINE",)

@@ -246,3 +246,26 @@ def test_mistakes_are_sentences(call, words):
     flown = record(u=u, theta=u, still=np.ones(u.size), missing=np.full(u.size, np.nan))
     with pytest.raises((ValueError, KeyError), match=words):
         call(flown)
+
+
+def test_a_band_is_kept_to_as_far_as_the_record_resolves_it():
+    b, a = resonance()
+    u = flown_sweep()
+    flown = record(u=u, theta=lfilter(b, a, u))
+    got = spectral_response(flown, band=(3.0, 1000.0))
+    assert got.omega.min() >= 3.0
+    assert got.omega.max() <= 0.4 * HZ * RATE
+    with pytest.raises(ValueError, match="lies outside of what these records resolve"):
+        spectral_response(flown, band=(1e-4, 1e-3))
+    with pytest.raises(ValueError, match="give 0 < low < high"):
+        spectral_response(flown, band=(3.0, 2.0))
+
+
+def test_dropped_points_are_told():
+    """Noise in the output drowns the upper frequencies of the sweep."""
+    b, a = resonance()
+    u = flown_sweep()
+    y = lfilter(b, a, u) + 0.5 * np.random.default_rng(0).standard_normal(u.size)
+    got = spectral_response(record(u=u, theta=y))
+    assert " points, of a coherence below 0.6, at " in got.about["dropped"]
+    assert spectral_response(record(u=u, theta=lfilter(b, a, u))).about == {}

@@ -44,7 +44,7 @@ def test_a_good_test_passes():
         (record(u=np.zeros_like), GOOD, "amplitude", "refusal"),
         (record(y=lambda t: np.round(0.6 * np.sin(3 * t))), GOOD, "amplitude", "refusal"),
         (record(rate=10.0), GOOD, "rate", "warning"),
-        (record(rate=3.0), GOOD, "rate", "refusal"),
+        (record(rate=0.3), GOOD, "rate", "refusal"),
         (record(), [sine(0.05), sine(0.07)], "length", "refusal"),
         (record(), [sine(0.2), sine(3.0)], "length", "warning"),
         (record(), [sine(3.0)], "spread", "refusal"),
@@ -113,3 +113,20 @@ def test_without_tests_the_length_counts_periods_of_the_lowest_frequency_of_the_
     (length,) = [f for f in check(record(), response).findings if f.about == "length"]
     assert length.value == pytest.approx(60 * 0.3 / (2 * np.pi), rel=1e-3)
     assert length.severity == "warning"
+
+
+def test_a_sweep_beyond_the_logging_rate_is_used_up_to_where_it_can_be():
+    sweep = Segment(0.0, 60.0, "sweep", band=(0.6, 80.0))
+    slow = record(rate=20.0)
+    assert check(slow, None, [sweep]).usable
+    measured = gb.FrequencyResponse([1.0, 10.0, 45.0], [1, 1, 1])
+    (said,) = (f for f in check(slow, measured, [sweep]).findings if f.severity == "note" and f.about == "rate")
+    assert "the sweep runs to 80 rad/s, but 20 Hz resolve 50.27 rad/s: it is used to 45 rad/s" in said.text
+
+
+def test_gaps_outside_of_the_tests_do_not_count():
+    whole = record()
+    broken = whole.rows(np.flatnonzero((whole.time < 30) | (whole.time > 35)))
+    tests = [Segment(0.0, 29.0, "sweep", band=(1.0, 9.0)), Segment(36.0, 60.0, "sweep", band=(1.0, 9.0))]
+    assert [f for f in check(broken, None, tests).findings if f.about == "gaps"] == []
+    assert [f.value for f in check(broken, None).findings if f.about == "gaps"] == [pytest.approx(5 / 60, rel=0.02)]

@@ -137,17 +137,18 @@ def records(groups: Iterable[Messages], source: str, checksum: str) -> tuple[dic
     """
     made: dict[str, Record] = {}
     findings: list[str] = []
+    gapped: dict[str, time_stamps.Gaps] = {}
     for name, part in chain.from_iterable(map(_instances, _consumed(groups))):
         if part.time is None:
             findings.append(f"{name}: its {len(part)} messages have no time and were left out.")
             continue
-        record = _record(name, part, source, checksum)
+        record = _record(name, part, source, checksum, gapped)
         if record is None:
             findings.append(f"{name}: none of its {len(part)} messages has a plausible time; it was left out.")
             continue
         made[name] = record
-        findings += record.findings
-    return made, tuple(findings)
+        findings += [text for text in record.findings if name not in gapped or text != f"{name}: {gapped[name]}"]
+    return made, (*findings, *time_stamps.all_gaps(gapped))
 
 
 def _consumed(groups: Iterable[Messages]) -> Iterator[Messages]:
@@ -182,7 +183,10 @@ def _instances(group: Messages) -> Iterator[tuple[str, Messages]]:
         yield f"{name}[{label}]", replace(rest.rows(own), columns=split.pop(value))
 
 
-def _record(name: str, part: Messages, source: str, checksum: str) -> Record | None:
+def _record(
+    name: str, part: Messages, source: str, checksum: str, gapped: dict[str, time_stamps.Gaps]
+) -> Record | None:
+    """Return a record, and put its gaps among those of the others."""
     assert part.time is not None
     rows = time_stamps.increasing(part.time)
     if not rows.size:
@@ -197,7 +201,10 @@ def _record(name: str, part: Messages, source: str, checksum: str) -> Record | N
     for values in (time, *columns.values()):
         values.setflags(write=False)  # a record keeps, without a copy, what nobody can change
     units = {column: part.units.get(column, "") for column in columns}
-    findings += time_stamps.gaps(name, time)
+    gaps = time_stamps.gaps(time)
+    if gaps is not None:
+        gapped[name] = gaps
+        findings += (f"{name}: {gaps}",)
     return Record(time, columns, units, name, source, checksum, hold=part.hold, findings=findings)
 
 

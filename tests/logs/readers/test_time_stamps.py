@@ -55,6 +55,20 @@ def test_times_that_are_not_finite_are_dropped():
 def test_gaps_of_a_regular_message_only():
     time = np.arange(100) * 0.04
     time[50:] += 1.0
-    assert time_stamps.gaps("IMU", time) == ("IMU: a gap 1.04 s at 2.0 s (its usual interval is 0.04 s).",)
-    assert time_stamps.gaps("IMU", np.arange(100) / 23.6) == ()
-    assert time_stamps.gaps("EV", np.cumsum(np.random.default_rng(0).exponential(size=100))) == ()
+    assert str(time_stamps.gaps(time)) == "a gap 1.04 s at 2.0 s (its usual interval is 0.04 s)."
+    assert time_stamps.gaps(np.arange(100) / 23.6) is None
+    assert time_stamps.gaps(np.cumsum(np.random.default_rng(0).exponential(size=100))) is None
+
+
+def test_a_stretch_that_was_logged_slowly_has_no_gaps():
+    time = np.concatenate([np.arange(0, 10, 0.1), np.arange(10, 30, 0.005)])
+    assert time_stamps.gaps(time) is None
+    assert time_stamps.gaps(np.delete(time, np.s_[2000:2200])).number == 1
+
+
+def test_gaps_of_a_whole_log_are_one_line():
+    found = {f"M{k}": time_stamps.Gaps(2, 0.5 + k, 3.0, 0.1) for k in range(79)}
+    assert time_stamps.all_gaps(found) == (
+        "79 messages have gaps, up to 2; the longest lasts 78.5 s, at 3.0 s in M78.",
+    )
+    assert len(time_stamps.all_gaps({name: found[name] for name in ("M0", "M1")})) == 2
