@@ -31,13 +31,18 @@ def segments_of(recording: Recording, options: argparse.Namespace) -> tuple[Segm
     ValueError
         If the options cannot be understood, or name what the log does not have.
     """
+    return find_segments(recording, options.announced, stated_fields(options) or None, options.setpoint)
+
+
+def stated_fields(options: argparse.Namespace) -> dict[str, str]:
+    """Return the fields of the announcing message that `--fields` names; ValueError for another word."""
     fields = {}
     for word in options.fields:
         what, _, field = word.partition("=")
         if not field:
             raise ValueError(f"--fields {word!r} is not understood: write WHAT=FIELD, e.g. omega=W.")
         fields[what] = field
-    return find_segments(recording, options.announced, fields or None, options.setpoint)
+    return fields
 
 
 def segment_as_json(segment: Segment) -> dict[str, Any]:

@@ -27,6 +27,41 @@ GYRO_RATES = {
 
 
 @dataclass(frozen=True)
+class AxisSignals:
+    """The signals of one axis, the best first: control, angles, rates, setpoints, and terms of its controllers."""
+
+    control: str
+    angles: tuple[str, ...]
+    rates: tuple[str, ...]
+    setpoints: tuple[str, ...]
+    terms: tuple[str, ...]
+    names: tuple[str, str]  # of angle and rate in models
+
+
+# Messages ATT, ANG, RATE and PID*, https://ardupilot.org/copter/docs/logmessages.html
+AXES = {
+    axis: AxisSignals(
+        control=f"RATE.{short}Out",
+        angles=(f"ATT.{word}", f"ANG.{word}"),
+        rates=(f"RATE.{short}", f"PID{short}.Act", f"IMU.Gyr{gyro}"),
+        setpoints=(f"ATT.Des{word}", f"ANG.Des{word}", f"RATE.{short}Des"),
+        terms=(f"PID{short}.Tar", f"PID{short}.P"),
+        names=names,
+    )
+    for axis, short, word, gyro, names in (
+        ("roll", "R", "Roll", "X", ("phi", "p")),
+        ("pitch", "P", "Pitch", "Y", ("theta", "q")),
+        ("yaw", "Y", "Yaw", "Z", ("psi", "r")),
+    )
+}
+
+
+def axis_of(signal: str) -> str:
+    """Return the axis whose control or setpoint a signal is: "roll", "pitch" or "yaw"; empty for others."""
+    return next((axis for axis, own in AXES.items() if signal in (own.control, *own.setpoints, *own.terms)), "")
+
+
+@dataclass(frozen=True)
 class SecondOrderLowPass:
     """A second-order low-pass filter that a signal has passed: cutoff in Hz, damping, and its sampling rate if digital.
 

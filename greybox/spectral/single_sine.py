@@ -282,4 +282,5 @@ def _response(points: tuple[FrequencyPoint, ...], record: Record, input: str, ou
         dof=np.array([p.dof for p in points]) if known else None,
         name=record.name,
         source=record.source,
+        units={name: unit for name in (input, output) if (unit := record.units.get(name))},
     )

@@ -1,6 +1,7 @@
 """Records cut into stretches of uniform samples without gaps, as transforms of windows need them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -20,12 +21,13 @@ CONSTANT = 1e-12
 
 
 class UniformStretch(NamedTuple):
-    """Uniform samples without gaps, (signals, n); the sampling interval, s; the file and the stretch of the record."""
+    """Uniform samples without gaps, (signals, n); the sampling interval, s; of the record: file, stretch and units."""
 
     values: Array
     step: float
     source: str
     origin: Stretch | None = None
+    units: Mapping[str, str] = MappingProxyType({})
 
 
 def uniform_stretches(records: Record | Sequence[Record], signals: Sequence[str], detrend: str) -> list[UniformStretch]:
@@ -61,7 +63,7 @@ def uniform_stretches(records: Record | Sequence[Record], signals: Sequence[str]
                     _check_uniform(time, record)
                     origin = Stretch(record.checksum, float(time[0]), float(time[-1]))
                     kept = _detrended(values[:, rows], detrend)
-                    stretches.append(UniformStretch(kept, piece.step, record.source, origin))
+                    stretches.append(UniformStretch(kept, piece.step, record.source, origin, record.units))
 
     constant = [name for k, name in enumerate(signals) if all(np.ptp(s.values[k]) <= CONSTANT for s in stretches)]
     if stretches and constant:

@@ -1,6 +1,7 @@
 """`greybox response`: from a log to a measured response."""
 
 import json
+import math
 from importlib.resources import files
 
 import numpy as np
@@ -125,3 +126,86 @@ def test_bad_input_is_one_sentence(capsys, tmp_path, monkeypatch, arguments, wor
     assert words in err
     assert len(err.strip().splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def two_sided_loop(path, noise):
+    """A lag 1 / (0.5 s + 1) under u = 4 (r - y): a sweep of r, and noise in y that is as strong above its band."""
+    from scipy.signal import chirp
+
+    step, y, x = 0.01, 0.0, 0.0
+    rows = []
+    time = np.arange(0, 120, step)
+    setpoint = chirp(time, 0.1, 120, 5, method="logarithmic")
+    disturbance = np.random.default_rng(1).normal(0, noise, time.size)
+    for t, r, v in zip(time, setpoint, disturbance, strict=True):
+        y = x + v
+        u = 4 * (r - y)
+        rows.append((t, r, u, y))
+        x = math.exp(-step / 0.5) * x + (1 - math.exp(-step / 0.5)) * u
+    np.savetxt(path, rows, delimiter=",", header="time,r,u,y", comments="")
+
+
+def lag(omega):
+    held = np.exp(-0.01 / 0.5)
+    z = np.exp(0.01j * omega)
+    return (1 - held) / (z - held)
+
+
+def test_in_closed_loop_the_excitation_is_the_instrument(capsys, tmp_path):
+    """The direct estimate of the same record is drawn toward -1/4 by its noise, the joint one is not."""
+    two_sided_loop(tmp_path / "flight.csv", 0.2)
+    command = ["response", tmp_path / "flight.csv", "--input", "u", "--output", "y", "--json"]
+    answer = json.loads(run(capsys, *command)[1])
+    omega = np.array(answer["omega"])
+    truth = lag(omega)
+    joint = np.array(answer["alpha"]) + 1j * np.array(answer["beta"])
+    assert answer["closed_loop"] is True
+    assert answer["instrument"] == "r"
+    standardized = np.abs(joint - truth) / np.sqrt(answer["variance"])
+    assert 0.5 < np.sqrt(np.mean(standardized**2)) < 1.5
+    direct = json.loads(run(capsys, *command, "--open-loop")[1])
+    biased = np.array(direct["alpha"]) + 1j * np.array(direct["beta"])
+    error = np.abs(biased - lag(np.array(direct["omega"]))) / np.sqrt(direct["variance"])
+    assert np.sqrt(np.mean(error**2)) > 2
+    at = np.array(direct["omega"]) > 10
+    assert np.abs(biased[at] + 0.25).mean() < np.abs(lag(np.array(direct["omega"])[at]) + 0.25).mean()
+    assert answer["direct_difference"]["largest"] > 0.2
+
+
+def test_a_closed_loop_without_an_excitation_is_refused(capsys, tmp_path):
+    closed_loop_table(tmp_path / "flight.csv", lambda t: 0.0)
+    command = ["response", tmp_path / "flight.csv", "--input", "u", "--output", "y", "--whole", "--json"]
+    status, out, _ = run(capsys, *command)
+    assert status == 2
+    assert "closed loop (r is in it)" in json.loads(out)["error"]
+    assert "--open-loop if you know" in json.loads(out)["error"]
+    assert "closed loop" not in json.loads(run(capsys, *command, "--open-loop")[1]).get("error", "")
+
+
+def test_a_band_is_cut(capsys, tmp_path):
+    sweep_table(tmp_path / "sweep.csv")
+    command = ["response", tmp_path / "sweep.csv", "--input", "u", "--output", "y", "--whole", "--json", "--band"]
+    answer = json.loads(run(capsys, *command, "0.5", "2", "Hz")[1])
+    assert min(answer["omega"]) >= np.pi
+    assert max(answer["omega"]) <= 4 * np.pi
+    answer = json.loads(run(capsys, "response", LOG, *PITCH, "--band", "3", "9", "--json")[1])
+    assert sorted(answer["omega"]) == pytest.approx([3, 3.5, 4, 5.34, 8], rel=1e-3)
+    for words, reason in (
+        (["2"], "not understood"),
+        (["5", "2"], "the lower first"),
+        (["30", "40"], "no sine lies in"),
+    ):
+        assert reason in run(capsys, "response", LOG, *PITCH, "--band", *words)[2]
+
+
+def test_what_was_chosen_and_dropped_is_said(capsys, tmp_path):
+    out = tmp_path / "pitch.csv"
+    text = run(capsys, "response", LOG, "--setpoint", "ATT.DesPitch", *PITCH[2:], "--out", out)[1]
+    assert "closed loop (ATT.DesPitch is in the log): amplitudes at the frequency of the excitation" in text
+    assert "converted: theta from deg to rad." in text
+    assert "SINE looks like a message that announces tests too: use it with --announced SINE." in text
+    about = gb.read_response(out).about
+    assert about["log"] == "sitl_pitch.BIN"
+    assert about["signals"].startswith("u = RATE.POut, theta = ATT.Pitch")
+    assert about["excitation"].startswith("10 sines of ATT.DesPitch, amplitude 2.9")
+    assert gb.read_response(out).units["theta"] == "rad"

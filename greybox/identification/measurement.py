@@ -1,0 +1,397 @@
+"""From the tests of a log to a measured frequency response, with what was chosen and what was dropped."""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.record import Record, Recording
+from greybox.data.test_segment import Segment, segment_table
+from greybox.data.text_table import alternatives, counted, number, one_line
+from greybox.data.units import to_si
+from greybox.identification.loop import DirectDifference, controller_in, direct_difference
+from greybox.logs.prepare import prepare
+from greybox.logs.segment_detection import announcing, find_segments
+from greybox.spectral.composite_windows import spectral_response
+from greybox.spectral.demodulation import METHODS
+from greybox.spectral.multisine_lines import periodic_response
+from greybox.spectral.single_sine import finite_frequency
+from greybox.spectral.test_quality import Finding, Quality, check, jitter
+
+INSTRUMENT, SETPOINT = "instrument", "setpoint"
+RESERVED = (INSTRUMENT, SETPOINT)
+
+FEEDBACK = (
+    "In a loop, noise of the output returns through the controller to the input and draws the direct estimate toward "
+    "minus the inverse of the controller where noise dominates"
+)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What to measure, and how.
+
+    Attributes
+    ----------
+    input, output : str
+        ``"MESSAGE.Field"``, or with a name of one's own ``"u=RATE.POut"``.
+    instrument : str
+        The injected signal; by default what the log says was injected, or the setpoint in which the tests were found.
+    announced, fields, setpoint
+        How to find the tests, see `greybox.logs.find_segments`.
+    axis, tests : str
+        Use only the tests of this axis, or these numbers, ``"1,3-5"``.
+    rate : float, Hz, optional
+    band : (low, high), rad/s, optional
+        By default where the excitation is strong.
+    settle, period : float, s
+        Settling time of a sine; period of a multisine.
+    whole : bool
+        Use the whole log where no test is found.
+    open_loop : bool
+        Trust the direct estimate, whatever controller the log shows.
+    method : "least-squares" or "quadrature"
+        Of sines.
+    points : int
+        Number of frequencies of a sweep.
+    """
+
+    input: str
+    output: str
+    instrument: str = ""
+    announced: str = ""
+    fields: Mapping[str, str] = field(default_factory=dict)
+    setpoint: str = ""
+    axis: str = ""
+    tests: str = ""
+    rate: float | None = None
+    band: tuple[float, float] | None = None
+    settle: float = 2.0
+    period: float | None = None
+    whole: bool = False
+    open_loop: bool = False
+    method: str = "least-squares"
+    points: int = 40
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no sense in any log."""
+        for name, value in (("settle", self.settle), ("period", self.period)):
+            if value is not None and not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"--{name} {value} must be a number of seconds of at least 0.")
+        if self.method not in METHODS:
+            raise ValueError(f"--method {self.method!r} is not known: use {alternatives(self.method, METHODS)}")
+        if not 2 <= self.points <= 10_000:
+            raise ValueError(f"--points {self.points} must lie between 2 and 10000.")
+        if self.band is not None and not 0 < self.band[0] < self.band[1] < math.inf:
+            raise ValueError(
+                f"--band {self.band[0]:g} {self.band[1]:g} must be two frequencies above 0, the lower first."
+            )
+        if self.instrument and self.open_loop:
+            raise ValueError(
+                "--open-loop asks for the direct estimate, --instrument for the joint one: give one of them."
+            )
+        (u, control), (y, output) = self.names
+        if u == y or control == output:
+            raise ValueError(
+                f"--input {self.input} and --output {self.output} are the same signal or have the same name."
+            )
+        for name in (u, y):
+            if name in RESERVED:
+                raise ValueError(f"the name {name!r} is reserved: give the signal another name, NAME=SIGNAL.")
+
+    @property
+    def names(self) -> tuple[tuple[str, str], tuple[str, str]]:
+        """Name and signal of input and output; the name is that of the field where none is given."""
+        pairs = [text.partition("=") for text in (self.input, self.output)]
+        (u, y) = ((name, signal) if equals else (name.rpartition(".")[2], name) for name, equals, signal in pairs)
+        return u, y
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """What was measured from a log.
+
+    Attributes
+    ----------
+    settings : Settings
+    tests, used : tuple of Segment
+        Those that were found and chosen, and those that the response is of.
+    signals : mapping of name to "MESSAGE.Field"
+    record : Record
+        The signals on one time base; None where the tests could not be used at all.
+    response : FrequencyResponse or None
+        None where it was refused; `quality` has the reason.
+    quality : Quality
+    choices : tuple of str
+        What was chosen and dropped and why, in sentences.
+    controller : str
+        The signal that shows a closed loop; empty where nothing does.
+    difference : DirectDifference or None
+        By how much a direct estimate would differ, where that is another one.
+    detail : str
+        The response in words, of sines as a table.
+    """
+
+    settings: Settings
+    tests: tuple[Segment, ...]
+    used: tuple[Segment, ...]
+    signals: Mapping[str, str]
+    record: Record
+    response: FrequencyResponse | None
+    quality: Quality
+    choices: tuple[str, ...] = ()
+    controller: str = ""
+    difference: DirectDifference | None = None
+    detail: str = field(default="", repr=False)
+
+    def __repr__(self) -> str:
+        return one_line(self, repr(self.response), repr(self.quality))
+
+    def __str__(self) -> str:
+        parts = (
+            segment_table(self.tests) if self.tests else "",
+            "\n".join(self.choices),
+            self.detail,
+            str(self.quality),
+        )
+        return "\n\n".join(part for part in parts if part)
+
+
+def measure(recording: Recording, settings: Settings) -> Measurement:
+    """Measure the response of the tests in a log.
+
+    Raises
+    ------
+    KeyError, ValueError
+        For signals and tests that are not there, and for a closed loop without a known excitation.
+    """
+    tests = () if settings.period else tuple(_chosen(_found(recording, settings), settings))
+    usable = [segment for segment in tests if segment.usable]
+    sines = [segment for segment in usable if segment.kind == "sine"]
+    used = sines or usable
+    if not used and not tests and not (settings.whole or settings.period or settings.instrument):
+        raise ValueError("no test was found: give --setpoint, --announced or --instrument, or use the --whole log.")
+    _require_one_axis(used)
+    if sines and settings.band is not None:
+        used = _within_band(sines, settings.band)
+
+    (u, control), (y, output) = settings.names
+    controller = "" if settings.open_loop else controller_in(recording, control) or settings.setpoint
+    instrument = _instrument(recording, settings, used)
+    if controller and not (sines or instrument or settings.period):
+        for name in (control, output):
+            recording.locate(name)
+        raise ValueError(
+            f"{recording.source or 'the log'} was flown in closed loop ({controller} is in it) and no excitation is "
+            "known, where a direct estimate tends to minus the inverse of the controller, whatever its coherence: "
+            "give the injected signal, --instrument SIGNAL, or --open-loop if you know that the loop was open."
+        )
+    signals = {u: control, y: output}
+    signals |= {INSTRUMENT: instrument} if instrument else {}
+    signals |= {SETPOINT: settings.setpoint} if settings.setpoint else {}
+
+    start = min((segment.start for segment in used), default=-math.inf)
+    end = max((segment.end for segment in used), default=math.inf)
+    record = prepare(recording, signals, settings.rate, start=start, end=end)
+    raw, _ = recording.locate(output)
+    during = raw.between(record.time[0], record.time[-1])
+    judged = [segment for segment in tests if segment in used or not segment.usable]
+
+    def quality_of(response: FrequencyResponse | None) -> Quality:
+        quality = check(record, response, judged, input=u, output=y)
+        return Quality((*quality.findings, *jitter(during)), quality.bands)
+
+    quality, response, detail, difference = quality_of(None), None, "", None
+    pieces = [record.between(s.start, s.end) for s in used] or [record]
+    if quality.usable:
+        try:
+            response, detail = _estimated(record, pieces, used if sines else (), settings)
+            quality = quality_of(response)
+        except ValueError as error:
+            refused = Finding("response", "refusal", math.nan, " ".join(str(error).split()))
+            quality = Quality((refused, *quality.findings))
+    if response is not None:
+        if instrument and not sines and not settings.period:
+            difference = direct_difference(response, pieces, u, y)
+        response = replace(response, about=_about(recording, record, response, signals, used, settings))
+    choices = _choices(recording, settings, used, controller, signals, response, difference)
+    return Measurement(
+        settings, tests, tuple(used), signals, record, response, quality, choices, controller, difference, detail
+    )
+
+
+def _found(recording: Recording, settings: Settings) -> tuple[Segment, ...]:
+    return find_segments(recording, settings.announced, dict(settings.fields) or None, settings.setpoint)
+
+
+def _chosen(segments: Sequence[Segment], settings: Settings) -> list[Segment]:
+    wanted = _numbers(settings.tests, len(segments)) if settings.tests else range(1, len(segments) + 1)
+    chosen = [segments[k - 1] for k in wanted]
+    if settings.axis:
+        axes = list(dict.fromkeys(segment.axis for segment in chosen))
+        chosen = [segment for segment in chosen if segment.axis == settings.axis]
+        if not chosen:
+            raise ValueError(f"no test has the axis {settings.axis!r}; there are {', '.join(axes) or 'none'}.")
+    return chosen
+
+
+def _numbers(text: str, count: int) -> list[int]:
+    result: list[int] = []
+    for part in text.split(","):
+        match = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
+        if not match:
+            raise ValueError(f"--tests {text!r} is not understood: write numbers and ranges, e.g. 1,3-5.")
+        first, last = int(match[1]), int(match[2] or match[1])
+        outside = [k for k in (first, last) if not 1 <= k <= count]
+        if outside:
+            raise ValueError(f"there is no test {outside[0]}; the log has {count}.")
+        if first > last:
+            raise ValueError(f"--tests {part.strip()!r} runs backwards: write {last}-{first}.")
+        result += range(first, last + 1)
+    return result
+
+
+def _require_one_axis(used: Sequence[Segment]) -> None:
+    axes = list(dict.fromkeys(segment.axis for segment in used))
+    if len(axes) > 1:
+        raise ValueError(f"the tests are of several axes ({', '.join(axes)}): choose one, --axis {axes[0]!r}.")
+
+
+def _within_band(sines: Sequence[Segment], band: tuple[float, float]) -> list[Segment]:
+    inside = [segment for segment in sines if band[0] <= segment.omega <= band[1]]
+    if not inside:
+        there = ", ".join(f"{segment.omega:.4g}" for segment in sines)
+        raise ValueError(f"no sine lies in the band from {band[0]:g} to {band[1]:g} rad/s; there are {there} rad/s.")
+    return inside
+
+
+def _instrument(recording: Recording, settings: Settings, used: Sequence[Segment]) -> str:
+    """Return the injected signal of sweeps and noise: the one given, or what the tests were found in."""
+    if settings.instrument or settings.open_loop or not used or used[0].kind == "sine":
+        return settings.instrument or ("" if settings.open_loop or used else settings.setpoint)
+    if used[0].source == "SIDS":
+        return "SIDD.Targ" if "SIDD" in recording and "Targ" in recording["SIDD"].signals else settings.setpoint
+    return used[0].source.removeprefix("setpoint ") if used[0].source.startswith("setpoint ") else settings.setpoint
+
+
+def _estimated(
+    record: Record, pieces: Sequence[Record], sines: Sequence[Segment], settings: Settings
+) -> tuple[FrequencyResponse, str]:
+    (u, _), (y, _) = settings.names
+    if sines:
+        setpoint = SETPOINT if SETPOINT in record.signals else ""
+        estimate = finite_frequency(
+            record, sines, input=u, output=y, setpoint=setpoint, settle=settings.settle, method=settings.method
+        )
+        dropped = {"dropped": f"{len(estimate.left_out)} of {counted(len(sines), 'test')}"} if estimate.left_out else {}
+        return replace(estimate.response, about=dropped), "\n".join([str(estimate), *estimate.findings])
+
+    instrument = INSTRUMENT if INSTRUMENT in record.signals else None
+    if settings.period:
+        measured = periodic_response(pieces, settings.period, u, y, instrument=instrument, name=record.name)
+        if settings.band is not None:
+            measured = measured.where((measured.omega >= settings.band[0]) & (measured.omega <= settings.band[1]))
+    else:
+        measured = spectral_response(
+            pieces, u, y, instrument=instrument, band=settings.band, points=settings.points, name=record.name
+        )
+    return measured, str(measured)
+
+
+def _about(
+    recording: Recording,
+    record: Record,
+    response: FrequencyResponse,
+    signals: Mapping[str, str],
+    used: Sequence[Segment],
+    settings: Settings,
+) -> dict[str, str]:
+    """Return what a response says about itself."""
+    about = {
+        "log": recording.source,
+        "log sha256": recording.checksum,
+        "signals": ", ".join(f"{name} = {signal}" for name, signal in signals.items()),
+        "converted": ", ".join(_conversions(recording, signals)),
+        "sampling": f"{record.rate:.5g} Hz",
+        "excitation": _excitation(used),
+        "estimate": _kind(signals, used, settings),
+        "filter": "; ".join(
+            f"{name} was logged behind a {known.cutoff:g} Hz low-pass filter of damping {known.damping:.3g}"
+            for name in (response.input, response.output)
+            for known in record.filters.get(name, ())
+        ),
+        "band": "" if settings.band is None else f"{settings.band[0]:.5g} to {settings.band[1]:.5g} rad/s",
+        **response.about,
+    }
+    return {key: text for key, text in about.items() if text}
+
+
+def _kind(signals: Mapping[str, str], used: Sequence[Segment], settings: Settings) -> str:
+    if used and used[0].kind == "sine":
+        return f"single sines, {settings.method}"
+    way = "periodic" if settings.period else "spectral"
+    return f"{way}, joint input-output with {signals[INSTRUMENT]}" if INSTRUMENT in signals else f"{way}, direct"
+
+
+def _excitation(used: Sequence[Segment]) -> str:
+    if not used:
+        return ""
+    low, high = min(s.band[0] for s in used), max(s.band[1] for s in used)
+    sizes = sorted({s.amplitude for s in used if math.isfinite(s.amplitude)})
+    size = f", amplitude {' to '.join(dict.fromkeys(number(a, 3) for a in (sizes[0], sizes[-1])))}" if sizes else ""
+    unit = f" {used[0].unit}" if used[0].unit and sizes else ""
+    axis = f" of {used[0].axis}" if used[0].axis else ""
+    times = f"{min(s.start for s in used):.2f} to {max(s.end for s in used):.2f} s"
+    return f"{counted(len(used), used[0].kind)}{axis}{size}{unit}, {low:.4g} to {high:.4g} rad/s, {times}"
+
+
+def _conversions(recording: Recording, signals: Mapping[str, str]) -> list[str]:
+    """Return which signals were converted to SI, and from what."""
+    changed = []
+    for name, signal in signals.items():
+        log, field_name = recording.locate(signal)
+        unit = log.units.get(field_name, "")
+        try:
+            conversion = to_si(unit)
+        except ValueError:
+            continue
+        if conversion.changes:
+            changed.append(f"{name} from {unit} to {conversion.si}")
+    return changed
+
+
+def _choices(
+    recording: Recording,
+    settings: Settings,
+    used: Sequence[Segment],
+    controller: str,
+    signals: Mapping[str, str],
+    response: FrequencyResponse | None,
+    difference: DirectDifference | None,
+) -> tuple[str, ...]:
+    said = []
+    sines = bool(used) and used[0].kind == "sine"
+    loop = f"closed loop ({controller} is in the log)" if controller else "open loop (no controller is seen in the log)"
+    loop = "open loop, as was said" if settings.open_loop else loop
+    if sines:
+        said.append(f"{loop}: amplitudes at the frequency of the excitation, whose ratio feedback does not bias.")
+    elif settings.period:
+        said.append(
+            f"{loop}: averages over whole periods, whose ratio feedback biases less, the more periods there are."
+        )
+    elif INSTRUMENT in signals:
+        why = f" {FEEDBACK}; here {difference}." if difference else f" {FEEDBACK}."
+        chosen = "" if settings.instrument else ", which was injected" if "SIDD" in signals[INSTRUMENT] else ""
+        said.append(f"{loop}: joint input-output estimate with the instrument {signals[INSTRUMENT]}{chosen}.{why}")
+    else:
+        said.append(f"{loop}: direct estimate; with the injected signal, --instrument, it is the joint one.")
+    if response is not None and "dropped" in response.about:
+        said.append(f"dropped: {response.about['dropped']}.")
+    converted = _conversions(recording, {name: s for name, s in signals.items() if name not in RESERVED})
+    if converted:
+        said.append(f"converted: {', '.join(converted)}.")
+    others = [name for name in announcing(recording) if name not in {settings.announced, *(s.source for s in used)}]
+    if others:
+        said.append(f"{others[0]} looks like a message that announces tests too: use it with --announced {others[0]}.")
+    return tuple(said)
