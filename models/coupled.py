@@ -103,6 +103,7 @@ class DampedCoupledVelocityTransfer(gb.TransferFunction):
     """
 
     input, output = "u", "p"
+    units = {"p": "rad/s"}
     K_tilde = gb.Parameter(300.0, bounds=(1, 5000), unit="1/s²", about="angular acceleration per control")
     b1_tilde = gb.Parameter(0.2, bounds=(-50, 50), unit="1/s", about="zero at s = -b̃1")
     a2_tilde = gb.Parameter(1.0, bounds=(-100, 100), unit="1/s", about="coefficient of s²")

@@ -16,6 +16,7 @@ class BasicRate(gb.TransferFunction):
     """
 
     input, output = "u", "p"
+    units = {"p": "rad/s"}
     K_phi = gb.Parameter(300.0, bounds=(0, 5000), unit="1/s²", about="angular acceleration per control")
     T_rotor = gb.Parameter(0.05, bounds=(0.001, 1), unit="s", about="rotor time constant T_Ω")
     T_delay = gb.Parameter(0.005, bounds=(0, 0.05), unit="s", about="controller and ESC delay")
@@ -33,6 +34,7 @@ class BasicAngle(BasicRate):
     """
 
     input, output = "u", "phi"
+    units = {"phi": "rad"}
 
     def response(self, s, p):
         return super().response(s, p) / s
@@ -49,6 +51,7 @@ class DampedAngle(gb.TransferFunction):
     """
 
     input, output = "u", "theta"
+    units = {"theta": "rad"}
     K_phi = gb.Parameter(100.0, bounds=(1, 2000), unit="1/s²", about="angular acceleration per control")
     a = gb.Parameter(1.0, bounds=(0, 5), unit="1/s", about="damping of the rate")
     T_rotor = gb.Parameter(0.05, bounds=(0.001, 0.2), unit="s", about="rotor time constant T_Ω")
@@ -56,6 +59,56 @@ class DampedAngle(gb.TransferFunction):
 
     def response(self, s, p):
         return p.K_phi / (s * (s + p.a) * (p.T_rotor * s + 1)) * gb.exp(-s * p.T_delay)
+
+
+class LaggedAngle(gb.TransferFunction):
+    r"""Angle from the control: one integrator with lag and delay.
+
+    $$P(s) = \frac{K}{s (T s + 1)} e^{-s T_{delay}}$$
+
+    The simplest structure for a vehicle whose rate follows the control, as with strong damping.
+
+    Source: Tischler and Remple, Aircraft and Rotorcraft System Identification, 2nd ed., chapter 11.
+    """
+
+    input, output = "u", "theta"
+    units = {"theta": "rad"}
+    K = gb.Parameter(10.0, bounds=(0, 2000), unit="1/s", about="rate per control")
+    T = gb.Parameter(0.2, bounds=(0.001, 20), unit="s", about="time constant of the rate")
+    T_delay = gb.Parameter(0.005, bounds=(0, 0.05), unit="s", about="controller and ESC delay")
+
+    def response(self, s, p):
+        return p.K / (s * (p.T * s + 1)) * gb.exp(-s * p.T_delay)
+
+
+class LaggedRate(LaggedAngle):
+    r"""Rate from the control: a lag with a delay, (2.8).
+
+    $$P(s) = \frac{K}{T s + 1} e^{-s T_{delay}}$$
+
+    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.8).
+    """
+
+    output = "q"
+    units = {"q": "rad/s"}
+
+    def response(self, s, p):
+        return super().response(s, p) * s
+
+
+class DampedRotation(DampedAngle):
+    r"""Rate from the control: rotor lag, inertia and rate damping, (2.5) with one more term.
+
+    $$P(s) = \frac{K_\phi}{(s + a) (T_\Omega s + 1)} e^{-s T_{delay}}$$
+
+    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.5).
+    """
+
+    output = "q"
+    units = {"q": "rad/s"}
+
+    def response(self, s, p):
+        return super().response(s, p) * s
 
 
 class DampedRate(gb.TransferFunction):
@@ -67,6 +120,7 @@ class DampedRate(gb.TransferFunction):
     """
 
     input, output = "u", "p"
+    units = {"p": "rad/s"}
     K_1 = gb.Parameter(100.0, bounds=(0, 5000), unit="1/s²", about="gain")
     T_1 = gb.Parameter(0.2, bounds=(0.001, 10), unit="s", about="time constant of the real pole")
     xi = gb.Parameter(0.1, bounds=(-2, 2), unit="1", about="damping ratio ξ, negative when unstable")
@@ -87,6 +141,7 @@ class YawRateLag(gb.TransferFunction):
     """
 
     input, output = "u", "r"
+    units = {"r": "rad/s"}
     K_2 = gb.Parameter(10.0, bounds=(0, 1000), unit="1/s", about="gain")
     T_2 = gb.Parameter(1.0, bounds=(0.001, 100), unit="s", about="time constant of the yaw rate")
     T_delay = gb.Parameter(0.005, bounds=(0, 0.05), unit="s", about="controller and ESC delay")

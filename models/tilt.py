@@ -28,11 +28,30 @@ class Tilt(TiltParameters, gb.TransferFunction):
     """
 
     input, output = "u", "theta"
+    units = {"theta": "rad"}
     a5 = gb.Parameter(0.16, bounds=(0, 10), unit="1/s", about="drag on the velocity, (4.24)", fixed=True)
 
     def response(self, s, p):
         tilt = (s + p.a5) / ((s + p.a5) * (s**2 + p.a2 * s + p.a1) + gb.g * p.a3)
         return p.a4 * tilt / (p.T_rotor * s + 1) * gb.exp(-s * p.T_delay)
+
+
+class TiltRate(Tilt):
+    r"""Rate of the tilt angle from the tilt control, (4.25) times s.
+
+    $$P_q(s) = \frac{\tilde a_4 s (s + a_5)}
+    {(T_\Omega s + 1)((s + a_5)(s^2 + a_2 s + a_1) + \tilde a_3)} e^{-s T_{delay}}$$
+
+    With $T_\Omega = 0$ and no delay it is (2.12).
+
+    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (2.12) and (4.25).
+    """
+
+    output = "q"
+    units = {"q": "rad/s"}
+
+    def response(self, s, p):
+        return super().response(s, p) * s
 
 
 class LinearTilt(TiltParameters, gb.StateSpace):

@@ -13,6 +13,7 @@ class YawRate(gb.TransferFunction):
     """
 
     input, output = "u", "r"
+    units = {"r": "rad/s"}
     a1_tilde = gb.Parameter(0.0, bounds=(-20000, 20000), unit="1/s²", about="feedback through ν, a1 K_ν")
     a2 = gb.Parameter(100.0, bounds=(-100, 2000), unit="1/s", about="damping of the yaw rate")
     a3_tilde = gb.Parameter(500.0, bounds=(1, 10000), unit="1/s²", about="yaw acceleration per control")
@@ -35,6 +36,7 @@ class YawAngle(YawRate):
     """
 
     output = "psi"
+    units = {"psi": "rad"}
 
     def response(self, s, p):
         return super().response(s, p) / s

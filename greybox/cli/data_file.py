@@ -10,6 +10,7 @@ from greybox.data.record import Record, Recording
 from greybox.data.response_file import COLUMNS, HDF5, read_response
 from greybox.data.safe_files import require_file
 from greybox.data.units import to_si
+from greybox.formulation.signal_units import as_the_only_pair
 from greybox.logs.readers import read
 from greybox.logs.readers.table_columns import heading, seconds
 from greybox.modeling.model import Model
@@ -28,7 +29,8 @@ def read_data(path: str | Path, model: Model, input: str = "", output: str = "")
     path = Path(path)
     require_file(path)
     if _is_response(path):
-        return read_response(path, input=input, output=output)
+        response = read_response(path, input=input, output=output)
+        return response if input or output else as_the_only_pair(model, response)
     try:
         log = read(path)
     except ValueError as error:

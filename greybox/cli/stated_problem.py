@@ -16,6 +16,8 @@ from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import TimeCriterion
+from greybox.modeling.model import Model
+from greybox.modeling.transfer_function import TransferFunction
 
 
 def add_problem_options(parser: argparse.ArgumentParser) -> None:
@@ -29,6 +31,11 @@ def add_problem_options(parser: argparse.ArgumentParser) -> None:
         help="with --model: a frequency response (columns omega_rad_s, alpha, beta [, coherence, variance, dof]), or a "
         "record (columns time and, in SI units, the model's inputs and outputs; without a time, rows for a static "
         "model); for a flight log write a problem file",
+    )
+    add(
+        "--through",
+        metavar="MODEL",
+        help="with --model: a filter between the output and its log, e.g. 'filters:LowPass(20, 0.71)'",
     )
     add("--input", default="", metavar="NAME", help="input of a frequency response, if the model has several")
     add("--output", default="", metavar="NAME", help="output of a frequency response, if the model has several")
@@ -57,7 +64,7 @@ def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, A
         raise UsageError("give either a PROBLEM or --model with --data; `greybox list` shows the included problems.")
     settings: dict[str, Any] = {}
     if options.problem is not None:
-        for name in ("data", "input", "output", "at"):
+        for name in ("data", "through", "input", "output", "at"):
             if getattr(options, name):
                 raise UsageError(f"--{name} goes with --model, not with a PROBLEM.")
         _require_problem(options.problem)
@@ -76,11 +83,28 @@ def _problem_of_model(options: argparse.Namespace) -> Problem:
     if options.data is None:
         raise UsageError("--model needs --data FILE, a frequency response or a record.")
     model = find_model(options.model)
+    if options.through is not None:
+        model = through(model, find_model(options.through))
     data = read_data(options.data, model, options.input, options.output)
     for name in ("input", "output", "at"):
         if isinstance(data, Record) and getattr(options, name):
             raise UsageError(f"--{name} is for a frequency response, and {options.data} is a record: leave it out.")
     return Problem(model, data, at=assignments(options.at, "--at"))
+
+
+def through(model: Model, filtered: Model) -> Model:
+    """Return a transfer function behind a filter, whose output keeps its name and unit.
+
+    Raises
+    ------
+    UsageError
+        If one of the two is no transfer function.
+    """
+    if not isinstance(model, TransferFunction) or not isinstance(filtered, TransferFunction):
+        raise UsageError(
+            "--through needs two transfer functions, the plant's and the filter's: write a model of your own."
+        )
+    return model.through(filtered)
 
 
 def _require_problem(name: str) -> None:

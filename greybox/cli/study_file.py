@@ -18,7 +18,7 @@ from greybox.study.batch import Member, require_distinct
 
 # What a [[member]] states: in a list, one value for each of several members.
 GRID = ("problem", "criterion", "delay", "fix", "seed")
-SINGLE = ("name", "model", "data", "input", "output", "at", "free", "starts")
+SINGLE = ("name", "model", "through", "data", "input", "output", "at", "free", "starts")
 SETTINGS = ("starts", "seed")  # of the whole file
 
 
@@ -134,6 +134,7 @@ def _member(stated: Mapping[str, Any], varied: list[str], path: Path) -> tuple[s
         problem=_beside(_text(stated, "problem"), folder),
         model=_beside(_text(stated, "model"), folder),
         data=folder / stated["data"] if "data" in stated else None,
+        through=_text(stated, "through"),
         input=_text(stated, "input") or "",
         output=_text(stated, "output") or "",
         at=_assigned(stated, "at"),

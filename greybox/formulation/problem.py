@@ -14,7 +14,7 @@ from greybox.data.record import Record, Recording
 from greybox.data.text_table import one_line
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
 from greybox.formulation.held_estimate import HeldEstimate
-from greybox.formulation.signal_units import check_units
+from greybox.formulation.signal_units import check_response_units, check_units
 from greybox.formulation.sum import Sum
 from greybox.formulation.time_criteria import OutputError, TimeCriterion
 from greybox.modeling.harmonic_balance import check_sine
@@ -122,7 +122,7 @@ class Problem:
         """Check that model, data and criterion fit together, and return the unknowns that the criterion adds."""
         if isinstance(self.data, FrequencyResponse) and isinstance(self.criterion, Criterion):
             self.criterion.check(self.data)
-            pick_signals(self.model, self.data.input, self.data.output)
+            check_response_units(self.model, self.data)
             return {}
 
         assert isinstance(self.data, Record)

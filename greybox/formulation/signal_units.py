@@ -1,10 +1,12 @@
-"""Units of a record against those that the model declares for its signals."""
+"""Units of a record or a response against those that the model declares for its signals."""
 
 import math
+from dataclasses import replace
 
+from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.units import Conversion, are_of_one_kind, to_si
-from greybox.modeling.model import Model, require_known
+from greybox.modeling.model import Model, pick_signals, require_known
 
 # Relative difference of two factors that is rounding of how they are written.
 ROUNDING = 1e-9
@@ -37,6 +39,39 @@ def check_units(model: Model, record: Record) -> None:
             raise ValueError(
                 f"{where}: convert it, record.with_signals(units={{{name!r}: {declared!r}}}, {name}={converted})."
             )
+
+
+def check_response_units(model: Model, response: FrequencyResponse) -> None:
+    """Check that a response is in the units that the model declares for its pair, as far as both are known.
+
+    Raises
+    ------
+    ValueError
+        For the first signal in another unit, with what converts the response.
+    """
+    names = pick_signals(model, response.input, response.output)
+    for name, given_name, what in zip(names, (response.input, response.output), ("input", "output"), strict=True):
+        declared, given = model.units.get(name, "").strip(), response.units.get(given_name, "").strip()
+        wanted, found = _known(declared) if declared else None, _known(given) if given else None
+        if wanted is None or found is None:
+            continue
+        where = f"the {what} {name} is in {given} in the response and in {declared} in {model.label}"
+        if not are_of_one_kind(wanted, found):
+            rate = found.si != "1" and are_of_one_kind(wanted, to_si(f"{found.si}*s"))
+            cure = "take the model of the rate, or response.over_s()" if rate else "give the right signal"
+            raise ValueError(f"{where}: these are different quantities, {cure}.")
+        factor = found.factor / wanted.factor
+        if not math.isclose(factor, 1.0, rel_tol=ROUNDING):
+            raise ValueError(f"{where}: measure it in {declared}, as gb.prepare does from logs.")
+
+
+def as_the_only_pair(model: Model, response: FrequencyResponse) -> FrequencyResponse:
+    """Return the response with the names of the model's only pair, where it has one; units go with the names."""
+    if len(model.input_names) != 1 or len(model.output_names) != 1:
+        return response
+    names = dict(zip((response.input, response.output), (*model.input_names, *model.output_names), strict=True))
+    units = {names[name]: unit for name, unit in response.units.items() if name in names}
+    return replace(response, input=model.input_names[0], output=model.output_names[0], units=units)
 
 
 def _known(unit: str) -> Conversion | None:

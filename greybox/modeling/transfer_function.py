@@ -38,18 +38,28 @@ class TransferFunction(Model):
     def __mul__(self, other: Any) -> "TransferFunction":
         return SeriesConnection(self, other) if isinstance(other, TransferFunction) else NotImplemented
 
+    def through(self, other: "TransferFunction") -> "TransferFunction":
+        """Return the series connection with a filter of the output, which keeps its name and unit.
+
+        Raises
+        ------
+        TypeError
+            If `other` is no transfer function.
+        """
+        return SeriesConnection(self, other, self.output)
+
 
 class SeriesConnection(TransferFunction):
     """Series connection: the signal passes `first`, then `second`; parameters of one name are one unknown."""
 
-    def __init__(self, first: TransferFunction, second: TransferFunction) -> None:
+    def __init__(self, first: TransferFunction, second: TransferFunction, output: str = "") -> None:
         _require_transfer_functions(first, second)
         self.first = first
         self.second = second
         self.parameters = merged_parameters((first, second))
         self.input = first.input
-        self.output = second.output
-        ends = ((first, first.input), (second, second.output))
+        self.output = output or second.output
+        ends = ((first, first.input), (first if output == first.output else second, self.output))
         self.units = {name: model.units[name] for model, name in ends if name in model.units}
 
     @property

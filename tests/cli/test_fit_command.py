@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from command_line import OWN, QUICK, RECORD, refused, run
 
@@ -152,3 +153,33 @@ def test_there_is_at_least_one_worker(capsys):
 def test_dask_is_named_where_it_is_missing(capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert "pip install 'greybox-id[dask]'" in refused(capsys, "fit", "rotors", "--scheduler", "127.0.0.1:1")
+
+
+def rate_response(path, **more):
+    """A rate's response 90 / ((s + 0.7)(0.05 s + 1)) behind a 20 Hz filter, as a file that says its units."""
+    omega = np.geomspace(1, 60, 15)
+    s = 1j * omega
+    plant = 90 / ((s + 0.7) * (0.05 * s + 1))
+    corner = 2 * np.pi * 20
+    filtered = plant * corner**2 / (s**2 + 2 * 0.5**0.5 * corner * s + corner**2)
+    data = gb.FrequencyResponse(omega, filtered, "POut", "P", units={"P": "rad/s"}, **more)
+    gb.data.write_response(data, path)
+
+
+def test_a_model_of_another_quantity_is_refused_by_its_unit(capsys, tmp_path):
+    rate_response(tmp_path / "rate.csv")
+    status, _, err = run(capsys, "fit", "--model", "rate:DampedAngle", "--data", tmp_path / "rate.csv")
+    assert status == 2
+    assert "theta is in rad/s in the response and in rad in DampedAngle" in err
+    assert "take the model of the rate" in err
+
+
+def test_a_filter_in_the_path_is_part_of_the_model(capsys, tmp_path):
+    rate_response(tmp_path / "rate.csv")
+    command = ["fit", "--model", "rate:DampedRotation", "--data", tmp_path / "rate.csv", "--starts", "5", "--json"]
+    answer = json.loads(run(capsys, *command, "--through", "filters:LowPass(20)")[1])
+    truth = {"K_phi": 90, "a": 0.7, "T_rotor": 0.05, "T_delay": 0}
+    for name, value in truth.items():
+        assert answer["estimate"][name] == pytest.approx(value, rel=1e-3, abs=1e-5)
+    without = json.loads(run(capsys, *command)[1])
+    assert without["estimate"]["T_delay"] > 0.008

@@ -1,0 +1,45 @@
+"""Ladders of structures to try on a measured response, from the simplest up: what `identify` fits and compares."""
+
+from typing import NamedTuple
+
+
+class Step(NamedTuple):
+    """One structure of a ladder: the model as ``greybox fit --model`` names it, what is freed, and what it adds."""
+
+    model: str
+    free: tuple[str, ...]
+    about: str
+
+
+# The largest two have the poles and zeros of (2.12) besides the lag of the rotor.
+TILT = (
+    Step("rate:LaggedAngle", (), "one integrator with lag and delay"),
+    Step("rate:BasicAngle", (), "two integrators with rotor lag and delay, (2.6)"),
+    Step("rate:DampedAngle", (), "rate damping, one more pole"),
+    Step("tilt:Tilt", ("T_rotor", "T_delay"), "velocity feedback with a known drag, (4.25)"),
+    Step("tilt:Tilt", ("T_rotor", "T_delay", "a5"), "velocity feedback, (2.12) with rotor lag and delay"),
+)
+TILT_RATE = (
+    Step("rate:LaggedRate", (), "lag and delay"),
+    Step("rate:BasicRate", (), "integrator with rotor lag and delay, (2.5)"),
+    Step("rate:DampedRotation", (), "rate damping, one more pole"),
+    Step("tilt:TiltRate", ("T_rotor", "T_delay"), "velocity feedback with a known drag, (4.25)"),
+    Step("tilt:TiltRate", ("T_rotor", "T_delay", "a5"), "velocity feedback, (2.12) with rotor lag and delay"),
+)
+YAW = (
+    Step("rate:LaggedAngle", (), "one integrator with lag and delay"),
+    Step("yaw:YawAngle", ("T_delay",), "one additional state, (4.37)"),
+)
+YAW_RATE = (
+    Step("rate:YawRateLag", (), "lag and delay, (2.8)"),
+    Step("rate:YawRateLead", (), "lead and rotor lag, (2.10)"),
+    Step("yaw:YawRate", ("T_delay",), "one additional state, (4.34)"),
+)
+
+# By the name of the output.
+LADDERS = {
+    **dict.fromkeys(("phi", "theta"), TILT),
+    **dict.fromkeys(("p", "q"), TILT_RATE),
+    "psi": YAW,
+    "r": YAW_RATE,
+}
