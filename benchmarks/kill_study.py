@@ -42,10 +42,10 @@ def record(seed):
 def members(starts):
     """Return the members of the study."""
     return [
-        gb.study.Member(pitch_hover.problem(), starts, name="pitch"),
+        gb.study.Member(pitch_hover.problem(), starts, name="pitch", search="multistart"),
         gb.study.Member(gb.Problem(LinearTilt(), record(1)), max(starts // 20, 2), name="flight"),
-        gb.study.Member(rotors.problem(), starts, name="rotors"),
-        gb.study.Member(pitch_hover.problem(), starts, seed=1, name="pitch again"),
+        gb.study.Member(rotors.problem(), starts, name="rotors", search="multistart"),
+        gb.study.Member(pitch_hover.problem(), starts, seed=1, name="pitch again", search="multistart"),
     ]
 
 
@@ -63,7 +63,7 @@ def kept(folder, starts):
     for k, member in enumerate(members(starts)):
         own = next((folder / "members").glob(f"{k + 1:03d}-*"), None) if (folder / "members").exists() else None
         if own is not None:
-            count += len(RunFiles(own).known(fingerprint(member.problem)))
+            count += len(RunFiles(own).known(fingerprint(member.problem, member.by)))
             if (own / "answer.json").exists():
                 gb.load(own / "fit.h5")
     return count

@@ -34,7 +34,7 @@ NAMESPACES = {
     "plotting": "bode nyquist plot recording starts time_history traces",
     "regression": "EquationError equation_error levy order_path",
     "simulation": "Prediction predict simulate",
-    "solve": "LatinHypercube Listed Sobol Starts Strategies Uniform WorkerPool",
+    "solve": "LatinHypercube Listed Sobol Starts Strategies Uniform UntilFoundAgain WorkerPool",
     "spectral": "FiniteFrequency Quality check demodulate finite_frequency periodic_response spectral_response",
     "study": "Member Study StudyMember batch read_study",
     "validation": "Comparison NestedTest compare nested_test",

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.options import UsageError, add_common_options, nonnegative, positive
+from greybox.cli.options import UsageError, add_common_options, nonnegative, positive, probability
 from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
 from greybox.cli.startup import INTERRUPTED
 from greybox.cli.stated_problem import add_problem_options, stated_problem
@@ -16,17 +16,32 @@ from greybox.estimate.fit import Interrupted, fit
 from greybox.estimate.result import Fit
 from greybox.estimate.storage import save
 from greybox.estimate.summary import summary
+from greybox.formulation.starts import UntilFoundAgain
 from greybox.solve.interruption import Response, responding, take_interrupt
+from greybox.solve.multistart import BATCHED, SEARCHES
 
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
     parser = commands.add_parser("fit", help="fit a problem from many starts", allow_abbrev=False)
     add_problem_options(parser)
-    parser.add_argument(
+    number = parser.add_mutually_exclusive_group()
+    number.add_argument(
         "--starts", type=positive, help="number of starts (default: the problem's; else 200, or 20 with records)"
     )
+    number.add_argument(
+        "--until-found-again",
+        type=probability,
+        metavar="ERROR",
+        help="as many starts as it takes until the probability of another minimum is at most ERROR, as 0.01",
+    )
     parser.add_argument("--seed", type=nonnegative, help="seed of the starts (default: the problem's, or 0)")
+    parser.add_argument(
+        "--search",
+        choices=SEARCHES,
+        default=BATCHED,
+        help="batched (default): all starts at once, then IPOPT for every minimum; multistart: IPOPT from every start",
+    )
     parser.add_argument("--out", type=Path, metavar="FILE", help="save the result to this HDF5 file")
     add_worker_options(parser)
     add_common_options(parser, "responses, time histories and starts")
@@ -43,6 +58,9 @@ def run(options: argparse.Namespace) -> Answer:
     for name in ("starts", "seed"):
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)
+    settings["search"] = options.search
+    if options.until_found_again is not None:
+        settings["starts"] = UntilFoundAgain(error=options.until_found_again, seed=settings.pop("seed", None) or 0)
     with stated_executor(options) as executor:
         result, interrupted = _fitted(problem, settings | {"executor": executor})
 

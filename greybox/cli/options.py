@@ -32,6 +32,17 @@ def nonnegative(text: str) -> int:
     return int(text)
 
 
+def probability(text: str) -> float:
+    """Return a number between 0 and 1."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a probability between 0 and 1")
+    return value
+
+
 def assignments(words: Sequence[str], flag: str) -> dict[str, float]:
     """Return numbers by name from words such as ``a5=0.16``.
 

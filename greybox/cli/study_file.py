@@ -6,6 +6,7 @@ import itertools
 import re
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,11 @@ from greybox.cli.stated_problem import stated_problem
 from greybox.data.safe_files import require_file
 from greybox.data.text_table import alternatives
 from greybox.modeling.model_file import module_from_file
+from greybox.solve.multistart import BATCHED
 from greybox.study.batch import Member, require_distinct
 
 # What a [[member]] states: in a list, one value for each of several members.
-GRID = ("problem", "criterion", "delay", "fix", "seed")
+GRID = ("problem", "criterion", "delay", "fix", "seed", "search")
 SINGLE = ("name", "model", "through", "data", "input", "output", "at", "free", "starts")
 SETTINGS = ("starts", "seed")  # of the whole file
 
@@ -45,9 +47,9 @@ def read_study_file(path: Path, starts: int | None = None) -> list[Member]:
     """Return the members that a study file states; `starts`, if given, are those of every member.
 
     In TOML every ``[[member]]`` has a ``problem`` (an included one, or a file beside the study file, as of ``greybox
-    fit``) or a ``model`` with ``data``, and ``criterion, delay, fix, free, at, input, output, starts, seed, name``.
-    Lists of ``problem, criterion, delay, fix, seed`` make a grid. In Python ``members()`` returns a list of
-    `greybox.study.Member`.
+    fit``) or a ``model`` with ``data``, and ``criterion, delay, fix, free, at, input, output, starts, seed, search,
+    name``. Lists of ``problem, criterion, delay, fix, seed, search`` make a grid. In Python ``members()`` returns a
+    list of `greybox.study.Member`.
 
     Raises
     ------
@@ -64,11 +66,7 @@ def read_study_file(path: Path, starts: int | None = None) -> list[Member]:
     require_distinct(members)
     if starts is None:
         return members
-    return [_with_starts(member, starts) for member in members]
-
-
-def _with_starts(member: Member, starts: int) -> Member:
-    return Member(member.problem, starts, member.seed, member.method, member.solver_options, member.name)
+    return [replace(member, starts=starts) for member in members]
 
 
 def _stated_in_python(path: Path) -> list[Member]:
@@ -149,7 +147,9 @@ def _member(stated: Mapping[str, Any], varied: list[str], path: Path) -> tuple[s
         raise UsageError(f"starts = {starts!r:.40} is not understood: give a whole number.")
     name = _text(stated, "name") or problem.name
     differs = ", ".join(_said(key, stated[key]) for key in varied if key != "problem")
-    member = Member(problem, starts, stated.get("seed", settings.get("seed")), settings.get("method"))
+    seed = stated.get("seed", settings.get("seed"))
+    search = _text(stated, "search") or BATCHED
+    member = Member(problem, starts, seed, settings.get("method"), search=search)
     return name, differs, member
 
 
@@ -158,9 +158,7 @@ def _named_apart(members: list[tuple[str, str, Member]]) -> list[Member]:
     named = []
     for name, differs, member in members:
         full = f"{name}: {differs}" if differs else name
-        named.append(
-            Member(member.problem, member.starts, member.seed, member.method, member.solver_options, name=full)
-        )
+        named.append(replace(member, name=full))
     return named
 
 

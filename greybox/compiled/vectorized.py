@@ -5,6 +5,7 @@ fifth of that. Operations on what is the same in all columns (the parameters) ar
 """
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -80,14 +81,26 @@ _OPERATIONS: dict[int, Callable[..., Any]] = {
 class Columns:
     """A function of dense inputs, evaluated for many columns; `shared` inputs (by position) are the same in all.
 
+    Fewer columns than `fewest` are left to CasADi: registers for another number of columns take some milliseconds.
     Without an entry for one of its operations, or where it is no SX function (compiled, say), CasADi evaluates it.
     """
 
-    def __init__(self, function: ca.Function, shared: tuple[int, ...] = ()) -> None:
-        self._function, self._shared = function, shared
+    def __init__(self, function: ca.Function, shared: tuple[int, ...] = (), fewest: int = 1) -> None:
+        self._function, self._shared, self._fewest = function, shared, fewest
         self._sizes = [function.numel_out(k) for k in range(function.n_out())]
-        self._program = _read(function) if function.is_a("SXFunction") else None
+        self._operations = function.n_instructions() if function.is_a("SXFunction") else 0
         self._bound: dict[int, _Bound] = {}
+        self._mapped: dict[int, _Mapped] = {}
+        self._is_dense = all(function.nnz_out(k) == size for k, size in enumerate(self._sizes))
+        self._is_dense &= all(function.nnz_in(k) == function.numel_in(k) for k in range(function.n_in()))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what builds the same: memory that CasADi writes to does not travel."""
+        return Columns, (self._function, self._shared, self._fewest)
+
+    @cached_property
+    def _program(self) -> list[tuple[int, list[int], list[int], float]] | None:
+        return _read(self._function) if self._operations else None
 
     def __call__(self, *inputs: Array) -> list[Array]:
         """Return the outputs, (numel, m) each, for inputs (numel, m), shared ones (numel,)."""
@@ -97,7 +110,8 @@ class Columns:
         for at in range(0, m, size):
             some = slice(at, min(at + size, m))
             part = [v if k in self._shared else v[:, some] for k, v in enumerate(inputs)]
-            if self._program is None or _is_quicker(len(self._program), some.stop - at):
+            count = some.stop - at
+            if count < self._fewest or _is_quicker(self._operations, count) or self._program is None:
                 for out, value in zip(outputs, self._evaluated(part, some.stop - at), strict=True):
                     out[:, some] = value
             else:
@@ -106,6 +120,12 @@ class Columns:
         return outputs
 
     def _evaluated(self, inputs: list[Array], m: int) -> list[Array]:
+        if self._is_dense:
+            if m not in self._mapped:
+                if len(self._mapped) > 12:
+                    self._mapped.clear()
+                self._mapped[m] = _Mapped(self._function, self._shared, m)
+            return self._mapped[m].run(inputs)
         function = self._function if m == 1 else self._function.map(m)
         shaped = [np.tile(np.reshape(v, (-1, 1)), m) if k in self._shared else v for k, v in enumerate(inputs)]
         found = function(*shaped)
@@ -121,6 +141,31 @@ class Columns:
             self._bound.clear()
         self._bound[m] = _Bound(self._program or [], self._function, self._shared, m)
         return self._bound[m]
+
+
+class _Mapped:
+    """A function of dense inputs and outputs mapped over m columns, with memory of its own for both."""
+
+    def __init__(self, function: ca.Function, shared: tuple[int, ...], m: int) -> None:
+        mapped = function if m == 1 else function.map("columns", "serial", m, list(shared), [])
+        buffer: Any
+        buffer, self._call = mapped.buffer()
+        # CasADi's columns are rows here.
+        self._inputs = [np.empty(function.numel_in(k) if k in shared else (m, function.numel_in(k)))
+                        for k in range(function.n_in())]  # fmt: skip
+        self._outputs = [np.empty((m, function.numel_out(k))) for k in range(function.n_out())]
+        for k, value in enumerate(self._inputs):
+            buffer.set_arg(k, value.data)
+        for k, value in enumerate(self._outputs):
+            buffer.set_res(k, value.data)
+        self._kept_alive = mapped, buffer
+
+    def run(self, inputs: list[Array]) -> list[Array]:
+        """Return the outputs, (numel, m) each, in memory that the next call uses again."""
+        for own, value in zip(self._inputs, inputs, strict=True):
+            own[...] = value.T
+        self._call()
+        return [value.T for value in self._outputs]
 
 
 def _is_quicker(operations: int, m: int) -> bool:

@@ -6,8 +6,8 @@ import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
-from functools import singledispatch
+from dataclasses import dataclass, field, replace
+from functools import partial, singledispatch
 from importlib.metadata import version
 from types import MappingProxyType
 from typing import Any
@@ -42,16 +42,18 @@ from greybox.estimate.result import Fit, FittedRecord, FittedResponse
 from greybox.formulation.frequency_criteria import evaluate
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
-from greybox.formulation.starts import Chained, Listed, Sobol, Starts, as_starts
+from greybox.formulation.starts import Chained, Listed, Sobol, Starts, UntilFoundAgain, as_starts
 from greybox.formulation.sum import Sum
 from greybox.modeling.periodic_motions import response_of_test
+from greybox.solve.batched_solver import BatchedSolver
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
 from greybox.solve.executors import packed
-from greybox.solve.interruption import Response, listening, responding, take_interrupt
+from greybox.solve.interruption import Response, listening, responding, stop_requested, take_interrupt
 from greybox.solve.kept_runs import KeptRuns
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
-from greybox.solve.multistart import multistart, solver_for
+from greybox.solve.multistart import BATCHED, SEARCHES, multistart, solver_for
+from greybox.solve.waves import AllAtOnce, FoundAgain, PromisingFirst, Waves
 
 Array = NDArray[np.float64]
 
@@ -85,18 +87,25 @@ def fit(
     seed: int | None = None,
     *,
     method: Transcription | None = None,
+    search: str = BATCHED,
     solver_options: Mapping[str, Any] = MappingProxyType({}),
     executor: Executor | None = None,
     progress: bool | Callable[[int, int], None] = True,
 ) -> Fit:
     """Fit a problem from many starts: by IPOPT, or, where data are records, by Gauss-Newton steps.
 
+    Frequency responses are searched from all starts at once by Newton's method (``search="batched"``), and IPOPT solves
+    every minimum that was found once more. What a batch does not serve (constraints, large problems) is solved by IPOPT
+    from every start, which ``search="multistart"`` asks for.
+
     Parameters
     ----------
     problem : Problem or a sum of problems
     starts : int, Starts, or list
-        A number of Sobol points, a rule such as `LatinHypercube(200)`, or a list of ``{name: value}``; by default 200
-        Sobol points; where data are records, the declared values and 19 Sobol points. Drawn points at which a model of
+        A number of Sobol points, all of which are brought to a minimum, a rule such as `LatinHypercube(200)` or
+        `UntilFoundAgain(error=0.01)`, or a list of ``{name: value}``. By default 200 Sobol points: in a batched search
+        the 8 with the lowest costs, and all if fewer than half of these end at the best minimum. Where data are
+        records, the declared values and 19 Sobol points. Drawn points at which a model of
         records is not finite move toward the first at which it is. Of several starts on records, the search goes on
         from the best end with every parameter whose lower bound is above zero made four times larger and smaller; a
         lower cost is reported as an extra run.
@@ -104,6 +113,8 @@ def fit(
         Of the Sobol points, 0 by default; a rule has its own. More starts of one seed begin with the same points.
     method : MultipleShooting, SingleShooting or Collocation, optional
         How records are transcribed and solved; `MultipleShooting()` by default.
+    search : "batched" or "multistart"
+        See above.
     solver_options : mapping
         ``{"max_iter": 100, "tol": 1e-9}``, and where IPOPT solves all its other options. For records `tol` is that of
         the decrease of the cost and of half the squared length of a step in standard errors, 1e-8 by default.
@@ -128,16 +139,36 @@ def fit(
     KeyboardInterrupt
         After Ctrl-C, when the iteration at hand has ended; its attribute ``fit`` is the best fit so far.
     """
-    return fit_keeping(
-        None,
-        problem,
-        starts,
-        seed,
-        method=method,
-        solver_options=solver_options,
-        executor=executor,
-        progress=progress,
-    )
+    by = SolverChoice(method, search, solver_options)
+    return fit_keeping(None, problem, starts, seed, by=by, executor=executor, progress=progress)
+
+
+@dataclass(frozen=True)
+class SolverChoice:
+    """What solves a problem: `method`, `search` and `solver_options` of `fit`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        For bad input, in one sentence.
+    """
+
+    method: Transcription | None = None
+    search: str = BATCHED
+    options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __post_init__(self) -> None:
+        """Check all of them."""
+        if not isinstance(self.options, Mapping):
+            raise TypeError(f"solver_options is {self.options!r:.60}: give IPOPT's options as {{name: value}}.")
+        if self.method is not None and not isinstance(self.method, Transcription):
+            raise TypeError(f"method is {self.method!r:.60}: give an instance such as MultipleShooting().")
+        if self.search not in SEARCHES:
+            raise ValueError(f"search is {self.search!r:.40}: give one of {', '.join(map(repr, SEARCHES))}.")
+
+    def solver(self, nlp: Nlp) -> LocalSolver:
+        """Return the solver of a compiled problem."""
+        return solver_for(nlp, self.options, self.search)
 
 
 def fit_keeping(
@@ -146,23 +177,19 @@ def fit_keeping(
     starts: int | Starts | Sequence[Mapping[str, float] | Starts] | None = None,
     seed: int | None = None,
     *,
-    method: Transcription | None = None,
-    solver_options: Mapping[str, Any] = MappingProxyType({}),
+    by: SolverChoice | None = None,
     executor: Executor | None = None,
     progress: bool | Callable[[int, int], None] = True,
 ) -> Fit:
     """Fit as `fit` does, and keep every run as soon as it is done; runs that were kept before are not made again."""
     if not isinstance(problem, Problem | Sum):
         raise TypeError(f"problem is {problem!r:.80}: give a Problem(model, data) or a sum of them.")
-    if not isinstance(solver_options, Mapping):
-        raise TypeError(f"solver_options is {solver_options!r:.60}: give IPOPT's options as {{name: value}}.")
-    if method is not None and not isinstance(method, Transcription):
-        raise TypeError(f"method is {method!r:.60}: give an instance such as MultipleShooting().")
     if executor is not None and not isinstance(executor, Executor):
         raise TypeError(f"executor is {executor!r:.60}: give an instance such as greybox.solve.WorkerPool(2).")
     try:
         with listening():
-            answer = _fitted_from(problem, starts, seed, method, solver_options, progress, executor=executor, kept=kept)
+            choice = by or SolverChoice()
+            answer = _fitted_from(problem, starts, seed, choice, progress=progress, executor=executor, kept=kept)
             if answer is None or take_interrupt():
                 raise Interrupted(answer)
             return answer
@@ -172,23 +199,19 @@ def fit_keeping(
         raise Interrupted(None) from pressed
 
 
-def fingerprint(
-    problem: AnyProblem,
-    method: Transcription | None = None,
-    solver_options: Mapping[str, Any] = MappingProxyType({}),
-) -> str:
+def fingerprint(problem: AnyProblem, by: SolverChoice | None = None) -> str:
     """Return what a fit keeps its runs under: a number of the compiled problem, its data and its solver's options."""
-    return packed(solver_for(compile_problem(with_enough_harmonics(problem), method), solver_options))[0]
+    by = by or SolverChoice()
+    return packed(by.solver(compile_problem(with_enough_harmonics(problem), by.method)))[0]
 
 
 def _fitted_from(
     problem: AnyProblem,
     starts: Any,
     seed: int | None,
-    method: Transcription | None,
-    solver_options: Mapping[str, Any],
-    progress: bool | Callable[[int, int], None],
+    by: SolverChoice,
     *,
+    progress: bool | Callable[[int, int], None],
     executor: Executor | None,
     kept: KeptRuns | None,
 ) -> Fit | None:
@@ -196,23 +219,26 @@ def _fitted_from(
     began = time.perf_counter()
     open_parts = are_open(problem)
     problem = with_enough_harmonics(problem)
-    nlp = compile_problem(problem, method)
+    nlp = compile_problem(problem, by.method)
     parameters = problem.parameters
-    solver = solver_for(nlp, solver_options)
+    solver = by.solver(nlp)
     rule = _rule(starts, seed, solver)
     points = rule.draw({name: parameters[name] for name in nlp.free})
     movable = not isinstance(rule, Listed)
+    waves = _waves(starts, rule, solver)
+    run = partial(multistart, nlp, solver, points, movable=movable, executor=executor, kept=kept, waves=waves)
     with responding(Response.STOP):
         if callable(progress) or not progress:
-            search = multistart(nlp, solver, points, progress or None, movable, executor, kept)
+            search = run(progress=progress or None)
         else:
             with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
 
                 def advance(done: int, _: int) -> None:
                     bar.update(done - bar.n)
 
-                search = multistart(nlp, solver, points, advance, movable, executor, kept)
-        nlp, search, solver = with_more_harmonics(nlp, search, solver, open_parts, solver_options)
+                search = run(progress=advance)
+        interrupted = stop_requested()
+        nlp, search, solver = with_more_harmonics(nlp, search, solver, open_parts)
         search = explained(nlp, search, solver)
         nlp, search, solver, error = refine_discretization(nlp, search, solver)
         search = solver.polished(search)
@@ -220,8 +246,8 @@ def _fitted_from(
         return None
     with responding(Response.FINISH):
         answer = assemble(nlp, search, solver, seed=rule.seed, starts=str(rule), began=began, error=error)
-        done = len(search.runs)
-        if done < len(points):
+        done = len(search.brought)
+        if interrupted and done < len(points):
             said = f"interrupted after {done} of {counted(len(points), 'start')}: another one may end at a lower cost."
             answer = replace(answer, warnings=(said, *answer.warnings))
         return answer
@@ -316,6 +342,13 @@ def _rule(starts: Any, seed: int | None, solver: LocalSolver) -> Starts:
     if isinstance(number, Starts | Sequence) or not solver.tries_declared_values:
         return rule
     return Chained((Listed(({},)), Sobol(number - 1, rule.seed or 0))) if number > 1 else Listed(({},))
+
+
+def _waves(starts: Any, rule: Starts, solver: LocalSolver) -> Waves:
+    """Return in which order the starts are tried: by default the promising ones first, where they can be told."""
+    if isinstance(rule, UntilFoundAgain):
+        return FoundAgain(rule.error)
+    return PromisingFirst() if starts is None and isinstance(solver, BatchedSolver) else AllAtOnce()
 
 
 def _nothing(nlp: Nlp) -> Accuracy:

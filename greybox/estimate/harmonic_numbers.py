@@ -4,7 +4,7 @@ The starts are searched with few harmonics, since a search takes many evaluation
 run goes on with them from its end.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -19,8 +19,8 @@ from greybox.modeling.pade_delay import delay_order
 from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
-from greybox.solve.multistart import multistart, solver_for
-from greybox.solve.outcome import Run
+from greybox.solve.multistart import multistart
+from greybox.solve.outcome import SCREENED, Run
 
 REFITS = 3  # with more harmonics each time: from 3 they reach 45
 
@@ -58,7 +58,7 @@ def _with_harmonics(problem: AnyProblem, harmonics: Sequence[int | None]) -> Any
 
 
 def with_more_harmonics(
-    nlp: Nlp, search: Multistart, solver: LocalSolver, open_parts: Sequence[bool], options: Mapping[str, Any]
+    nlp: Nlp, search: Multistart, solver: LocalSolver, open_parts: Sequence[bool]
 ) -> tuple[Nlp, Multistart, LocalSolver]:
     """Go on with more harmonics in the `open_parts` in which they do not suffice at the estimate."""
     if not any(open_parts) or any(part.has_states for part in nlp.parts):
@@ -70,14 +70,15 @@ def with_more_harmonics(
         if numbers == [part.amplitude and part.amplitude.harmonics for part in nlp.problem.parts]:
             break
         finer = compile_problem(_with_harmonics(nlp.problem, numbers))
-        finer_solver = solver_for(finer, options)
-        ends = np.array([run.estimate if run.converged else run.start for run in search.runs])
+        finer_solver = solver.refined(finer)
+        ends = np.array([run.estimate if run.converged else run.start for run in search.brought])
         followed = multistart(finer, finer_solver, ends, movable=False)
-        if not followed.minima or len(followed.runs) < len(search.runs):
+        count = len(ends)
+        if not followed.minima or len(followed.runs) < count:
             break
-        count = len(search.runs)
-        continued = [_continued(run, before) for run, before in zip(followed.runs[:count], search.runs, strict=True)]
-        runs = (*continued, *followed.runs[count:])
+        continued = [_continued(run, before) for run, before in zip(followed.runs[:count], search.brought, strict=True)]
+        runs = (*continued, *followed.runs[count:], *(run for run in search.runs if run.stage == SCREENED))
+        runs = tuple(replace(run, index=k) for k, run in enumerate(runs))
         search = replace(followed, runs=runs, seconds=search.seconds + followed.seconds)
         nlp, solver = finer, finer_solver
     return nlp, search, solver

@@ -468,7 +468,9 @@ def _text(fit: Fit) -> str:
 
 def _overview(fit: Fit) -> list[str]:
     """Return what was searched, found and fitted, a line for each."""
-    converged = sum(run.converged for run in fit.runs)
+    tried = Multistart(fit.runs, fit.minima, fit.seconds)
+    screened = len(fit.runs) - len(tried.brought)
+    only_screened = f" ({screened} of {len(fit.runs)} starts were screened out)" if screened else ""
     agreeing = counted(fit.agreeing, "agrees", "agree")
     minima = counted(len(fit.minima), "distinct minimum", "distinct minima")
     pade = [
@@ -477,7 +479,8 @@ def _overview(fit: Fit) -> list[str]:
         if part.pade_error is not None
     ]
     return [
-        f"  starts     {converged} of {len(fit.runs)} converged; {agreeing} on the best of {minima}",
+        f"  starts     {tried.converged} of {len(tried.brought)} converged{only_screened}; "
+        f"{agreeing} on the best of {minima}",
         f"  cost       {fit.cost:.6g}  ({fit.rule})",
         f"  data       {_data_text(fit)}, delay {fit.delay}{''.join(pade)}",
         *(f"  inputs     {text}" for text in _inputs_texts(fit.records)),

@@ -48,7 +48,7 @@ from greybox.modeling.model import Model
 from greybox.modeling.model_file import models_of, module_from_file
 from greybox.modeling.sine import Sine
 from greybox.solve.minima import Minimum
-from greybox.solve.outcome import Run
+from greybox.solve.outcome import POLISHED, Run
 
 KIND = "fit"
 LAYOUT = 3
@@ -131,7 +131,7 @@ def _write(file: Node, fit: Fit) -> None:
 
 def _write_runs(file: Node, fit: Fit) -> None:
     group = file.create_group("runs")
-    for column in ("status", "reason"):
+    for column in ("status", "reason", "stage"):
         _texts(group, column, [getattr(run, column) for run in fit.runs])
     for column in ("start", "estimate", "cost", "converged", "iterations", "seconds"):
         group[column] = np.array([getattr(run, column) for run in fit.runs])
@@ -258,7 +258,8 @@ def _read_quantities(group: Stored) -> tuple[Quantity, ...]:
 
 
 def _read_runs(group: Stored, parameters: int) -> tuple[Run, ...]:
-    rows = _rows(group, ("status", "reason"), ("start", "estimate", "cost", "converged", "iterations", "seconds"))
+    texts = ("status", "reason", "stage") if "stage" in group else ("status", "reason")
+    rows = _rows(group, texts, ("start", "estimate", "cost", "converged", "iterations", "seconds"))
     for row in rows[:1]:
         _require(row["start"].shape == row["estimate"].shape == (parameters,), "its runs have other parameters")
     return tuple(
@@ -272,6 +273,7 @@ def _read_runs(group: Stored, parameters: int) -> tuple[Run, ...]:
             converged=bool(row["converged"]),
             iterations=int(row["iterations"]),
             seconds=float(row["seconds"]),
+            stage=row.get("stage", POLISHED),
         )
         for k, row in enumerate(rows)
     )

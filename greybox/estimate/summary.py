@@ -5,6 +5,7 @@ from typing import Any
 
 from greybox.data.json_numbers import all_finite, finite
 from greybox.estimate.result import Fit, FittedRecord
+from greybox.solve.outcome import SCREENED
 
 
 def summary(result: Fit) -> dict[str, Any]:
@@ -14,6 +15,7 @@ def summary(result: Fit) -> dict[str, Any]:
         "criterion": result.criterion,
         "delay": result.delay,
         "starts": len(result.runs),
+        "screened": sum(run.stage == SCREENED for run in result.runs),
         "seed": result.seed,
         "converged": sum(run.converged for run in result.runs),
         "agreeing": result.agreeing,

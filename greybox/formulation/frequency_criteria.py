@@ -30,6 +30,9 @@ ROUNDING_VARIANCE = 1e-18
 # Of the fixed point for the size of the noise, each of which halves what is left, at worst (two degrees of freedom).
 SCALE_ITERATIONS = 40
 
+# Relative errors below cannot be told from rounding: those of data that a model reproduces exactly.
+ROUNDING = float(np.finfo(float).eps)
+
 
 class Criterion(AnyCriterion):
     """A rule that measures the mismatch of frequency responses; its `cost` is what is minimized.
@@ -153,8 +156,8 @@ class RelativeError(_Relative):
     ) -> tuple[float, NDArray[np.float64]]:
         """Noise size from the mean |e|, which for isotropic normal errors is s sqrt(π/2)."""
         error = np.abs(self.errors(model, data))
-        s = error.mean() * math.sqrt(2 / math.pi) * correction
-        return 0.5 * math.sqrt(math.pi / 2) / s if s > 0 else math.inf, np.full(2 * len(data), 0.5)
+        s = max(float(error.mean()) * math.sqrt(2 / math.pi) * correction, ROUNDING)
+        return 0.5 * math.sqrt(math.pi / 2) / s, np.full(2 * len(data), 0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,8 +226,8 @@ class RelativeLikelihood(Criterion):
         self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
     ) -> tuple[float, NDArray[np.float64]]:
         """Weights of the variance that the cost took, and the corrected one of the errors."""
-        s2 = float(np.mean(np.abs(1 - data.response / model) ** 2)) / 2
-        bread = 1 / s2 if s2 > 0 else math.inf
+        s2 = max(float(np.mean(np.abs(1 - data.response / model) ** 2)) / 2, ROUNDING**2)
+        bread = 1 / s2
         return bread, np.full(2 * len(data), correction**2 * bread)
 
 

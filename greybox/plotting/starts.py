@@ -21,6 +21,7 @@ from greybox.plotting.style import (
     legend_inside,
     new_figure,
 )
+from greybox.solve.outcome import SCREENED
 
 LOG_SPAN = 30.0  # ratio of the largest to the smallest cost above which the scale is logarithmic
 
@@ -62,16 +63,19 @@ def starts(fit: Fit, ax: Axes | None = None, legend: bool = True) -> Axes:
 
 def draw_starts(ax: Axes, fit: Fit) -> dict[str, tuple[Line2D, ...]]:
     """Draw the runs into a panel and return the legend."""
-    costs = sorted((run.cost, run.index) for run in fit.runs if run.converged)
-    lines = [*_draw_minima(ax, fit, costs), *_draw_failed(ax, len(costs), len(fit.runs) - len(costs))]
+    brought = [run for run in fit.runs if run.stage != SCREENED]
+    costs = sorted((run.cost, run.index) for run in brought if run.converged)
+    lines = [*_draw_minima(ax, fit, costs), *_draw_failed(ax, len(costs), len(brought) - len(costs))]
     _scale_costs(ax, [cost for cost, _ in costs])
 
     finish(ax, "Cost")
     ax.set_xlabel("Runs, sorted by cost", fontsize=11)
-    ax.set_xlim(0, len(fit.runs) + 1)
+    ax.set_xlim(0, len(brought) + 1)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
 
-    count = counted(len(fit.runs), "start")
+    count = counted(len(brought), "start")
+    if len(brought) < len(fit.runs):
+        count = f"{len(brought)} most promising of {counted(len(fit.runs), 'start')}"
     agreement = f"{fit.agreeing} of {count} {'agrees' if fit.agreeing == 1 else 'agree'} on the best minimum"
     ax.set_title(agreement if fit.converged else f"none of {count} converged", fontsize=TITLE_SIZE)
     return {str(line.get_label()): (line,) for line in lines}

@@ -1,11 +1,13 @@
 """From starts to minima.
 
 Begin with `multistart`, which chooses the solver, and `local_solver`, what every solver answers. `ipopt` solves
-problems of frequency responses, `gauss_newton/` those with records, and `transcribed_program` hands records to IPOPT as
-one sparse program; an `outcome` is what one run leaves, `minima` groups the runs. `executors` has the runs made by
-other processes, `worker_pool` has such on this machine, `kept_runs` says what keeps them. `local_search` tries more
-than the starts, `discretization_error` refines the integration, `cost` evaluates a problem at given parameters.
-`constraints` and `quadratic_program` serve the Gauss-Newton steps. `interruption` says what becomes of Ctrl-C.
+problems of frequency responses; from many starts `batched_solver` brings them to minima together, by `batched_newton`,
+and has IPOPT confirm each. `gauss_newton/` solves problems with records, and `transcribed_program` hands records to
+IPOPT as one sparse program. `waves` says in which order starts are tried and when there were enough; an `outcome` is
+what one run leaves, `minima` groups the runs. `executors` has the runs made by other processes, `worker_pool` has such
+on this machine, `kept_runs` says what keeps them. `local_search` tries more than the starts, `discretization_error`
+refines the integration, `cost` evaluates a problem at given parameters. `constraints` and `quadratic_program` serve the
+Gauss-Newton steps. `interruption` says what becomes of Ctrl-C.
 """
 
 from greybox.compiled.strategies import Strategies as Strategies
@@ -14,4 +16,5 @@ from greybox.formulation.starts import Listed as Listed
 from greybox.formulation.starts import Sobol as Sobol
 from greybox.formulation.starts import Starts as Starts
 from greybox.formulation.starts import Uniform as Uniform
+from greybox.formulation.starts import UntilFoundAgain as UntilFoundAgain
 from greybox.solve.worker_pool import WorkerPool as WorkerPool

@@ -21,6 +21,7 @@ from concurrent.futures import CancelledError, Executor, Future
 from concurrent.futures import TimeoutError as StillRunning
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ from numpy.typing import NDArray
 from greybox.solve.interruption import stop_requested
 from greybox.solve.kept_runs import Memory
 from greybox.solve.local_solver import LocalSolver
-from greybox.solve.outcome import WORKER_LOST, Outcome
+from greybox.solve.outcome import INTERRUPTED, WORKER_LOST, Outcome
 from greybox.solve.worker_pool import NoWorkerError, WorkerLostError
 
 Array = NDArray[np.float64]
@@ -53,15 +54,16 @@ class ExecutorLostError(RuntimeError):
 
 def run_all(
     solver: LocalSolver,
-    starts: Iterable[Array],
+    numbered: Iterable[tuple[int, Array]],
     count: int,
     executor: Executor | None = None,
     memory: Memory | None = None,
-) -> Iterator[tuple[Array, Outcome]]:
-    """Give the starts (p,) and what a run from each leaves, in their order, until a stop is requested.
+) -> Iterator[tuple[int, Array, Outcome]]:
+    """Give the numbers of the starts, the starts (p,) and what a run from each leaves, until a stop is requested.
 
-    `count` is how many there are. With an executor the first run is made here: it tells how long they take. Runs that
-    are in the `memory` are not made again.
+    They come in the order of `numbered`, of which there are `count`. As many are run at once as the solver runs
+    together; of a batch that a stop cuts short, what was finished counts. With an executor the first batch is run here:
+    it tells how long they take. Runs that are in the `memory` are not made again.
 
     Raises
     ------
@@ -71,18 +73,41 @@ def run_all(
         When the runs in the memory began elsewhere.
     """
     memory = memory or Memory()
-    numbered = enumerate(starts)
-    for number, start in numbered:
+    batches = _batches(numbered, solver.together)
+    made = 0
+    for batch in batches:
         if stop_requested():
             return
-        known = memory.recall(number, start)
-        outcome = known or solver.run(start)
-        if known is None:
+        made += len(batch)
+        known = _recalled(memory, batch)
+        outcomes = known or solver.run_together(np.array([start for _, start in batch]))
+        finished = [outcome.status != INTERRUPTED for outcome in outcomes]
+        for (number, start), outcome, is_finished in zip(batch, outcomes, finished, strict=True):
             memory.keep(number, start, outcome)
-        yield start, outcome
+            if is_finished or not any(finished):
+                yield number, start, outcome
         if known is None and executor is not None:
-            yield from _on_workers(_Tasks(solver, numbered, count - number - 1, executor, memory, outcome))
+            yield from _on_workers(_Tasks(solver, batches, count - made, executor, memory, outcomes))
             return
+
+
+Batch = list[tuple[int, Array]]
+
+
+def _batches(numbered: Iterable[tuple[int, Array]], size: int) -> Iterator[Batch]:
+    """Divide what is numbered into lists of a size; the last may be shorter."""
+    rest = iter(numbered)
+    while batch := list(islice(rest, size)):
+        yield batch
+
+
+def _recalled(memory: Memory, batch: Batch) -> list[Outcome] | None:
+    """Return what is known of a batch, if it is known as a whole.
+
+    A part of a batch is run with all of it: the last digits of a run depend on how many are run together.
+    """
+    known = [memory.recall(number, start) for number, start in batch]
+    return None if any(outcome is None for outcome in known) else [o for o in known if o is not None]
 
 
 def packed(solver: LocalSolver) -> tuple[str, bytes]:
@@ -91,8 +116,8 @@ def packed(solver: LocalSolver) -> tuple[str, bytes]:
     return hashlib.sha256(payload).hexdigest(), payload
 
 
-def _on_workers(tasks: "_Tasks") -> Iterator[tuple[Array, Outcome]]:
-    """Give starts and outcomes in order."""
+def _on_workers(tasks: "_Tasks") -> Iterator[tuple[int, Array, Outcome]]:
+    """Give numbers, starts and outcomes in order."""
     try:
         while not stop_requested():
             tasks.hand_out()
@@ -123,26 +148,27 @@ class _Task:
 
 
 class _Tasks:
-    """The tasks of one search that are handed out, in the order of the starts; `first` is the run that was made."""
+    """The tasks of one search that are handed out, in the order of the starts; `first` are the runs that were made."""
 
     def __init__(
         self,
         solver: LocalSolver,
-        numbered: Iterator[tuple[int, Array]],
+        batches: Iterator[Batch],
         count: int,
         executor: Executor,
         memory: Memory,
-        first: Outcome,
+        first: list[Outcome],
     ) -> None:
         self.waiting: deque[_Task] = deque()
         self._packed = packed(solver)
-        self._numbered = numbered
+        self._together = solver.together
+        self._batches = batches
         self._executor = executor
         self._memory = memory
-        self._ahead: tuple[int, Array] | None = None
+        self._ahead: Batch | None = None
         self._most = min(max(MOST_BYTES // len(self._packed[1]), 2), MOST_WAITING)
         self._largest = max(math.ceil(count / FEWEST_TASKS), 1)
-        self._done, self._seconds = 1, first.seconds
+        self._done, self._seconds = len(first), sum(outcome.seconds for outcome in first)
 
     def hand_out(self) -> None:
         """Hand out tasks until enough are waiting, or none is left."""
@@ -152,22 +178,21 @@ class _Tasks:
                 return
 
     def _take(self, most: int) -> bool:
-        """Make a task of the next starts, at most so many, or of one that is known; False when none is left."""
-        some: list[tuple[int, Array]] = []
-        while len(some) < most:
-            following = self._ahead or next(self._numbered, None)
+        """Make a task of the next batches, of at most so many starts, or of one that is known; False without any."""
+        some: Batch = []
+        while not some or len(some) + self._together <= most:
+            batch = self._ahead or next(self._batches, None)
             self._ahead = None
-            if following is None:
+            if batch is None:
                 break
-            number, start = following
-            known = self._memory.recall(number, start)
+            known = _recalled(self._memory, batch)
             if known is not None:
                 if some:
-                    self._ahead = following
+                    self._ahead = batch
                     break
-                self.waiting.append(_Task([number], [start], outcomes=[known]))
+                self.waiting.append(_Task([number for number, _ in batch], [start for _, start in batch], None, known))
                 return True
-            some.append(following)
+            some += batch
         if some:
             self.waiting.append(self._submitted([number for number, _ in some], [start for _, start in some]))
         return bool(some)
@@ -188,7 +213,7 @@ class _Tasks:
             return True
         return False
 
-    def next(self) -> Iterator[tuple[Array, Outcome]]:
+    def next(self) -> Iterator[tuple[int, Array, Outcome]]:
         """Give what the first of the waiting tasks left; where its worker was lost, its starts are tried one by one."""
         task = self.waiting.popleft()
         if task.outcomes is None:
@@ -200,7 +225,7 @@ class _Tasks:
         if task.outcomes is None:
             task.outcomes = [Outcome(task.starts[0], WORKER_LOST, 0, 0.0, converged=False, cost=math.inf)]
             self._keep(task, task.outcomes)
-        yield from zip(task.starts, task.outcomes, strict=True)
+        yield from zip(task.numbers, task.starts, task.outcomes, strict=True)
 
     def cancel(self) -> None:
         """Take back what has not begun."""
@@ -280,7 +305,9 @@ def run_starts(key: str, payload: bytes, starts: Array, coordinator: int) -> lis
                 solvers.popitem(last=False)
             solvers[key] = pickle.loads(payload)
         solvers.move_to_end(key)
-        return [solvers[key].run(start) for start in starts]
+        solver = solvers[key]
+        batches = (starts[at : at + solver.together] for at in range(0, len(starts), solver.together))
+        return [outcome for batch in batches for outcome in solver.run_together(batch)]
 
 
 @contextmanager

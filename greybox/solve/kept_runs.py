@@ -69,8 +69,10 @@ class Memory:
         )
 
     def keep(self, number: int, start: Array, outcome: Outcome) -> None:
-        """Keep a run, unless it was cut short, so that it is made again."""
-        if self._kept is not None and outcome.status != INTERRUPTED:
+        """Keep a run, unless it was kept before, or was cut short, so that it is made again."""
+        if self._kept is None or outcome.status == INTERRUPTED:
+            return
+        if self.recall(number, start) is None:
             self._kept.add(number, start, outcome)
 
     def look(self) -> None:

@@ -37,6 +37,7 @@ class LocalSearch:
         self._solver = solver
         self._memory = memory
         self._number = 0  # of the run that was made last, below zero
+        self._tries_more = isinstance(solver, GaussNewton)
         self._neighbors = neighbors and nlp.strategies.scaled_neighbors
         self._best: Outcome | None = None
         self.further_starts: list[Array] = []
@@ -44,9 +45,10 @@ class LocalSearch:
 
     def improved(self, outcome: Outcome) -> Outcome:
         """Return what a run left, continued where it is not finished, and try what its end suggests."""
-        solver, unfinished = self._solver, outcome
-        if not isinstance(solver, GaussNewton):
+        if not self._tries_more:
             return outcome
+        solver, unfinished = self._solver, outcome
+        assert isinstance(solver, GaussNewton)
         if self._nlp.strategies.continued_runs and self._is_unfinished(outcome) and not stop_requested():
             outcome = self._remembered(outcome.estimate, lambda: solver.continued(unfinished))
         if self._is_best(outcome):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Trajectory
-from greybox.solve.minima import Multistart
+from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.outcome import Outcome
 
 Array = NDArray[np.float64]
@@ -37,10 +37,13 @@ class LocalSolver(ABC):
         How many are tried where nothing is said.
     tries_declared_values : bool
         Whether the declared values are the first of a number of starts.
+    together : int
+        How many starts it runs at once.
     """
 
     starts: ClassVar[int] = 20
     tries_declared_values: ClassVar[bool] = True
+    together: ClassVar[int] = 1
 
     @abstractmethod
     def __reduce__(self) -> tuple[Callable[..., "LocalSolver"], tuple[Any, ...]]:
@@ -49,6 +52,10 @@ class LocalSolver(ABC):
     @abstractmethod
     def run(self, start: Array) -> Outcome:
         """Solve from the parameters `start` (p,)."""
+
+    def run_together(self, starts: Array) -> list[Outcome]:
+        """Solve from every row of `starts` (r, p), at most `together`."""
+        return [self.run(start) for start in starts]
 
     @abstractmethod
     def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
@@ -71,6 +78,10 @@ class LocalSolver(ABC):
 
     def judged(self, outcomes: list[Outcome]) -> list[Outcome]:
         """Return the outcomes with costs and signatures, where a run leaves them to be evaluated for all at once."""
+        return outcomes
+
+    def certified(self, starts: Sequence[Array], outcomes: list[Outcome], minima: Sequence[Minimum]) -> list[Outcome]:
+        """Return what runs from the `starts` left, with one that is certified to be at a minimum for each of them."""
         return outcomes
 
     @abstractmethod

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.data.text_table import counted, one_line
-from greybox.solve.outcome import TOO_COARSE, Run
+from greybox.solve.outcome import SCREENED, TOO_COARSE, Run
 
 SAME_COST = 1e-4  # relative; the smoothing moves costs by up to 6e-5
 SAME_LIKELIHOOD = 1e-2  # of negative log-likelihoods: a tenth of a standard error is 5e-3
@@ -65,16 +65,21 @@ class Multistart:
         return sum(run.converged for run in self.runs)
 
     @property
+    def brought(self) -> tuple[Run, ...]:
+        """The runs that went on from their start, whether they arrived at a minimum or not."""
+        return tuple(run for run in self.runs if run.stage != SCREENED)
+
+    @property
     def failures(self) -> str:
         """The statuses of the runs that did not converge, with counts."""
-        named = (f"{r.status} ({r.reason})" if r.reason else r.status for r in self.runs if not r.converged)
+        named = (f"{r.status} ({r.reason})" if r.reason else r.status for r in self.brought if not r.converged)
         counts = Counter(named)
         return ", ".join(f"{count} × {status}" for status, count in counts.most_common())
 
     def __repr__(self) -> str:
         return one_line(
             self,
-            f"{self.converged} of {counted(len(self.runs), 'run')} converged",
+            f"{self.converged} of {counted(len(self.brought), 'run')} converged",
             counted(len(self.minima), "minimum", "minima"),
         )
 
@@ -82,6 +87,7 @@ class Multistart:
 def best_unfinished(runs: Sequence[Run]) -> Run | None:
     """Return the run that ended at the lowest cost without having converged; None where all ended without one."""
     ended = [run for run in runs if not run.converged and run.status != TOO_COARSE and math.isfinite(run.cost)]
+    ended = [run for run in ended if run.stage != SCREENED] or ended
     return min(ended, key=lambda run: run.cost, default=None)
 
 
@@ -138,11 +144,9 @@ def same_cost(nlp: Nlp, cost: float) -> float:
 
 def _variants(nlp: Nlp, members: Sequence[Run]) -> int:
     """Count the parameter vectors among runs of one minimum that lie more than 5 % of the parameters' size apart."""
-    distinct: list[NDArray[np.float64]] = []
-    for run in members:
-        z = nlp.scaling.to_solver(run.estimate)
-        if not any(
-            np.all(np.abs(z - other) <= 0.05 * np.maximum(np.abs(z), np.abs(other)) + 1e-6) for other in distinct
-        ):
-            distinct.append(z)
-    return len(distinct)
+    z = nlp.scaling.to_solver(np.array([run.estimate for run in members]))
+    distinct = 0
+    while len(z):
+        apart = np.abs(z - z[0]) > 0.05 * np.maximum(np.abs(z), np.abs(z[0])) + 1e-6
+        z, distinct = z[apart.any(axis=1)], distinct + 1
+    return distinct

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.strategies import with_options
+from greybox.solve.batched_solver import BatchedSolver
 from greybox.solve.executors import packed, run_all
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.interruption import stop_requested
@@ -19,9 +21,10 @@ from greybox.solve.ipopt import IpoptSolver
 from greybox.solve.kept_runs import KeptRuns, Memory
 from greybox.solve.local_search import LocalSearch
 from greybox.solve.local_solver import LocalSolver
-from greybox.solve.minima import Multistart, find_minima
-from greybox.solve.outcome import Outcome, Run
+from greybox.solve.minima import Minimum, Multistart, find_minima
+from greybox.solve.outcome import SCREENED, Outcome, Run
 from greybox.solve.transcribed_program import TranscribedProgram
+from greybox.solve.waves import AllAtOnce, Waves
 
 Array = NDArray[np.float64]
 
@@ -32,8 +35,15 @@ ProgressReport = Callable[[int, int], None]
 SHARES = 0.5 ** np.arange(1, 7)
 
 
-def solver_for(nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({})) -> LocalSolver:
-    """Return the solver of a problem: Gauss-Newton steps or IPOPT where parts have hidden unknowns, else IPOPT.
+BATCHED, MULTISTART = "batched", "multistart"
+SEARCHES = (BATCHED, MULTISTART)
+
+
+def solver_for(nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({}), search: str = BATCHED) -> LocalSolver:
+    """Return the solver of a problem.
+
+    That is Gauss-Newton steps or IPOPT where parts have hidden unknowns; else IPOPT, behind Newton's method from many
+    starts at once where the search is ``"batched"`` and the problem has the form for it.
 
     Raises
     ------
@@ -41,7 +51,8 @@ def solver_for(nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({})) -> L
         For options that the solver does not take.
     """
     if not any(part.has_states for part in nlp.parts):
-        return IpoptSolver(nlp, options)
+        serves = search == BATCHED and BatchedSolver.serves(nlp)
+        return BatchedSolver(nlp, options) if serves else IpoptSolver(nlp, options)
     if nlp.by_ipopt:
         return TranscribedProgram(nlp, GaussNewton(nlp), options)
     return GaussNewton(nlp, settings=with_options(nlp.strategies, options))
@@ -51,18 +62,20 @@ def multistart(
     nlp: Nlp,
     solver: LocalSolver,
     starts: Array,
+    *,
     progress: ProgressReport | None = None,
     movable: bool = True,
     executor: Executor | None = None,
     kept: KeptRuns | None = None,
+    waves: Waves | None = None,
 ) -> Multistart:
     """Run the solver from every row of `starts` (r, p) and group the runs into minima.
 
-    Starts that are `movable` go to where a run can begin. Every run is kept; runs from elsewhere, see
-    `greybox.solve.local_search`, follow those of the starts. A run that fails is a result with its status; it is never
-    ranked before one that converged. When a stop is requested (`greybox.solve.interruption`) the run at hand is the
-    last. With an executor the runs from the starts are made by its workers, see `greybox.solve.executors`. Those that
-    were `kept` are not made again.
+    The `waves` say in which order, and when there were enough; by default all are tried. Starts that are `movable` go
+    to where a run can begin. Every run is kept; runs from elsewhere, see `greybox.solve.local_search`, follow those of
+    the starts. A run that fails is a result with its status; it is never ranked before one that converged. When a stop
+    is requested (`greybox.solve.interruption`) the run at hand is the last. With an executor the runs from the starts
+    are made by its workers, see `greybox.solve.executors`. Those that were `kept` are not made again.
     """
     began = time.perf_counter()
     points: Iterable[Array] = starts
@@ -70,21 +83,72 @@ def multistart(
         points = _moved_to_finite(nlp, solver, starts)
     memory = Memory() if kept is None else Memory(kept, packed(solver)[0])
     search = LocalSearch(nlp, solver, memory, neighbors=len(starts) > 1)
-    tried: list[Array] = []
-    outcomes = []
-    for start, outcome in run_all(solver, points, len(starts), executor, memory):
-        tried.append(start)
-        outcomes.append(search.improved(outcome))
-        if progress is not None:
-            progress(len(tried), len(starts))
+    tried: dict[int, tuple[Array, Outcome]] = {}
+    drawn = _Drawn(points)
+    waves = waves or AllAtOnce()
+    costs = waves.costs(solver, starts)
+    runs: tuple[Run, ...] = ()
+    minima: tuple[Minimum, ...] = ()
+    outcomes: list[Outcome] = []
+    for wave in waves.numbers(len(starts), costs):
+        numbered = ((number, drawn[number]) for number in wave)
+        for number, start, outcome in run_all(solver, numbered, len(wave), executor, memory):
+            tried[number] = start, search.improved(outcome)
+            if progress is not None:
+                progress(len(tried), len(starts))
+        begun = [tried[number] for number in sorted(tried)]
+        begun += zip(search.further_starts, search.further_outcomes, strict=True)
+        runs, minima, outcomes = _certified(nlp, solver, begun)
+        if stop_requested() or waves.are_enough(nlp, runs, minima):
+            break
 
-    outcomes = [*outcomes, *search.further_outcomes]
-    outcomes = solver.judged(outcomes) if outcomes else []
-    runs = _as_runs([*tried, *search.further_starts], outcomes)
-    minima = find_minima(nlp, runs, [outcome.signature for outcome in outcomes])
     nodes = outcomes[minima[0].runs[0]].nodes if minima else None
     ends = () if minima else tuple(outcome.nodes for outcome in outcomes)
+    if costs is not None and len(tried) < len(starts) and not stop_requested():
+        runs, minima = _among_screened(runs, minima, sorted(tried), starts, costs)
     return Multistart(runs, minima, time.perf_counter() - began, nodes, ends)
+
+
+def _among_screened(
+    runs: Sequence[Run], minima: Sequence[Minimum], numbers: Sequence[int], starts: Array, costs: Array
+) -> tuple[tuple[Run, ...], tuple[Minimum, ...]]:
+    """Return the runs from the starts of these `numbers` among those that were compared only, and the minima."""
+    made = dict(zip(numbers, runs, strict=True))
+    every = (
+        replace(made[k], index=k)
+        if k in made
+        else Run(k, start, start, float(cost), SCREENED, converged=False, iterations=0, seconds=0.0, stage=SCREENED)
+        for k, (start, cost) in enumerate(zip(starts, costs, strict=True))
+    )
+    return tuple(every), tuple(replace(m, runs=tuple(numbers[k] for k in m.runs)) for m in minima)
+
+
+class _Drawn:
+    """Points that are made one after the other, as far as they are asked for."""
+
+    def __init__(self, points: Iterable[Array]) -> None:
+        self._rest = iter(points)
+        self._made: list[Array] = []
+
+    def __getitem__(self, number: int) -> Array:
+        while len(self._made) <= number:
+            self._made.append(next(self._rest))
+        return self._made[number]
+
+
+def _certified(
+    nlp: Nlp, solver: LocalSolver, begun: Sequence[tuple[Array, Outcome]]
+) -> tuple[tuple[Run, ...], tuple[Minimum, ...], list[Outcome]]:
+    """Return the runs, their minima, each of them certified by the solver, and the outcomes."""
+    starts = [start for start, _ in begun]
+    outcomes = solver.judged([outcome for _, outcome in begun]) if begun else []
+    while True:
+        runs = _as_runs(starts, outcomes)
+        minima = find_minima(nlp, runs, [outcome.signature for outcome in outcomes])
+        certified = solver.certified(starts, outcomes, minima)
+        if certified is outcomes:
+            return runs, minima, outcomes
+        outcomes = certified
 
 
 def _moved_to_finite(nlp: Nlp, solver: LocalSolver, starts: Array) -> Iterator[Array]:
@@ -120,6 +184,7 @@ def _as_runs(starts: Sequence[Array], outcomes: list[Outcome]) -> tuple[Run, ...
             converged=outcome.converged and math.isfinite(outcome.cost),
             iterations=outcome.iterations,
             seconds=outcome.seconds,
+            stage=outcome.stage,
         )
         for k, (start, outcome) in enumerate(zip(starts, outcomes, strict=True))
     )

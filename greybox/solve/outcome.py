@@ -14,6 +14,10 @@ Array = NDArray[np.float64]
 NOT_FINITE = "not finite at the start"  # status of a run that could not begin
 TOO_COARSE = "integration too coarse"  # status of a run that ended at an alias
 INTERRUPTED = "interrupted"  # status of the run that was at hand when Ctrl-C was pressed
+# How far a run was taken: its start was compared with others, a batch of runs was brought to minima together, or a
+# solver confirmed that it ended at one, or tried to.
+SCREENED, IMPROVED, POLISHED = "screened", "improved", "polished"
+
 WORKER_LOST = "worker lost"  # status of a run that ended the process it was made in, as often as it was tried
 
 
@@ -37,6 +41,9 @@ class Run:
     seconds : float
     reason : str
         Why it did not converge, as far as the model tells: where its response is not finite.
+    stage : "screened", "improved" or "polished"
+        How far it was taken: only its start was evaluated, and others were more promising; it was brought to a minimum
+        together with others; or a solver of single runs had the last word, IPOPT for frequency responses.
     """
 
     index: int
@@ -48,6 +55,7 @@ class Run:
     iterations: int
     seconds: float
     reason: str = ""
+    stage: str = POLISHED
 
     def __repr__(self) -> str:
         return one_line(
@@ -65,6 +73,8 @@ class Outcome:
         By which runs are told apart, see `Part.signature`.
     nodes : tuple of (s, n) arrays, or None
         The states at the beginning of every segment, for each part.
+    stage : str
+        See `Run`.
     """
 
     estimate: Array
@@ -75,3 +85,4 @@ class Outcome:
     cost: float = math.nan
     signature: Array | None = None
     nodes: tuple[Array, ...] | None = None
+    stage: str = POLISHED

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.text_table import counted, printable
-from greybox.estimate.fit import fingerprint, fit_keeping
+from greybox.estimate.fit import SolverChoice, fingerprint, fit_keeping
 from greybox.estimate.result import Fit
 from greybox.estimate.storage import save
 from greybox.estimate.summary import summary
@@ -23,6 +23,7 @@ from greybox.formulation.sum import Sum
 from greybox.solve.executors import ExecutorLostError
 from greybox.solve.interruption import Response, listening, responding
 from greybox.solve.kept_runs import KeptRunsError
+from greybox.solve.multistart import BATCHED
 from greybox.study.run_files import RunFiles
 from greybox.study.study import Study, read_study
 from greybox.study.study_folder import ANSWER, FIT, locked, member_folder, read_json, write_index, write_json
@@ -41,7 +42,7 @@ class Member:
     Parameters
     ----------
     problem : Problem or a sum of problems
-    starts, seed, method, solver_options
+    starts, seed, method, search, solver_options
         As of `greybox.fit`.
     name : str
         The problem's by default; no two members have the same.
@@ -53,15 +54,22 @@ class Member:
     method: Transcription | None = None
     solver_options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     name: str = ""
+    search: str = BATCHED
 
     def __post_init__(self) -> None:
         """Take the problem's name where none is given."""
         if not isinstance(self.problem, Problem | Sum):
             raise TypeError(f"problem is {self.problem!r:.80}: give a Problem(model, data) or a sum of them.")
+        self.by  # noqa: B018  (checks what it is made of)
         if not self.name:
             object.__setattr__(self, "name", self.problem.name)
         if self.name != printable(self.name):
             raise ValueError(f"name is {self.name!r}: leave out what cannot be printed.")
+
+    @property
+    def by(self) -> SolverChoice:
+        """What solves it."""
+        return SolverChoice(self.method, self.search, self.solver_options)
 
 
 class BatchInterrupted(KeyboardInterrupt):
@@ -216,8 +224,7 @@ def _fitted(member: Member, kept: RunFiles, executor: Executor | None, report: C
         member.problem,
         member.starts,
         member.seed,
-        method=member.method,
-        solver_options=member.solver_options,
+        by=member.by,
         executor=executor,
         progress=report,
     )
@@ -245,7 +252,7 @@ def _is_done(member: Member, folder: Path) -> bool:
     answer = read_json(folder / ANSWER)
     if answer.get("error"):
         return False
-    if answer.get("fingerprint") != fingerprint(member.problem, member.method, member.solver_options):
+    if answer.get("fingerprint") != fingerprint(member.problem, member.by):
         raise ValueError(
             f"{folder} has the answer to another problem than that of {member.name!r}, or of other options or another "
             "version of greybox or CasADi: give what the study was begun with, or begin another one."

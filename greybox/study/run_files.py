@@ -5,9 +5,10 @@ Layout, version 1
 ``runs-SERIAL-COUNT.h5``  sealed (`greybox.data.sealed_files`), with the attributes ``format`` ("greybox runs"),
     ``layout``, ``fingerprint`` (of the compiled problem and its solver), ``statuses`` (JSON), and datasets with a row
     a run: ``number`` (of the start), ``start`` and ``estimate`` (r, p), ``cost``, ``status`` (index of ``statuses``),
-    ``converged``, ``iterations``, ``seconds``; where runs have them, ``signature`` (r, m) and, of every part of the
-    problem, ``nodes/0 ...`` (r, s n), the states of (s, n) as the JSON attribute ``shapes`` has it. A row of NaN is
-    none. A run may be in two files, of which one replaces the other.
+    ``converged``, ``iterations``, ``seconds``, ``stage`` (index of `STAGES`, the last where it is missing); where runs
+    have them, ``signature`` (r, m) and, of every part of the problem, ``nodes/0 ...`` (r, s n), the states of (s, n) as
+    the JSON attribute ``shapes`` has it. A row of NaN is none. A run may be in two files, of which one replaces the
+    other.
 """
 
 import json
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 from greybox.data.sealed_files import Node, Stored, open_sealed, write_sealed
 from greybox.data.text_table import printable
 from greybox.solve.kept_runs import KeptRuns, KeptRunsError
-from greybox.solve.outcome import Outcome
+from greybox.solve.outcome import IMPROVED, POLISHED, SCREENED, Outcome
 
 Array = NDArray[np.float64]
 Row = tuple[int, Array, Outcome]
@@ -38,6 +39,7 @@ NAME = re.compile(r"runs-(\d{6,})-(\d+)\.h5")
 # Work that is not on disk yet, at most, and its age, s: a file takes some milliseconds.
 UNWRITTEN = 2.0
 
+STAGES = (SCREENED, IMPROVED, POLISHED)
 NUMBERS = ("cost", "converged", "iterations", "seconds")
 
 
@@ -139,6 +141,7 @@ def _fill(file: Node, rows: Sequence[Row], fingerprint: str) -> None:
     file["status"] = np.array([statuses.index(outcome.status) for outcome in outcomes])
     for name in NUMBERS:
         file[name] = np.array([getattr(outcome, name) for outcome in outcomes])
+    file["stage"] = np.array([STAGES.index(outcome.stage) for outcome in outcomes])
     if any(outcome.signature is not None for outcome in outcomes):
         file["signature"] = _stacked([outcome.signature for outcome in outcomes])
     for k in range(len(nodes)):
@@ -174,6 +177,7 @@ def _rows(file: Stored) -> list[Row]:
         raise ValueError("its statuses are no texts")
     columns = {name: file[name][()] for name in ("number", "start", "estimate", "status", *NUMBERS)}
     count = len(columns["number"])
+    columns["stage"] = file["stage"][()] if "stage" in file else np.full(count, len(STAGES) - 1)
     signature = file["signature"][()] if "signature" in file else None
     shapes = json.loads(file.attrs["shapes"])
     nodes = [file[f"nodes/{k}"][()].reshape(count, *shape) for k, shape in enumerate(shapes)]
@@ -198,6 +202,7 @@ def _row(k: int, columns: Mapping[str, Array], statuses: list[str], signature: A
             converged=bool(columns["converged"][k]),
             cost=float(columns["cost"][k]),
             signature=None if signature is None or _is_none(signature[k]) else signature[k],
+            stage=STAGES[int(columns["stage"][k])],
             nodes=None if not own or all(_is_none(array) for array in own) else own,
         ),
     )

@@ -49,7 +49,9 @@ def test_ctrl_c_prints_and_saves_the_best_fit_so_far(tmp_path, kind, as_json):
     (tmp_path / "fits").mkdir()
     saved = tmp_path / "fits" / "fit.h5"
     options = ["--json"] if as_json else []
-    done = greybox("fit", "own.py", "--starts", 20_000, "--out", saved, *options, cwd=tmp_path)
+    done = greybox(
+        "fit", "own.py", "--starts", 20_000, "--search", "multistart", "--out", saved, *options, cwd=tmp_path
+    )
     assert done.returncode == 130
     assert done.stderr == b"greybox: interrupted.\n"
     assert list(saved.parent.iterdir()) == [saved]

@@ -30,9 +30,9 @@ def test_the_fit_of_the_starts_that_were_done_is_attached(press_ctrl_c, problem,
             press_ctrl_c()
 
     with pytest.raises(KeyboardInterrupt) as stopped:
-        gb.fit(problem, MANY, method=method, progress=progress)
+        gb.fit(problem, MANY, method=method, search="multistart", progress=progress)
     partial = stopped.value.fit
-    whole = gb.fit(problem, 3, method=method)
+    whole = gb.fit(problem, 3, method=method, search="multistart")
     assert "after 3 starts" in str(stopped.value)
     assert len(partial.runs) == 3
     assert partial.warnings[0].startswith(f"interrupted after 3 of {MANY} starts")
@@ -54,7 +54,7 @@ def test_the_run_at_hand_ends_at_its_next_iteration(press_ctrl_c, monkeypatch, p
 
     monkeypatch.setattr(solver, "run", pressed_at_the_third)
     with pytest.raises(KeyboardInterrupt) as stopped:
-        gb.fit(problem, MANY, method=method, progress=False)
+        gb.fit(problem, MANY, method=method, search="multistart", progress=False)
     runs = stopped.value.fit.runs
     assert [run.status == "interrupted" for run in runs] == [False, False, True]
     assert not runs[2].converged
@@ -69,7 +69,7 @@ def test_it_ends_whenever_the_signal_comes(press_ctrl_c, problem, method, solver
             threading.Timer(0.02, press_ctrl_c).start()
 
     with pytest.raises(KeyboardInterrupt) as stopped:
-        gb.fit(problem, MANY, method=method, progress=progress)
+        gb.fit(problem, MANY, method=method, search="multistart", progress=progress)
     assert 1 <= len(stopped.value.fit.runs) < 1000
 
 

@@ -37,4 +37,5 @@ def test_a_value_from_elsewhere_brings_its_uncertainty():
     assert found.estimate == pytest.approx(exact.estimate, rel=1e-5)
     assert found.standard_error["K"] == pytest.approx(0.3)
     assert exact.standard_error["K"] == 0
-    assert found.standard_error["T1"] > 3 * exact.standard_error["T1"]
+    slow = max(("T1", "T2"), key=lambda name: found.estimate[name])  # the two may change places
+    assert found.standard_error[slow] > 3 * exact.standard_error[slow]

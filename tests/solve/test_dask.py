@@ -43,8 +43,8 @@ def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(tmp_
         distributed.Client(scheduler_file=str(tmp_path / "scheduler.json"), timeout=120) as client,
     ):
         client.wait_for_workers(2, timeout=120)
-        alone = gb.fit(RESPONSE, 60)
-        together = gb.fit(RESPONSE, 60, executor=client.get_executor())
+        alone = gb.fit(RESPONSE, 60, search="multistart")
+        together = gb.fit(RESPONSE, 60, search="multistart", executor=client.get_executor())
         assert together.estimate == alone.estimate
         for one, other in zip(alone.runs, together.runs, strict=True):
             assert_array_equal(one.estimate, other.estimate)
@@ -57,13 +57,25 @@ def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(tmp_
 
         # A worker is lost, and another joins.
         with processes(WORKER, folder=tmp_path):
-            fewer = gb.fit(RESPONSE, 150, executor=client.get_executor(), progress=lambda done, _: first.kill())
+            fewer = gb.fit(
+                RESPONSE,
+                150,
+                search="multistart",
+                executor=client.get_executor(),
+                progress=lambda done, _: first.kill(),
+            )
         assert len(fewer.runs) == 150
         assert all(one.status == other.status for one, other in zip(alone.runs, fewer.runs, strict=False))
 
         executor = client.get_executor()
         with pytest.raises(RuntimeError, match="the executor gave up its tasks"):
-            gb.fit(RESPONSE, 20_000, executor=executor, progress=lambda done, _: done == 20 and head.kill())
+            gb.fit(
+                RESPONSE,
+                20_000,
+                search="multistart",
+                executor=executor,
+                progress=lambda done, _: done == 20 and head.kill(),
+            )
 
 
 @pytest.mark.filterwarnings("ignore")

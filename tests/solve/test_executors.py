@@ -84,7 +84,8 @@ def workers():
 
 def fitted(problem, executor, *, by_ipopt):
     method = gb.Collocation() if by_ipopt else None
-    return gb.fit(problem, 40 if problem is RESPONSE else 6, method=method, executor=executor, progress=False)
+    starts = 40 if problem is RESPONSE else 6
+    return gb.fit(problem, starts, method=method, search="multistart", executor=executor, progress=False)
 
 
 def require_same(fit, other):
@@ -109,7 +110,7 @@ def test_the_answer_does_not_depend_on_who_makes_the_runs(which, workers):
 
 def test_progress_counts_the_runs_in_order(workers):
     seen = []
-    gb.fit(RESPONSE, 40, executor=workers, progress=lambda done, count: seen.append((done, count)))
+    gb.fit(RESPONSE, 40, search="multistart", executor=workers, progress=lambda done, count: seen.append((done, count)))
     assert seen == [(k + 1, 40) for k in range(40)]
 
 
@@ -143,7 +144,7 @@ STARTS = np.arange(50.0)[:, None]
 
 
 def outcomes(solver, executor):
-    starts, found = zip(*run_all(solver, STARTS, len(STARTS), executor), strict=True)
+    _, starts, found = zip(*run_all(solver, enumerate(STARTS), len(STARTS), executor), strict=True)
     assert_array_equal(starts, STARTS)
     return found
 
@@ -177,11 +178,11 @@ def test_ctrl_c_keeps_the_runs_that_were_made(press_ctrl_c, workers):
             press_ctrl_c()
 
     with pytest.raises(KeyboardInterrupt) as stopped:
-        gb.fit(RESPONSE, 20_000, executor=workers, progress=progress)
+        gb.fit(RESPONSE, 20_000, search="multistart", executor=workers, progress=progress)
     runs = stopped.value.fit.runs
     assert 30 <= len(runs) < 20_000
     assert all(run.status != "interrupted" for run in runs)
-    again = gb.fit(RESPONSE, 8, executor=workers)  # the workers are as before
+    again = gb.fit(RESPONSE, 8, search="multistart", executor=workers)  # the workers are as before
     assert again.converged
 
 
@@ -215,7 +216,7 @@ def test_a_script_without_its_guard_is_told_what_is_missing(tmp_path):
             import greybox as gb
             from greybox.problems import rotors
             with gb.solve.WorkerPool(1) as workers:
-                gb.fit(rotors.problem(), 20, executor=workers)
+                gb.fit(rotors.problem(), 20, search="multistart", executor=workers)
             """
         )
     )
@@ -236,4 +237,4 @@ def test_what_is_no_executor_is_refused():
     pool = gb.solve.WorkerPool(1)
     pool.shutdown()
     with pytest.raises(RuntimeError, match="was shut down"):
-        gb.fit(RESPONSE, 3, executor=pool)
+        gb.fit(RESPONSE, 3, search="multistart", executor=pool)

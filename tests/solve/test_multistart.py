@@ -10,6 +10,7 @@ from numpy.testing import assert_array_equal
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.models.tilt import Tilt
+from greybox.solve.ipopt import IpoptSolver
 from greybox.solve.minima import find_minima
 from greybox.solve.multistart import multistart, solver_for
 from greybox.solve.outcome import Outcome, Run
@@ -42,11 +43,11 @@ def test_tilt_is_found_from_95_of_100_starts(criterion):
 
 
 def test_every_run_is_kept_with_its_story():
-    fit = gb.fit(NOISY, gb.solve.LatinHypercube(12, seed=5))
+    fit = gb.fit(NOISY, gb.solve.LatinHypercube(12, seed=5), search="multistart")
     assert [run.index for run in fit.runs] == list(range(12))
     assert_array_equal([r.start for r in fit.runs], gb.solve.LatinHypercube(12, seed=5).draw(NOISY.parameters))
     for run in fit.runs:
-        assert run.status == "Solve_Succeeded"
+        assert (run.status, run.stage) == ("Solve_Succeeded", "polished")
         assert run.converged
         assert run.iterations > 1
         assert 0 < run.seconds < fit.seconds
@@ -121,7 +122,7 @@ def test_a_start_at_which_the_model_is_not_finite_is_moved_no_farther_than_it_mu
     home, away = (nlp.scaling.to_parameters(np.full(len(nlp.free), z)) for z in (0.2, 0.8))
     began = []
 
-    class Bounded:
+    class Bounded(IpoptSolver):
         """Finite within 0.2 of its home, in the solver's variables."""
 
         def is_finite_at(self, start):
@@ -131,13 +132,10 @@ def test_a_start_at_which_the_model_is_not_finite_is_moved_no_farther_than_it_mu
             began.append(start)
             return Outcome(start, "converged", 1, 0.0, True, 1.0, np.zeros(1))
 
-        def continued(self, outcome):
-            return outcome
-
         def judged(self, outcomes):
             return outcomes
 
-    multistart(nlp, Bounded(), np.array([home, away]))
+    multistart(nlp, Bounded(nlp), np.array([home, away]))
     moved = [nlp.scaling.to_solver(start) for start in began]
     assert any(np.allclose(z, 0.2) for z in moved)
     assert any(np.allclose(z, 0.2 + 0.6 / 4) for z in moved)  # 0.8 and 0.5 are too far, 0.35 is not

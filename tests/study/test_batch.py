@@ -23,9 +23,9 @@ OTHER = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LA
 
 def members(starts=30):
     return [
-        gb.study.Member(RESPONSE, starts, name="response"),
+        gb.study.Member(RESPONSE, starts, name="response", search="multistart"),
         gb.study.Member(lag_problem(), 4, name="record"),
-        gb.study.Member(RESPONSE, starts, seed=1, name="other seed"),
+        gb.study.Member(RESPONSE, starts, seed=1, name="other seed", search="multistart"),
     ]
 
 
@@ -59,7 +59,9 @@ def test_members_are_the_fits_that_gb_fit_makes(tmp_path):
     study = gb.batch(members(), tmp_path / "study", progress=False)
     assert [member.status for member in study.members] == ["done"] * 3
     for member, stated in zip(study.members, members(), strict=True):
-        require_same(member.fit, gb.fit(stated.problem, stated.starts, stated.seed, progress=False))
+        require_same(
+            member.fit, gb.fit(stated.problem, stated.starts, stated.seed, search=stated.search, progress=False)
+        )
     assert study["record"].fit.parts[0].data.checksum == lag_problem().data.checksum
     assert "other seed  done" in str(study)
     assert repr(gb.study.read_study(tmp_path / "study")) == repr(study)
@@ -80,7 +82,7 @@ def test_more_starts_keep_the_old_ones(tmp_path, made):
     made.clear()
     study = gb.batch(members(50), tmp_path, progress=False)
     assert made == 2 * list(range(30, 50))
-    require_same(study["response"].fit, gb.fit(RESPONSE, 50, progress=False))
+    require_same(study["response"].fit, gb.fit(RESPONSE, 50, search="multistart", progress=False))
 
 
 def test_more_members_join_those_in_the_folder(tmp_path, made):
@@ -110,7 +112,9 @@ def test_another_problem_under_the_same_name_is_refused_and_changes_nothing(tmp_
     with pytest.raises(ValueError, match="was made for another problem, with other options"):
         gb.batch([gb.study.Member(OTHER, 30, name="response")], tmp_path, progress=False)
     with pytest.raises(ValueError, match="began at other starts, from number 0 on: give the same rule and seed"):
-        gb.batch([gb.study.Member(RESPONSE, 30, seed=5, name="response")], tmp_path, progress=False)
+        gb.batch(
+            [gb.study.Member(RESPONSE, 30, seed=5, name="response", search="multistart")], tmp_path, progress=False
+        )
     (tmp_path / "members/001-response/answer.json").write_bytes(files[tmp_path / "members/001-response/answer.json"])
     assert {path: path.read_bytes() for path in tmp_path.rglob("*.*")} == files
 
@@ -208,7 +212,9 @@ def test_a_batch_that_is_killed_goes_on_and_has_lost_no_more_than_seconds(tmp_pa
         before = kept(folder)
     study = gb.batch(members(100), folder, progress=False)
     for member, stated in zip(study.members, members(100), strict=True):
-        require_same(member.fit, gb.fit(stated.problem, stated.starts, stated.seed, progress=False))
+        require_same(
+            member.fit, gb.fit(stated.problem, stated.starts, stated.seed, search=stated.search, progress=False)
+        )
 
 
 def kept(folder):
@@ -248,7 +254,7 @@ def test_ctrl_c_keeps_what_was_done(tmp_path, monkeypatch, press_ctrl_c, made):
     assert stopped.value.study["other seed"].runs == 10
     monkeypatch.undo()
     study = gb.batch(members(), tmp_path, progress=False)
-    require_same(study["other seed"].fit, gb.fit(RESPONSE, 30, 1, progress=False))
+    require_same(study["other seed"].fit, gb.fit(RESPONSE, 30, 1, search="multistart", progress=False))
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="limits of the size of files are those of Unix")
@@ -270,7 +276,7 @@ def test_a_full_disk_is_a_sentence_and_the_batch_goes_on(tmp_path):
     done = subprocess.run([sys.executable, "-c", code, tmp_path], capture_output=True, text=True, check=True)
     assert "cannot be written (File too large): free space" in done.stdout
     study = gb.batch(members(), tmp_path, progress=False)
-    require_same(study["response"].fit, gb.fit(RESPONSE, 30, progress=False))
+    require_same(study["response"].fit, gb.fit(RESPONSE, 30, search="multistart", progress=False))
 
 
 @pytest.mark.parametrize(

@@ -24,11 +24,11 @@ RIVAL_LIKELIHOOD = 3.0
 
 def few_agreeing_starts(nlp: Nlp, search: Multistart) -> Iterator[str]:
     """Say so where few starts reached the best minimum, or most failed."""
-    count = len(search.runs)
+    count = len(search.brought)
     numbers = sum(part.numbers for part in nlp.parts)
     is_likelihood = any(part.is_likelihood for part in nlp.parts)
     agreeing = len(agreeing_runs(search.runs, search.minima, numbers=numbers, is_likelihood=is_likelihood))
-    if count == 1:
+    if len(search.runs) == 1:
         yield "one start only: whether this is the global minimum is not known; use more starts."
     elif agreeing == 1 or agreeing < FEW_STARTS * count:
         yield f"only {agreeing} of {count} starts reached the best minimum: a better one may exist; use more starts."
@@ -39,7 +39,7 @@ def few_agreeing_starts(nlp: Nlp, search: Multistart) -> Iterator[str]:
 def unfinished_runs(search: Multistart) -> Iterator[str]:
     """Name a run that ended at a lower cost than the answer, and did not converge."""
     best = search.minima[0].cost
-    unfinished = [run for run in search.runs if not run.converged and run.status != TOO_COARSE and run.cost < best]
+    unfinished = [run for run in search.brought if not run.converged and run.status != TOO_COARSE and run.cost < best]
     if unfinished:
         lowest = min(unfinished, key=lambda run: run.cost)
         yield (

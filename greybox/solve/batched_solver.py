@@ -1,0 +1,156 @@
+"""IPOPT for what few starts need, and Newton's method from many starts at once for the rest.
+
+Runs that are improved together end at a minimum of the same smoothed cost as those of IPOPT. Of every distinct minimum
+IPOPT solves one run once more: a minimum counts only when IPOPT's conditions of optimality (KKT) hold there too.
+"""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.response_part import SMOOTHING
+from greybox.solve.batched_newton import BatchedNewton
+from greybox.solve.interruption import stop_requested
+from greybox.solve.ipopt import IpoptSolver
+from greybox.solve.minima import Minimum, same_cost
+from greybox.solve.outcome import IMPROVED, INTERRUPTED, Outcome
+
+Array = NDArray[np.float64]
+
+AT_MINIMUM = "At_Minimum"  # status of a run whose projected gradient vanishes
+
+# Starts from which a batch takes less time than as many runs of IPOPT: the operations of one step on few points take
+# 0.3 ms, ten times an iteration of IPOPT.
+FEWEST = 6
+
+# Starts in a batch, which takes 0.2 s on a small problem: operations on more do not become cheaper.
+MOST = 1024
+
+# Iterations of a batch. Runs on the fits of the paper take 20 to 60, on polynomials of high order up to 200; IPOPT goes
+# on with those that need more.
+ITERATIONS = 300
+
+# Of the projected gradient, in the solver's variables: that of IPOPT.
+TOLERANCE = 1e-8
+
+# Instructions of cost, gradient and Hessian from which the functions take most of IPOPT's time, and unknowns from which
+# eigenvalues do: there is little to gain from a batch.
+MOST_INSTRUCTIONS = 50_000
+MOST_UNKNOWNS = 20
+
+TRIES = 3  # runs of one minimum that IPOPT solves once more, until one is confirmed
+
+
+class BatchedSolver(IpoptSolver):
+    """Newton's method on all starts of a batch; IPOPT for what it leaves, and for the certificate."""
+
+    together = MOST
+
+    def __init__(
+        self, nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({}), like: "IpoptSolver | None" = None
+    ) -> None:
+        """Build IPOPT; the functions of the batch are built when the first one is run."""
+        super().__init__(nlp, options, like)
+        self._batches: list[BatchedNewton] = []
+
+    def __reduce__(self) -> tuple[Callable[..., "BatchedSolver"], tuple[Any, ...]]:
+        """Return what builds the same solver."""
+        return BatchedSolver, (self._nlp, dict(self._options))
+
+    @staticmethod
+    def serves(nlp: Nlp) -> bool:
+        """Tell whether a problem has the form that a batch takes: small, without states or constraints."""
+        program = nlp.program
+        if any(part.has_states for part in nlp.parts) or nlp.limits or not program.is_a("SXFunction"):
+            return False
+        # A Hessian takes some two operations for every operation of the cost and unknown.
+        size = program.n_instructions() * 2 * len(nlp.free)
+        return len(nlp.free) <= MOST_UNKNOWNS and size <= MOST_INSTRUCTIONS
+
+    def refined(self, nlp: Nlp) -> "BatchedSolver":
+        """Return the solver of another problem with the same options."""
+        return BatchedSolver(nlp, self._options)
+
+    def screened(self, starts: Array) -> Array:
+        """Return the smoothed costs (r,) at the starts (r, p) that tell which are promising."""
+        program = self._nlp.locating or self._nlp.program
+        z = self._nlp.scaling.to_solver(starts).T
+        cost = np.asarray(program.map(len(starts))(z, np.full((1, len(starts)), SMOOTHING))[0]).ravel()
+        return np.where(np.isfinite(cost), cost, np.inf)
+
+    def run_together(self, starts: Array) -> list[Outcome]:
+        """Bring all starts (r, p) to a minimum together; those that do not get there are IPOPT's."""
+        if len(starts) < FEWEST:
+            return super().run_together(starts)
+        began = time.perf_counter()
+        z = self._nlp.scaling.to_solver(starts).T
+        limits = {
+            "max_iterations": int(self._options.get("max_iter", ITERATIONS)),
+            "tolerance": float(self._options.get("tol", TOLERANCE)),
+        }
+        iterations, arrived = np.zeros(len(starts), int), np.zeros(len(starts), bool)
+        for k, batch in enumerate(self._built()):
+            ends = batch.minimize(z, **limits, from_near=k > 0)
+            z, iterations, arrived = ends.z, iterations + ends.iterations, ends.at_minimum
+        estimates = np.clip(self._nlp.scaling.to_parameters(z.T), self._nlp.lower, self._nlp.upper)
+        each = (time.perf_counter() - began) / len(starts)
+        return [
+            Outcome(x, AT_MINIMUM, n, each, converged=True, stage=IMPROVED) if at_minimum else self._gone_on(x, n, each)
+            for x, n, at_minimum in zip(estimates, iterations.tolist(), arrived, strict=True)
+        ]
+
+    def _built(self) -> list[BatchedNewton]:
+        """Return the criterion that locates the minimum, if any, then the problem's own."""
+        if not self._batches:
+            lower, upper = self._bounds["lbx"], self._bounds["ubx"]
+            if self._nlp.locating is not None:
+                self._batches.append(BatchedNewton(self._nlp.locating, lower, upper))
+            self._batches.append(BatchedNewton(self._nlp.program, lower, upper))
+        return self._batches
+
+    def _gone_on(self, x: Array, iterations: int, seconds: float) -> Outcome:
+        """Return where IPOPT comes from the end of a run that did not arrive."""
+        if stop_requested():
+            return Outcome(x, INTERRUPTED, iterations, seconds, converged=False)
+        return self._spent(self.run(x), Outcome(x, "", iterations, seconds, converged=False))
+
+    def certified(self, starts: Sequence[Array], outcomes: list[Outcome], minima: Sequence[Minimum]) -> list[Outcome]:
+        """Return the outcomes (judged) with one of IPOPT's for every minimum.
+
+        What IPOPT does not confirm is no minimum, as where a gain of zero makes all other parameters idle: these runs
+        are made again by IPOPT, from their starts.
+        """
+        certified = list(outcomes)
+        for minimum in minima:
+            if any(outcomes[k].stage != IMPROVED for k in minimum.runs):
+                continue
+            if any(self._confirm(certified, k) for k in minimum.runs[:TRIES]):
+                continue
+            for k in minimum.runs:
+                if certified[k].stage == IMPROVED and not stop_requested():
+                    certified[k] = self.judged([self._spent(self.run(starts[k]), certified[k])])[0]
+        return certified if certified != outcomes else outcomes
+
+    def _confirm(self, outcomes: list[Outcome], k: int) -> bool:
+        """Solve by IPOPT from the end of run k; tell whether it stays there. A lower minimum is taken over."""
+        before = outcomes[k]
+        if stop_requested():
+            return True
+        after = self.judged([self.run(before.estimate)])[0]
+        higher = after.cost - before.cost
+        tolerated = same_cost(self._nlp, before.cost)
+        if not after.converged or not higher <= tolerated:
+            return False
+        outcomes[k] = self._spent(after, before)
+        return higher >= -tolerated
+
+    @staticmethod
+    def _spent(after: Outcome, before: Outcome) -> Outcome:
+        """Return an outcome with what was spent before it."""
+        return replace(after, iterations=before.iterations + after.iterations, seconds=before.seconds + after.seconds)

@@ -1,0 +1,206 @@
+"""The search from all starts at once: IPOPT is the reference, and confirms every minimum."""
+
+import numpy as np
+import pytest
+from declared_models import TILT, TILT_OMEGA, TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
+from numpy.testing import assert_array_equal
+
+import greybox as gb
+from greybox.compiled.compiled_problem import compile_problem
+from greybox.models.tilt import Tilt
+from greybox.problems import pitch_5deg, pitch_hover, pitch_operating_points, rotors, yaw_hover
+from greybox.solve.batched_newton import BatchedNewton
+from greybox.solve.batched_solver import BatchedSolver
+from greybox.solve.waves import probability_of_no_other
+
+PAPER = (pitch_hover, pitch_5deg, yaw_hover, rotors)
+NOISY = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2))
+
+
+def stages(fit):
+    return [run.stage for run in fit.runs]
+
+
+@pytest.mark.parametrize("module", PAPER, ids=lambda module: module.__name__.rpartition(".")[2])
+def test_the_minima_of_the_paper_are_those_of_ipopt_from_every_start(module):
+    wanted = gb.fit(module.problem(), 30, search="multistart", progress=False)
+    fit = gb.fit(module.problem(), 30, progress=False)
+    assert set(stages(wanted)) == {"polished"}
+    assert stages(fit).count("improved") >= 25
+    assert fit.agreeing >= 28
+    assert fit.cost == pytest.approx(wanted.cost, rel=1e-7)
+    assert fit.estimate == pytest.approx(wanted.estimate, rel=1e-4)
+    assert fit.standard_error == pytest.approx(wanted.standard_error, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "criterion", [gb.SquaredRelativeError(), gb.MagnitudePhase(), gb.RelativeLikelihood()], ids=repr
+)
+def test_it_serves_every_criterion(criterion):
+    problem = gb.Problem(Tilt(), measured(Tilt(), TILT_OMEGA, TILT, noise=0.03, seed=1), criterion)
+    assert BatchedSolver.serves(compile_problem(problem))
+    fit, wanted = (gb.fit(problem, 20, search=search, progress=False) for search in ("batched", "multistart"))
+    assert stages(fit).count("improved") >= 15
+    assert fit.cost == pytest.approx(wanted.cost, rel=1e-7, abs=1e-7)
+    assert fit.agreeing >= wanted.agreeing - 1
+
+
+def test_joint_problems_are_searched_together_too():
+    other = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=5, name="other")
+    fit = gb.fit(NOISY + gb.Problem(LagLagDelay(), other), 20, progress=False)
+    assert stages(fit).count("improved") >= 15
+    assert fit.agreeing == 20
+
+
+def test_what_it_does_not_serve_is_solved_from_every_start():
+    ordered = gb.Problem(LagLagDelay(), NOISY.data, constraints=[lambda p: p.T1 - p.T2])
+    for problem in (ordered, pitch_operating_points.problem()):
+        assert not BatchedSolver.serves(compile_problem(problem))
+    assert set(stages(gb.fit(ordered, 8, progress=False))) == {"polished"}
+
+
+def test_every_end_is_a_minimum_within_the_bounds():
+    """Of a double well whose lower half is cut off by a bound, by the first and second derivatives there."""
+    import casadi as ca
+
+    z, smoothing = ca.SX.sym("z", 2), ca.SX.sym("smoothing")
+    cost = (z[0] ** 2 - 1) ** 2 + 0.3 * z[0] + (z[1] + 2) ** 2
+    newton = BatchedNewton(ca.Function("f", [z, smoothing], [cost]), np.array([-3.0, -1.0]), np.array([3.0, 3.0]))
+    ends = newton.minimize(np.random.default_rng(0).uniform(-1, 3, (2, 200)), max_iterations=100, tolerance=1e-9)
+    assert ends.at_minimum.all()
+    wells = [root.real for root in np.roots([4, 0, -4, 0.3]) if 12 * root.real**2 > 4]
+    nearest = np.min(np.abs(ends.z[0][:, None] - wells), axis=1)
+    assert nearest.max() < 1e-8
+    assert {int(np.argmin(np.abs(x - np.array(wells)))) for x in ends.z[0]} == {0, 1}
+    assert_array_equal(ends.z[1], -1)
+
+
+def test_a_start_that_is_not_finite_does_not_disturb_the_others():
+    import casadi as ca
+
+    z, smoothing = ca.SX.sym("z"), ca.SX.sym("smoothing")
+    newton = BatchedNewton(ca.Function("f", [z, smoothing], [ca.sqrt(z) + 1 / z]), np.array([-2.0]), np.array([9.0]))
+    ends = newton.minimize(np.array([[-1.0, 1.0, 8.0, -0.5]]), max_iterations=100, tolerance=1e-9)
+    assert_array_equal(ends.at_minimum, [False, True, True, False])
+    assert ends.z[0, 1:3] == pytest.approx(4 ** (1 / 3), rel=1e-8)  # where z^(-1/2) / 2 is z^-2
+
+
+class Idle(gb.TransferFunction):
+    """Where its gain is at its lower bound of zero, nothing depends on the lag."""
+
+    input, output = "x", "y"
+    K = gb.Parameter(1.0, bounds=(0, 100))
+    T = gb.Parameter(0.1, bounds=(0.001, 10), unit="s")
+
+    def response(self, s, p):
+        return p.K / (p.T * s + 1) * gb.exp(-0.3 * s)
+
+
+def test_what_ipopt_does_not_confirm_is_solved_again_from_its_start():
+    truth = {"K": 5.0, "T": 0.2}
+    problem = gb.Problem(Idle(), measured(Idle(), np.geomspace(0.5, 40, 30), truth, noise=0.02))
+    fit = gb.fit(problem, 60, progress=False)
+    assert fit.converged
+    assert fit.estimate["T"] == pytest.approx(0.2, rel=0.1)
+    for minimum in fit.minima:  # each has a run of IPOPT
+        assert any(fit.runs[k].stage == "polished" for k in minimum.runs)
+
+
+def test_by_default_the_promising_starts_are_run_and_the_others_kept_with_their_costs():
+    fit = gb.fit(pitch_hover.problem(), progress=False)
+    counts = {stage: stages(fit).count(stage) for stage in ("screened", "improved", "polished")}
+    assert counts["screened"] == 192
+    assert counts["improved"] + counts["polished"] == 8
+    assert fit.agreeing == 8
+    assert fit.cost == pytest.approx(gb.fit(pitch_hover.problem(), 20, search="multistart").cost, rel=1e-7)
+    assert "8 of 8 converged (192 of 200 starts were screened out); 8 agree" in str(fit)
+    screened = [run for run in fit.runs if run.stage == "screened"]
+    assert all(not run.converged and run.iterations == 0 for run in screened)
+    lowest = min(run.cost for run in screened)
+    for run in fit.runs:
+        if run.stage != "screened":
+            at_start = gb.cost(pitch_hover.problem(), dict(zip(fit.free, run.start, strict=True)))
+            assert at_start <= lowest * (1 + 1e-6)
+
+
+def test_where_promising_starts_disagree_all_are_run():
+    """A notch that fits one of two resonances: the better one is found by few starts."""
+
+    class Resonance(gb.TransferFunction):
+        input, output = "x", "y"
+        w = gb.Parameter(10.0, bounds=(0.5, 300), unit="rad/s")
+        d = gb.Parameter(0.1, bounds=(0.001, 1))
+
+        def response(self, s, p):
+            return 1 + 0.5 * s / (s**2 / p.w + 2 * p.d * s + p.w)
+
+    omega = np.geomspace(1, 200, 80)
+    s = 1j * omega
+    two = 1 + sum(0.5 * s / (s**2 / w + 2 * 0.01 * s + w) for w in (5.0, 20.0, 100.0))
+    fit = gb.fit(gb.Problem(Resonance(), gb.FrequencyResponse(omega, two, "x", "y")), progress=False)
+    wanted = gb.fit(
+        gb.Problem(Resonance(), gb.FrequencyResponse(omega, two, "x", "y")), 200, search="multistart", progress=False
+    )
+    assert len(fit.minima) >= 3
+    assert fit.cost <= wanted.cost * (1 + 1e-6)
+
+
+def test_the_probability_of_another_minimum():
+    """By the formula of Boender and Rinnooy Kan, and by simulation of their model."""
+    assert probability_of_no_other(1, 1) == 0
+    assert probability_of_no_other(42, 1) == pytest.approx(40 / 42)
+    random = np.random.default_rng(0)
+    searches, found, alone = 30, 0, 0
+    for _ in range(60_000):  # numbers of minima equally likely, their regions uniform on the simplex
+        number = random.integers(1, 40)
+        shares = random.dirichlet(np.ones(number))
+        seen = np.unique(random.choice(number, searches, p=shares)).size
+        if seen == 2:
+            found += 1
+            alone += number == 2
+    assert alone / found == pytest.approx(probability_of_no_other(30, 2), abs=0.04)
+
+
+def test_starts_until_every_minimum_was_found_again():
+    rule = gb.solve.UntilFoundAgain(error=0.02)
+    fit = gb.fit(rotors.problem(), rule, progress=False)
+    assert len(fit.runs) == 128  # of one minimum: 2 / 128 is the first power of two below
+    assert fit.starts == "until found again with an error of 0.02, at most 10000, seed 0"
+    few = gb.fit(rotors.problem(), gb.solve.UntilFoundAgain(error=1e-6, number=40), progress=False)
+    assert len(few.runs) == 40
+    for run, same in zip(few.runs, fit.runs, strict=False):
+        assert_array_equal(run.start, same.start)
+    with pytest.raises(ValueError, match=r"error of UntilFoundAgain is 2: give a probability"):
+        gb.solve.UntilFoundAgain(error=2)
+
+
+def test_batches_on_workers_give_the_same_runs():
+    alone = gb.fit(NOISY, 2500, progress=False)
+    with gb.solve.WorkerPool(2) as workers:
+        fit = gb.fit(NOISY, 2500, executor=workers, progress=False)
+    for run, wanted in zip(fit.runs, alone.runs, strict=True):
+        assert_array_equal(run.start, wanted.start)
+        assert_array_equal(run.estimate, wanted.estimate)
+        assert (run.status, run.stage, run.iterations) == (wanted.status, wanted.stage, wanted.iterations)
+    assert fit.estimate == alone.estimate
+
+
+def test_stages_are_saved_with_a_fit(tmp_path):
+    fit = gb.fit(pitch_hover.problem(), progress=False)
+    gb.save(fit, tmp_path / "fit.h5")
+    assert stages(gb.load(tmp_path / "fit.h5")) == stages(fit)
+    assert str(gb.load(tmp_path / "fit.h5")) == str(fit)
+
+
+def test_a_search_that_there_is_not():
+    with pytest.raises(ValueError, match="search is 'magic': give one of 'batched', 'multistart'"):
+        gb.fit(NOISY, 2, search="magic")
+
+
+def test_the_limits_of_iterations_and_the_tolerance_are_options():
+    cut = gb.fit(NOISY, 12, solver_options={"max_iter": 3}, progress=False)
+    assert not cut.converged
+    loose, tight = (gb.fit(NOISY, 12, solver_options={"tol": tol}, progress=False) for tol in (1e-3, 1e-10))
+    spent = [sum(run.iterations for run in fit.runs) for fit in (loose, tight)]
+    assert spent[0] < spent[1]
+    assert loose.cost == pytest.approx(tight.cost, rel=1e-6)
