@@ -40,7 +40,8 @@ def add_command(commands: Any) -> None:
         "--search",
         choices=SEARCHES,
         default=BATCHED,
-        help="batched (default): all starts at once, then IPOPT for every minimum; multistart: IPOPT from every start",
+        help="batched (default): all starts at once, then IPOPT for every minimum; multistart: IPOPT from every start; "
+        "global-search: the scatter search of MATLAB's GlobalSearch",
     )
     parser.add_argument("--out", type=Path, metavar="FILE", help="save the result to this HDF5 file")
     add_worker_options(parser)

@@ -48,11 +48,13 @@ from greybox.modeling.periodic_motions import response_of_test
 from greybox.solve.batched_solver import BatchedSolver
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
 from greybox.solve.executors import packed
+from greybox.solve.global_search import TRIAL_POINTS, global_search
 from greybox.solve.interruption import Response, listening, responding, stop_requested, take_interrupt
+from greybox.solve.ipopt import IpoptSolver
 from greybox.solve.kept_runs import KeptRuns
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
-from greybox.solve.multistart import BATCHED, SEARCHES, multistart, solver_for
+from greybox.solve.multistart import BATCHED, GLOBAL_SEARCH, SEARCHES, multistart, solver_for
 from greybox.solve.waves import AllAtOnce, FoundAgain, PromisingFirst, Waves
 
 Array = NDArray[np.float64]
@@ -96,7 +98,8 @@ def fit(
 
     Frequency responses are searched from all starts at once by Newton's method (``search="batched"``), and IPOPT solves
     every minimum that was found once more. What a batch does not serve (constraints, large problems) is solved by IPOPT
-    from every start, which ``search="multistart"`` asks for.
+    from every start, which ``search="multistart"`` asks for. ``search="global-search"`` is the scatter search of
+    MATLAB's GlobalSearch, with 1000 trial points by default, see `greybox.solve.global_search`.
 
     Parameters
     ----------
@@ -113,7 +116,7 @@ def fit(
         Of the Sobol points, 0 by default; a rule has its own. More starts of one seed begin with the same points.
     method : MultipleShooting, SingleShooting or Collocation, optional
         How records are transcribed and solved; `MultipleShooting()` by default.
-    search : "batched" or "multistart"
+    search : "batched", "multistart" or "global-search"
         See above.
     solver_options : mapping
         ``{"max_iter": 100, "tol": 1e-9}``, and where IPOPT solves all its other options. For records `tol` is that of
@@ -222,11 +225,14 @@ def _fitted_from(
     nlp = compile_problem(problem, by.method)
     parameters = problem.parameters
     solver = by.solver(nlp)
-    rule = _rule(starts, seed, solver)
+    by_default = TRIAL_POINTS if by.search == GLOBAL_SEARCH and starts is None else starts
+    rule = _rule(by_default, seed, solver)
     points = rule.draw({name: parameters[name] for name in nlp.free})
     movable = not isinstance(rule, Listed)
     waves = _waves(starts, rule, solver)
     run = partial(multistart, nlp, solver, points, movable=movable, executor=executor, kept=kept, waves=waves)
+    if by.search == GLOBAL_SEARCH:
+        run = partial(global_search, nlp, _required_ipopt(solver, executor), points, seed=rule.seed or 0, kept=kept)
     with responding(Response.STOP):
         if callable(progress) or not progress:
             search = run(progress=progress or None)
@@ -333,6 +339,15 @@ def _(part: RecordPart, trajectory: Trajectory | None, x: Array, values: dict[st
 @fitted_part.register
 def _(part: ResponsePart, trajectory: Trajectory | None, x: Array, values: dict[str, float]) -> FittedResponse:
     return _response(part.problem, values, part.response(x))
+
+
+def _required_ipopt(solver: LocalSolver, executor: Executor | None) -> IpoptSolver:
+    """Return the solver, if the scatter search can use it."""
+    if not isinstance(solver, IpoptSolver):
+        raise ValueError("search='global-search' is for frequency responses alone: leave it out for records.")
+    if executor is not None:
+        raise ValueError("search='global-search' decides after every run what to try next: leave out the executor.")
+    return solver
 
 
 def _rule(starts: Any, seed: int | None, solver: LocalSolver) -> Starts:

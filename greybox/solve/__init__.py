@@ -3,11 +3,12 @@
 Begin with `multistart`, which chooses the solver, and `local_solver`, what every solver answers. `ipopt` solves
 problems of frequency responses; from many starts `batched_solver` brings them to minima together, by `batched_newton`,
 and has IPOPT confirm each. `gauss_newton/` solves problems with records, and `transcribed_program` hands records to
-IPOPT as one sparse program. `waves` says in which order starts are tried and when there were enough; an `outcome` is
-what one run leaves, `minima` groups the runs. `executors` has the runs made by other processes, `worker_pool` has such
-on this machine, `kept_runs` says what keeps them. `local_search` tries more than the starts, `discretization_error`
-refines the integration, `cost` evaluates a problem at given parameters. `constraints` and `quadratic_program` serve the
-Gauss-Newton steps. `interruption` says what becomes of Ctrl-C.
+IPOPT as one sparse program. `waves` says in which order starts are tried and when there were enough; `global_search` is
+the scatter search of MATLAB's GlobalSearch; an `outcome` is what one run leaves, `minima` groups the runs. `executors`
+has the runs made by other processes, `worker_pool` has such on this machine, `kept_runs` says what keeps them.
+`local_search` tries more than the starts, `discretization_error` refines the integration, `cost` evaluates a problem at
+given parameters. `constraints` and `quadratic_program` serve the Gauss-Newton steps. `interruption` says what becomes
+of Ctrl-C.
 """
 
 from greybox.compiled.strategies import Strategies as Strategies

@@ -35,8 +35,8 @@ ProgressReport = Callable[[int, int], None]
 SHARES = 0.5 ** np.arange(1, 7)
 
 
-BATCHED, MULTISTART = "batched", "multistart"
-SEARCHES = (BATCHED, MULTISTART)
+BATCHED, MULTISTART, GLOBAL_SEARCH = "batched", "multistart", "global-search"
+SEARCHES = (BATCHED, MULTISTART, GLOBAL_SEARCH)
 
 
 def solver_for(nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({}), search: str = BATCHED) -> LocalSolver:
