@@ -36,6 +36,8 @@ from greybox.data import FrequencyResponse as FrequencyResponse
 from greybox.data import Record as Record
 from greybox.data import read_response as read_response
 from greybox.estimate.fit import fit as fit
+from greybox.estimate.profile import Profiles as Profiles
+from greybox.estimate.profile import profile as profile
 from greybox.estimate.result import Fit as Fit
 from greybox.experiment import Controller as Controller
 from greybox.experiment import virtual_flight as virtual_flight

@@ -12,10 +12,10 @@ import greybox as gb
 
 NAMES = """
 Collocation Controller Criterion Fit FrequencyResponse Integrator MagnitudePhase MaximumLikelihood MultipleShooting
-OutputError Parameter PredictionError Problem Record RelativeError RelativeLikelihood Rosenbrock RungeKutta
+OutputError Parameter PredictionError Problem Profiles Record RelativeError RelativeLikelihood Rosenbrock RungeKutta
 SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion TransferFunction Transcription batch compare cost
 feedback fit
-frequency_response load plot predict prepare read read_response save several simulate virtual_flight
+frequency_response load plot predict prepare profile read read_response save several simulate virtual_flight
 """.split()
 
 FORMULAS = """
@@ -31,7 +31,7 @@ NAMESPACES = {
     "logs": "find_segments horizontal_velocity negative prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response linearize rational",
-    "plotting": "bode nyquist plot recording starts time_history traces",
+    "plotting": "bode nyquist plot profiles recording starts time_history traces",
     "regression": "EquationError equation_error levy order_path",
     "simulation": "Prediction predict simulate",
     "solve": "LatinHypercube Listed Sobol Starts Strategies Uniform UntilFoundAgain WorkerPool",

@@ -18,6 +18,7 @@ from greybox.cli import (
     fit_command,
     inspect_command,
     list_command,
+    profile_command,
     response_command,
 )
 from greybox.cli.options import UsageError
@@ -27,7 +28,15 @@ from greybox.cli.terminal import has_all_characters, write
 from greybox.data.text_table import alternatives, nearest, printable
 from greybox.solve.interruption import Response, listening, responding, take_interrupt
 
-COMMANDS = (list_command, inspect_command, response_command, fit_command, batch_command, compare_command)
+COMMANDS = (
+    list_command,
+    inspect_command,
+    response_command,
+    fit_command,
+    profile_command,
+    batch_command,
+    compare_command,
+)
 
 
 class _Parser(argparse.ArgumentParser):

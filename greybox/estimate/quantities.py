@@ -33,10 +33,10 @@ def quantities(
     Errors of tied and derived quantities follow to first order from the gradient. NaN stands for what the data do not
     determine.
     """
-    formulas = _tied(nlp.problem) + _derived(nlp.problem)
-    values, gradients = _evaluated(nlp, formulas, estimate)
+    found = formulas(nlp.problem)
+    values, gradients = _evaluated(nlp, found, estimate)
     lines = [_parameter(nlp, accuracy, name, estimate[name]) for name in nlp.names]
-    lines += [_formula(formula, float(value), accuracy) for formula, value in zip(formulas, values, strict=True)]
+    lines += [_formula(formula, float(value), accuracy) for formula, value in zip(found, values, strict=True)]
 
     # Every line by its derivatives with respect to all values.
     slopes = np.vstack([np.eye(len(nlp.names)), gradients])
@@ -53,6 +53,11 @@ def quantities(
     covariance[unknown] = np.nan
     covariance[:, unknown] = np.nan
     return tuple(lines), tuple(parameters), covariance
+
+
+def formulas(problem: AnyProblem) -> list[Formula]:
+    """Return the tied parameters and derived quantities of a problem."""
+    return _tied(problem) + _derived(problem)
 
 
 def _parameter(nlp: Nlp, accuracy: Accuracy, name: str, value: float) -> Quantity:

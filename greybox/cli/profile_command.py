@@ -1,0 +1,48 @@
+"""The command `greybox profile`: intervals of a saved fit that need not be symmetric."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from greybox.cli.catalog import find_problem
+from greybox.cli.options import add_common_options, nonnegative
+from greybox.cli.output import USABLE, Answer, require_figure, save_figure
+from greybox.estimate.profile import Profiles, profile
+
+
+def add_command(commands: Any) -> None:
+    """Declare the command and its options."""
+    parser = commands.add_parser("profile", help="intervals that need not be symmetric", allow_abbrev=False)
+    parser.add_argument("result", type=Path, metavar="RESULT", help="a fit that greybox fit --out wrote")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="parameters and derived quantities; all by default")
+    parser.add_argument(
+        "--problem", metavar="PROBLEM", help="what was fitted, where it has ties, constraints or a model of your own"
+    )
+    parser.add_argument("--level", type=float, default=0.95, help="of the intervals, 0.95 by default")
+    parser.add_argument(
+        "--fresh-starts",
+        type=nonnegative,
+        default=2,
+        metavar="N",
+        help="of every point, beside its neighbors; 2 by default",
+    )
+    add_common_options(parser, figure="the profiles")
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> Answer:
+    """Read the fit and profile it."""
+    from greybox.estimate.storage import load  # noqa: PLC0415  (needs h5py)
+
+    require_figure(options.plot, options.force)
+    problem = None if options.problem is None else find_problem(options.problem)[0]
+    fit = load(options.result)
+    found = profile(fit, options.names or None, problem=problem, level=options.level, fresh_starts=options.fresh_starts)
+    lines = save_figure(options.plot, lambda: _figure(found))
+    return found.summary(), "\n".join([str(found), *lines]), USABLE
+
+
+def _figure(found: Profiles) -> Any:
+    from greybox.plotting.profile import profiles  # noqa: PLC0415  (matplotlib takes long to import)
+
+    return profiles(found)[0].figure

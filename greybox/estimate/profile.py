@@ -1,0 +1,564 @@
+"""Profile likelihood: the lowest cost that is left when one quantity is held at a value, as a function of that value.
+
+With C the cost and Ĉ its minimum, the signed root of the likelihood ratio is r = ±√(2 c (C - Ĉ)), and the interval is
+where |r| is below Student's t. The factor c makes the ratio of the cost one of likelihood: 1 for a likelihood of known
+errors; for the sums of relative errors what errors isotropic in the complex plane and of one relative size give, with
+their size estimated. It is the curvature that the cost has over the one that its covariance says, so that profile and
+standard error agree where the cost is quadratic. Sources: Bates and Watts (1988), Nonlinear Regression Analysis and Its
+Applications, section 6.1; Chandler and Bate (2007), Inference for clustered data using the independence loglikelihood,
+Biometrika 94.
+
+A parameter is held by its two bounds, any other quantity by an equation: one program for each quantity, whatever the
+number of points.
+"""
+
+import math
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.compiled.compiled_problem import AnyProblem, Nlp, compile_problem
+from greybox.compiled.response_part import SMOOTHING, ResponsePart
+from greybox.data.json_numbers import all_finite, finite
+from greybox.data.text_table import alternatives, number, one_line
+from greybox.estimate.covariance import Accuracy, assess
+from greybox.estimate.harmonic_numbers import with_enough_harmonics
+from greybox.estimate.quantities import Formula, formulas
+from greybox.estimate.result import Fit, FittedResponse, Quantity
+from greybox.formulation.frequency_criteria import Criterion
+from greybox.formulation.included_criteria import CRITERIA
+from greybox.formulation.problem import Problem
+from greybox.formulation.starts import Sobol
+from greybox.formulation.sum import Sum
+from greybox.modeling.model_reference import resolve
+from greybox.solve.ipopt import CONVERGED, StopCheck, checked_nlpsol
+
+Array = NDArray[np.float64]
+
+End = Literal["crossed", "bound", "flat", "failed"]
+
+STEP = 0.35  # of the limit of |r|, from one point to the next: three points to a crossing, as few as show a curve
+BEYOND = 1.2  # of the limit, to where a profile goes on: the crossing lies between two points
+MOST_POINTS = 40  # a side; a step may triple, so that the last lies beyond any crossing
+GROWTH = 3.0
+FAR = 1e6  # in sizes of the quantity: what does not change the cost up to there is not limited
+EVEN = 1e-6  # relative, up to which errors of the points count as equal in size
+SWEEPS = 3  # over the points, while neighbors improve one another
+CLOSE = 1e-4  # relative, within which IPOPT's barrier leaves what a bound holds
+LOWER = 1e-4  # relative: the smoothing moves costs by up to 6e-5
+
+# IPOPT begins at a solution nearby: without these it would leave it first, for the middle between the bounds.
+WARM = {"mu_init": 1e-5, "bound_push": 1e-8, "bound_frac": 1e-8, "max_iter": 200}
+
+
+@dataclass(frozen=True, eq=False)
+class ProfileOf:
+    """The profile of one parameter or derived quantity.
+
+    Attributes
+    ----------
+    name, unit : str
+    estimate, standard_error : float
+        Of the fit; the error is NaN where there is none.
+    values, costs, roots : (n,) arrays
+        Where the quantity was held, in rising order; the lowest cost there, and the signed root of the likelihood
+        ratio.
+    others : (n, p) array
+        All free parameters at these values.
+    interval : (float, float)
+        Infinite on a side that the data leave open.
+    ends : (End, End)
+        How the profile ended below and above: it "crossed" the limit; reached the "bound" of the parameter, where the
+        search ends, below it; is "flat" however far it goes; or "failed" to converge.
+    bounds : (float, float)
+    at_bound : (tuple of str, tuple of str)
+        Other parameters that a bound holds where the profile crosses the limit below and above: that end follows from
+        the bound too, not from the data alone.
+    connected : bool
+        False when values inside the interval have a cost above the limit.
+    """
+
+    name: str
+    unit: str
+    estimate: float
+    standard_error: float
+    values: Array
+    costs: Array
+    roots: Array
+    others: Array
+    interval: tuple[float, float]
+    ends: tuple[End, End]
+    bounds: tuple[float, float]
+    at_bound: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
+    connected: bool = True
+
+    def __str__(self) -> str:
+        low, high = (number(value, 4) for value in self.interval)
+        unit = f" {self.unit}" if self.unit else ""
+        is_open = [math.isinf(value) for value in self.interval]
+        if all(is_open):
+            said = "not limited by the data on either side"
+        elif is_open[1]:
+            said = f"above {low}{unit}, no upper limit{self._why(1)}"
+        elif is_open[0]:
+            said = f"below {high}{unit}, no lower limit{self._why(0)}"
+        else:
+            said = f"{low} to {high}{unit}"
+        held = [
+            f", the {end} limit with {', '.join(names)} at {'its bound' if len(names) == 1 else 'their bounds'}"
+            for end, names in zip(("lower", "upper"), self.at_bound, strict=True)
+            if names
+        ]
+        return f"{said}{''.join(held)}{'' if self.connected else ', in separate pieces'}"
+
+    def _why(self, side: int) -> str:
+        if self.ends[side] == "bound":
+            return f" up to the bound {self.bounds[side]:g}" if side else f" down to the bound {self.bounds[side]:g}"
+        return " that could be found: solves failed beyond" if self.ends[side] == "failed" else ""
+
+    def __repr__(self) -> str:
+        return one_line(self, self.name, str(self))
+
+
+@dataclass(frozen=True, eq=False)
+class Profiles:
+    """Profiles of one fit. Printing them gives a line for each.
+
+    Attributes
+    ----------
+    name : str
+        Of the problem.
+    level : float
+        Of the intervals.
+    limit : mapping of name to float
+        Of |r|: the quantile of Student's t.
+    free : tuple of str
+        The columns of `ProfileOf.others`.
+    profiles : tuple of ProfileOf
+    warnings : tuple of str
+    """
+
+    name: str
+    level: float
+    limit: dict[str, float]
+    free: tuple[str, ...]
+    profiles: tuple[ProfileOf, ...]
+    warnings: tuple[str, ...] = ()
+
+    def __getitem__(self, name: str) -> ProfileOf:
+        for profile in self.profiles:
+            if profile.name == name:
+                return profile
+        raise KeyError(f"{name!r} was not profiled; there are {alternatives(name, [p.name for p in self.profiles])}")
+
+    @property
+    def intervals(self) -> dict[str, tuple[float, float]]:
+        """The intervals by name; infinite on an open side."""
+        return {profile.name: profile.interval for profile in self.profiles}
+
+    def __repr__(self) -> str:
+        return one_line(self, self.name, ", ".join(profile.name for profile in self.profiles))
+
+    def __str__(self) -> str:
+        width = max((len(profile.name) for profile in self.profiles), default=0)
+        lines = [f"  {p.name:<{width}}  {number(p.estimate):>10}   {p}" for p in self.profiles]
+        warnings = [f"  warning: {text}" for text in self.warnings]
+        return "\n".join(
+            [f"{self.name}: {100 * self.level:g} % intervals by profile likelihood", "", *lines, *warnings]
+        )
+
+    def summary(self) -> dict[str, Any]:
+        """Return everything as plain values, for JSON; None for an open side."""
+        return {
+            "problem": self.name,
+            "level": self.level,
+            "profiles": {
+                p.name: {
+                    "estimate": finite(p.estimate),
+                    "standard_error": finite(p.standard_error),
+                    "low": finite(p.interval[0]),
+                    "high": finite(p.interval[1]),
+                    "ends": list(p.ends),
+                    "at_bound": [list(names) for names in p.at_bound],
+                    "connected": p.connected,
+                    "text": str(p),
+                    "values": p.values.tolist(),
+                    "costs": p.costs.tolist(),
+                    "roots": p.roots.tolist(),
+                    "others": {name: p.others[:, k].tolist() for k, name in enumerate(self.free)},
+                }
+                for p in self.profiles
+            },
+            "limit": all_finite(self.limit),
+            "warnings": list(self.warnings),
+        }
+
+
+def profile(
+    fit: Fit,
+    names: Sequence[str] | str | None = None,
+    *,
+    problem: AnyProblem | None = None,
+    level: float = 0.95,
+    fresh_starts: int = 2,
+) -> Profiles:
+    """Profile the likelihood along parameters and derived quantities of a fit of frequency responses.
+
+    Parameters
+    ----------
+    fit : Fit
+    names : sequence of str, optional
+        By default all free parameters and derived quantities.
+    problem : Problem or Sum, optional
+        What was fitted; needed where it has ties, constraints, or values fixed by an earlier fit.
+    level : float
+        Of the intervals.
+    fresh_starts : int
+        Sobol points from which every point of a profile is solved again, beside its neighbors on both sides.
+
+    Raises
+    ------
+    ValueError
+        Where the criterion admits no likelihood ratio, for records, and for a problem that is not the fit's.
+    LookupError
+        If a loaded fit does not know its model.
+    """
+    if not fit.converged:
+        raise ValueError(f"the fit {fit.name!r} has no estimate to profile around: {fit.status}.")
+    if not 0 < level < 1:
+        raise ValueError(f"level {level} must lie between 0 and 1, e.g. 0.95.")
+    if fit.records:
+        raise ValueError(
+            f"the fit {fit.name!r} has records, of which no profiles are made yet: use fit.interval(), which is Wald's."
+        )
+    problem = with_enough_harmonics(problem_of(fit) if problem is None else problem)
+    nlp = compile_problem(problem)
+    if nlp.free != fit.free or [part.data.checksum for part in nlp.problem.parts] != [
+        p.data.checksum for p in fit.parts
+    ]:
+        raise ValueError(
+            f"problem {problem.name!r} has other unknowns or other data than the fit: give the one fitted."
+        )
+    known = {q.name: q for q in fit.quantities if q.kind != "fixed"}
+    wanted = list(known) if names is None else [names] if isinstance(names, str) else list(names)
+    for name in wanted:
+        if name not in known:
+            raise ValueError(f"there is no {name!r} to profile; there are {alternatives(name, list(known))}.")
+    return _profiles(nlp, fit, [known[name] for name in wanted], level, fresh_starts)
+
+
+def problem_of(fit: Fit) -> AnyProblem:
+    """Return the problem of a fit of responses, from what the fit keeps of it.
+
+    Raises
+    ------
+    ValueError
+        If it had ties, constraints, values with errors of an earlier fit, or a criterion that greybox does not include.
+    """
+    held = {q.name: q for q in fit.quantities if q.kind == "fixed"}
+    problems = []
+    for k, part in enumerate(fit.parts):
+        uncertain = [q.name for q in held.values() if q.standard_error != 0]
+        if part.tied or part.constraints or uncertain:
+            what = "ties" if part.tied else "constraints" if part.constraints else f"{uncertain[0]} from an earlier fit"
+            raise ValueError(f"the fit {fit.name!r} has {what}, of which it keeps the text alone: give its problem=...")
+        assert isinstance(part, FittedResponse)
+        model = fit.models[k] if fit.models else resolve(part.model, fit.given)
+        declared = model.parameters
+        outside = {name: part.rename.get(name, name) for name in declared}
+        problems.append(
+            Problem(
+                model,
+                part.data,
+                _criterion(fit, part),
+                fixed={name: held[outside[name]].value for name in declared if outside[name] in held},
+                free=[name for name, p in declared.items() if p.fixed and outside[name] not in held],
+                delay=part.delay,
+                at=part.at,
+                rename=part.rename,
+                weight=part.weight,
+                name=part.name,
+                amplitude=part.sine,  # type: ignore[arg-type]
+            )
+        )
+    return problems[0] if len(problems) == 1 else Sum(tuple(problems))
+
+
+def _criterion(fit: Fit, part: FittedResponse) -> Criterion:
+    for kind in {type(criterion) for criterion in CRITERIA}:
+        if kind().class_path == part.criterion_class:
+            return kind(**part.settings)
+    raise ValueError(
+        f"the fit {fit.name!r} has the criterion {part.criterion}, not one of greybox: give its problem=..."
+    )
+
+
+# --- what the cost says as a likelihood -------------------------------------------------------------------------------
+
+
+def ratio_refusal(nlp: Nlp, x: Array) -> str:
+    """Return why the costs of a problem admit no likelihood ratio at the estimate x (p,); empty where they do."""
+    values = nlp.all_values(x)
+    for part in nlp.parts:
+        assert isinstance(part, ResponsePart)
+        bread, meat = part.criterion.spread(part.response(values), part.data, 1.0)
+        if not np.isfinite(bread) or not meat.size or not np.all(meat > 0):
+            return f"{part.problem.name!r} is fitted exactly, so that the size of its errors is not known"
+        if np.ptp(meat) > EVEN * meat.max():
+            return (
+                f"{type(part.criterion).__name__} weighs the points of {part.problem.name!r} otherwise than their "
+                "errors, so that differences of its cost are no ratio of likelihoods: use RelativeError, "
+                "SquaredRelativeError or MaximumLikelihood, or a bootstrap"
+            )
+    return ""
+
+
+def _factor(accuracy: Accuracy, gradient: Array) -> float:
+    """Return c, the variance that the curvature of the cost says over that of the estimate, along a gradient (p,).
+
+    Where the data leave the gradient open, what holds on average of what they determine.
+    """
+    assert accuracy.white is not None
+    p = len(accuracy.white)
+    covariance = accuracy.covariance[:p, :p]
+    size = accuracy.size[:p]
+    says, has = gradient @ accuracy.white @ gradient, gradient @ covariance @ gradient
+    if not (np.isfinite(has) and has > 0 and says > 0):
+        says, has = (np.trace(matrix / np.outer(size, size)) for matrix in (accuracy.white, covariance))
+    return float(says / has)
+
+
+# --- minimizing with a quantity held ----------------------------------------------------------------------------------
+
+
+class _Held:
+    """The problem with one quantity held, built once: a parameter by its bounds, a formula by an equation."""
+
+    def __init__(self, nlp: Nlp, place: int | None, formula: Formula | None) -> None:
+        self._nlp, self._place = nlp, place
+        program = nlp.program
+        kind: Any = ca.SX if program.is_a("SXFunction") else ca.MX
+        z, p = kind.sym("z", len(nlp.free)), kind.sym("p", 2)
+        cost, limits = program(z, p[0])
+        self._value, equation = None, kind(0, 1)
+        if formula is not None:
+            point = ca.SX.sym("z", len(nlp.free))
+            named = dict(zip(nlp.names, [*nlp.scaling.expressions(point), *nlp.constant_values], strict=True))
+            self._value = ca.Function("value", [point], [ca.SX(formula.evaluate(named))])
+            equation = self._value(z) - p[1]
+        statement = {"x": z, "p": p, "f": cost, "g": ca.vertcat(limits, equation)}
+        self._check = StopCheck(statement)
+        self._solver = checked_nlpsol(statement, WARM, {}, self._check)
+        many, held = limits.numel(), equation.numel()
+        self._lower, self._upper = nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper)
+        self._limits = {"lbg": np.zeros(many + held), "ubg": np.concatenate([np.full(many, np.inf), np.zeros(held)])}
+
+    def of(self, place: int) -> "_Held":
+        """Return the same program for the parameter at this place."""
+        other = copy(self)
+        other._place = place
+        return other
+
+    def slope(self, x: Array) -> Array:
+        """Return the derivatives (p,) of the held formula by the parameters x (p,)."""
+        assert self._value is not None
+        point = ca.SX.sym("z", len(x))
+        slope = ca.Function("slope", [point], [ca.jacobian(self._value(point), point)])
+        return np.asarray(ca.DM(slope(self._nlp.scaling.to_solver(x)))).ravel() * self._nlp.scaling.slope(x)
+
+    def solve(self, start: Array, value: float) -> tuple[Array, float]:
+        """Return the best variables z (p,) with the quantity at a value, from a start, and their cost; inf if none."""
+        nlp = self._nlp
+        lower, upper = self._lower, self._upper
+        if self._place is not None:
+            lower, upper = lower.copy(), upper.copy()
+            x = np.ones(len(nlp.free))
+            x[self._place] = value
+            lower[self._place] = upper[self._place] = nlp.scaling.to_solver(x)[self._place]
+        start = np.clip(start, lower, upper)
+        z: Any = self._solver(x0=start, p=[SMOOTHING, value], lbx=lower, ubx=upper, **self._limits)["x"]
+        z = np.asarray(z).ravel()
+        if self._solver.stats()["return_status"] not in CONVERGED:
+            return z, math.inf
+        cost = nlp.cost(nlp.all_values(nlp.scaling.to_parameters(z)))
+        return z, cost if math.isfinite(cost) else math.inf
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    value: float
+    z: Array
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What the points of one profile share."""
+
+    held: _Held
+    best: _Point
+    factor: float
+    limit: float
+    bounds: tuple[float, float]
+    size: float
+    first: float
+    starts: Array
+
+    def root(self, point: _Point) -> float:
+        """Return |r|."""
+        return math.sqrt(max(2 * self.factor * (point.cost - self.best.cost), 0.0))
+
+    def point(self, value: float, *starts: Array) -> _Point:
+        """Return the best of what these starts reach."""
+        tried = [self.held.solve(start, value) for start in starts]
+        z, cost = min(tried, key=lambda pair: pair[1])
+        return _Point(value, z, cost)
+
+    def side(self, direction: int) -> tuple[list[_Point], End]:
+        """Walk from the estimate until the limit is crossed; the points, and how that ended."""
+        points, step = [self.best], self.first
+        bound = self.bounds[direction > 0]
+        while len(points) < MOST_POINTS:
+            last = points[-1]
+            room = abs(bound - last.value)
+            if not room > 0:
+                return points, "bound"
+            value = last.value + direction * step if step < room else bound
+            starts = [last.z, *self.starts]
+            if len(points) > 1:
+                before = points[-2]
+                share = (value - last.value) / (last.value - before.value)
+                starts.insert(0, last.z + share * (last.z - before.z))
+            point = self.point(value, *starts)
+            rise = self.root(point) - self.root(last) if math.isfinite(point.cost) else math.inf
+            # A jump over the crossing tells nothing of the curve before it.
+            if rise > self.limit and step > 1e-3 * self.first:
+                step = min(step, room) / GROWTH
+                continue
+            if not math.isfinite(point.cost):
+                return points, "failed"
+            points.append(point)
+            if self.root(point) > BEYOND * self.limit:
+                return points, "crossed"
+            if abs(value - self.best.value) > FAR * self.size:
+                break
+            step *= min(max(STEP * self.limit / max(rise, 1e-12), 1 / GROWTH), GROWTH)
+        return points, "flat"
+
+    def swept(self, points: list[_Point]) -> list[_Point]:
+        """Solve every point again from its neighbors on both sides, while that finds lower costs."""
+        points = list(points)
+        for _ in range(SWEEPS):
+            improved = False
+            for order, neighbor in ((range(len(points) - 2, -1, -1), 1), (range(1, len(points)), -1)):
+                for k in order:
+                    if points[k] is self.best:
+                        continue
+                    again = self.point(points[k].value, points[k + neighbor].z)
+                    if again.cost < points[k].cost:
+                        improved |= again.cost < (1 - LOWER) * points[k].cost
+                        points[k] = again
+            if not improved:
+                break
+        return points
+
+    def crossing(self, inside: _Point, outside: _Point) -> float:
+        """Return where |r| is the limit between two points."""
+        from scipy.optimize import brentq  # noqa: PLC0415  (takes a tenth of a second to import)
+
+        ends = {inside.value: self.root(inside), outside.value: self.root(outside)}
+
+        def above(value: float) -> float:
+            if value in ends:
+                return ends[value] - self.limit
+            return self.root(self.point(value, inside.z, outside.z)) - self.limit
+
+        tolerance = 1e-3 * abs(outside.value - inside.value)
+        found: Any = brentq(above, inside.value, outside.value, xtol=max(tolerance, 1e-12 * self.size))
+        return float(found)
+
+
+def _profiles(nlp: Nlp, fit: Fit, lines: Sequence[Quantity], level: float, fresh: int) -> Profiles:
+    from scipy.special import stdtrit  # noqa: PLC0415
+
+    x = np.array([fit.estimate[name] for name in nlp.free])
+    refusal = ratio_refusal(nlp, x)
+    accuracy = assess(nlp, x, tuple(part.initial_trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts))
+    if refusal or accuracy.white is None:
+        raise ValueError(f"no profile of {fit.name!r}: {refusal or 'its errors are not known'}.")
+    z, cost = nlp.scaling.to_solver(x), nlp.cost(nlp.all_values(x))
+    parameters = nlp.problem.parameters
+    drawn = Sobol(fresh, 0).draw({name: parameters[name] for name in nlp.free}) if fresh else np.zeros((0, len(x)))
+    starts = nlp.scaling.to_solver(drawn)
+    by_name = {formula.name: formula for formula in formulas(nlp.problem)}
+    shared = _Held(nlp, None, None)
+    found, limits, lower = [], {}, math.inf
+    for line in lines:
+        place = nlp.free.index(line.name) if line.name in nlp.free else None
+        held = _Held(nlp, None, by_name[line.name]) if place is None else shared.of(place)
+        slope = np.eye(len(x))[place] if place is not None else held.slope(x)
+        dof = accuracy.dof if not math.isfinite(line.dof) else line.dof
+        limit = float(stdtrit(min(dof, 1e9), 0.5 + level / 2))
+        limits[line.name] = limit
+        bounds = line.bounds if place is not None else (-math.inf, math.inf)
+        size = float(np.max(np.abs([line.value, *(slope * nlp.scaling.slope(x) ** -1)])))
+        error = line.standard_error
+        first = STEP * limit * error if math.isfinite(error) and error > 0 else 0.02 * size
+        search = _Search(
+            held=held,
+            best=_Point(line.value, z, cost),
+            factor=_factor(accuracy, slope),
+            limit=limit,
+            bounds=bounds,
+            size=size,
+            first=min(first, *(STEP * abs(b - line.value) or math.inf for b in bounds)),
+            starts=starts,
+        )
+        found.append(_profile_of(nlp, search, line))
+        lower = min(lower, found[-1].costs.min())
+    warnings = ()
+    if lower < (1 - LOWER) * cost:
+        warnings = (f"a profile found the cost {number(lower)} below the fit's {number(cost)}: fit from more starts.",)
+    return Profiles(fit.name, level, limits, nlp.free, tuple(found), warnings)
+
+
+def _profile_of(nlp: Nlp, search: _Search, line: Quantity) -> ProfileOf:
+    (down, low_end), (up, high_end) = search.side(-1), search.side(1)
+    center = len(down) - 1
+    points = search.swept([*down[::-1], *up[1:]])
+    roots = np.array([search.root(point) for point in points])
+    inside = np.flatnonzero(roots <= search.limit)
+    first, last = inside[0], inside[-1]
+    low = search.crossing(points[first], points[first - 1]) if first > 0 else -math.inf
+    high = search.crossing(points[last], points[last + 1]) if last < len(points) - 1 else math.inf
+    ends: tuple[End, End] = ("crossed" if first > 0 else low_end, "crossed" if last < len(points) - 1 else high_end)
+
+    def held(point: _Point, is_open: bool) -> tuple[str, ...]:
+        """Name the parameters at a bound, but for the one that is held and those that the estimate has there too."""
+        x, best = (nlp.scaling.to_parameters(z) for z in (point.z, search.best.z))
+        room, was = (np.minimum(v - nlp.lower, nlp.upper - v) for v in (x, best))
+        near = (room <= CLOSE * np.abs(x)) & (was > CLOSE * np.abs(best))
+        names = [name for name, at in zip(nlp.free, near, strict=True) if at and name != line.name]
+        return () if is_open else tuple(names)
+
+    outer = points[max(first - 1, 0)], points[min(last + 1, len(points) - 1)]
+    return ProfileOf(
+        name=line.name,
+        unit=line.unit,
+        estimate=line.value,
+        standard_error=line.standard_error,
+        values=np.array([point.value for point in points]),
+        costs=np.array([point.cost for point in points]),
+        roots=np.where(np.arange(len(points)) < center, -roots, roots),
+        others=nlp.scaling.to_parameters(np.array([point.z for point in points])),
+        interval=(low, high),
+        ends=ends,
+        bounds=line.bounds,
+        at_bound=(held(outer[0], math.isinf(low)), held(outer[1], math.isinf(high))),
+        connected=len(inside) == int(last - first) + 1,
+    )

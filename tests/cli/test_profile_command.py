@@ -1,0 +1,21 @@
+"""`greybox profile`: intervals of a saved fit."""
+
+import json
+
+from command_line import refused, run
+
+
+def test_a_saved_fit_is_profiled(capsys, tmp_path):
+    result = str(tmp_path / "yaw.h5")
+    run(capsys, "fit", "yaw_hover", "--starts", "8", "--out", result)
+    status, out, _ = run(capsys, "profile", result, "a2", "--plot", str(tmp_path / "yaw.png"))
+    assert status == 0
+    assert "no upper limit up to the bound 2000" in out
+    assert (tmp_path / "yaw.png").stat().st_size > 1000
+
+    status, out, _ = run(capsys, "profile", result, "a2", "--json")
+    answer = json.loads(out)["profiles"]["a2"]
+    assert status == 0
+    assert answer["high"] is None
+    assert 100 < answer["low"] < 200
+    assert "there is no 'a9' to profile" in refused(capsys, "profile", result, "a9")

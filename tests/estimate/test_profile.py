@@ -1,0 +1,142 @@
+"""Profiles of the likelihood, against brute force, an F-test written out, and planted truths."""
+
+import numpy as np
+import pytest
+from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
+from numpy.testing import assert_allclose
+from scipy.optimize import brentq, least_squares
+from scipy.stats import t as student
+
+import greybox as gb
+from greybox.problems import pitch_hover, yaw_hover
+
+OMEGA = np.geomspace(0.3, 30, 15)
+
+
+class OneSided(gb.TransferFunction):
+    """A gain over a pole far above the band: the data bound the pole from below alone, and know their ratio."""
+
+    input, output = "u", "y"
+    b = gb.Parameter(100.0, bounds=(1, 1e9), starts=(10, 1000))
+    a = gb.Parameter(100.0, bounds=(1, 1e6), starts=(10, 1000))
+    derived = {"ratio": lambda p: p.b / p.a}
+
+    def response(self, s, p):
+        return p.b / (s + p.a)
+
+
+def noisy(model, values, sigma, seed, omega=OMEGA):
+    return measured(model, omega, values, noise=sigma, seed=seed)
+
+
+def fitted(model, data, criterion=None, **options):
+    return gb.fit(gb.Problem(model, data, criterion, **options), starts=12, progress=False)
+
+
+def brute_force(fit, model, name, edge, level=0.95):
+    """The end of the interval of squared relative errors, by scipy on the residuals, with the F-like threshold."""
+    data, start = fit.parts[0].data, fit.estimate[name]
+    others = {other: fit.estimate[other] for other in fit.free if other != name}
+    names = [*others]
+
+    def lowest(value):
+        def residual(x):
+            values = {name: value, **dict(zip(names, x, strict=True))}
+            error = model.response(1j * data.omega, _Names(values)) / data.response - 1
+            return np.concatenate([error.real, error.imag])
+
+        return 2 * least_squares(residual, list(others.values()), x_scale="jac", xtol=1e-12, ftol=1e-12).cost
+
+    dof = 2 * len(data) - len(names) - 1
+    limit = fit.cost * (1 + student.ppf(0.5 + level / 2, dof) ** 2 / dof)
+    return brentq(lambda value: lowest(value) - limit, start, edge, rtol=1e-8)
+
+
+class _Names:
+    def __init__(self, values):
+        vars(self).update(values)
+
+
+def test_both_ends_are_those_of_brute_force():
+    data = noisy(LagLagDelay(), TWO_LAGS, 0.1, 3, TWO_LAGS_OMEGA[::3])
+    fit = fitted(LagLagDelay(), data, gb.SquaredRelativeError())
+    low, high = gb.profile(fit, "K")["K"].interval
+    best = fit.estimate["K"]
+    for end, edge in ((low, 0.5 * best), (high, 1.7 * best)):
+        expected = brute_force(fit, LagLagDelay(), "K", edge)
+        assert_allclose(end, expected, atol=2e-3 * fit.standard_error["K"])
+
+
+def test_with_little_noise_profiles_are_the_intervals_of_the_standard_errors():
+    data = noisy(Lag(), {"K": 2.0, "T": 0.3}, 0.002, 0, TWO_LAGS_OMEGA)
+    for criterion in (gb.RelativeError(), gb.SquaredRelativeError(), gb.RelativeLikelihood()):
+        fit = fitted(Lag(), data, criterion)
+        profiles = gb.profile(fit)
+        for name, wald in fit.interval().items():
+            # The sum of magnitudes of few points is not quadratic: its roots follow the standard error to a tenth.
+            width = 0.12 if isinstance(criterion, gb.RelativeError) else 0.02
+            assert_allclose(profiles[name].interval, wald, atol=width * (wald[1] - wald[0]), err_msg=str(criterion))
+
+
+def test_an_open_end_is_said_and_the_ratio_is_known():
+    data = noisy(OneSided(), {"b": 10000.0, "a": 5000.0}, 0.05, 1)
+    fit = fitted(OneSided(), data, gb.SquaredRelativeError())
+    profiles = gb.profile(fit)
+    low, high = profiles["a"].interval
+    assert high == np.inf
+    assert_allclose(low, brute_force(fit, OneSided(), "a", 20.0), rtol=0.01)
+    assert "no upper limit up to the bound 1e+06" in str(profiles["a"])
+    assert_allclose(profiles["ratio"].interval, 2.0, rtol=0.1)
+
+
+def test_the_yaw_damping_is_positive_and_has_no_upper_limit():
+    profiles = gb.profile(gb.fit(yaw_hover.problem(), starts=20, progress=False), ["a2", "a3_tilde"])
+    low, high = profiles["a2"].interval
+    assert 100 < low < 200
+    assert high == np.inf
+    assert profiles["a2"].ends == ("crossed", "bound")
+    # a3 / a2 is determined, so that the upper end of a3 is made by the bound of a2.
+    assert profiles["a3_tilde"].at_bound == ((), ("a2",))
+    assert "the upper limit with a2 at its bound" in str(profiles)
+
+
+def test_derived_quantities_follow_their_parameter():
+    profiles = gb.profile(gb.fit(pitch_hover.problem(), starts=20, progress=False), ["a3", "a3_tilde"])
+    assert_allclose(profiles["a3_tilde"].interval, gb.g * np.array(profiles["a3"].interval), rtol=1e-3)
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    # The one-sided model, whose standard error says nothing: of 20 intervals of 95 % at least 16 (99.7 % of the time).
+    held = 0
+    for seed in range(20):
+        data = noisy(OneSided(), {"b": 800.0, "a": 400.0}, 0.05, seed)
+        fit = gb.fit(gb.Problem(OneSided(), data), starts=3, progress=False)
+        low, high = gb.profile(fit, "a", fresh_starts=0)["a"].interval
+        held += low <= 400.0 <= high
+    assert held >= 16
+
+
+def test_a_saved_fit_is_profiled_too(tmp_path):
+    fit = gb.fit(pitch_hover.problem(), starts=10, progress=False)
+    gb.save(fit, tmp_path / "pitch.h5")
+    again = gb.load(tmp_path / "pitch.h5")
+    assert gb.profile(again, "a1")["a1"].interval == gb.profile(fit, "a1")["a1"].interval
+
+
+def test_what_has_no_likelihood_ratio_is_refused():
+    data = noisy(Lag(), {"K": 2.0, "T": 0.3}, 0.02, 0)
+    with pytest.raises(ValueError, match="MagnitudePhase weighs the points"):
+        gb.profile(fitted(Lag(), data, gb.MagnitudePhase()))
+    tied = gb.Problem(LagLagDelay(), noisy(LagLagDelay(), TWO_LAGS, 0.02, 0), tied={"T1": lambda p: 3 * p.T2})
+    fit = gb.fit(tied, starts=10, progress=False)
+    with pytest.raises(ValueError, match="give its problem="):
+        gb.profile(fit)
+    assert np.isfinite(gb.profile(fit, "T1", problem=tied)["T1"].interval).all()
+    with pytest.raises(ValueError, match="there is no 'T' to profile"):
+        gb.profile(fit, "T", problem=tied)
+
+
+def test_the_figure_has_a_panel_for_each():
+    found = gb.profile(gb.fit(yaw_hover.problem(), starts=10, progress=False), ["a2", "a4"])
+    axes = gb.plotting.profiles(found)
+    assert [ax.get_xlabel() for ax in axes] == ["a2 [1/s]", "a4 [1/s]"]
