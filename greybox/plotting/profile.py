@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from greybox.estimate.profile import ProfileOf, Profiles
@@ -56,6 +57,7 @@ def _draw(ax: Axes, profile: ProfileOf, limit: float) -> None:
         ax.plot(grid, wald, color=GRAYS[0], linestyle="--", linewidth=0.9)
     ax.plot(profile.values, size, color=COLORS[0], marker="o", markersize=3, linewidth=1.4)
     ax.axvline(profile.estimate, color=DARK, linewidth=0.8)
+    ax.xaxis.set_major_locator(MaxNLocator(4))
     ax.set_ylim(0, 1.6 * limit)
     ax.set_xlim(profile.values[0], profile.values[-1])
     ax.set_xlabel(f"{profile.name} [{profile.unit}]" if profile.unit else profile.name)
