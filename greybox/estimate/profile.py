@@ -209,6 +209,18 @@ def profile(
 ) -> Profiles:
     """Profile the likelihood along parameters and derived quantities of a fit of frequency responses.
 
+    What the cost says as a likelihood depends on the criterion:
+
+    ====================================================  ===========================================================
+    `RelativeError` (4.26), `SquaredRelativeError`        errors isotropic in the complex plane and of one relative
+                                                          size, estimated: Student's t
+    `RelativeLikelihood`                                  the same errors
+    `MaximumLikelihood`                                   errors of the given variances, scaled up if the residuals
+                                                          are larger
+    `MagnitudePhase`; one of your own that weighs points  none: refused
+    otherwise than their errors; records
+    ====================================================  ===========================================================
+
     Parameters
     ----------
     fit : Fit
@@ -244,7 +256,8 @@ def profile(
         raise ValueError(
             f"problem {problem.name!r} has other unknowns or other data than the fit: give the one fitted."
         )
-    known = {q.name: q for q in fit.quantities if q.kind != "fixed"}
+    # What follows from constants alone has the error zero, and no profile.
+    known = {q.name: q for q in fit.quantities if q.kind != "fixed" and q.standard_error != 0}
     wanted = list(known) if names is None else [names] if isinstance(names, str) else list(names)
     for name in wanted:
         if name not in known:

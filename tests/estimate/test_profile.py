@@ -136,6 +136,16 @@ def test_what_has_no_likelihood_ratio_is_refused():
         gb.profile(fit, "T", problem=tied)
 
 
+def test_what_follows_from_constants_alone_has_no_profile():
+    data = noisy(Lag(), {"K": 2.0, "T": 0.3}, 0.02, 0)
+    fit = fitted(Lag(), data, fixed={"T": 0.3})
+    found = gb.profile(fit)
+    assert [profile.name for profile in found.profiles] == ["K", "area"]
+    assert_allclose(found["area"].interval, 0.09 * np.array(found["K"].interval), rtol=1e-3)
+    with pytest.raises(ValueError, match="there is no 'bandwidth' to profile"):
+        gb.profile(fit, "bandwidth")
+
+
 def test_the_figure_has_a_panel_for_each():
     found = gb.profile(gb.fit(yaw_hover.problem(), starts=10, progress=False), ["a2", "a4"])
     axes = gb.plotting.profiles(found)
