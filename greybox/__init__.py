@@ -6,8 +6,8 @@ Declare a model as a `TransferFunction` or a `StateSpace` with `Parameter`s, sta
 `greybox.data` records, responses and their files; `greybox.logs` flight logs; `greybox.spectral` from records to
 frequency responses; `greybox.modeling` what a model is and how it is read; `greybox.experiment` test signals,
 controllers and virtual flights; `greybox.simulation` models run at given values; `greybox.regression` estimates by
-linear least squares; `greybox.solve` starts and solvers; `greybox.validation` tests between models; `greybox.study`
-batches of fits; `greybox.plotting` figures.
+linear least squares; `greybox.solve` starts and solvers; `greybox.validation` tests between models;
+`greybox.identification` from a log to a model in one go; `greybox.study` batches of fits; `greybox.plotting` figures.
 """
 
 from greybox.cli.startup import guard_imports as _guard_imports
@@ -20,6 +20,7 @@ from pathlib import Path as _Path
 from greybox import data as data
 from greybox import experiment as experiment
 from greybox import formulation as formulation
+from greybox import identification as identification
 from greybox import logs as logs
 from greybox import modeling as modeling
 from greybox import regression as regression
@@ -53,6 +54,7 @@ from greybox.formulation import SquaredRelativeError as SquaredRelativeError
 from greybox.formulation import Starts as Starts
 from greybox.formulation import TimeCriterion as TimeCriterion
 from greybox.formulation import several as several
+from greybox.identification import identify as identify
 from greybox.logs import prepare as prepare
 from greybox.logs import read as read
 from greybox.modeling import Integrator as Integrator

@@ -15,7 +15,7 @@ Collocation Controller Criterion Fit FrequencyResponse Integrator MagnitudePhase
 OutputError Parameter PredictionError Problem Profiles Record RelativeError RelativeLikelihood Rosenbrock RungeKutta
 SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion TransferFunction Transcription batch compare cost
 feedback fit
-frequency_response load plot predict prepare profile read read_response save several simulate virtual_flight
+frequency_response identify load plot predict prepare profile read read_response save several simulate virtual_flight
 """.split()
 
 FORMULAS = """
@@ -28,6 +28,7 @@ NAMESPACES = {
     "virtual_flight write_excitation",
     "formulation": "Criterion MagnitudePhase MaximumLikelihood OutputError PredictionError Problem RelativeError "
     "RelativeLikelihood SquaredRelativeError Starts Sum TimeCriterion several",
+    "identification": "Identification Measurement Settings identify measure",
     "logs": "find_segments horizontal_velocity negative prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response linearize rational",

@@ -1,6 +1,8 @@
 """The command `greybox inspect`: what a log holds, its test segments, its defects."""
 
 import argparse
+import shlex
+from collections.abc import Sequence
 from typing import Any
 
 from greybox.cli.log_tests import add_test_options, segment_as_json, segments_of
@@ -11,6 +13,7 @@ from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.data.text_table import number, text_table
 from greybox.logs.readers import read
+from greybox.logs.segment_detection import announcing
 
 
 def add_command(commands: Any) -> None:
@@ -44,7 +47,19 @@ def run(options: argparse.Namespace) -> Answer:
         "segments": [segment_as_json(segment) for segment in segments],
         "findings": list(recording.findings),
     }
-    return answer, "\n".join([text, *notes]), USABLE
+    following = _following(recording, segments, options)
+    answer["next"] = following
+    return answer, "\n".join([text, *notes, *([f"next: {following}"] if following else [])]), USABLE
+
+
+def _following(recording: Recording, segments: Sequence[Segment], options: argparse.Namespace) -> str:
+    """Return the command to type next, where there is something to identify."""
+    words = ["greybox", "identify", options.log]
+    for flag, value in (("--announced", options.announced), ("--setpoint", options.setpoint)):
+        words += [flag, value] if value else []
+    words += ["--fields", *options.fields] if options.fields else []
+    usable = any(segment.usable for segment in segments) or announcing(recording)
+    return shlex.join(words) if usable else ""
 
 
 def _figure(recording: Recording, segments: tuple[Segment, ...]) -> Any:

@@ -16,6 +16,7 @@ from greybox.cli import (
     batch_command,
     compare_command,
     fit_command,
+    identify_command,
     inspect_command,
     list_command,
     profile_command,
@@ -31,6 +32,7 @@ from greybox.solve.interruption import Response, listening, responding, take_int
 COMMANDS = (
     list_command,
     inspect_command,
+    identify_command,
     response_command,
     fit_command,
     profile_command,

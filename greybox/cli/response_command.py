@@ -82,10 +82,10 @@ def stated_settings(options: argparse.Namespace, input: str, output: str) -> Set
     """
     same = ("instrument", "announced", "setpoint", "axis", "tests", "rate", "settle", "period", "whole", "open_loop")
     values = {name: getattr(options, name) for name in (*same, "method", "points")}
-    return Settings(input, output, fields=stated_fields(options), band=_band(options.band), **values)
+    return Settings(input, output, fields=stated_fields(options), band=stated_band(options.band), **values)
 
 
-def _band(words: list[str]) -> tuple[float, float] | None:
+def stated_band(words: list[str]) -> tuple[float, float] | None:
     """Return the band in rad/s from ``1 80``, ``0.2 12 Hz`` or ``0.2Hz 12Hz``."""
     if not words:
         return None

@@ -66,12 +66,20 @@ def check_response_units(model: Model, response: FrequencyResponse) -> None:
 
 
 def as_the_only_pair(model: Model, response: FrequencyResponse) -> FrequencyResponse:
-    """Return the response with the names of the model's only pair, where it has one; units go with the names."""
+    """Return the response without names, of the model's only pair, so that fits of other models have the same data.
+
+    Raises
+    ------
+    ValueError
+        If its units are not those that the model declares.
+    """
     if len(model.input_names) != 1 or len(model.output_names) != 1:
         return response
     names = dict(zip((response.input, response.output), (*model.input_names, *model.output_names), strict=True))
     units = {names[name]: unit for name, unit in response.units.items() if name in names}
-    return replace(response, input=model.input_names[0], output=model.output_names[0], units=units)
+    named = replace(response, input=model.input_names[0], output=model.output_names[0], units=units)
+    check_response_units(model, named)
+    return replace(named, input="", output="", units={})
 
 
 def _known(unit: str) -> Conversion | None:

@@ -1,8 +1,12 @@
 """From a log to a measured response and on to a model, with every choice said.
 
-`measurement` makes a response of the tests of a log: which samples, which instrument, open or closed loop; `loop` tells
-whether a log was flown in closed loop, and by how much a direct estimate would differ.
+Begin with `identify`, the whole chain. `choices` finds the tests, the axis and its signals; `measurement` makes a
+response of them: which samples, which instrument, open or closed loop; `loop` tells whether a log was flown in closed
+loop, and by how much a direct estimate would differ.
 """
 
+from greybox.identification.identify import Identification as Identification
+from greybox.identification.identify import identify as identify
 from greybox.identification.measurement import Measurement as Measurement
+from greybox.identification.measurement import Settings as Settings
 from greybox.identification.measurement import measure as measure

@@ -166,7 +166,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     KeyError, ValueError
         For signals and tests that are not there, and for a closed loop without a known excitation.
     """
-    tests = () if settings.period else tuple(_chosen(_found(recording, settings), settings))
+    tests = () if settings.period else tuple(_chosen(found_tests(recording, settings), settings))
     usable = [segment for segment in tests if segment.usable]
     sines = [segment for segment in usable if segment.kind == "sine"]
     used = sines or usable
@@ -221,7 +221,8 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     )
 
 
-def _found(recording: Recording, settings: Settings) -> tuple[Segment, ...]:
+def found_tests(recording: Recording, settings: Settings) -> tuple[Segment, ...]:
+    """Return the tests that the settings find."""
     return find_segments(recording, settings.announced, dict(settings.fields) or None, settings.setpoint)
 
 

@@ -41,7 +41,10 @@ def test_both_commands_are_the_same():
         (["fit", "pitch_hover", "--fast"], "--fast"),
         (["list", "tilt:Nothing"], "tilt has Tilt"),
         (["list", "tilt:Tlit"], "did you mean 'Tilt'?"),
-        (["refit"], "there is no 'refit'; there are list, inspect, response, fit, batch, compare: did you mean 'fit'?"),
+        (
+            ["refit"],
+            "there is no 'refit'; there are list, inspect, identify, response, fit, profile, batch, compare: did",
+        ),
         (["fit", "pitch_hover", "--stars", "5"], "unrecognized arguments: --stars 5, did you mean --starts?"),
         (["fit", "pitch_hover", "--fix", "t_delay=0"], "did you mean 'T_delay'?"),
         (["fit", "pitch_hover", "--free", "T_dealy"], "did you mean 'T_delay'?"),

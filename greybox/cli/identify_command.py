@@ -1,0 +1,92 @@
+"""The command `greybox identify`: from a log to a fitted model in one go."""
+
+import argparse
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from greybox.cli.log_tests import stated_fields
+from greybox.cli.options import add_common_options, nonnegative, positive
+from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
+from greybox.cli.response_command import add_measurement_options, response_json, stated_band
+from greybox.data.json_numbers import finite
+from greybox.data.response_file import write_response
+from greybox.estimate.storage import save
+from greybox.estimate.summary import summary
+from greybox.identification.identify import STARTS, Identification, identify
+from greybox.identification.measurement import Settings
+
+
+def add_command(commands: Any) -> None:
+    """Declare the command and its options."""
+    parser = commands.add_parser("identify", help="go from a log to a fitted model in one go", allow_abbrev=False)
+    add = parser.add_argument
+    add("log", metavar="LOG", help="a flight log, or a table of signals")
+    add("--input", default="", metavar="[NAME=]SIGNAL", help="the control (default: that of the axis)")
+    add("--output", default="", metavar="[NAME=]SIGNAL", help="the output (default: the best-sampled angle)")
+    add_measurement_options(parser)
+    add("--starts", type=positive, default=STARTS, help=f"number of starts of every fit (default: {STARTS})")
+    add("--seed", type=nonnegative, default=0, help="seed of the starts (default: 0)")
+    add(
+        "--out",
+        metavar="PREFIX",
+        help="begin the names of response, result and figure with this (default: the name of the log, in this folder)",
+    )
+    add("--force", action="store_true", help="overwrite files that exist")
+    add_common_options(parser)
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> Answer:
+    """Identify; write response, result and figure."""
+    prefix = options.out or Path(options.log).stem
+    response, result, figure = Path(f"{prefix}_response.csv"), Path(f"{prefix}_fit.h5"), Path(f"{prefix}.png")
+    for path in (response, result):
+        require_writable(path, options.force)
+    require_figure(figure, options.force)
+    names = {field.name for field in fields(Settings)}
+    stated = {name: value for name, value in vars(options).items() if name in names}
+    stated |= {"fields": stated_fields(options), "band": stated_band(options.band)}
+    found = identify(options.log, starts=options.starts, seed=options.seed, **stated)
+
+    commands = found.commands(options.log, prefix)
+    answer = _json(found, commands)
+    text = "\n\n".join([str(found), "\n".join(["The same in single commands:", *(f"  {line}" for line in commands)])])
+    measured, fit = found.measurement.response, found.fit
+    if measured is None or not found.measurement.quality.usable:
+        answer["error"] = " ".join(found.measurement.quality.refusals)
+        return answer, text, FAILED
+    write_response(measured, response)
+    notes = [f"saved {response}"]
+    if fit is None:
+        answer["error"] = "no structure of the ladder converged."
+        return answer, "\n".join([text, "", *notes]), FAILED
+    save(fit, result)
+    notes += [f"saved {result}", *save_figure(figure, lambda: _figure(found))]
+    answer["files"] = [str(response), str(result), str(figure)]
+    return answer, "\n".join([text, "", *notes]), USABLE
+
+
+def _figure(found: Identification) -> Any:
+    from greybox.plotting import plot  # noqa: PLC0415  (imports matplotlib)
+
+    assert found.fit is not None
+    return plot(found.fit)
+
+
+def _json(found: Identification, commands: tuple[str, ...]) -> dict[str, Any]:
+    steps = [
+        {"model": s.model, "free": list(s.free), "through": s.through, "about": s.about, "converged": s.fit.converged}
+        | {"cost": finite(s.fit.cost), "chosen": s is found.chosen}
+        for s in found.steps
+    ]
+    return {
+        "chosen": [{"what": c.what, "why": c.why, "option": c.option} for c in found.choices],
+        "measurement": response_json(found.recording, found.measurement),
+        "structures": steps,
+        "comparison": found.comparison.table if found.comparison else [],
+        "reason": found.reason,
+        "fit": summary(found.fit) if found.fit is not None else None,
+        "next": list(found.next),
+        "commands": list(commands),
+    }

@@ -1,0 +1,163 @@
+"""What to measure in a log when nobody says: which tests, which axis, which control, and which sensor."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from greybox.data.record import Recording
+from greybox.data.test_segment import Segment
+from greybox.identification.measurement import Settings, found_tests
+from greybox.logs.ardupilot import AXES, axis_of
+from greybox.logs.segment_detection import announcing
+
+# Of the rate of the best-sampled signal: those as fast are as good, and the first of the list is taken.
+AS_FAST = 0.95
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What was chosen, and why, and the option that chooses otherwise."""
+
+    what: str
+    why: str
+    option: str
+
+    def __str__(self) -> str:
+        return f"{self.what}: {self.why} ({self.option})"
+
+
+def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice, ...]]:
+    """Return the settings of the measurement, and what was chosen in them; what is `stated` is kept.
+
+    Raises
+    ------
+    KeyError, ValueError
+        If there is no test, or no control or output is known for its axis; the sentence names the option that helps.
+    """
+    choices = []
+    announced = stated.get("announced", "")
+    if not announced and not stated.get("setpoint") and "SIDS" not in recording:
+        announced = next(iter(announcing(recording)), "")
+        if announced:
+            choices.append(Choice(f"tests of {announced}", "the message announces them", "--announced"))
+    stated = {**stated, "announced": announced}
+
+    wanted = stated.pop("axis", "")
+    if stated.get("period") or stated.get("whole") or not _known_axes(recording):
+        return _as_stated(stated | {"axis": wanted}), tuple(choices)
+    tests = found_tests(recording, Settings("u", "y", **_without_signals(stated)))
+    usable = [test for test in tests if test.usable]
+    if not usable:
+        why = "; ".join(dict.fromkeys(text for test in tests for text in test.findings))
+        raise ValueError(
+            f"no usable test was found in {recording.source or 'the log'}{f' ({why})' if why else ''}: say where they "
+            "are, --announced MESSAGE or --setpoint SIGNAL, or take the --whole log with its --instrument."
+        )
+    axes = {raw: _body_axis(recording, [t for t in usable if t.axis == raw]) for raw in {t.axis: 0 for t in usable}}
+    raw = _chosen_axis(usable, axes, wanted)
+    axis = axes[raw]
+    used = [test for test in usable if test.axis == raw]
+    others = [f"{axes[other] or other}" for other in axes if other != raw]
+    rest = f"; there are tests of {', '.join(others)} too" if others else ""
+    choices.append(Choice(f"axis {axis or raw}", f"{_why_axis(used[0])}{rest}", "--axis"))
+    if others:
+        stated["axis"] = raw
+
+    if not stated.get("input"):
+        if not axis or not _has(recording, AXES[axis].control):
+            raise ValueError(f"no control is known for the axis {raw!r}: give the input, --input u=MESSAGE.Field.")
+        stated["input"] = f"u={AXES[axis].control}"
+        choices.append(Choice(f"input {stated['input']}", f"the control of {axis}", "--input"))
+    if not stated.get("output"):
+        stated["output"], why = _output(recording, axis, used)
+        choices.append(Choice(f"output {stated['output']}", why, "--output"))
+    return _as_stated(stated), tuple(choices)
+
+
+def _as_stated(stated: dict[str, Any]) -> Settings:
+    for name in ("input", "output"):
+        if not stated.get(name):
+            raise ValueError(f"no {name} is known for this log: give it, --{name} NAME=SIGNAL.")
+    return Settings(**stated)
+
+
+def _without_signals(stated: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in stated.items() if name not in ("input", "output")}
+
+
+def _known_axes(recording: Recording) -> list[str]:
+    return [axis for axis, own in AXES.items() if any(_has(recording, s) for s in (own.control, *own.setpoints))]
+
+
+def _has(recording: Recording, signal: str) -> bool:
+    message, _, field = signal.rpartition(".")
+    return message in recording and field in recording[message].signals
+
+
+def _body_axis(recording: Recording, tests: Sequence[Segment]) -> str:
+    """Return the axis that tests of one name excite: as the name says, or the one whose setpoint moves most."""
+    name = tests[0].axis
+    said = axis_of(name) or next((axis for axis in AXES if axis in name.split()), "")
+    if said or tests[0].source == "SIDS":
+        return said
+    motion = {
+        axis: max((_motion(recording, s, tests) for s in own.setpoints[:1]), default=0.0) for axis, own in AXES.items()
+    }
+    if not any(motion.values()):
+        motion = {axis: _motion(recording, own.control, tests) for axis, own in AXES.items()}
+    return max(motion, key=motion.__getitem__) if any(motion.values()) else ""
+
+
+def _motion(recording: Recording, signal: str, tests: Sequence[Segment]) -> float:
+    """Return the standard deviation of a signal during the tests, the largest of them; 0 where it is not there."""
+    if not _has(recording, signal):
+        return 0.0
+    record, field = recording.locate(signal)
+    spreads = [0.0]
+    for test in tests:
+        values = record[field][(record.time >= test.start) & (record.time <= test.end)]
+        values = values[np.isfinite(values)]
+        spreads.append(float(np.std(np.unwrap(values, period=360))) if values.size else 0.0)
+    return max(spreads)
+
+
+def _chosen_axis(usable: Sequence[Segment], axes: dict[str, str], wanted: str) -> str:
+    """Return the axis as its tests name it: the one wanted, or that of the longest tests."""
+    if wanted:
+        found = next((raw for raw, axis in axes.items() if wanted in (raw, axis)), None)
+        if found is None:
+            there = ", ".join(axis or raw for raw, axis in axes.items())
+            raise ValueError(f"no usable test has the axis {wanted!r}; there are {there}.")
+        return found
+    return max(axes, key=lambda raw: sum(test.duration for test in usable if test.axis == raw))
+
+
+def _why_axis(test: Segment) -> str:
+    if test.source == "SIDS":
+        return f"System Identification mode says {test.axis}"
+    return f"{test.axis} moves" if axis_of(test.axis) else "its setpoint moves most"
+
+
+def _output(recording: Recording, axis: str, used: Sequence[Segment]) -> tuple[str, str]:
+    """Return the best-sampled angle of the axis, or else its rate, with a name, and why."""
+    own = AXES.get(axis)
+    kinds = ("angle", "rate")
+    groups = zip(kinds, own.names, (own.angles, own.rates), strict=True) if own else ()
+    for kind, name, signals in groups:
+        rates = {signal: _rate(recording, signal, used) for signal in signals if _has(recording, signal)}
+        if not rates or not max(rates.values()):
+            continue
+        best = next(signal for signal, rate in rates.items() if rate >= AS_FAST * max(rates.values()))
+        slower = [f"{signal} at {rate:.4g} Hz" for signal, rate in rates.items() if rate < AS_FAST * rates[best]]
+        beside = f", {', '.join(slower)}" if slower else ""
+        return f"{name}={best}", f"the {axis} {kind}, at {rates[best]:.4g} Hz{beside}"
+    raise ValueError(f"no angle or rate is known for the axis {axis or used[0].axis!r}: give --output NAME=SIGNAL.")
+
+
+def _rate(recording: Recording, signal: str, used: Sequence[Segment]) -> float:
+    """Return the sampling rate during the tests, Hz."""
+    time = recording.locate(signal)[0].time
+    counts = [np.count_nonzero((time >= test.start) & (time <= test.end)) for test in used]
+    return float(sum(counts) / sum(test.duration for test in used))

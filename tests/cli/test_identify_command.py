@@ -1,0 +1,48 @@
+"""`greybox identify`: from a log to a model, and the single commands that do the same."""
+
+import json
+import shlex
+from importlib.resources import files
+
+import pytest
+from command_line import run
+
+import greybox as gb
+
+LOG = str(files("greybox.problems") / "data" / "sitl_pitch.BIN")
+
+
+def test_the_single_commands_give_the_same(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    status, out, _ = run(capsys, "identify", LOG, "--json")
+    answer = json.loads(out)
+    assert status == 0
+    assert answer["files"] == ["sitl_pitch_response.csv", "sitl_pitch_fit.h5", "sitl_pitch.png"]
+    assert (tmp_path / "sitl_pitch.png").read_bytes().startswith(b"\x89PNG")
+    written = gb.read_response("sitl_pitch_response.csv"), gb.load("sitl_pitch_fit.h5")
+
+    status, _, err = run(capsys, "identify", LOG)
+    assert status == 2
+    assert "sitl_pitch_response.csv exists: give another name, or --force" in err
+
+    for line in answer["commands"]:
+        words = shlex.split(line)
+        assert words[0] == "greybox"
+        assert run(capsys, *words[1:], *([] if words[1] == "inspect" else ["--force"]))[0] == 0, line
+    again = gb.read_response("sitl_pitch_response.csv"), gb.load("sitl_pitch_fit.h5")
+    assert again[0].checksum == written[0].checksum
+    assert again[1].estimate == pytest.approx(written[1].estimate, rel=1e-9)
+    assert again[1].standard_error == pytest.approx(written[1].standard_error, rel=1e-6)
+
+
+def test_a_choice_is_an_option(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    command = ["identify", LOG, "--setpoint", "ATT.DesPitch", "--band", "1.5", "30", "--starts", "3", "--out", "own"]
+    answer = json.loads(run(capsys, *command, "--json")[1])
+    assert len(answer["measurement"]["omega"]) == 9
+    assert answer["files"] == ["own_response.csv", "own_fit.h5", "own.png"]
+    assert "--band 1.5 30.0" in answer["commands"][1]
+
+
+def test_inspect_ends_with_the_command_to_type_next(capsys):
+    assert run(capsys, "inspect", LOG)[1].endswith(f"next: greybox identify {LOG}\n")
