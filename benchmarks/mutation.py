@@ -7,8 +7,10 @@ Needs `coverage`, which comes with the `dev` extra. Faults are a changed sign, o
 missing `abs`, `max`, `min` or `clip`, and a missing error, warning or diagnosis; a seed is always the same sample of
 the same commit. Against each run the tests that execute its line: those of the file that mirrors the module first, then
 the fastest files, up to the first failure. A run that takes far longer than its tests is an endless loop, and caught. A
-fault on a line that no test executes has survived, and so has one that all tests within the budget (seconds of their
-own time) let through.
+fault on a line that no test executes has survived, and so has one that all tests within the budget let through. Times
+of tests and their limits are processor time, so other work on the machine changes how long a sample takes and not what
+it says; only `--minutes` is time of the clock. The measuring run takes about ten minutes of one processor and 1 GB, a
+fault half a minute on average and as much memory for each job.
 
 All happens in copies of the last commit in a temporary directory. Which test executes which line is measured once a
 commit by a run of the whole suite, and kept in the cache; where only tests are newer than what it holds, only they run.
@@ -46,7 +48,10 @@ from coverage import Coverage  # noqa: E402
 
 ROOT = HERE.parent
 MEASURED = ("greybox", "models", "problems")
-PATIENCE = 60, 8  # s, and times the tests' own time, after which a run counts as endless
+# Seconds, and times the tests' own, of processor time after which a run counts as endless. One that waits for what
+# never comes uses none: it counts as endless after so many times as long by the clock.
+PATIENCE = 60, 8
+WAITING = 20
 LOADING = "import coverage\ncoverage.process_startup()\n"
 MEASURING = """[run]
 parallel = true
@@ -244,10 +249,12 @@ def tried(fault: Fault, tests: list, seconds: dict, copy_: Path, budget: float) 
         env = environment(copy_, copy_.parent / f"plugin_{copy_.name}", GREYBOX_MUTATION_ORDER=str(order))
         files = dict.fromkeys(t.partition("::")[0] for t in chosen)
         command = command_of_tests("-n", "0", "-x", "--tb=line", *files)
+        limit = round(PATIENCE[0] + PATIENCE[1] * total)
+        limited = ["sh", "-c", f'ulimit -t {limit}; exec "$@"', "sh", *command]
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-        process = subprocess.Popen(command, cwd=copy_, env=env, start_new_session=True, **pipes)
+        process = subprocess.Popen(limited, cwd=copy_, env=env, start_new_session=True, **pipes)
         try:
-            output, _ = process.communicate(timeout=PATIENCE[0] + PATIENCE[1] * total)
+            output, _ = process.communicate(timeout=WAITING * limit)
         except subprocess.TimeoutExpired:
             output = None
         if process.poll() is None:
@@ -256,7 +263,7 @@ def tried(fault: Fault, tests: list, seconds: dict, copy_: Path, budget: float) 
     finally:
         path.write_bytes(sound)
     took = time.monotonic() - began
-    if output is None:
+    if output is None or process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
         return Outcome(fault, True, "endless", took)
     if process.returncode in (0, 5):  # 5 is that no test was found
         how = f"{said} {len(chosen)} of {len(tests)} tests passed" if process.returncode == 0 else "no test was found"
@@ -273,7 +280,7 @@ def main() -> None:
     parser.add_argument("--files", default="greybox/*", help="pattern of the files that get faults")
     parser.add_argument("--jobs", type=int, default=1, help="runs at a time")
     parser.add_argument("--cache", type=Path, default=Path.home() / ".cache" / "greybox-mutation")
-    parser.add_argument("--budget", type=float, default=300.0, help="seconds of tests against one fault")
+    parser.add_argument("--budget", type=float, default=300.0, help="seconds of processor time of tests against one fault")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="after which no other fault is planted")
     parser.add_argument("--list", action="store_true", help="print the sample and stop")
     options = parser.parse_args()

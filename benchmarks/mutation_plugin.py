@@ -26,6 +26,13 @@ if NOTES:
         with open(f"{NOTES}/{os.getpid()}.jsonl", "a") as file:
             file.write(json.dumps(what) + "\n")
 
+    def _processor_time():
+        """Return the seconds of processor time of this process and of its children that ended.
+
+        Other work on the machine does not lengthen it, so that the tests of a fault are the same there.
+        """
+        return sum(os.times()[:4])
+
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(item, nextitem):
         """Attribute what is executed to this test, which finds every cache empty."""
@@ -35,8 +42,11 @@ if NOTES:
         for cache in _caches[1:]:
             cache.cache_clear()
         coverage.Coverage.current().switch_context(item.nodeid)
-        _note(test=item.nodeid, fixtures=_fixtures(item))
-        return (yield)
+        began = _processor_time()
+        try:
+            return (yield)
+        finally:
+            _note(test=item.nodeid, fixtures=_fixtures(item), seconds=_processor_time() - began)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_fixture_setup(fixturedef, request):
@@ -51,9 +61,9 @@ if NOTES:
             measured.switch_context(os.environ.get("PYTEST_CURRENT_TEST", "").rpartition(" ")[0])
 
     def pytest_runtest_logreport(report):
-        """Keep how long it took and how it ended, as the process tells that ran it."""
+        """Keep how it ended, as the process tells that ran it."""
         if not hasattr(report, "node"):
-            _note(test=report.nodeid, seconds=report.duration, outcome=report.outcome)
+            _note(test=report.nodeid, outcome=report.outcome)
 
 
 if ORDER:
