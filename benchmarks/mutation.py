@@ -280,7 +280,7 @@ def main() -> None:
     parser.add_argument("--files", default="greybox/*", help="pattern of the files that get faults")
     parser.add_argument("--jobs", type=int, default=1, help="runs at a time")
     parser.add_argument("--cache", type=Path, default=Path.home() / ".cache" / "greybox-mutation")
-    parser.add_argument("--budget", type=float, default=300.0, help="seconds of processor time of tests against one fault")
+    parser.add_argument("--budget", type=float, default=300.0, help="s of processor time of tests against a fault")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="after which no other fault is planted")
     parser.add_argument("--list", action="store_true", help="print the sample and stop")
     options = parser.parse_args()

@@ -35,6 +35,9 @@ LONG = 10
 # 6000.
 MEAN_SAMPLES = 500
 
+# Relative step of a central difference with as much truncation as rounding: the cube root of the machine's precision.
+DIFFERENCE = float(np.finfo(float).eps) ** (1 / 3)
+
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
@@ -367,9 +370,39 @@ class Segments:
         return S, J, e.reshape(self.k, length, count).transpose(2, 1, 0)
 
     def output_sensitivities(self, states: Array, q: Array, data: Array) -> Array:
-        """Return the derivatives of the simulated outputs at all samples, (s, length, k, v), measured or not."""
+        """Return the derivatives of the simulated outputs at all samples, (s, length, k, v), measured or not.
+
+        Not finite from where the simulation is not.
+        """
         A, C = self._evaluate(self._output_derivatives, states, q, data)
+        if not math.isfinite(A.sum() + C.sum()):
+            lost = ~(np.isfinite(A).all(axis=0) & np.isfinite(C).all(axis=0)) & np.isfinite(states).all(axis=0)
+            A[:, lost], C[:, lost] = self._differences(states, q, data, np.flatnonzero(lost))
         return self._propagated(A, C, self.count)[1].copy()
+
+    def _differences(self, states: Array, q: Array, data: Array, columns: NDArray[np.integer]) -> tuple[Array, Array]:
+        """Return what `_output_derivatives` gives of some columns, by central differences.
+
+        Of a guarded root, sqrt(max(h, 0)), below zero the chain rule multiplies zero by infinity, though the step is
+        smooth there.
+        """
+        size = np.max(np.abs(states), axis=1, initial=0.0, where=np.isfinite(states))
+        x, d = states[:, columns], data[:, columns]
+        q = q[:, columns % self.count] if self._own else q
+        slopes = []
+        for column in range(self.n + len(self.active)):
+            is_state = column < self.n
+            row = column if is_state else int(self.active[column - self.n])
+            h = DIFFERENCE * (float(size[row] if is_state else np.max(np.abs(q[row]))) or 1.0)
+            moved = []
+            for change in (h, -h):
+                there, values = x.copy(), q.copy()
+                (there if is_state else values)[row] += change
+                after = self._evaluate(self._advance, there, values, d)[0] if self.n else there
+                moved.append([after, self._evaluate(self._output, there, values, d)[1]])
+            slopes.append([(more - less) / (2 * h) for more, less in zip(*moved, strict=True)])
+        A, C = (np.concatenate(parts) for parts in zip(*slopes, strict=True)) if slopes else (x[:0], x[:0])
+        return A, C
 
     def _propagated(self, A: Array, C: Array, count: int) -> tuple[Array, Array]:
         """Carry the derivatives of every sample through the segments: of ends (count, n, v), of rows (c, length, k, v).

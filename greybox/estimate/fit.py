@@ -32,7 +32,7 @@ from greybox.estimate.diagnostics.general import warnings
 from greybox.estimate.diagnostics.harmonics import harmonic_warnings
 from greybox.estimate.diagnostics.intersample import intersample_warnings
 from greybox.estimate.diagnostics.not_finite import explained, not_finite_warnings
-from greybox.estimate.diagnostics.outlying_points import Deviations, outlying_points
+from greybox.estimate.diagnostics.outlying_points import outlying_points
 from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
 from greybox.estimate.diagnostics.unused_noise import unused_noise
 from greybox.estimate.fitted_record import fitted_record, stated
@@ -281,8 +281,6 @@ def assemble(
         fitted_part(part, trajectory, nlp.all_values(best), dict(part.problem.local_values(estimate)))
         for part, trajectory in zip(nlp.parts, trajectories or (None,) * len(nlp.parts), strict=True)
     )
-    # What one start found may be another minimum, which has other deviations.
-    deviations = outlying_points(nlp, best, accuracy, noted=len(search.runs) > 1) if found else Deviations()
     pade_errors = [part.pade_error if isinstance(part, FittedResponse) else None for part in parts]
     return Fit(
         name=problem.name,
@@ -305,9 +303,9 @@ def assemble(
             *(intersample_warnings(nlp, best, accuracy) if found else ()),
             *(harmonic_warnings(nlp, best, accuracy) if found else ()),
             *(warnings(nlp, search, accuracy, pade_errors, trajectories) if found else ()),
-            *deviations.warnings,
+            *(outlying_points(nlp, best, accuracy) if found else ()),
         ),
-        notes=(*deviations.notes, *(unused_noise(problem) if found else ())),
+        notes=tuple(unused_noise(problem)) if found else (),
         seed=seed,
         starts=starts,
         seconds=time.perf_counter() - began,
@@ -402,6 +400,7 @@ def _response(problem: Problem, values: dict[str, float], response: NDArray[np.c
         at={name: float(value) for name, value in problem.at.items()},
         pade_error=error,
         sine=problem.amplitude,
+        nuisances=problem.criterion.nuisances,
     )
 
 

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, share_samples
 from greybox.data.text_table import alternatives, counted, number, one_line, some, text_table, with_error
-from greybox.formulation.frequency_criteria import RelativeLikelihood
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.input_assumptions import Inputs, described_inputs
 from greybox.modeling.model import Model
@@ -132,6 +131,8 @@ class FittedResponse(FittedPart):
         Largest phase error of the Padé approximation over the band, degrees; None with exact delay.
     sine : Sine or None
         The sine of finite amplitude that the model was given; None where it was linearized.
+    nuisances : int
+        Variances of the errors that were estimated along, as the criterion says.
     """
 
     data: FrequencyResponse
@@ -140,11 +141,7 @@ class FittedResponse(FittedPart):
     at: Mapping[str, float]
     pade_error: float | None
     sine: Sine | None = None
-
-    @property
-    def nuisances(self) -> int:
-        """How many variances of the noise were estimated along: one by `RelativeLikelihood`."""
-        return int(self.criterion == RelativeLikelihood().name)
+    nuisances: int = 0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -485,6 +482,7 @@ def _overview(fit: Fit) -> list[str]:
         f"  data       {_data_text(fit)}, delay {fit.delay}{''.join(pade)}",
         *(f"  inputs     {text}" for text in _inputs_texts(fit.records)),
         *(f"  output     {text}" for text in _output_texts(fit.records)),
+        *(f"  response   {text}" for text in _response_texts(fit.responses)),
     ]
 
 
@@ -534,6 +532,22 @@ def _output_texts(records: Sequence[FittedRecord]) -> list[str]:
         texts.append(
             f"{output} in {counted(len(holders), 'record')}: residual {residual} rms, fit {min(percents):.1f} to "
             f"{max(percents):.1f} % (least: {', '.join(named)})"
+        )
+    return texts
+
+
+def _response_texts(responses: Sequence[FittedResponse]) -> list[str]:
+    """Say how far the points of a response are from the model, and which one most; of many responses of the worst."""
+    off = [np.abs(part.data.response - part.response) / np.abs(part.response) for part in responses]
+    known = [(part, values) for part, values in zip(responses, off, strict=True) if np.all(np.isfinite(values))]
+    known.sort(key=lambda pair: -rms(pair[1]) if len(known) > MANY else 0.0)
+    texts = []
+    for part, values in known[:WORST] if len(known) > MANY else known:
+        worst = int(np.argmax(values))
+        where = f" ({part.name})" if part.name and len(responses) > 1 else ""
+        texts.append(
+            f"residual {number(100 * rms(values), 2)} % rms, largest {number(100 * float(values[worst]), 2)} % at "
+            f"{part.data.omega[worst]:.4g} rad/s{where}"
         )
     return texts
 

@@ -14,9 +14,9 @@ Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``
 ``/parts/0 ...`` one group per problem in the sum: attributes ``name, criterion, criterion_class, is_likelihood, rule,
                  condition, delay, weight, label, equation, checksum`` and, as JSON, ``settings`` (of the criterion),
                  ``model, rename, tied, constraints``, and group ``data``.
-                 Of a response: attribute ``pade_error``, as JSON ``at`` and, if any, ``sine``; groups ``data`` and
-                 ``curve`` (``omega, alpha, beta`` and, if known, ``coherence, variance, dof, stretches``), the fitted
-                 ``response_alpha, response_beta`` at the data's frequencies.
+                 Of a response: attributes ``pade_error, nuisances``, as JSON ``at`` and, if any, ``sine``; groups
+                 ``data`` and ``curve`` (``omega, alpha, beta`` and, if known, ``coherence, variance, dof,
+                 stretches``), the fitted ``response_alpha, response_beta`` at the data's frequencies.
                  Of a record: attributes ``method, inputs, nuisances``, as JSON ``outputs, biases, gains``; groups
                  ``data`` and ``simulated`` (``time`` and ``signals/...``, each with its ``unit`` and, if
                  known, ``hold``), ``initial/...`` by state (stretches,) and ``noise`` (k, k).
@@ -162,7 +162,8 @@ def _write_part(group: Node, part: FittedResponse | FittedRecord) -> None:
 
 
 def _write_fitted_response(group: Node, part: FittedResponse) -> None:
-    _attributes(group, pade_error=math.nan if part.pade_error is None else part.pade_error)
+    error = math.nan if part.pade_error is None else part.pade_error
+    _attributes(group, pade_error=error, nuisances=part.nuisances)
     _attributes(group, at=json.dumps(dict(part.at)))
     _attributes(group, sine=None if part.sine is None else json.dumps(part.sine.plain))
     group["response_alpha"] = part.response.real
@@ -351,7 +352,13 @@ def _read_fitted_response(group: Stored, stated: dict[str, Any]) -> FittedRespon
         data=read_group(group["data"]),
         response=group["response_alpha"][()] + 1j * group["response_beta"][()],
         curve=read_group(group["curve"]) if "curve" in group else None,
+        nuisances=int(attributes["nuisances"]) if "nuisances" in attributes else _usual_nuisances(stated["criterion"]),
     )
+
+
+def _usual_nuisances(criterion: str) -> int:
+    """Return what files did not state while only criteria of greybox had variances that are estimated along."""
+    return next((c.nuisances for c in CRITERIA if c.name == criterion), 0)
 
 
 def _read_fitted_record(group: Stored, stated: dict[str, Any]) -> FittedRecord:

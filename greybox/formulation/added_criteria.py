@@ -1,4 +1,4 @@
-"""The criteria of problems that are added: a likelihood adds to likelihoods alone."""
+"""The criteria of problems that are added: likelihoods add, and so do costs of one and the same criterion."""
 
 from collections.abc import Sequence
 
@@ -10,15 +10,24 @@ def with_costs_that_add(parts: Sequence[Part]) -> tuple[Part, ...]:
     """Return the parts with criteria whose costs may be added.
 
     Negative log-likelihoods add, whatever the data. Where one of the criteria is a likelihood, as that of every record
-    is, a response that was given none gets `RelativeLikelihood` in place of `RelativeError`.
+    is, a response that was given none gets `RelativeLikelihood` in place of `RelativeError`. Costs that are no
+    likelihoods have scales of their own, so they add where the criterion and its settings are the same.
 
     Raises
     ------
     ValueError
-        If a criterion that was asked for is a likelihood and another one is not.
+        If a criterion that was asked for is a likelihood and another one is not, or two that are none differ.
     """
     likelihood = next((part for part in parts if part.criterion.is_likelihood), None)
     if likelihood is None:
+        first = parts[0]
+        other = next((part for part in parts if part.criterion != first.criterion), None)
+        if other is not None:
+            raise ValueError(
+                f"{first.name!r} has the criterion {first.criterion!r} and {other.name!r} {other.criterion!r}: costs "
+                "of different criteria add only where both are likelihoods, so give both the same criterion, or "
+                "RelativeLikelihood(), or MaximumLikelihood() where variances are known."
+            )
         return tuple(parts)
 
     result = []

@@ -32,6 +32,8 @@ class AnyCriterion(ABC):
     is_likelihood : bool
         True when the cost is a negative log-likelihood (up to a constant of the data), so that it can be compared with
         that of other such criteria, by AIC and BIC too.
+    nuisances : int
+        How many variances of the errors the cost eliminates, which are estimated along for every response.
     """
 
     rule: ClassVar[str] = ""
@@ -39,6 +41,7 @@ class AnyCriterion(ABC):
     smoothed: ClassVar[bool] = False
     known_noise: ClassVar[bool] = False
     is_likelihood: ClassVar[bool] = False
+    nuisances: ClassVar[int] = 0
 
     @property
     def variant(self) -> str:

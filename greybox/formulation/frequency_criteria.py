@@ -202,6 +202,7 @@ class RelativeLikelihood(Criterion):
 
     rule: ClassVar[str] = "maximum likelihood, one unknown relative variance"
     is_likelihood: ClassVar[bool] = True
+    nuisances: ClassVar[int] = 1
     uses: ClassVar[tuple[str, ...] | None] = ()
 
     @property

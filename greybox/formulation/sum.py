@@ -30,12 +30,13 @@ class Sum(Generic[Part]):
     ``rename={"x_bias": "x_bias"}``.
 
     Likelihoods add. Beside one, as that of every record is, a response whose criterion was left out is fitted by
-    `RelativeLikelihood`, not by `RelativeError`.
+    `RelativeLikelihood`, not by `RelativeError`. Other criteria add where they are the same, with the same settings.
 
     Raises
     ------
     ValueError
-        If a criterion that was asked for is a likelihood and another one is not, or a response was estimated from a
+        If a criterion that was asked for is a likelihood and another one is not, two that are none differ, or a
+        response was estimated from a
         record that is added to it. If parameters of one name have different units, or are fixed, tied or bounded in
         ways that contradict.
     """

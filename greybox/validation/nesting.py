@@ -570,7 +570,7 @@ def _left_null_space(slope: Array, point: Array) -> Array:
 
 def _initial_states(fit: Fit) -> int:
     """Return how many initial states were estimated, and numbers of the noise, of which nested fits have as many."""
-    return sum(part.nuisances for part in fit.records)
+    return sum(part.nuisances for part in fit.parts)
 
 
 def _beyond(quantity: Quantity, value: float) -> bool:

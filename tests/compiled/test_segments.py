@@ -117,3 +117,51 @@ def test_a_guarded_root_below_zero_leaves_the_solver_finite_derivatives():
     assert np.isfinite(ends).all()
     assert_allclose(residuals[..., 1], 0, atol=1e-15)
     assert np.isfinite(residuals).all()
+
+
+@pytest.mark.parametrize("own", [(), (0,)])
+def test_sensitivities_of_outputs_below_a_guarded_root_are_differences(own):
+    """Of sqrt(max(h, 0)) the slope at h < 0 is 0 times infinity; an empty tank still fills by what flows in."""
+
+    class Tank(gb.StateSpace):
+        states, inputs, outputs = ("h",), ("u",), ("h", "jet")
+        k = gb.Parameter(1.0, bounds=(0.1, 10))
+        b = gb.Parameter(1.0, bounds=(0.1, 10))
+
+        def derivative(self, x, u, p):
+            return (p.b - p.k * gb.sqrt(gb.maximum(x.h, 0)),)
+
+        def output(self, x, u, p):
+            return (x.h, p.k * gb.sqrt(gb.maximum(x.h, 0)))
+
+    system = dynamics(Tank())
+    step = sample_step(system, [False], gb.OutputError(), system.outputs, ("k", "b"), gb.RungeKutta(), 1)
+    rows = np.zeros((step.width, 2 * 12))
+    rows[-1] = 0.05
+    low, k, b = -0.33, 1.3, 0.9  # from below zero, and from above; both end above
+    options = {"records": np.array([0, 1]), "own": own} if own else {}
+    segments = Segments(step, 2, 12, np.array([0, 1]), **options)
+    data = segments.columns(rows)
+
+    def run(change):
+        q = np.array([k, b]) + change[1:]
+        q = np.tile(q[:, None], (1, 2)) if own else q
+        states, _ = segments.simulate(np.array([[low], [0.5]]) + change[0], q, data)
+        return segments.by_segment(segments.outputs(states, q, data)), states, q
+
+    _, states, q = run(np.zeros(3))
+    found = segments.output_sensitivities(states, q, data)
+    for column, change in enumerate(1e-6 * np.eye(3)):
+        wanted = (run(change)[0] - run(-change)[0]) / 2e-6
+        assert_allclose(found[..., column], wanted, rtol=1e-5, atol=1e-6)
+
+
+def test_sensitivities_of_outputs_are_not_finite_where_the_simulation_is_not(made):
+    step, initial, q, rows = made
+    segments = Segments(step, COUNT, LENGTH, np.array([0]))
+    data = segments.columns(rows)
+    states, _ = segments.simulate(initial, q, data)
+    states[:, 2 * COUNT + 1] = np.nan
+    found = segments.output_sensitivities(states, q, data)
+    assert np.isfinite(found[[0, 2]]).all()
+    assert not np.isfinite(found[1, 3:]).any()

@@ -97,15 +97,24 @@ def test_clean_data_have_outliers_no_more_often_than_stated(criterion):
     assert shares[1] < 0.09
 
 
-def test_the_point_of_the_pitch_table_is_named_and_the_answer_without_it_shown():
+def test_the_point_of_the_pitch_table_is_named_and_called_no_outlier():
+    """Of ten points one fit to clean data in four has such a deviation: every answer says which point is farthest."""
     fit = gb.fit(pitch_hover.problem(), starts=20)
-    assert not any("outlier" in text for text in fit.warnings)  # of ten points one in four has such a deviation
-    (said,) = [text for text in fit.notes if "deviates most" in text]
-    assert said.startswith("the point at 4 rad/s of 'pitch hover' deviates most, by 13 %")
-    data = pitch_hover.data()
-    without = gb.fit(gb.Problem(pitch_hover.problem().model, data.where(data.omega != 4.0)), starts=20)
-    assert f"a1 = {_number(without, 'a1')}" in said
-    assert f"note: {said}" in str(fit)
+    assert not fit.warnings
+    assert not fit.notes
+    assert "largest 13 % at 4 rad/s" in str(fit)
+
+
+def test_few_fits_to_clean_data_name_an_outlier_or_note_anything():
+    """Of 40 fits at 1 % more than three have one with a probability of 0.001."""
+    said = [
+        text
+        for seed in range(40)
+        for fit in [gb.fit(gb.Problem(Lag(), measured(Lag(), OMEGA, TRUTH, noise=0.05, seed=seed)), starts=[TRUTH] * 2)]
+        for text in (*fit.warnings, *fit.notes)
+        if "clean data" in text
+    ]
+    assert len(said) <= 3
 
 
 def test_a_joint_fit_names_the_outlier_of_its_response():

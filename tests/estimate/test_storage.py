@@ -41,7 +41,12 @@ def problems():
     return {
         "plain": LAG_PROBLEM,
         "renamed sum": gb.Problem(
-            Tilt(), NOISY, free=("T_rotor", "T_delay"), tied={"a2": lambda p: p.a4 / 50}, rename={"T_rotor": "T_m"}
+            Tilt(),
+            NOISY,
+            gb.MagnitudePhase(),
+            free=("T_rotor", "T_delay"),
+            tied={"a2": lambda p: p.a4 / 50},
+            rename={"T_rotor": "T_m"},
         )
         + gb.Problem(Rotor(), SPEED, gb.MagnitudePhase(), rename={"T_rotor": "T_m"}, weight=2.0, delay="pade:2"),
         "ode": gb.Problem(

@@ -47,6 +47,19 @@ def test_a_criterion_that_is_no_likelihood_is_refused_beside_one(criterion):
             first + second
 
 
+@pytest.mark.parametrize(
+    "other", [gb.MagnitudePhase(), gb.SquaredRelativeError(), gb.RelativeError(normalized="model")], ids=repr
+)
+def test_different_criteria_that_are_no_likelihoods_are_refused(other):
+    """Minima of a sum of dB² and of relative errors change with the units of either; equal ones add."""
+    first = gb.Problem(Lag(), RESPONSE, name="first")
+    second = gb.Problem(Lag(), RESPONSE, other, rename={"K": "K2"}, name="second")
+    for a, b in ((first, second), (second, first), (first.with_(criterion=gb.RelativeError()), second)):
+        with pytest.raises(ValueError, match=rf"{a.name!r} has .*{b.name!r} .*give both the same criterion"):
+            a + b
+    assert [part.criterion for part in (first.with_(criterion=other) + second).parts] == [other, other]
+
+
 def test_what_else_is_changed_leaves_the_criterion_open():
     response = gb.Problem(Lag(), RESPONSE).with_(name="renamed", tied={"T": lambda p: 0.06 * p.K})
     flight = gb.Problem(Lag(), record(0.5, 1), rename={"T": "lag"})

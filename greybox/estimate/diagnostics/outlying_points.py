@@ -24,11 +24,8 @@ from greybox.solve.multistart import multistart, solver_for
 
 Array = NDArray[np.float64]
 
-# Of fits to clean data, the share in which a point is called an outlier.
+# Of fits to clean data, the share in which any point is called an outlier.
 SIZE = 0.01
-
-# Probability below which the largest deviation is worth a note, no warning: two of three clean fits have a smaller one.
-NOTED = 1 / 3
 
 # Standard errors by which a parameter must move to be listed: less is in no digit that is printed.
 MOVED = 0.1
@@ -59,44 +56,21 @@ class Deviation:
     relative: float
 
 
-@dataclass(frozen=True)
-class Deviations:
-    """What an answer says of the points that deviate most: of outliers as warnings, of the others as notes."""
-
-    warnings: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-
-
-def outlying_points(nlp: Nlp, x: Array, accuracy: Accuracy, *, noted: bool) -> Deviations:
-    """Name the points of responses that deviate most from the fit `x` (p,), and say what it is without them.
-
-    Outliers are warnings; where there is none and `noted`, a note says which point deviates most.
-    """
+def outlying_points(nlp: Nlp, x: Array, accuracy: Accuracy) -> tuple[str, ...]:
+    """Name the points of responses that are outliers of the fit `x` (p,), and say what it is without them."""
     values = nlp.all_values(x)
     each = [largest_deviation(p, values, len(nlp.free)) if isinstance(p, ResponsePart) else None for p in nlp.parts]
     total = sum(part.numbers // 2 for part in nlp.parts if isinstance(part, ResponsePart))
     found = sorted(
         (min(total * deviation.probability, 1.0), k, deviation) for k, deviation in enumerate(each) if deviation
     )
-    outliers = [item for item in found if item[0] < SIZE]
-    if outliers:
-        return Deviations(warnings=tuple(_warning(nlp, x, accuracy, *item) for item in outliers))
-    if noted and found and found[0][0] < NOTED:
-        return Deviations(notes=(_note(nlp, x, accuracy, *found[0]),))
-    return Deviations()
+    return tuple(_warning(nlp, x, accuracy, *item) for item in found if item[0] < SIZE)
 
 
 def _warning(nlp: Nlp, x: Array, accuracy: Accuracy, probability: float, k: int, found: Deviation) -> str:
     return (
         f"{_point(nlp, k, found)} is an outlier, {100 * found.relative:.2g} % from the model: fewer than "
         f"{_share(probability)} fits to clean data have one as unlikely; {_without_it(nlp, x, accuracy, k, found)}."
-    )
-
-
-def _note(nlp: Nlp, x: Array, accuracy: Accuracy, probability: float, k: int, found: Deviation) -> str:
-    return (
-        f"{_point(nlp, k, found)} deviates most, by {100 * found.relative:.2g} %; up to {_share(probability)} fits to "
-        f"clean data have one as unlikely; {_without_it(nlp, x, accuracy, k, found)}."
     )
 
 
