@@ -23,7 +23,8 @@ arccos arcsin arctan arctan2 cos exp g log maximum minimum sign sin sqrt tan tan
 """.split()
 
 NAMESPACES = {
-    "data": "FrequencyResponse Record Recording Segment Stretch read_response segment_table write_response",
+    "data": "FrequencyResponse Record Recording Segment Stretch TransientSpectrum read_response segment_table "
+    "write_response",
     "experiment": "Controller Excitation ardupilot_script multisine sine_schedule sweep systemid_parameters "
     "virtual_flight write_excitation",
     "formulation": "Criterion MagnitudePhase MaximumLikelihood OutputError PredictionError Problem RelativeError "
@@ -33,10 +34,11 @@ NAMESPACES = {
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response linearize rational",
     "plotting": "bode nyquist plot profiles recording starts time_history traces",
-    "regression": "EquationError equation_error levy order_path",
+    "regression": "EquationError TransientFit equation_error fit_transients levy order_path",
     "simulation": "Prediction predict simulate",
     "solve": "LatinHypercube Listed Sobol Starts Strategies Uniform UntilFoundAgain WorkerPool",
-    "spectral": "FiniteFrequency Quality check demodulate finite_frequency periodic_response spectral_response",
+    "spectral": "FiniteFrequency Quality check demodulate finite_frequency periodic_response spectral_response "
+    "transient_spectrum",
     "study": "Member Study StudyMember batch read_study",
     "validation": "Comparison NestedTest compare nested_test",
 }

@@ -1,7 +1,8 @@
 """What was measured: frozen values in numpy, and the files that hold them.
 
 Begin with `record` (named signals on one time base) and `frequency_response` (one input-output pair over frequency);
-`test_segment` is one test within a record, and the table of several; `units` converts those of logs to SI;
+`transient_spectrum` has the transforms of one manoeuvre; `test_segment` is one test within a record, and the table of
+several; `units` converts those of logs to SI;
 `intersample` is how a signal runs between its samples, `numerical_range` how large a number may be.
 
 Files: `record_file` (HDF5) and `response_file` (CSV, HDF5) write and read them; `delimited_text` finds out how a table
@@ -19,3 +20,4 @@ from greybox.data.response_file import read_response as read_response
 from greybox.data.response_file import write_response as write_response
 from greybox.data.test_segment import Segment as Segment
 from greybox.data.test_segment import segment_table as segment_table
+from greybox.data.transient_spectrum import TransientSpectrum as TransientSpectrum

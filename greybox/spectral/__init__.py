@@ -1,4 +1,4 @@
-"""From a `Record` to a `FrequencyResponse`.
+"""From a `Record` to a `FrequencyResponse`, or to the `TransientSpectrum` of a manoeuvre.
 
 Sines, one after another
     Begin with `single_sine`: the finite-frequency estimate of the paper, (3.15)-(3.16). `demodulation` gives the
@@ -7,6 +7,8 @@ Sweeps, noise and multisines
     Begin with `composite_windows`, whose `spectral_response` is for sweeps and noise: by `local_polynomials` in bands
     of the transform of the whole record, or by windows of several lengths. `welch` is the estimate with windows of one
     length, its variance and coherence; `multisine_lines` uses whole periods; `uniform_stretches` cuts records at gaps.
+Manoeuvres (doublet, 2-1-1, step, manual inputs)
+    `transients` has their Fourier integrals, for `greybox.regression.fit_transients`.
 Before the fit
     `test_quality` tells whether a test is worth one.
 """
@@ -18,3 +20,4 @@ from greybox.spectral.multisine_lines import periodic_response as periodic_respo
 from greybox.spectral.single_sine import finite_frequency as finite_frequency
 from greybox.spectral.test_quality import Quality as Quality
 from greybox.spectral.test_quality import check as check
+from greybox.spectral.transients import transient_spectrum as transient_spectrum

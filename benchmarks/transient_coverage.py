@@ -1,0 +1,161 @@
+"""Coverage of the 95 % intervals from the Fourier integrals of short manoeuvres, with known truth.
+
+Three cases, each simulated by exact integration on a fine grid: one 8 s manoeuvre that ends while its input and its
+states are moving; two manoeuvres of 8 and 6 s; two inputs and two outputs of different noise. Trim values, which the
+fit does not know, are drawn anew each time. The band is 0.5 to 10 rad/s.
+
+    python benchmarks/transient_coverage.py [--runs 400]
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+
+import numpy as np
+from scipy.linalg import expm
+
+import greybox as gb
+
+STEP = 0.02
+FINE = 20  # steps of the simulation in a sample
+BAND = (0.5, 10.0)
+
+
+class ShortPeriod(gb.TransferFunction):
+    """Pitch rate from the elevator: K (T_z s + 1) exp(-s T) / (s² + 2 ζ ω s + ω²)."""
+
+    input, output = "u", "q"
+    K = gb.Parameter(5.0, bounds=(0.0, 200.0), unit="1/s²", about="gain")
+    T_z = gb.Parameter(1.0, bounds=(0.01, 20.0), unit="s", about="lead")
+    w = gb.Parameter(2.0, bounds=(0.3, 20.0), unit="rad/s", about="frequency")
+    z = gb.Parameter(0.5, bounds=(0.01, 3.0), about="damping")
+    T = gb.Parameter(0.02, bounds=(0.0, 0.5), unit="s", about="delay")
+
+    def response(self, s, p):
+        """Return the response at s."""
+        return p.K * (p.T_z * s + 1) / (s**2 + 2 * p.z * p.w * s + p.w**2) * gb.exp(-s * p.T)
+
+
+class Lateral(gb.StateSpace):
+    """Roll and yaw rate from aileron and rudder, coupled."""
+
+    states = ("p", "r")
+    inputs = ("da", "dr")
+    outputs = ("roll", "yaw")
+    Lp = gb.Parameter(-2.0, bounds=(-20, 5), unit="1/s", about="roll damping")
+    Lr = gb.Parameter(0.5, bounds=(-10, 10), unit="1/s", about="roll due to yaw rate")
+    Np = gb.Parameter(0.0, bounds=(-10, 10), unit="1/s", about="yaw due to roll rate")
+    Nr = gb.Parameter(-1.0, bounds=(-20, 5), unit="1/s", about="yaw damping")
+    La = gb.Parameter(5.0, bounds=(-100, 100), unit="1/s²", about="aileron")
+    Nd = gb.Parameter(-2.0, bounds=(-100, 100), unit="1/s²", about="rudder")
+
+    def derivative(self, x, u, p):
+        """Return the accelerations."""
+        return (p.Lp * x.p + p.Lr * x.r + p.La * u.da, p.Np * x.p + p.Nr * x.r + p.Nd * u.dr)
+
+    def output(self, x, u, p):
+        """Return the rates."""
+        return (x.p, x.r)
+
+
+SHORT_PERIOD = {"K": 8.0, "T_z": 0.7, "w": 3.0, "z": 0.45, "T": 0.06}
+LATERAL = {"Lp": -3.0, "Lr": 0.8, "Np": -0.4, "Nr": -0.9, "La": 9.0, "Nd": -3.0}
+
+
+def pulses(*edges: float, size: float = 0.1) -> Callable:
+    """Return an input that changes its sign at the edges, s, as a 2-1-1 does, with a step shortly before 8 s."""
+
+    def at(t):
+        sign = (-1.0) ** np.searchsorted(edges, t + 1e-9, side="right")
+        active = (t + 1e-9 >= edges[0]) & (t + 1e-9 < edges[-1])
+        return -size * sign * active + 0.3 * size * (t > 7.6)
+
+    return at
+
+
+def simulated(a, b, c, inputs, delay, duration, start):
+    """Return times (n,), inputs (m, n) and outputs (k, n) of the linear system for inputs held between samples."""
+    t = np.arange(round(duration / STEP) + 1) * STEP
+    fine = np.arange((len(t) - 1) * FINE + 1) * STEP / FINE
+    order, number = len(a), len(inputs)
+    blocks = np.block([[a, b], [np.zeros((number, order + number))]])
+    one = expm(blocks * STEP / FINE)
+    held = np.array([u(np.floor((fine - delay) / STEP + 1e-6) * STEP) for u in inputs])
+    x, outputs = np.array(start, dtype=float), []
+    for k in range(len(fine)):
+        if k % FINE == 0:
+            outputs.append(c @ x)
+        x = one[:order, :order] @ x + one[:order, order:] @ held[:, k]
+    return t, np.array([u(t) for u in inputs]), np.array(outputs).T
+
+
+def short_period_record(duration, edges, start):
+    """Return a manoeuvre of the short period without noise and trim."""
+    p = SHORT_PERIOD
+    a = np.array([[0.0, 1.0], [-(p["w"] ** 2), -2 * p["z"] * p["w"]]])
+    b, c = np.array([[0.0], [1.0]]), np.array([[p["K"], p["K"] * p["T_z"]]])
+    t, u, y = simulated(a, b, c, [pulses(*edges)], p["T"], duration, start)
+    return gb.Record(t, {"u": u[0], "q": y[0]}, hold={"u": np.inf})
+
+
+def lateral_record():
+    """Return a manoeuvre with a doublet of the ailerons and then one of the rudder."""
+    p = LATERAL
+    a, b = np.array([[p["Lp"], p["Lr"]], [p["Np"], p["Nr"]]]), np.diag([p["La"], p["Nd"]])
+    inputs = [pulses(0.5, 1.1, 1.7), pulses(3.0, 4.0, 5.0)]
+    t, u, y = simulated(a, b, np.eye(2), inputs, 0.0, 8.0, [0.02, -0.05])
+    return gb.Record(t, {"da": u[0], "dr": u[1], "roll": y[0], "yaw": y[1]}, hold={"da": np.inf, "dr": np.inf})
+
+
+def measured(record, noise, random):
+    """Return the record with noise on its outputs and a trim value on every signal."""
+    changed = {name: x + random.normal() for name, x in record.signals.items()}
+    for name, size in noise.items():
+        changed[name] = changed[name] + size * random.standard_normal(len(record))
+    return record.with_signals(**changed)
+
+
+def cases():
+    """Return name -> (model, truth, clean records, noise, inputs, outputs)."""
+    first = short_period_record(8.0, (1.0, 2.0, 2.5, 3.0), [0.005, 0.01])
+    second = short_period_record(6.0, (0.5, 1.2, 1.9), [0.0, 0.0])
+    q = {"q": 0.02}
+    rates = {"roll": 0.02, "yaw": 0.005}
+    return {
+        "one 2-1-1 of 8 s": (ShortPeriod(), SHORT_PERIOD, [first], q, ["u"], ["q"]),
+        "2-1-1 and doublet": (ShortPeriod(), SHORT_PERIOD, [first, second], q, ["u"], ["q"]),
+        "two inputs, two outputs": (Lateral(), LATERAL, [lateral_record()], rates, ["da", "dr"], ["roll", "yaw"]),
+    }
+
+
+def coverage(case, runs, seed):
+    """Return the share of intervals that hold the truth, by parameter, and the rms of the standardized errors."""
+    model, truth, records, noise, inputs, outputs = case
+    random = np.random.default_rng(seed)
+    names = list(truth)
+    inside, standardized = [], []
+    for _ in range(runs):
+        spectra = [gb.spectral.transient_spectrum(measured(r, noise, random), inputs, outputs, BAND) for r in records]
+        fit = gb.regression.fit_transients(model, spectra, starts=1)
+        interval = fit.interval()
+        inside.append([interval[n][0] <= truth[n] <= interval[n][1] for n in names])
+        standardized.append([(fit.estimate[n] - truth[n]) / fit.standard_error[n] for n in names])
+    return dict(zip(names, np.mean(inside, axis=0), strict=True)), np.sqrt(np.nanmean(np.square(standardized), axis=0))
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=400)
+    runs = parser.parse_args().runs
+    for name, case in cases().items():
+        began = time.perf_counter()
+        shares, rms = coverage(case, runs, seed=1)
+        print(f"{name}: {runs} runs, {1e3 * (time.perf_counter() - began) / runs:.0f} ms each")
+        for (parameter, share), size in zip(shares.items(), rms, strict=True):
+            print(f"  {parameter:4s} coverage {100 * share:5.1f} %   rms of standardized errors {size:.2f}")
+        print(f"  all  coverage {100 * np.mean(list(shares.values())):5.1f} %", flush=True)
+
+
+if __name__ == "__main__":
+    main()

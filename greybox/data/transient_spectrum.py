@@ -1,0 +1,105 @@
+"""Fourier integrals of inputs and outputs over one manoeuvre: the transforms themselves, not their ratio."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from greybox.data.frequency_response import Stretch
+from greybox.data.text_table import one_line
+
+# Share of a line of the grid by which a frequency may be off it: rounding.
+OFF_GRID = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class TransientSpectrum:
+    """Fourier integrals of the signals of one manoeuvre, at multiples of 2π over its duration.
+
+    At these frequencies exp(-jωT) = 1, so that constants (trim values, sensor biases) vanish from the integrals, the
+    errors of white noise are independent from line to line, and the integral of a derivative is jωX + x(T) - x(0).
+
+    Parameters
+    ----------
+    omega : (n,) array, rad/s
+        Multiples of 2π / duration, increasing.
+    inputs, outputs : mapping of name to (n,) complex array
+        Integrals from 0 to the duration of x(t) exp(-jωt) dt, in the signal's unit times s.
+    duration : float, s
+        From the first to the last sample.
+    step : float, s
+        Sampling interval.
+    input_change : mapping of name to float
+        Last less first value of each input, from which the integral of a delayed input follows; 0 where left out.
+    units : mapping of name to str
+    name, source : str
+    stretch : Stretch, optional
+        The part of a record that it was computed from.
+
+    Raises
+    ------
+    ValueError
+        For frequencies off the grid, lengths that differ, or numbers that are not finite.
+    """
+
+    omega: NDArray[np.float64]
+    inputs: Mapping[str, NDArray[np.complex128]]
+    outputs: Mapping[str, NDArray[np.complex128]]
+    duration: float
+    step: float
+    input_change: Mapping[str, float] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    name: str = ""
+    source: str = ""
+    stretch: Stretch | None = None
+
+    def __post_init__(self) -> None:
+        """Convert to read-only arrays and check them."""
+        if not (np.isfinite(self.duration) and 0 < self.step < self.duration):
+            raise ValueError(
+                f"duration {self.duration!r} s and step {self.step!r} s must be finite, and the step the shorter one."
+            )
+        omega = _read_only(self.omega, float, "omega")
+        lines = omega * self.duration / (2 * np.pi)
+        off = np.abs(lines - np.round(lines)) > OFF_GRID * np.maximum(lines, 1)
+        if omega.size == 0 or np.any(off) or np.any(np.round(lines) < 1) or np.any(np.diff(omega) <= 0):
+            raise ValueError(
+                f"omega must be increasing multiples of {2 * np.pi / self.duration:.6g} rad/s, 2π over the duration: "
+                "use gb.spectral.transient_spectrum(record, ...)."
+            )
+        object.__setattr__(self, "omega", omega)
+        for kind in ("inputs", "outputs"):
+            given = getattr(self, kind)
+            if not given:
+                raise ValueError(f"the spectrum has no {kind}: give at least one signal.")
+            object.__setattr__(self, kind, {name: _read_only(x, complex, name) for name, x in given.items()})
+        for name, values in {**self.inputs, **self.outputs}.items():
+            if values.shape != omega.shape:
+                raise ValueError(f"omega has {omega.size} frequencies but {name} has {values.size}: they must match.")
+
+    def __len__(self) -> int:
+        return self.omega.size
+
+    def __repr__(self) -> str:
+        band = f"{self.omega[0]:.4g} to {self.omega[-1]:.4g} rad/s"
+        signals = f"{', '.join(self.inputs)} to {', '.join(self.outputs)}"
+        return one_line(self, repr(self.name), f"{len(self)} frequencies", band, f"{self.duration:.4g} s", signals)
+
+    def delayed_input(self, name: str, delay: float) -> NDArray[np.complex128]:
+        """Return the integral of an input that acts `delay` seconds later, (n,).
+
+        It is taken to have had its first value before the manoeuvre, and its last one during the last `delay` seconds:
+
+            ∫ u(t - τ) exp(-jωt) dt = exp(-jωτ) U - (u(T) - u(0)) (1 - exp(-jωτ)) / jω.
+        """
+        shift = np.exp(-1j * self.omega * delay)
+        return shift * self.inputs[name] - self.input_change.get(name, 0.0) * (1 - shift) / (1j * self.omega)
+
+
+def _read_only(values: ArrayLike, kind: type, name: str) -> NDArray:
+    array = np.array(values, dtype=kind)
+    if array.ndim != 1 or not np.all(np.isfinite(array)):
+        raise ValueError(f"{name} must be a one-dimensional array of finite numbers, but is {array!r:.60}.")
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,91 @@
+"""Fourier integrals of manoeuvres against analytic ones."""
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.spectral import transient_spectrum
+
+T, STEP = 8.0, 0.02
+
+
+def record(u, y, step=STEP, hold=None):
+    t = np.arange(round(T / step) + 1) * step
+    return gb.Record(t, {"u": u(t), "y": y(t)}, hold=hold or {})
+
+
+def test_integrals_are_the_analytic_ones():
+    """An exponential and a ramp, which end elsewhere than they began; constants are nothing."""
+    spectrum = transient_spectrum(record(lambda t: 3 + np.exp(-t), lambda t: 0.2 * t - 7), "u", "y", (0.5, 40))
+    s = 1j * spectrum.omega
+    np.testing.assert_allclose(spectrum.omega, 2 * np.pi / T * np.arange(1, 51))
+    np.testing.assert_allclose(spectrum.outputs["y"], -0.2 * T / s, rtol=1e-9)
+    # The trapezoidal rule is off by step²/12 times the change of the slope.
+    off = np.abs(spectrum.inputs["u"] - (1 - np.exp(-T)) / (s + 1))
+    assert np.all(off < 1.1 * STEP**2 / 12 * np.exp(0))
+    assert spectrum.input_change["u"] == pytest.approx(np.exp(-T) - 1)
+
+
+def test_held_signals_are_integrated_as_held():
+    """A pulse of ten samples, exactly."""
+
+    def pulse(t):
+        return 1.0 * ((t > 0.99) & (t < 1.19))
+
+    spectrum = transient_spectrum(record(pulse, pulse, hold={"u": np.inf}), "u", "y", (0.5, 100))
+    s = 1j * spectrum.omega
+    exact = (np.exp(-s * 1.0) - np.exp(-s * 1.2)) / s
+    np.testing.assert_allclose(spectrum.inputs["u"], exact, atol=1e-12)
+    # A signal that acts later, after the value it had before.
+    late = (np.exp(-s * 1.3) - np.exp(-s * 1.5)) / s
+    np.testing.assert_allclose(spectrum.delayed_input("u", 0.3), late, atol=1e-12)
+
+
+def test_an_input_that_ends_elsewhere_is_delayed_exactly():
+    """A step, whose late part is not in the manoeuvre any more."""
+    spectrum = transient_spectrum(record(lambda t: 2.0 * (t > 0.99), np.sin, hold={"u": np.inf}), "u", "y", (0.5, 100))
+    s = 1j * spectrum.omega
+    exact = 2 * (np.exp(-s * 1.5) - 1) / s  # exp(-sT) = 1
+    np.testing.assert_allclose(spectrum.delayed_input("u", 0.5), exact, atol=1e-12)
+
+
+def test_errors_of_white_noise_are_independent_and_of_known_size():
+    """The variance σ² · step · duration at every line, and no correlation between lines."""
+    random = np.random.default_rng(0)
+    rows = []
+    for _ in range(400):
+        values = random.standard_normal(round(T / STEP) + 1)
+        rows.append(transient_spectrum(record(np.sin, lambda t, v=values: v), "u", "y", (0.5, 10)).outputs["y"])
+    rows = np.array(rows)
+    covariance = rows.conj().T @ rows / len(rows) / (STEP * T)
+    np.testing.assert_allclose(np.diag(covariance).real, 1, atol=5 / np.sqrt(400))
+    assert np.abs(covariance - np.diag(np.diag(covariance))).max() < 5 / np.sqrt(400)
+    assert np.abs(rows.T @ rows / len(rows) / (STEP * T)).max() < 5 / np.sqrt(400)  # real and imaginary part alike
+
+
+@pytest.mark.parametrize(
+    ("band", "words"),
+    [
+        ((0.1, 0.5), r"holds no multiple of 0\.7854 rad/s"),
+        ((1, 200), r"end it at 125\.7 rad/s at most"),
+        ((5, 1), "the lower one first"),
+    ],
+)
+def test_bands_that_a_manoeuvre_cannot_serve(band, words):
+    """In one sentence."""
+    with pytest.raises(ValueError, match=words):
+        transient_spectrum(record(np.sin, np.cos), "u", "y", band)
+
+
+def test_a_record_with_a_gap_is_refused():
+    """Integrals run over gaps to nowhere."""
+    whole = record(np.sin, np.cos)
+    rows = np.flatnonzero((whole.time < 3) | (whole.time > 4))
+    with pytest.raises(ValueError, match="2 stretches between gaps"):
+        transient_spectrum(whole.rows(rows), "u", "y", (0.5, 10))
+
+
+def test_a_spectrum_off_the_grid_is_refused():
+    """Its errors would be correlated."""
+    with pytest.raises(ValueError, match=r"increasing multiples of 0\.785398"):
+        gb.data.TransientSpectrum(np.array([1.0]), {"u": np.ones(1)}, {"y": np.ones(1)}, 8.0, 0.02)
