@@ -12,7 +12,7 @@ for given parameters it follows by least squares, and what remains of the errors
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -366,35 +366,40 @@ class _Search:
 
     def minimum(self, start: Array) -> _Minimum | None:
         """Return where a start ends; None where the model cannot be evaluated."""
-        from scipy.optimize import least_squares  # noqa: PLC0415  (takes a tenth of a second to import)
-
         scale = self._noise(start, np.ones(len(self.errors.outputs)))
-        free = start
-        for _ in range(REWEIGHTINGS):
-            try:
-                result = least_squares(
-                    lambda x, scale=scale: self.errors.projected(self.all_values(x), scale)[0],
-                    free,
-                    jac="2-point",
-                    bounds=tuple(self.bounds),
-                    x_scale="jac",
-                    xtol=1e-9,
-                    ftol=1e-12,
-                    gtol=1e-9,
-                )
-            except (ValueError, np.linalg.LinAlgError):  # not finite at the start or beside it
-                return None
-            free, before = result.x, scale
-            scale = self._noise(free, before)
-            change = float(np.max(np.abs(np.log(scale / before))[self.present]))
-            if self.present.sum() == 1 or change < SETTLED:
-                break
+        new, settled = scale, False
+        try:
+            result = self._least_squares(start, scale)
+            for _ in range(REWEIGHTINGS):
+                new = self._noise(result.x, scale)
+                # One output has the same minimum whatever its scale.
+                change = np.abs(np.log(new / scale))[self.present]
+                settled = change.size == 1 or bool(np.max(change) < SETTLED)
+                if settled:
+                    break
+                scale = new
+                result = self._least_squares(result.x, scale)
+        except (ValueError, np.linalg.LinAlgError):  # not finite at the start or beside it
+            return None
         if not np.all(np.isfinite(result.fun)):
             return None
-        jacobian = result.jac * (before / scale)[self.errors.owner][:, None]
-        likelihood = float((self.rows * np.log(scale))[self.present].sum())
-        settled = self.present.sum() == 1 or change < SETTLED
-        return _Minimum(likelihood, free, scale, jacobian, bool(result.status > 0 and settled))
+        jacobian = result.jac * (scale / new)[self.errors.owner][:, None]
+        likelihood = float((self.rows * np.log(new))[self.present].sum())
+        return _Minimum(likelihood, result.x, new, jacobian, bool(result.status > 0 and settled))
+
+    def _least_squares(self, start: Array, scale: Array) -> Any:
+        from scipy.optimize import least_squares  # noqa: PLC0415  (takes a tenth of a second to import)
+
+        return least_squares(
+            lambda x: self.errors.projected(self.all_values(x), scale)[0],
+            start,
+            jac="2-point",
+            bounds=tuple(self.bounds),
+            x_scale="jac",
+            xtol=1e-9,
+            ftol=1e-12,
+            gtol=1e-9,
+        )
 
     def _noise(self, free: Array, scale: Array) -> Array:
         """Return the noise size of every output, the unknowns shared out in proportion to the numbers."""
