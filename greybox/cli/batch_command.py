@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.options import UsageError, add_common_options, positive
+from greybox.cli.options import UsageError, add_common_options, add_time_options, positive
 from greybox.cli.output import FAILED, USABLE, Answer
 from greybox.cli.startup import INTERRUPTED
 from greybox.cli.study_file import INCLUDED, find_study, read_study_file
@@ -25,6 +25,7 @@ def add_command(commands: Any) -> None:
     add("--out", type=Path, metavar="DIR", help="keep every run and the answers in this folder")
     add("--resume", type=Path, metavar="DIR", help="go on with the study in this folder, whatever ended it")
     add("--starts", type=positive, help="number of starts of every member (default: the study's, or as of greybox fit)")
+    add_time_options(parser, "study")
     add_worker_options(parser)
     add_common_options(parser)
     parser.set_defaults(command=run)
@@ -40,7 +41,9 @@ def run(options: argparse.Namespace) -> Answer:
     resume = f"`greybox batch --resume {folder}` goes on"
     try:
         with stated_executor(options) as executor:
-            study = batch(members, folder, executor=executor)
+            study = batch(
+                members, folder, executor=executor, seconds=options.seconds, start_seconds=options.start_seconds
+            )
     except BatchInterrupted as stopped:
         answer = {**as_json(stopped.study), "error": f"interrupted; {resume}."}
         return answer, str(stopped.study), INTERRUPTED
@@ -51,7 +54,9 @@ def run(options: argparse.Namespace) -> Answer:
     answer = as_json(study)
     bad = [member.name for member in study.members if member.status != "done"]
     if bad:
-        answer["error"] = f"{len(bad)} of {len(study.members)} members have no answer: {', '.join(bad)}."
+        time_is_up = any(member.status == "unfinished" for member in study.members)
+        answer["error"] = f"{len(bad)} of {len(study.members)} members have no answer: {', '.join(bad)}"
+        answer["error"] += f"; the time limit ended the study, {resume}." if time_is_up else "."
     return answer, str(study), FAILED if bad else USABLE
 
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.options import UsageError, add_common_options, nonnegative, positive, probability
+from greybox.cli.options import UsageError, add_common_options, add_time_options, nonnegative, positive, probability
 from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
 from greybox.cli.startup import INTERRUPTED
 from greybox.cli.stated_problem import add_problem_options, stated_problem
@@ -44,6 +44,7 @@ def add_command(commands: Any) -> None:
         "global-search: the scatter search of MATLAB's GlobalSearch",
     )
     parser.add_argument("--out", type=Path, metavar="FILE", help="save the result to this HDF5 file")
+    add_time_options(parser, "fit")
     add_worker_options(parser)
     add_common_options(parser, "responses, time histories and starts")
     parser.set_defaults(command=run)
@@ -56,7 +57,7 @@ def run(options: argparse.Namespace) -> Answer:
         raise UsageError(f"--out {options.out} is not a known kind of file: a fit is saved as HDF5, end it in .h5.")
     require_figure(options.plot, options.force)
     problem, settings = stated_problem(options)
-    for name in ("starts", "seed"):
+    for name in ("starts", "seed", "seconds", "start_seconds"):
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)
     settings["search"] = options.search

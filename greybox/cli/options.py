@@ -1,6 +1,7 @@
 """What the options of all commands share: mistakes in them, numbers, assignments, and the common ones."""
 
 import argparse
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -41,6 +42,24 @@ def probability(text: str) -> float:
     if not 0 < value < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a probability between 0 and 1")
     return value
+
+
+def seconds(text: str) -> float:
+    """Return a time above zero, s."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds above 0")
+    return value
+
+
+def add_time_options(parser: argparse.ArgumentParser, whole: str) -> None:
+    """Add the time limits of the `whole` and of a start."""
+    add = parser.add_argument
+    add("--seconds", type=seconds, metavar="S", help=f"time of the {whole}, after which no run goes on")
+    add("--start-seconds", type=seconds, metavar="S", help="time of the runs from one start")
 
 
 def assignments(words: Sequence[str], flag: str) -> dict[str, float]:

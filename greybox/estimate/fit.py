@@ -4,7 +4,7 @@ import contextlib
 import math
 import platform
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import partial, singledispatch
@@ -55,6 +55,8 @@ from greybox.solve.kept_runs import KeptRuns
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
 from greybox.solve.multistart import BATCHED, GLOBAL_SEARCH, SEARCHES, multistart, solver_for
+from greybox.solve.outcome import RUN_OVER, SEARCH_OVER
+from greybox.solve.time_limits import TimeLimits, current_limits, is_search_over, limited
 from greybox.solve.waves import AllAtOnce, FoundAgain, PromisingFirst, Waves
 
 Array = NDArray[np.float64]
@@ -83,7 +85,7 @@ class Interrupted(KeyboardInterrupt):
         return f"interrupted after {counted(len(self.fit.runs), 'start')}; the best fit so far is in the attribute fit"
 
 
-def fit(
+def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     problem: AnyProblem,
     starts: int | Starts | Sequence[Mapping[str, float] | Starts] | None = None,
     seed: int | None = None,
@@ -92,6 +94,8 @@ def fit(
     search: str = BATCHED,
     solver_options: Mapping[str, Any] = MappingProxyType({}),
     executor: Executor | None = None,
+    seconds: float | None = None,
+    start_seconds: float | None = None,
     progress: bool | Callable[[int, int], None] = True,
 ) -> Fit:
     """Fit a problem from many starts: by IPOPT, or, where data are records, by Gauss-Newton steps.
@@ -124,6 +128,11 @@ def fit(
     executor : concurrent.futures.Executor, optional
         What makes the runs: `greybox.solve.WorkerPool(2)`, a `ProcessPoolExecutor`, Dask's ``client.get_executor()``;
         this process by default. The answer is the same. The first run, the refinement and the judgment are made here.
+    seconds : float, optional
+        After which no run goes on, from the call on; what was reached is judged. The answer then depends on the speed
+        of the machine, and says so.
+    start_seconds : float, optional
+        The same for the runs from each start.
     progress : bool or function
         A bar on a terminal for anything longer than two seconds; or a function of finished and all runs.
 
@@ -143,7 +152,8 @@ def fit(
         After Ctrl-C, when the iteration at hand has ended; its attribute ``fit`` is the best fit so far.
     """
     by = SolverChoice(method, search, solver_options)
-    return fit_keeping(None, problem, starts, seed, by=by, executor=executor, progress=progress)
+    with limited(TimeLimits.from_now(seconds, start_seconds)):
+        return fit_keeping(None, problem, starts, seed, by=by, executor=executor, progress=progress)
 
 
 @dataclass(frozen=True)
@@ -252,11 +262,24 @@ def _fitted_from(
         return None
     with responding(Response.FINISH):
         answer = assemble(nlp, search, solver, seed=rule.seed, starts=str(rule), began=began, error=error)
-        done = len(search.brought)
-        if interrupted and done < len(points):
-            said = f"interrupted after {done} of {counted(len(points), 'start')}: another one may end at a lower cost."
-            answer = replace(answer, warnings=(said, *answer.warnings))
-        return answer
+        said = tuple(_cut_short(search, len(points), interrupted=interrupted))
+        return replace(answer, warnings=(*said, *answer.warnings)) if said else answer
+
+
+def _cut_short(search: Multistart, count: int, *, interrupted: bool) -> Iterator[str]:
+    """Say what Ctrl-C and time limits have left out of a search from so many starts."""
+    done, total = len(search.brought), counted(count, "start")
+    is_over = any(run.status == SEARCH_OVER for run in search.runs)
+    if (interrupted and done < count) or is_over:
+        cause = "the time limit ended the search" if is_search_over() else "interrupted"
+        machine = ", and a faster machine may answer otherwise" if is_search_over() else ""
+        yield f"{cause} after {done} of {total}: another one may end at a lower cost{machine}."
+    cut = sum(run.status == RUN_OVER for run in search.runs)
+    if cut:
+        yield (
+            f"{cut} of {total} {'was' if cut == 1 else 'were'} cut at {current_limits().start:g} s, the time limit of "
+            "a start: on a faster machine it may end at a lower cost."
+        )
 
 
 def assemble(

@@ -8,7 +8,7 @@ the scatter search of MATLAB's GlobalSearch; an `outcome` is what one run leaves
 has the runs made by other processes, `worker_pool` has such on this machine, `kept_runs` says what keeps them.
 `local_search` tries more than the starts, `discretization_error` refines the integration, `cost` evaluates a problem at
 given parameters. `constraints` and `quadratic_program` serve the Gauss-Newton steps. `interruption` says what becomes
-of Ctrl-C.
+of Ctrl-C, `time_limits` how long a search may take.
 """
 
 from greybox.compiled.strategies import Strategies as Strategies

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.vectorized import Columns
-from greybox.solve.interruption import stop_requested
+from greybox.solve.interruption import reason_to_end
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -125,7 +125,7 @@ class BatchedNewton:
         points = self._begun(ends.z if from_near else self._inside(ends.z), LAST if from_near else 0)
         for _ in range(max_iterations):
             self._end_finished(points, ends, tolerance)
-            if stop_requested() or not points.live.any():
+            if reason_to_end() or not points.live.any():
                 break
             points = _narrowed(points)
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # of points that are rejected then

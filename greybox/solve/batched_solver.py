@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.response_part import SMOOTHING
 from greybox.solve.batched_newton import BatchedNewton
-from greybox.solve.interruption import stop_requested
+from greybox.solve.interruption import reason_to_end, stop_requested
 from greybox.solve.ipopt import IpoptSolver
 from greybox.solve.minima import Minimum, same_cost
-from greybox.solve.outcome import IMPROVED, INTERRUPTED, Outcome
+from greybox.solve.outcome import IMPROVED, Outcome
+from greybox.solve.time_limits import one_run
 
 Array = NDArray[np.float64]
 
@@ -116,9 +117,9 @@ class BatchedSolver(IpoptSolver):
 
     def _gone_on(self, x: Array, iterations: int, seconds: float) -> Outcome:
         """Return where IPOPT comes from the end of a run that did not arrive."""
-        if stop_requested():
-            return Outcome(x, INTERRUPTED, iterations, seconds, converged=False)
-        return self._spent(self.run(x), Outcome(x, "", iterations, seconds, converged=False))
+        if cut := reason_to_end():
+            return Outcome(x, cut, iterations, seconds, converged=False)
+        return self._spent(self._timed_run(x), Outcome(x, "", iterations, seconds, converged=False))
 
     def certified(self, starts: Sequence[Array], outcomes: list[Outcome], minima: Sequence[Minimum]) -> list[Outcome]:
         """Return the outcomes (judged) with one of IPOPT's for every minimum.
@@ -134,7 +135,7 @@ class BatchedSolver(IpoptSolver):
                 continue
             for k in minimum.runs:
                 if certified[k].stage == IMPROVED and not stop_requested():
-                    certified[k] = self.judged([self._spent(self.run(starts[k]), certified[k])])[0]
+                    certified[k] = self.judged([self._spent(self._timed_run(starts[k]), certified[k])])[0]
         return certified if certified != outcomes else outcomes
 
     def _confirm(self, outcomes: list[Outcome], k: int) -> bool:
@@ -142,13 +143,17 @@ class BatchedSolver(IpoptSolver):
         before = outcomes[k]
         if stop_requested():
             return True
-        after = self.judged([self.run(before.estimate)])[0]
+        after = self.judged([self._timed_run(before.estimate)])[0]
         higher = after.cost - before.cost
         tolerated = same_cost(self._nlp, before.cost)
         if not after.converged or not higher <= tolerated:
             return False
         outcomes[k] = self._spent(after, before)
         return higher >= -tolerated
+
+    def _timed_run(self, x: Array) -> Outcome:
+        with one_run():
+            return self.run(x)
 
     @staticmethod
     def _spent(after: Outcome, before: Outcome) -> Outcome:

@@ -26,10 +26,11 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.solve.interruption import stop_requested
+from greybox.solve.interruption import interrupt_noted, stop_requested
 from greybox.solve.kept_runs import Memory
 from greybox.solve.local_solver import LocalSolver
-from greybox.solve.outcome import INTERRUPTED, WORKER_LOST, Outcome
+from greybox.solve.outcome import INTERRUPTED, SEARCH_OVER, WORKER_LOST, Outcome
+from greybox.solve.time_limits import TimeLimits, current_limits, limited, one_run
 from greybox.solve.worker_pool import NoWorkerError, WorkerLostError
 
 Array = NDArray[np.float64]
@@ -76,12 +77,12 @@ def run_all(
     batches = _batches(numbered, solver.together)
     made = 0
     for batch in batches:
-        if stop_requested():
+        if interrupt_noted() or (made and stop_requested()):
             return
         made += len(batch)
         known = _recalled(memory, batch)
-        outcomes = known or solver.run_together(np.array([start for _, start in batch]))
-        finished = [outcome.status != INTERRUPTED for outcome in outcomes]
+        outcomes = known or _timed(solver, np.array([start for _, start in batch]))
+        finished = [outcome.status not in (INTERRUPTED, SEARCH_OVER) for outcome in outcomes]
         for (number, start), outcome, is_finished in zip(batch, outcomes, finished, strict=True):
             memory.keep(number, start, outcome)
             if is_finished or not any(finished):
@@ -108,6 +109,12 @@ def _recalled(memory: Memory, batch: Batch) -> list[Outcome] | None:
     """
     known = [memory.recall(number, start) for number, start in batch]
     return None if any(outcome is None for outcome in known) else [o for o in known if o is not None]
+
+
+def _timed(solver: LocalSolver, starts: Array) -> list[Outcome]:
+    """Run a batch in the time that all of its starts have."""
+    with one_run(starts=len(starts)):
+        return solver.run_together(starts)
 
 
 def packed(solver: LocalSolver) -> tuple[str, bytes]:
@@ -254,7 +261,8 @@ class _Tasks:
             self._memory.keep(number, start, outcome)
 
     def _submitted(self, numbers: list[int], starts: list[Array]) -> _Task:
-        return _Task(numbers, starts, self._executor.submit(run_starts, *self._packed, np.array(starts), os.getpid()))
+        where = (np.array(starts), os.getpid(), current_limits())
+        return _Task(numbers, starts, self._executor.submit(run_starts, *self._packed, *where))
 
 
 def _is_without_error(future: Future[list[Outcome]]) -> bool:
@@ -293,13 +301,13 @@ class _Built(threading.local):
 _built = _Built()
 
 
-def run_starts(key: str, payload: bytes, starts: Array, coordinator: int) -> list[Outcome]:
+def run_starts(key: str, payload: bytes, starts: Array, coordinator: int, limits: TimeLimits) -> list[Outcome]:
     """Run the solver in `payload`, which `key` names, from every row of `starts` (r, p).
 
-    `coordinator` is the number of the process that decides about Ctrl-C.
+    `coordinator` is the number of the process that decides about Ctrl-C, `limits` are the time limits of its search.
     """
     solvers = _built.solvers
-    with _deaf_to_interrupts(os.getpid() != coordinator):
+    with _deaf_to_interrupts(os.getpid() != coordinator), limited(limits):
         if key not in solvers:
             while len(solvers) >= SOLVERS_KEPT:
                 solvers.popitem(last=False)
@@ -307,7 +315,7 @@ def run_starts(key: str, payload: bytes, starts: Array, coordinator: int) -> lis
         solvers.move_to_end(key)
         solver = solvers[key]
         batches = (starts[at : at + solver.together] for at in range(0, len(starts), solver.together))
-        return [outcome for batch in batches for outcome in solver.run_together(batch)]
+        return [outcome for batch in batches for outcome in _timed(solver, batch)]
 
 
 @contextmanager

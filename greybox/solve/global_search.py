@@ -23,6 +23,7 @@ from greybox.solve.ipopt import IpoptSolver
 from greybox.solve.kept_runs import KeptRuns, Memory
 from greybox.solve.minima import Multistart, find_minima
 from greybox.solve.outcome import SCREENED, Outcome, Run
+from greybox.solve.time_limits import one_run
 
 Array = NDArray[np.float64]
 
@@ -61,7 +62,8 @@ def global_search(
     def solved(number: int, start: Array) -> Outcome:
         outcome = memory.recall(number, start)
         if outcome is None:
-            outcome = solver.run(start)
+            with one_run():
+                outcome = solver.run(start)
             memory.keep(number, start, outcome)
         [judged] = solver.judged([outcome])
         if judged.converged:

@@ -1,4 +1,4 @@
-"""Ctrl-C: noted at once, obeyed where work can end in order.
+"""What ends a search early: Ctrl-C, noted at once and obeyed where work can end in order, or the time that it may take.
 
 An exception that a signal handler raises is swallowed by CasADi while IPOPT evaluates a function: that run counts as
 failed and the search goes on; in a root finder it becomes a RuntimeError. Solvers therefore ask `stop_requested` at
@@ -15,6 +15,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import Enum, auto
 from types import FrameType
+
+from greybox.solve.outcome import INTERRUPTED, RUN_OVER, SEARCH_OVER
+from greybox.solve.time_limits import is_run_over, is_search_over
 
 
 class Response(Enum):
@@ -41,8 +44,22 @@ _state = _State()
 
 
 def stop_requested() -> bool:
-    """Tell whether the search at hand shall end, since Ctrl-C was pressed."""
+    """Tell whether the search at hand shall end, since Ctrl-C was pressed or its time is up."""
+    return interrupt_noted() or (_state.response is not Response.FINISH and is_search_over())
+
+
+def interrupt_noted() -> bool:
+    """Tell whether the search at hand shall end since Ctrl-C was pressed."""
     return _state.noted and _state.response is Response.STOP
+
+
+def reason_to_end() -> str:
+    """Return the status with which the run at hand shall end; empty where it may go on."""
+    if interrupt_noted():
+        return INTERRUPTED
+    if _state.response is Response.FINISH:
+        return ""
+    return SEARCH_OVER if is_search_over() else RUN_OVER if is_run_over() else ""
 
 
 def take_interrupt() -> bool:

@@ -1,5 +1,6 @@
 """IPOPT on a problem without hidden unknowns, such as frequency responses: a dense program in the parameters."""
 
+import math
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -13,10 +14,10 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.response_part import SMOOTHING
-from greybox.solve.interruption import Response, responding, stop_requested
+from greybox.solve.interruption import Response, reason_to_end, responding, stop_requested
 from greybox.solve.local_solver import LocalSolver, Profile
 from greybox.solve.minima import Minimum, Multistart
-from greybox.solve.outcome import INTERRUPTED, Outcome
+from greybox.solve.outcome import STAGNATED, Outcome
 
 Array = NDArray[np.float64]
 
@@ -26,6 +27,7 @@ CONVERGED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 # minimized.
 ROUNDED = "Search_Direction_Becomes_Too_Small"
 INVALID = "Invalid_Number_Detected"
+COST = 1  # where a solver's results have the cost
 STOPPED = "User_Requested_Stop"
 
 # Smoothings of the last runs, each begun at the end of the one before: at the kink of a zero residual IPOPT stalls when
@@ -36,6 +38,12 @@ POLISH = (1e-10, 1e-11, 1e-12, 1e-13)
 # order of close ones.
 CLOSE = 1e-2
 
+# A run without equations whose cost falls by less than this share in so many iterations does
+# not get anywhere: costs are told apart to 1e-4, and the longest plateau of the runs that converge on the included
+# problems takes a third of these iterations.
+STAGNANT = 1e-6
+PATIENCE = 100
+
 # The fits of the paper take some 30 iterations; what takes 500 does not converge.
 QUIET = {"print_level": 0, "sb": "yes", "max_iter": 500}
 
@@ -44,13 +52,29 @@ _one_thread = threading.Lock()
 
 
 class StopCheck(ca.Callback):
-    """Ends IPOPT on a problem at the next iteration after Ctrl-C."""
+    """Ends IPOPT on a problem at the next iteration after Ctrl-C, when time is up, or when the run gets nowhere.
+
+    Attributes
+    ----------
+    reason : str
+        Why it ended the run: a status.
+    best : (p,) array or None
+        Where the cost was lowest: a run that is cut short may be anywhere. None with equations.
+    """
 
     def __init__(self, expressions: Mapping[str, Any]) -> None:
         ca.Callback.__init__(self)
         self._sizes = {name: value.numel() for name, value in expressions.items()}
         self._sizes |= {f"lam_{name}": size for name, size in self._sizes.items()}
+        self.reason = ""
+        self.begin()
         self.construct("stop_check", {})
+
+    def begin(self) -> None:
+        """Begin a run."""
+        self.reason, self._waited = "", 0
+        self._lowest = self._level = math.inf
+        self.best: Array | None = None
 
     def get_n_in(self) -> int:
         """Return the number of results of a solver, of which this is told at every iteration."""
@@ -67,8 +91,21 @@ class StopCheck(ca.Callback):
     def eval_buffer(self, arg: Any, res: Any) -> int:
         """Answer whether to stop, 1 or 0."""
         if res[0] is not None:
-            np.frombuffer(res[0])[0] = float(stop_requested())
+            stagnant = self._is_stagnant(np.frombuffer(arg[0]), float(np.frombuffer(arg[COST])[0]))
+            self.reason = reason_to_end() or (STAGNATED if stagnant else "")
+            np.frombuffer(res[0])[0] = float(bool(self.reason))
         return 0
+
+    def _is_stagnant(self, x: Array, cost: float) -> bool:
+        """Tell whether the cost has not fallen for long."""
+        if self._sizes["g"]:  # the cost grows while equations are being met
+            return False
+        if cost < self._lowest:
+            self._lowest, self.best = cost, x.copy()
+        if not math.isfinite(self._level) or cost < self._level - STAGNANT * abs(self._level):
+            self._level, self._waited = cost, 0
+        self._waited += 1
+        return self._waited > PATIENCE
 
 
 class IpoptSolver(LocalSolver):
@@ -109,13 +146,14 @@ class IpoptSolver(LocalSolver):
         began = time.perf_counter()
         z: Any = self._nlp.scaling.to_solver(start)
         iterations, status, located = 0, "", False
-        for stage in self._stages:
+        for stage, check in zip(self._stages, self._checks, strict=True):
             located = status in CONVERGED
+            check.begin()
             z = stage(x0=z, p=smoothing, **self._bounds)["x"]
             stats = stage.stats()
             iterations, status = iterations + int(stats["iter_count"]), stats["return_status"]
             if status == STOPPED:
-                status = INTERRUPTED
+                status, z = check.reason, z if check.best is None else check.best
                 break
         estimate = self._nlp.scaling.to_parameters(np.asarray(z).ravel())
         estimate = np.clip(estimate, self._nlp.lower, self._nlp.upper)

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.solve.outcome import INTERRUPTED, Outcome
+from greybox.solve.outcome import INTERRUPTED, RUN_OVER, SEARCH_OVER, Outcome
+from greybox.solve.time_limits import current_limits
 
 Array = NDArray[np.float64]
 
@@ -50,7 +51,7 @@ class Memory:
         self._known = {} if kept is None else kept.known(fingerprint)
 
     def recall(self, number: int, start: Array) -> Outcome | None:
-        """Return what is known of a run, None if it has to be made.
+        """Return what is known of a run, None if it has to be made; what a shorter time limit has cut is made again.
 
         Raises
         ------
@@ -60,6 +61,8 @@ class Memory:
         if number not in self._known:
             return None
         before, outcome = self._known[number]
+        if outcome.status == RUN_OVER and outcome.seconds < current_limits().start:
+            return None
         if np.array_equal(before, start):
             return outcome
         if number < 0:
@@ -70,7 +73,7 @@ class Memory:
 
     def keep(self, number: int, start: Array, outcome: Outcome) -> None:
         """Keep a run, unless it was kept before, or was cut short, so that it is made again."""
-        if self._kept is None or outcome.status == INTERRUPTED:
+        if self._kept is None or outcome.status in (INTERRUPTED, SEARCH_OVER):
             return
         if self.recall(number, start) is None:
             self._kept.add(number, start, outcome)

@@ -17,7 +17,8 @@ from greybox.solve.interruption import stop_requested
 from greybox.solve.kept_runs import Memory
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import same_cost
-from greybox.solve.outcome import NOT_FINITE, Outcome
+from greybox.solve.outcome import CUT_SHORT, NOT_FINITE, Outcome
+from greybox.solve.time_limits import one_run
 
 Array = NDArray[np.float64]
 
@@ -50,7 +51,7 @@ class LocalSearch:
         solver, unfinished = self._solver, outcome
         assert isinstance(solver, GaussNewton)
         if self._nlp.strategies.continued_runs and self._is_unfinished(outcome) and not stop_requested():
-            outcome = self._remembered(outcome.estimate, lambda: solver.continued(unfinished))
+            outcome = self._remembered(outcome.estimate, lambda: solver.continued(unfinished), outcome.seconds)
         if self._is_best(outcome):
             self._best = outcome
             if self._neighbors:
@@ -58,7 +59,7 @@ class LocalSearch:
         return outcome
 
     def _is_unfinished(self, outcome: Outcome) -> bool:
-        if outcome.converged or outcome.status == NOT_FINITE or not math.isfinite(outcome.cost):
+        if outcome.converged or outcome.status in (NOT_FINITE, *CUT_SHORT) or not math.isfinite(outcome.cost):
             return False
         return self._best is None or outcome.cost < self._best.cost
 
@@ -86,12 +87,13 @@ class LocalSearch:
             self.further_starts.append(point)
             self.further_outcomes.append(lowest)
 
-    def _remembered(self, start: Array, make: Callable[[], Outcome]) -> Outcome:
-        """Return what a run leaves, from the memory if it was made before."""
+    def _remembered(self, start: Array, make: Callable[[], Outcome], spent: float = 0.0) -> Outcome:
+        """Return what a run leaves, from the memory if it was made before; `spent` s of its time are gone."""
         self._number -= 1
         outcome = self._memory.recall(self._number, start)
         if outcome is None:
-            outcome = make()
+            with one_run(spent):
+                outcome = make()
             self._memory.keep(self._number, start, outcome)
         return outcome
 

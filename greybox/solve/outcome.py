@@ -14,6 +14,10 @@ Array = NDArray[np.float64]
 NOT_FINITE = "not finite at the start"  # status of a run that could not begin
 TOO_COARSE = "integration too coarse"  # status of a run that ended at an alias
 INTERRUPTED = "interrupted"  # status of the run that was at hand when Ctrl-C was pressed
+SEARCH_OVER = "time limit of the fit"  # status of the run that was at hand when the time of its search was up
+RUN_OVER = "time limit of a start"  # status of a run that took longer than its start may
+CUT_SHORT = (INTERRUPTED, SEARCH_OVER, RUN_OVER)
+STAGNATED = "stagnated"  # status of a run whose cost did not fall any more, without being at a minimum
 # How far a run was taken: its start was compared with others, a batch of runs was brought to minima together, or a
 # solver confirmed that it ended at one, or tried to.
 SCREENED, IMPROVED, POLISHED = "screened", "improved", "polished"

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.solve.gauss_newton.driver import GaussNewton
-from greybox.solve.interruption import stop_requested
+from greybox.solve.interruption import reason_to_end
 from greybox.solve.ipopt import CONVERGED, STOPPED, StopCheck, checked_nlpsol
 from greybox.solve.local_solver import LocalSolver, Profile
-from greybox.solve.outcome import INTERRUPTED, NOT_FINITE, Outcome
+from greybox.solve.outcome import NOT_FINITE, Outcome
 
 Array = NDArray[np.float64]
 
@@ -109,6 +109,7 @@ class TranscribedProgram(LocalSolver):
         share = self._nlp.strategies.assumed_error
         w = np.concatenate([program.initial_parameters(z, share) for program in self._programs])
         for _ in range(RELAXATIONS):
+            self._stop_check.begin()
             solution = self._solver(x0=solution, p=w, **self._bounds)["x"].full().ravel()
             stats = self._solver.stats()
             status, iterations = stats["return_status"], iterations + int(stats["iter_count"])
@@ -120,13 +121,13 @@ class TranscribedProgram(LocalSolver):
         else:
             status = "relaxations exceeded"
         if status == STOPPED:
-            status = INTERRUPTED
+            status = self._stop_check.reason
 
         estimate = np.clip(scaling.to_parameters(solution[:p]), self._nlp.lower, self._nlp.upper)
         converged = status in CONVERGED and math.isfinite(cost)
         signature = self._gauss_newton.signature(estimate) if converged else None
         if converged and signature is None:
-            status, converged = INTERRUPTED if stop_requested() else "no continuous states at the estimate", False
+            status, converged = reason_to_end() or "no continuous states at the estimate", False
         return Outcome(estimate, status, iterations, time.perf_counter() - began, converged, cost, signature)
 
     def _outcome(self, solution: Array, w: Array) -> tuple[float, Array, bool]:

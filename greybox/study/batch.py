@@ -24,6 +24,7 @@ from greybox.solve.executors import ExecutorLostError
 from greybox.solve.interruption import Response, listening, responding
 from greybox.solve.kept_runs import KeptRunsError
 from greybox.solve.multistart import BATCHED
+from greybox.solve.time_limits import TimeLimits, is_search_over, limited
 from greybox.study.run_files import RunFiles
 from greybox.study.study import Study, read_study
 from greybox.study.study_folder import ANSWER, FIT, locked, member_folder, read_json, write_index, write_json
@@ -94,6 +95,8 @@ def batch(
     folder: str | Path,
     *,
     executor: Executor | None = None,
+    seconds: float | None = None,
+    start_seconds: float | None = None,
     progress: bool = True,
 ) -> Study:
     """Fit many problems, one after the other, and keep every run in a folder.
@@ -110,6 +113,12 @@ def batch(
         Is made where it does not exist; see `greybox.study.study_folder` for what is in it.
     executor : concurrent.futures.Executor, optional
         What makes the runs, as of `greybox.fit`.
+    seconds : float, optional
+        After which the batch ends; the member at hand and those that follow are then unfinished, and the same batch
+        goes on with them.
+    start_seconds : float, optional
+        The same for the runs from each start. Those that it cuts count with what they reached, and are made again when
+        the member is fitted with a longer one.
     progress : bool
         A bar on a terminal for anything longer than two seconds.
 
@@ -133,12 +142,15 @@ def batch(
     require_distinct(listed)
     if executor is not None and not isinstance(executor, Executor):
         raise TypeError(f"executor is {executor!r:.60}: give an instance such as greybox.solve.WorkerPool(2).")
+    limits = TimeLimits.from_now(seconds, start_seconds)
     folder = Path(folder)
-    with locked(folder):
+    with locked(folder), limited(limits):
         own = write_index(folder, [member.name for member in listed])
         try:
             with listening(), _shown(listed, progress) as bar:
                 for member in listed:
+                    if is_search_over():
+                        break
                     _fit_member(member, member_folder(folder, own[member.name]), executor, bar)
         except KeyboardInterrupt as pressed:
             raise BatchInterrupted(read_study(folder)) from pressed
@@ -213,6 +225,8 @@ def _fit_member(member: Member, folder: Path, executor: Executor | None, bar: _D
     finally:
         with responding(Response.FINISH):
             kept.write()
+    if is_search_over():  # its runs are kept, and the rest of it is left for the next time
+        return
     with responding(Response.FINISH):
         _write_answer(folder, kept.fingerprint, _asked(member), result, error)
     bar.end(failed=bool(error))

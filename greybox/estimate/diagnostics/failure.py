@@ -10,7 +10,7 @@ from greybox.estimate.covariance import assess, steepness
 from greybox.estimate.diagnostics.identifiability import not_determined
 from greybox.solve.local_solver import LocalSolver, Profile
 from greybox.solve.minima import Multistart, best_unfinished
-from greybox.solve.outcome import INTERRUPTED, Run
+from greybox.solve.outcome import CUT_SHORT, Run
 
 # Standard errors that a minimum along one parameter alone must be away for the cost to count as falling there: a tenth
 # is what "converged" allows.
@@ -29,7 +29,7 @@ def failure_warnings(nlp: Nlp, search: Multistart, solver: LocalSolver) -> Itera
         f"run {run.index} came closest, cost {run.cost:.6g} after {counted(run.iterations, 'iteration')} "
         f"({run.status}); its values, no estimate and without errors, are in best_effort: {_cure(run)}."
     )
-    if run.status == INTERRUPTED:
+    if run.status in CUT_SHORT:
         return
     profile = _end(search, solver, run)
     if profile is None:
@@ -54,6 +54,8 @@ def failure_warnings(nlp: Nlp, search: Multistart, solver: LocalSolver) -> Itera
 def _cure(run: Run) -> str:
     """Return what to try after such an end."""
     status = run.status.lower().replace("_", " ")
+    if run.status in CUT_SHORT[1:]:
+        return "give it more time"
     if "iterations" in status or "relaxations" in status:
         return "give it more iterations, solver_options={'max_iter': ...}"
     return "start elsewhere, narrow the start boxes, or fix parameters that the data do not determine"

@@ -26,10 +26,10 @@ from greybox.solve.gauss_newton.merit import merit_function
 from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
 from greybox.solve.gauss_newton.sharpening import is_blurred, sharp_step
 from greybox.solve.gauss_newton.stability import are_stable, best_gains, simulate_stable
-from greybox.solve.interruption import stop_requested
+from greybox.solve.interruption import reason_to_end
 from greybox.solve.local_solver import LocalSolver, Profile
 from greybox.solve.minima import Multistart, same_cost
-from greybox.solve.outcome import INTERRUPTED, NOT_FINITE, Outcome
+from greybox.solve.outcome import CUT_SHORT, NOT_FINITE, Outcome
 
 Array = NDArray[np.float64]
 
@@ -110,8 +110,8 @@ class GaussNewton(LocalSolver):
         before = 0
         if self._coarse is not None:
             first = self._coarse.run(start, iterations)
-            if first.status == INTERRUPTED:
-                return first
+            if first.status in CUT_SHORT:  # its cost is that of the excerpts
+                return replace(first, cost=math.inf, signature=None, nodes=None)
             z, before = self._nlp.scaling.to_solver(first.estimate), first.iterations
         progress = Progress(self._settings, near_solution=self._coarse is not None)
         outcome = self._solve(self._parts.from_data(z), progress, iterations)
@@ -383,8 +383,8 @@ class GaussNewton(LocalSolver):
         settings, parts = self._settings, self._parts
         initial_weights = parts.initial_weights()
         for iteration in range(iterations):
-            if stop_requested():
-                return iterate, INTERRUPTED, iteration
+            if cut := reason_to_end():
+                return iterate, cut, iteration
             weights = parts.residual_weights(iterate) if progress.is_exact else initial_weights
             near = progress.last_decrease < settings.covariance_decrease and settings.covariance_curvature
             linearizations = linearizations or parts.linearize(iterate, weights, covariance_curvature=near)

@@ -1,0 +1,121 @@
+"""Runs and searches that are cut at a time limit, with a clock that goes on by a second at every look."""
+
+import numpy as np
+import pytest
+from sampled_lag import lag_problem
+
+import greybox as gb
+from greybox.solve import time_limits
+from greybox.solve.ipopt import PATIENCE
+from greybox.solve.kept_runs import KeptRuns, Memory
+from greybox.solve.outcome import RUN_OVER, Outcome
+from greybox.solve.time_limits import TimeLimits, current_limits, limited
+
+OMEGA = np.geomspace(0.1, 10, 8)
+
+
+class Valley(gb.TransferFunction):
+    """A gain with two kinks that meet in a valley, as of a table that is interpolated."""
+
+    a = gb.Parameter(3.3, bounds=(-5, 5))
+    b = gb.Parameter(-2.0, bounds=(-5, 5))
+
+    def response(self, s, p):
+        return (abs(p.a - 1) + abs(p.a - p.b) + 1) / (s + 1)
+
+
+VALLEY = gb.Problem(Valley(), gb.FrequencyResponse(OMEGA, 0.5 / (1j * OMEGA + 1)))
+RECORD = lag_problem()
+METHODS = [
+    pytest.param(VALLEY, None, id="response"),
+    pytest.param(RECORD, None, id="record"),
+    pytest.param(RECORD, gb.Collocation(), id="record by IPOPT"),
+]
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    class Clock:
+        now = 0.0
+
+        @classmethod
+        def time(cls):
+            cls.now += 1.0
+            return cls.now
+
+    monkeypatch.setattr(time_limits, "time", Clock)
+    return Clock
+
+
+def test_a_run_that_gets_nowhere_ends(monkeypatch):
+    """At a kink IPOPT goes to and fro: what it would reach in 500 iterations is no lower."""
+    found = gb.fit(VALLEY, [{}], progress=False)
+    assert found.runs[0].status == "stagnated"
+    assert PATIENCE < found.runs[0].iterations < 300
+    assert not found.converged
+    monkeypatch.setattr("greybox.solve.ipopt.PATIENCE", 10_000)
+    patient = gb.fit(VALLEY, [{}], progress=False)
+    assert patient.runs[0].iterations == 500
+    assert found.runs[0].cost <= 1.2 * patient.runs[0].cost
+
+
+@pytest.mark.parametrize(("problem", "method"), METHODS)
+def test_a_start_is_cut_and_the_others_are_tried(clock, problem, method):
+    found = gb.fit(problem, 3, method=method, start_seconds=2.5, progress=False)
+    assert [run.status for run in found.runs] == [RUN_OVER] * 3
+    assert all(run.iterations <= 3 for run in found.runs)
+    assert "3 of 3 starts were cut at 2.5 s, the time limit of a start" in found.warnings[0]
+    assert not found.converged
+
+
+@pytest.mark.parametrize(("problem", "method"), METHODS)
+def test_a_fit_ends_with_what_it_has(clock, problem, method):
+    found = gb.fit(problem, 10_000, method=method, seconds=200, progress=False)
+    assert 1 <= len(found.runs) < 10_000
+    assert found.runs[-1].status != RUN_OVER
+    assert found.warnings[0].startswith("the time limit ended the search after")
+    assert "a faster machine may answer otherwise" in found.warnings[0]
+    assert found.converged == any(run.converged for run in found.runs)
+
+
+def test_without_time_there_is_a_run_all_the_same(clock):
+    found = gb.fit(RECORD, 5, seconds=1e-6, progress=False)
+    assert [(run.status, run.iterations) for run in found.runs] == [("time limit of the fit", 0)]
+    assert not found.converged
+
+
+def test_enough_time_changes_nothing():
+    limited_fit, free = (gb.fit(RECORD, 3, progress=False, **limit) for limit in ({"seconds": 1e6}, {}))
+    assert [run.cost for run in limited_fit.runs] == [run.cost for run in free.runs]
+    assert limited_fit.warnings == free.warnings
+
+
+def test_the_limits_of_a_batch_hold_within_those_of_a_fit():
+    with limited(TimeLimits(start=3, end=50)), limited(TimeLimits(end=40)):
+        assert current_limits() == TimeLimits(start=3, end=40)
+    assert current_limits() == TimeLimits()
+
+
+def test_a_run_that_was_cut_is_made_again_with_more_time():
+    class Kept(KeptRuns):
+        def known(self, fingerprint):
+            cut = Outcome(np.ones(1), RUN_OVER, 4, 2.1, converged=False, cost=1.0)
+            return {0: (np.zeros(1), cut)}
+
+        def add(self, number, start, outcome):
+            raise AssertionError
+
+        def look(self):
+            pass
+
+    memory = Memory(Kept())
+    with limited(TimeLimits(start=2.0)):
+        assert memory.recall(0, np.zeros(1)) is not None
+    assert memory.recall(0, np.zeros(1)) is None
+
+
+def test_what_is_no_time_is_refused():
+    with pytest.raises(ValueError, match="seconds is -1: give a number of seconds above 0"):
+        gb.fit(RECORD, 1, seconds=-1)
+    with pytest.raises(ValueError, match="start_seconds is 'long'"):
+        gb.fit(RECORD, 1, start_seconds="long")
