@@ -1,7 +1,7 @@
 """How well the data determine the estimate: covariance right for the criterion, and combinations left undetermined."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import ColoredErrors, Information, Trajectory
+from greybox.estimate.identifiability import KnownDirections
 from greybox.formulation.held_estimate import HeldEstimate
 
 Array = NDArray[np.float64]
@@ -24,6 +25,7 @@ PUSHED = 0.01  # multiplier of a bound that holds, in standard deviations that t
 ROUNDED = 1e-7  # of its size: what the solvers' tolerances leave between a parameter and its bound
 MOVED = 1e-3  # of what a direction would change if nothing made up for it: initial states that change less take no part
 COLLINEAR = 20.0  # collinearity index from which a combination is suspect, see `Combination`
+BESIDE = 0.1  # of each parameter: how far beside the estimate a redundancy is looked at again
 LOOSE = 0.5  # relative standard error from which a suspect combination is reported
 
 
@@ -173,6 +175,37 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
         white=inverse,
         correlation=correlation,
     )
+
+
+def known_directions(
+    nlp: Nlp, x: Array, accuracy: Accuracy, trajectories_at: Callable[[Array], Sequence[Trajectory | None]]
+) -> KnownDirections | None:
+    """Return what the data tell of the free parameters at the estimate `x` (p,); None without a covariance.
+
+    Where a direction is unseen, a point beside the estimate is asked too, at which `trajectories_at` are the best.
+    """
+    at = _directions_at(x, accuracy)
+    inside = [k for k, name in enumerate(nlp.free) if name not in accuracy.at_bound]
+    if at is None or not np.any(at.unseen[inside]):
+        return at
+    # Each parameter moves by another share: equal ones become different.
+    share = BESIDE * (1 + np.arange(len(x)) / len(x))
+    span = nlp.upper - nlp.lower
+    step = share * np.where(x == 0, np.where(np.isfinite(span), 0.1 * span, 1.0), np.abs(x))
+    beside = np.clip(np.where(nlp.upper - x > x - nlp.lower, x + step, x - step), nlp.lower, nlp.upper)
+    beside = np.where(np.isin(nlp.free, accuracy.at_bound), x, beside)
+    trajectories = trajectories_at(beside)
+    if len(trajectories) and any(one is None for one in trajectories):
+        return at
+    return replace(at, elsewhere=_directions_at(beside, assess(nlp, beside, trajectories)))
+
+
+def _directions_at(x: Array, accuracy: Accuracy) -> KnownDirections | None:
+    p = len(x)
+    covariance = accuracy.covariance[:p, :p]
+    if not np.all(np.isfinite(covariance)):
+        return None
+    return KnownDirections(covariance, accuracy.blind[:p], accuracy.size[:p], x)
 
 
 def steepness(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None]) -> Array:

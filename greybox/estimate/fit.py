@@ -24,8 +24,9 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.text_table import counted
-from greybox.estimate.covariance import Accuracy, assess
+from greybox.estimate.covariance import Accuracy, assess, known_directions
 from greybox.estimate.diagnostics.delay_approximation import pade_error
+from greybox.estimate.diagnostics.determined_together import determined_together
 from greybox.estimate.diagnostics.discretization import discretization_warnings
 from greybox.estimate.diagnostics.failure import failure_warnings
 from greybox.estimate.diagnostics.general import warnings
@@ -305,7 +306,7 @@ def assemble(
         for part, trajectory in zip(nlp.parts, trajectories or (None,) * len(nlp.parts), strict=True)
     )
     pade_errors = [part.pade_error if isinstance(part, FittedResponse) else None for part in parts]
-    return Fit(
+    answer = Fit(
         name=problem.name,
         parts=parts,
         quantities=lines,
@@ -340,7 +341,13 @@ def assemble(
         },
         models=tuple(part.model for part in problem.parts),
         white=accuracy.white,
+        directions=(
+            known_directions(nlp, best, accuracy, lambda x: solver.profile(x, search.nodes).trajectories)
+            if found
+            else None
+        ),
     )
+    return replace(answer, notes=(*answer.notes, *determined_together(answer)))
 
 
 @singledispatch

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, share_samples
 from greybox.data.text_table import alternatives, counted, number, one_line, some, text_table, with_error
+from greybox.estimate.identifiability import Identifiability, KnownDirections, correlation, identifiability
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.input_assumptions import Inputs, described_inputs
 from greybox.modeling.model import Model
@@ -235,6 +236,8 @@ class Fit:
         not hold what it needs. Empty for fits with records.
     white : (p, p) array or None
         What the covariance of the free parameters would be if the cost were the likelihood of white errors.
+    directions : KnownDirections or None
+        The covariance of the free parameters within the directions that the data determine, and the other directions.
     warnings, notes : tuple of str
         What to know before believing the estimate; and what may be worth a look.
     models, given : tuple of Model or None, tuple of Model or class
@@ -261,6 +264,7 @@ class Fit:
     given: tuple[Model | type[Model], ...] = field(default=(), repr=False)
     white: NDArray[np.float64] | None = field(default=None, repr=False)
     notes: tuple[str, ...] = ()
+    directions: KnownDirections | None = field(default=None, repr=False)
 
     @property
     def responses(self) -> tuple[FittedResponse, ...]:
@@ -333,6 +337,36 @@ class Fit:
     def standard_error(self) -> dict[str, float]:
         """Standard errors by name, of derived quantities too; NaN where the data give none, 0 for a constant."""
         return {q.name: q.standard_error for q in self.quantities}
+
+    @property
+    def identifiability(self) -> Identifiability:
+        """Errors and insensitivities in percent, correlations, and what is determined only in combination.
+
+        Raises
+        ------
+        ValueError
+            If the fit has no estimate, or was saved before files kept what this needs.
+        """
+        free = {q.name: q for q in self.quantities if q.kind == "free"}
+        return identifiability(
+            self.free,
+            [free[name].unit for name in self.free],
+            self._known_directions(),
+            [name for name in self.free if free[name].at_bound],
+        )
+
+    @property
+    def correlation(self) -> NDArray[np.float64]:
+        """Correlation matrix (p, p) of the free parameters; NaN for those without a standard error."""
+        at_bound = {q.name for q in self.quantities if q.at_bound}
+        return correlation(self._known_directions(), np.array([name not in at_bound for name in self.free], dtype=bool))
+
+    def _known_directions(self) -> KnownDirections:
+        if not self.converged:
+            raise ValueError(f"the fit {self.name!r} has no estimate: {self.status}.")
+        if self.directions is None:
+            raise ValueError(f"the fit {self.name!r} has no covariance from which to judge this: fit it again.")
+        return self.directions
 
     @property
     def checksum(self) -> str:

@@ -8,6 +8,9 @@ Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``
 ``/quantities``  one row per parameter and derived quantity: ``name, value, standard_error, kind, unit, about, bounds,
                  at_bound, dof``.
 ``/covariance``  ``names`` (k,) and ``values`` (k, k); if known, ``white`` (p, p) of the free ones for white errors.
+``/directions``  if known, ``covariance`` (p, p) of the free parameters within the directions that the data determine,
+                 and the other directions ``unseen`` (p, b) in multiples of ``size`` (p,), ``at`` the estimate (p,); if
+                 some are not determined, the same beside the estimate in ``elsewhere``.
 ``/runs``        one row per start: ``start`` and ``estimate`` (r, p), ``cost, status, reason, converged, iterations,
                  seconds``, ``minimum`` (the row of ``/minima``, -1 for none); attribute ``free`` names the p columns.
 ``/minima``      ``cost`` (m,), ``estimate`` (m, p), ``variants`` (m,), best first.
@@ -41,6 +44,7 @@ from greybox.data.response_file import read_group, write_group
 from greybox.data.sealed_files import Node, Stored, open_sealed, write_sealed
 from greybox.data.text_table import printable
 from greybox.estimate.fitted_record import criterion_values
+from greybox.estimate.identifiability import KnownDirections
 from greybox.estimate.result import Fit, FittedRecord, FittedResponse, Quantity
 from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
 from greybox.formulation.input_assumptions import Inputs
@@ -124,6 +128,8 @@ def _write(file: Node, fit: Fit) -> None:
     file["covariance/values"] = fit.covariance
     if fit.white is not None:
         file["covariance/white"] = fit.white
+    if fit.directions is not None:
+        _write_directions(file.create_group("directions"), fit.directions)
     _write_runs(file, fit)
     for k, part in enumerate(fit.parts):
         _write_part(file.create_group(f"parts/{k}"), part)
@@ -208,8 +214,28 @@ def _read(file: Stored) -> Fit:
         seconds=float(attributes["seconds"]),
         versions=_json_texts(attributes["versions"]),
         white=_array(file["covariance/white"], (len(free), len(free))) if "white" in file["covariance"] else None,
+        directions=_read_directions(file["directions"], len(free)) if "directions" in file else None,
     )
     return _checked(fit)
+
+
+def _write_directions(group: Node, directions: KnownDirections) -> None:
+    for name in ("covariance", "unseen", "size", "at"):
+        group[name] = getattr(directions, name)
+    if directions.elsewhere is not None:
+        _write_directions(group.create_group("elsewhere"), replace(directions.elsewhere, elsewhere=None))
+
+
+def _read_directions(group: Stored, p: int, *, inside: bool = False) -> KnownDirections:
+    unseen = group["unseen"][()]
+    _require(isinstance(unseen, np.ndarray) and unseen.ndim == 2, "the directions that are not determined are missing")
+    return KnownDirections(
+        _array(group["covariance"], (p, p)),
+        _array(group["unseen"], (p, unseen.shape[1])),
+        _array(group["size"], (p,)),
+        _array(group["at"], (p,)),
+        _read_directions(group["elsewhere"], p, inside=True) if "elsewhere" in group and not inside else None,
+    )
 
 
 def _checked(fit: Fit) -> Fit:

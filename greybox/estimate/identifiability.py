@@ -1,0 +1,338 @@
+"""How well each parameter is determined, in percent, and which combinations are although their members are not."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.data.text_table import counted, number, one_line, text_table, with_error
+
+Array = NDArray[np.float64]
+
+# Guidelines, of the value. Source: Tischler and Remple (2012), Aircraft and Rotorcraft System Identification, ch. 12.
+ERROR_GUIDELINE = 0.2
+INSENSITIVITY_GUIDELINE = 0.1
+CORRELATED = (
+    0.9  # correlation from which two parameters are named: each error is then 2.3 times that with the other known
+)
+GAIN = 5.0  # how many times smaller the error of a combination is than those of its members, for it to be news
+UNSEEN = 1e-5  # share of an unseen direction from which a combination has no standard error, as for parameters
+POWERS = 3  # largest power in a product of two: a length squared or cubed; of more members only the first power
+MEMBERS = 4  # most members of a product, and two of a sum: longer ones are read by nobody
+CANDIDATES = 8  # parameters up to which products of more than two are looked for: a few thousand of them
+
+
+@dataclass(frozen=True, eq=False)
+class KnownDirections:
+    """What the data tell of the free parameters, also where they leave directions open.
+
+    Attributes
+    ----------
+    covariance : (p, p) array
+        Within the directions that the data determine; nowhere NaN.
+    unseen : (p, b) array
+        Directions, in multiples of `size`, about which the data say nothing.
+    size : (p,) array
+        The change of each parameter that the data notice.
+    at : (p,) array
+        The estimate.
+    elsewhere : KnownDirections or None
+        The same beside the estimate, where a direction is unseen: a product of two equal numbers looks like their sum.
+    """
+
+    covariance: Array
+    unseen: Array
+    size: Array
+    at: Array
+    elsewhere: "KnownDirections | None" = None
+
+    @property
+    def matrix(self) -> Array:
+        """The inverse of the covariance within the determined directions, zero in the others, in multiples of size."""
+        scaled = self.covariance / np.outer(self.size, self.size)
+        values, vectors = np.linalg.eigh(scaled)
+        rank = len(values) - np.linalg.matrix_rank(self.unseen) if self.unseen.size else len(values)
+        kept = slice(len(values) - rank, None)
+        return (vectors[:, kept] / np.maximum(values[kept], 1e-300)) @ vectors[:, kept].T
+
+    def errors(self, gradients: Array) -> Array:
+        """Return the standard errors (m,) of quantities by their gradients (m, p); NaN for what is not determined."""
+        variance = np.einsum("ij,jk,ik->i", gradients, self.covariance, gradients)
+        scaled = gradients * self.size
+        lost = np.abs(scaled @ self.unseen) > UNSEEN * np.linalg.norm(scaled, axis=1)[:, None]
+        return np.where(lost.any(axis=1), np.nan, np.sqrt(np.maximum(variance, 0)))
+
+    def gradients(self, rows: Array, *, is_product: bool) -> Array:
+        """Return those (m, p) of the logarithms of products of powers `rows` (m, p), or of sums with these factors."""
+        return rows / np.where(self.at == 0, 1.0, self.at) if is_product else rows
+
+    def hold_elsewhere(self, rows: Array, *, is_product: bool) -> NDArray[np.bool_]:
+        """Tell which combinations are determined beside the estimate too, (m,)."""
+        if self.elsewhere is None:
+            return np.ones(len(rows), dtype=bool)
+        return ~np.isnan(self.elsewhere.errors(self.elsewhere.gradients(rows, is_product=is_product)))
+
+
+@dataclass(frozen=True)
+class DeterminedCombination:
+    """A product of powers, or a sum, of parameters that is determined although none of its members is.
+
+    Attributes
+    ----------
+    formula : str
+        Such as ``a3/a2``.
+    names, powers : tuple of str, tuple of int
+        Its members, with their powers in a product and their signs in a sum.
+    is_product : bool
+    value, standard_error : float
+    """
+
+    formula: str
+    names: tuple[str, ...]
+    powers: tuple[int, ...]
+    is_product: bool
+    value: float
+    standard_error: float
+
+    def __str__(self) -> str:
+        value, error = with_error(self.value, self.standard_error)
+        return f"{self.formula} = {value} ± {error}"
+
+
+@dataclass(frozen=True, eq=False)
+class Identifiability:
+    """How well the data determine each parameter. Printing it gives the table of CIFER.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Free parameters.
+    error : (p,) array
+        Cramér-Rao bound, the standard error of the fit, as a share of the absolute value; NaN where there is none.
+        Guideline: at most 0.2.
+    insensitivity : (p,) array
+        The standard error that it would have if all others were known, as a share of the absolute value; infinite
+        where the parameter has no effect. Guideline: at most 0.1. A large error with a small insensitivity means
+        correlation, a large insensitivity means that the data hardly tell of the parameter.
+    at_bound : tuple of str
+        What ended at a bound, and is taken as known.
+    correlated : tuple of (str, str, float)
+        Pairs with a correlation above 0.9, largest first.
+    condition : float
+        Condition number of the Jacobian with columns of unit length; infinite where a direction is not determined.
+    combinations : tuple of DeterminedCombination
+        What is determined although its members are not, the simplest that say all.
+
+    Source: Tischler and Remple (2012), Aircraft and Rotorcraft System Identification, 2nd ed., chapter 12.
+    """
+
+    names: tuple[str, ...]
+    error: Array
+    insensitivity: Array
+    at_bound: tuple[str, ...]
+    correlated: tuple[tuple[str, str, float], ...]
+    condition: float
+    combinations: tuple[DeterminedCombination, ...]
+
+    @property
+    def beyond(self) -> tuple[str, ...]:
+        """The parameters beyond a guideline, which the data do not determine well."""
+        well = (self.error <= ERROR_GUIDELINE) & (self.insensitivity <= INSENSITIVITY_GUIDELINE)
+        return tuple(n for n, good in zip(self.names, well, strict=True) if not good and n not in self.at_bound)
+
+    def __repr__(self) -> str:
+        return one_line(self, counted(len(self.names), "parameter"), f"{len(self.beyond)} beyond a guideline")
+
+    def __str__(self) -> str:
+        return "\n".join(_text(self))
+
+
+def identifiability(
+    names: Sequence[str],
+    units: Sequence[str],
+    told: KnownDirections,
+    at_bound: Sequence[str],
+) -> Identifiability:
+    """Judge every free parameter at the estimate, and find the combinations that are determined."""
+    value = told.at
+    p = len(value)
+    inside = np.array([name not in at_bound for name in names], dtype=bool)
+    errors = told.errors(np.eye(p))
+    matrix = told.matrix[np.ix_(inside, inside)] if p else np.zeros((0, 0))
+    diagonal = np.full(p, np.nan)
+    diagonal[inside] = np.diag(matrix)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        alone = told.size / np.sqrt(np.where(diagonal > UNSEEN**2 * np.nanmax(diagonal, initial=0.0), diagonal, 0.0))
+        share = np.where(inside, errors / np.abs(value), np.nan)
+        insensitivity = np.where(inside, alone / np.abs(value), np.nan)
+    return Identifiability(
+        names=tuple(names),
+        error=share,
+        insensitivity=insensitivity,
+        at_bound=tuple(at_bound),
+        correlated=tuple(_correlated(names, correlation(told, inside))),
+        condition=_condition(matrix),
+        combinations=tuple(_combinations(names, units, told, errors, inside)),
+    )
+
+
+def correlation(told: KnownDirections, inside: NDArray[np.bool_]) -> Array:
+    """Return the correlation matrix (p, p) of the estimates; NaN for those without a standard error."""
+    errors = np.where(inside, told.errors(np.eye(len(inside))), np.nan)
+    errors = np.where(errors > 0, errors, np.nan)
+    return told.covariance / np.outer(errors, errors)
+
+
+def _correlated(names: Sequence[str], matrix: Array) -> Iterator[tuple[str, str, float]]:
+    pairs = [(i, j) for i, j in combinations(range(len(names)), 2) if abs(matrix[i, j]) > CORRELATED]
+    for i, j in sorted(pairs, key=lambda pair: -abs(matrix[pair])):
+        yield names[i], names[j], float(matrix[i, j])
+
+
+def _condition(matrix: Array) -> float:
+    """Return that of the Jacobian, of which `matrix` (m, m) is the square, with columns of unit length."""
+    length = np.sqrt(np.diag(matrix))
+    if not len(matrix):
+        return math.nan
+    if not np.all(length > 0):
+        return math.inf
+    values = np.linalg.eigvalsh(matrix / np.outer(length, length))
+    return math.sqrt(values[-1] / values[0]) if values[0] > 1e-14 * values[-1] else math.inf
+
+
+def _combinations(
+    names: Sequence[str],
+    units: Sequence[str],
+    told: KnownDirections,
+    errors: Array,
+    inside: NDArray[np.bool_],
+) -> list[DeterminedCombination]:
+    """Return the simplest independent combinations of what is not determined that are determined."""
+    value = told.at
+    loose = [k for k in np.flatnonzero(inside).tolist() if not errors[k] <= ERROR_GUIDELINE * abs(value[k])]
+    found = []
+    for is_product in (True, False):
+        members = [k for k in loose if value[k] != 0] if is_product else loose
+        rows = _products(members, len(value)) if is_product else _sums(members, units, len(value))
+        if not len(rows):
+            continue
+        gradients = told.gradients(rows, is_product=is_product)
+        error = told.errors(gradients)
+        # Of each member, as it enters: NaN, where it is not determined at all, counts as infinite.
+        single = np.where(rows != 0, np.abs(gradients) * np.nan_to_num(errors, nan=0.0), np.inf)
+        smallest = np.where((rows != 0) & np.isnan(errors), np.inf, single).min(axis=1)
+        good = (error * GAIN < smallest) & told.hold_elsewhere(rows, is_product=is_product)
+        if is_product:
+            good &= error < ERROR_GUIDELINE
+        else:
+            # A sum is as good as the data: within what they would tell of its members if the others were known.
+            good &= error < ERROR_GUIDELINE * np.maximum(np.abs(rows @ value), np.abs(rows * value).max(axis=1))
+        found += [
+            (
+                int(np.abs(rows[k]).sum()),
+                int((rows[k] < 0).sum()),
+                float(error[k] / smallest[k]),
+                is_product,
+                rows[k],
+                float(error[k]),
+            )
+            for k in np.flatnonzero(good)
+        ]
+    chosen: list[DeterminedCombination] = []
+    spanned = np.zeros((0, len(value)))
+    for _, _, _, is_product, row, error in sorted(found, key=lambda f: (f[0], not f[3], f[1], f[2])):
+        scaled = told.gradients(row[None], is_product=is_product)[0] * told.size
+        extended = np.vstack([spanned, scaled / np.linalg.norm(scaled)])
+        # Their number is limited by the directions that the members have left.
+        if np.linalg.matrix_rank(extended, tol=1e-6) == len(extended):
+            spanned = extended
+            chosen.append(_named(names, value, row, error, is_product=is_product))
+    return chosen
+
+
+def _products(members: Sequence[int], p: int) -> Array:
+    """Return candidates (m, p): powers of two members, and first powers of more, the first sign positive."""
+    rows = []
+    for count in range(2, MEMBERS + 1):
+        if count > 2 and len(members) > CANDIDATES:
+            break
+        highest = POWERS if count == 2 else 1
+        powers = [n for n in range(-highest, highest + 1) if n]
+        for powers_of in product(powers, repeat=count):
+            if math.gcd(*powers_of) > 1 or powers_of[0] < 0:
+                continue
+            for group in combinations(members, count):
+                row = np.zeros(p)
+                row[list(group)] = powers_of
+                rows.append(row)
+    return np.array(rows).reshape(len(rows), p)
+
+
+def _sums(members: Sequence[int], units: Sequence[str], p: int) -> Array:
+    """Return sums and differences (m, p) of two members of one unit."""
+    rows = []
+    for i, j in combinations(members, 2):
+        if units[i] == units[j]:
+            for sign in (1.0, -1.0):
+                row = np.zeros(p)
+                row[i], row[j] = 1.0, sign
+                rows.append(row)
+    return np.array(rows).reshape(len(rows), p)
+
+
+def _named(names: Sequence[str], value: Array, row: Array, error: float, *, is_product: bool) -> DeterminedCombination:
+    """Write a combination as people do: few divisors, and of a ratio the larger over the smaller."""
+    if is_product:
+        turned = (row < 0).sum() - (row > 0).sum()
+        smaller = row @ np.log(np.abs(np.where(row == 0, 1.0, value))) < 0
+        if turned > 0 or (turned == 0 and smaller):
+            row = -row
+    places = np.flatnonzero(row).tolist()
+    members = tuple(names[k] for k in places)
+    powers = tuple(int(row[k]) for k in places)
+    if not is_product:
+        return DeterminedCombination(
+            f"{members[0]} {'+' if powers[1] > 0 else '-'} {members[1]}",
+            members,
+            powers,
+            False,
+            float(row @ value),
+            error,
+        )
+    above = [_power(n, k) for n, k in zip(members, powers, strict=True) if k > 0]
+    below = [_power(n, -k) for n, k in zip(members, powers, strict=True) if k < 0]
+    divisor = below[0] if len(below) == 1 else f"({' '.join(below)})"
+    result = float(np.prod(value[places] ** row[places]))
+    return DeterminedCombination(
+        " ".join(above) + (f"/{divisor}" if below else ""), members, powers, True, result, error * abs(result)
+    )
+
+
+def _power(name: str, power: int) -> str:
+    return name if power == 1 else f"{name}{'  ²³'[power]}"
+
+
+def _text(of: Identifiability) -> Iterator[str]:
+    """Yield the table, then correlations, condition number and combinations, a line for each."""
+    rows = []
+    for name, error, alone in zip(of.names, of.error, of.insensitivity, strict=True):
+        remark = "at its bound" if name in of.at_bound else "beyond the guideline" if name in of.beyond else ""
+        rows.append([name, _percent(error), _percent(alone), remark])
+    yield text_table(["parameter", "error, %", "insensitivity, %", ""], rows, left=(0, 3))
+    yield ""
+    yield (
+        f"guidelines: {100 * ERROR_GUIDELINE:.0f} % error (Cramér-Rao bound), {100 * INSENSITIVITY_GUIDELINE:.0f} % "
+        "insensitivity (the error if all others were known)"
+    )
+    yield f"condition number of the scaled Jacobian: {number(of.condition, 3)}"
+    for first, second, r in of.correlated:
+        yield f"correlation of {first} and {second}: {r:.4f}"
+    for combination in of.combinations:
+        yield f"determined together: {combination}"
+
+
+def _percent(share: float) -> str:
+    return "-" if math.isnan(share) else "no effect" if math.isinf(share) else number(100 * share, 3)
