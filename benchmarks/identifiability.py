@@ -1,4 +1,4 @@
-"""Random structures with planted redundancies: are they named, and is anything said of those that have none?
+"""Random structures with planted redundancies: whether they are named, and what is said where there are none.
 
 python benchmarks/identifiability.py [--planted 50] [--clean 200] [--output FILE]
 
