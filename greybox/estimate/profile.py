@@ -394,6 +394,7 @@ class _Held:
             x[self._place] = value
             lower[self._place] = upper[self._place] = nlp.scaling.to_solver(x)[self._place]
         start = np.clip(start, lower, upper)
+        self._check.begin()
         z: Any = self._solver(x0=start, p=[SMOOTHING, value], lbx=lower, ubx=upper, **self._limits)["x"]
         z = np.asarray(z).ravel()
         if self._solver.stats()["return_status"] not in CONVERGED:

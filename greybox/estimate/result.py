@@ -572,7 +572,8 @@ def _output_texts(records: Sequence[FittedRecord]) -> list[str]:
 
 def _response_texts(responses: Sequence[FittedResponse]) -> list[str]:
     """Say how far the points of a response are from the model, and which one most; of many responses of the worst."""
-    off = [np.abs(part.data.response - part.response) / np.abs(part.response) for part in responses]
+    with np.errstate(divide="ignore", invalid="ignore"):  # zeros, which are left out
+        off = [np.abs(part.data.response - part.response) / np.abs(part.data.response) for part in responses]
     known = [(part, values) for part, values in zip(responses, off, strict=True) if np.all(np.isfinite(values))]
     known.sort(key=lambda pair: -rms(pair[1]) if len(known) > MANY else 0.0)
     texts = []

@@ -51,7 +51,7 @@ def test_a_run_that_gets_nowhere_ends(monkeypatch):
     """At a kink IPOPT goes to and fro: what it would reach in 500 iterations is no lower."""
     found = gb.fit(VALLEY, [{}], progress=False)
     assert found.runs[0].status == "stagnated"
-    assert PATIENCE < found.runs[0].iterations < 300
+    assert PATIENCE < found.runs[0].iterations < 400
     assert not found.converged
     monkeypatch.setattr("greybox.solve.ipopt.PATIENCE", 10_000)
     patient = gb.fit(VALLEY, [{}], progress=False)
