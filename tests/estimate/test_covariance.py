@@ -1,14 +1,12 @@
 """Standard errors against numpy by hand, against scipy, against an equivalent problem, and by Monte Carlo."""
 
-import importlib.util
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from benchmark_module import benchmark
 from evaluation import numeric_jacobian
 from numpy.testing import assert_allclose
 from scipy.optimize import curve_fit
@@ -513,13 +511,7 @@ def test_an_earlier_fit_without_an_error_is_not_taken_as_exact():
 
 @pytest.fixture(scope="module")
 def coverage():
-    path = Path(__file__).parents[2] / "benchmarks" / "coverage.py"
-    spec = importlib.util.spec_from_file_location("coverage_benchmark", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
+    return benchmark("coverage")
 
 
 @pytest.mark.parametrize(

@@ -1,17 +1,15 @@
 """What SECURITY.md promises of saved fits: a reduced form of `benchmarks/fuzz_results.py`."""
 
-import importlib.util
 import os
 from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmark_module import benchmark
 from crafted_results import craft
 
 import greybox as gb
 from greybox.data.sealed_files import seal
-
-ROOT = Path(__file__).parents[2]
 
 # One of each kind; the benchmark has them all.
 KINDS = [
@@ -39,10 +37,7 @@ KINDS = [
 
 @pytest.fixture(scope="module")
 def fuzzer():
-    spec = importlib.util.spec_from_file_location("fuzz_results", ROOT / "benchmarks" / "fuzz_results.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return benchmark("fuzz_results")
 
 
 @pytest.fixture(scope="module")

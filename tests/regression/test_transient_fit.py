@@ -1,27 +1,23 @@
 """Estimates from manoeuvres against truths, and against output error in the time domain."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from benchmark_module import benchmark
 
 import greybox as gb
 from greybox.regression import fit_transients
 from greybox.spectral import transient_spectrum
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-from transient_coverage import (
-    BAND,
-    LATERAL,
-    SHORT_PERIOD,
-    Lateral,
-    ShortPeriod,
-    coverage,
-    lateral_record,
-    measured,
-    short_period_record,
-)
+transient_coverage = benchmark("transient_coverage")
+BAND = transient_coverage.BAND
+LATERAL = transient_coverage.LATERAL
+SHORT_PERIOD = transient_coverage.SHORT_PERIOD
+Lateral = transient_coverage.Lateral
+ShortPeriod = transient_coverage.ShortPeriod
+coverage = transient_coverage.coverage
+lateral_record = transient_coverage.lateral_record
+measured = transient_coverage.measured
+short_period_record = transient_coverage.short_period_record
 
 MOVING = (8.0, (1.0, 2.0, 2.5, 3.0), [0.005, 0.01])
 

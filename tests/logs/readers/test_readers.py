@@ -1,12 +1,12 @@
 """The choice of the reader, and what damaged files may do."""
 
-import importlib.util
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from benchmark_module import benchmark
 from synthetic_logs import samples
 
 import greybox as gb
@@ -17,10 +17,7 @@ ROOT = Path(__file__).parents[3]
 
 def fuzzer():
     """Load the benchmark that feeds the readers with damaged files."""
-    spec = importlib.util.spec_from_file_location("fuzz_readers", ROOT / "benchmarks" / "fuzz_readers.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return benchmark("fuzz_readers")
 
 
 @pytest.mark.parametrize("suffix", samples())
