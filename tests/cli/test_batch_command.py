@@ -165,6 +165,7 @@ def test_ctrl_c_says_how_to_go_on(study, tmp_path, capsys):
                 add(self, number, start, outcome)
                 if number == 7:
                     os.kill(os.getpid(), signal.SIGINT)
+            signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job of a shell begins without
             RunFiles.add = pressed
             sys.exit(main(sys.argv[1:]))
             """
