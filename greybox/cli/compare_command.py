@@ -1,24 +1,72 @@
-"""The command `greybox compare`: the members of a study side by side, also while it runs."""
+"""The command `greybox compare`: saved fits side by side, or the members of a study, also while it runs."""
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from greybox.cli.batch_command import as_json
-from greybox.cli.options import add_common_options
+from greybox.cli.options import UsageError, add_common_options
 from greybox.cli.output import USABLE, Answer
 from greybox.study.study import read_study
+from greybox.validation.compare import compare
+from greybox.validation.comparison import PARTS, Comparison
 
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = commands.add_parser("compare", help="compare the fits of a study, also while it runs", allow_abbrev=False)
-    parser.add_argument("study", type=Path, metavar="DIR", help="the folder of the study")
+    parser = commands.add_parser("compare", help="compare saved fits, or the fits of a study", allow_abbrev=False)
+    parser.add_argument(
+        "results",
+        nargs="+",
+        type=Path,
+        metavar="RESULT",
+        help="fits that greybox fit --out wrote, of the same data; or the folder of a study, also while it runs",
+    )
+    parser.add_argument(
+        "--folds",
+        type=_folds,
+        metavar="N",
+        help=f"fit again without every N-th frequency, or with '{PARTS}' without one response, and predict it",
+    )
     add_common_options(parser)
     parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> Answer:
-    """Read the study and compare its members."""
-    study = read_study(options.study)
+    """Read the fits, or the study, and compare."""
+    if len(options.results) > 1:
+        found = _compared(options.results, options.folds)
+        return _summary(found), str(found), USABLE
+    if options.results[0].is_file():
+        raise UsageError(f"there is one fit, {options.results[0]}: give at least two to compare.")
+    study = read_study(options.results[0])
     return as_json(study), str(study), USABLE
+
+
+def _compared(paths: Sequence[Path], folds: int | str | None) -> Comparison:
+    from greybox.estimate.storage import load  # noqa: PLC0415  (needs h5py)
+
+    names = [path.stem for path in paths]
+    labels = names if len(set(names)) == len(names) else list(map(str, paths))
+    if len(set(labels)) < len(labels):
+        raise UsageError(f"{max(labels, key=labels.count)} is given twice: give different fits.")
+    return compare(*(load(path) for path in paths), labels=labels, folds=folds)
+
+
+def _summary(found: Comparison) -> dict[str, Any]:
+    return {
+        "labels": list(found.labels),
+        "data": found.data,
+        "supported": found.supported,
+        "verdict": found.verdict,
+        "table": found.table,
+        "statements": list(found.statements),
+    }
+
+
+def _folds(text: str) -> int | str:
+    """Return a number of folds, or the word for leaving out parts."""
+    if text == PARTS or (text.isascii() and text.isdigit() and int(text) > 1):
+        return text if text == PARTS else int(text)
+    raise argparse.ArgumentTypeError(f"{text!r} is neither a number of at least 2 nor '{PARTS}'")

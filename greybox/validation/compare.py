@@ -7,11 +7,21 @@ from greybox.data.record import Record
 from greybox.estimate.result import Fit
 from greybox.modeling.model import require_known
 from greybox.simulation.windows import require_lengths
-from greybox.validation.comparison import HELD_OUT, IDENTIFICATION, Comparison
+from greybox.validation.common_likelihood import Likelihoods, common_likelihood
+from greybox.validation.comparison import HELD_OUT, IDENTIFICATION, Comparison, Row
+from greybox.validation.cross_validation import cross_validation
 from greybox.validation.held_out import Predictions, not_held_out, predict_same_windows, require_own, window_lengths
 from greybox.validation.measures import fit_rows, prediction_rows
-from greybox.validation.same_data import check_fits, data_difference, labels_of, shared_data, why_not_comparable
-from greybox.validation.significance import verdicts
+from greybox.validation.parsimony import parsimony
+from greybox.validation.same_data import (
+    check_fits,
+    data_difference,
+    is_likelihood,
+    labels_of,
+    shared_data,
+    why_not_comparable,
+)
+from greybox.validation.significance import Evidence, Pair, verdicts
 
 
 def compare(
@@ -22,17 +32,23 @@ def compare(
     labels: Sequence[str] = (),
     removed_at: Mapping[str, float] | None = None,
     own: Sequence[str] | None = None,
+    folds: int | str | None = None,
 ) -> Comparison:
     """Compare fits of different structures: which describes its data best, and which predicts others best.
 
-    Cost, number of parameters, AIC and BIC are given where the fits have the same data and their costs are likelihoods,
-    as all in time are; otherwise a sentence says why not. In time, models are judged by predictions over windows, the
+    Cost, number of parameters, AIC, AICc and BIC are given where the fits have the same data and their costs are
+    likelihoods, as all in time are; otherwise a sentence says why not. Fits of frequency responses may have different
+    criteria: the table has each of them at every estimate, and AIC, AICc and BIC are of one likelihood, that of
+    `MaximumLikelihood` where the data have variances and otherwise that of `RelativeLikelihood`, maximized again from
+    every estimate. One sentence names the smallest structure that the data support: the one with the fewest parameters
+    of those whose BIC is within 2 of the least. In time, models are judged by predictions over windows, the
     same ones for all, see `predict`: on the data of the fits, and on `records`. Windows in which one of the models has
     no finite value are left out for all and counted. Whiteness and correlation with the inputs are those of predictions
     one sample ahead.
 
     Where one model is another with terms removed (see `nested_test` for how that is decided), their fits to the same
-    data are held against one another by the likelihood ratio or, where costs are no likelihoods, by Wald's test; other
+    data are held against one another by the likelihood ratio, of responses by that of their criterion or, where these
+    differ, of the common likelihood; other
     models in time by Vuong's test, and they describe their data equally well where AIC differs by less than 2 (Burnham
     and Anderson, section 2.6). Where no test applies or decides, a sentence says that it cannot be told.
 
@@ -82,8 +98,7 @@ def compare(
     same_data = not different
     not_comparable = different or why_not_comparable(fits, names)
     comparable = not not_comparable
-    notes = [_costs_not_compared(not_comparable, fits)] if same_data and not comparable else []
-    notes += not_held_out(fits, names, held_out)
+    notes = list(not_held_out(fits, names, held_out))
 
     data: dict[str, list[list[Record]]] = {}  # of every fit
     if same_data and fits[0].records:
@@ -98,23 +113,63 @@ def compare(
         predictions[kind], said = predict_same_windows(fits, names, of_fits, lengths, fitted=fitted, own=own)
         notes += said
 
-    rows = fit_rows(fits, same_data=same_data, comparable=comparable)
+    is_known = comparable and all(is_likelihood(fit) for fit in fits)
+    likelihoods = common_likelihood(fits) if same_data and not is_known else None
+    rows = fit_rows(fits, same_data=same_data, comparable=comparable, likelihoods=likelihoods)
     for kind, of_fits in predictions.items():
         rows += prediction_rows(kind, of_fits, fits)
+    said, tests = verdicts(
+        fits,
+        names,
+        predictions,
+        same_data=same_data,
+        comparable=comparable,
+        removed_at=removed_at,
+        likelihoods=likelihoods,
+        aic=_known("AIC", rows),
+    )
+    if folds is not None:
+        if different:
+            raise ValueError(f"{different}: folds need fits of the same data.")
+        left_out, predicted = cross_validation(fits, names, folds)
+        rows += left_out
+        said = (*said, *predicted)
+    notes += [_costs_not_compared(not_comparable, fits, likelihoods)] if same_data and not comparable else []
+    supported, verdict = _parsimony(names, fits, rows, tests)
     first = next((p for of_fits in predictions.values() for p in of_fits[0] if p.data.has_time), None)
     return Comparison(
         labels=names,
         data=shared_data(fits) if same_data else f"{different}: their costs are not compared",
         rows=tuple(rows),
-        statements=(
-            *notes,
-            *verdicts(fits, names, predictions, same_data=same_data, comparable=comparable, removed_at=removed_at),
-        ),
+        statements=(*notes, *said),
         window=first.horizon if first else None,
         lead=first.lead if first else None,
         windows={kind: sum(len(p) for p in of_fits[0]) for kind, of_fits in predictions.items()},
         predictions=predictions,
+        supported=supported,
+        verdict=verdict,
     )
+
+
+def _parsimony(
+    names: Sequence[str], fits: Sequence[Fit], rows: Sequence[Row], tests: Mapping[Pair, Evidence]
+) -> tuple[str, str]:
+    """Return the label and the sentence of the smallest structure that the data support; empty where it is not known.
+
+    The likelihood of records assumes white residuals, which are seldom so white that differences of BIC could be
+    believed: there the tests, which allow for it, stand alone.
+    """
+    bic = _known("BIC", rows)
+    if not bic or any(part.data.has_time for fit in fits for part in fit.records):
+        return "", ""
+    k, sentence = parsimony(names, bic, [len(fit.free) for fit in fits], tests)
+    return names[k], sentence
+
+
+def _known(measure: str, rows: Sequence[Row]) -> list[float]:
+    """Return a measure of all fits; empty where one of them has none."""
+    values = next(row.values for row in rows if (row.data, row.measure) == ("fit", measure))
+    return [] if None in values else [value for value in values if value is not None]
 
 
 def _check_labels(labels: Sequence[str], count: int) -> None:
@@ -134,6 +189,7 @@ def _as_records(given: Any) -> list[Record]:
     return list(given)
 
 
-def _costs_not_compared(reason: str, fits: Sequence[Fit]) -> str:
+def _costs_not_compared(reason: str, fits: Sequence[Fit], likelihoods: Likelihoods | None) -> str:
+    what = "Costs, AIC and BIC are" if likelihoods is None else "Costs are"
     more = "; the table has each criterion for all of them" if any(fit.costs for fit in fits) else ""
-    return f"Costs, AIC and BIC are not compared: {reason}{more}."
+    return f"{what} not compared: {reason}{more}."

@@ -10,6 +10,9 @@ from greybox.simulation.windows import seconds
 
 IDENTIFICATION = "identification"
 HELD_OUT = "held-out"
+# What is left out of fits of responses, one part of it after the other, and predicted by the fit to the rest.
+FREQUENCIES = "frequencies"
+PARTS = "parts"
 
 # p-value below which a difference counts: the customary 5 %, one false alarm in twenty comparisons.
 SIGNIFICANT = 0.05
@@ -22,7 +25,8 @@ class Row:
     Attributes
     ----------
     data : str
-        "fit", or on which records the windows lie: "identification" or "held-out".
+        "fit"; on which records the windows lie: "identification" or "held-out"; or what was left out and predicted by
+        the fit to the rest: "frequencies" or "parts".
     output : str
         Empty for what belongs to the whole fit.
     measure, unit : str
@@ -57,6 +61,10 @@ class Comparison:
         How many there are on identification data and on held-out records.
     predictions : mapping of str to tuple of tuples
         For every fit the `Prediction` of every record, for figures.
+    supported : str
+        The label of the smallest structure that the data support; empty where that cannot be told.
+    verdict : str
+        Why, in one sentence.
     """
 
     labels: tuple[str, ...]
@@ -67,6 +75,8 @@ class Comparison:
     lead: float | None = None
     windows: Mapping[str, int] = field(default_factory=dict)
     predictions: Mapping[str, tuple[tuple[Prediction, ...], ...]] = field(default_factory=dict, repr=False)
+    supported: str = ""
+    verdict: str = ""
 
     @property
     def table(self) -> list[dict[str, Any]]:
@@ -95,7 +105,11 @@ class Comparison:
 
     def __str__(self) -> str:
         lines = [f"Comparison of {', '.join(self.labels)}", "", f"  data  {self.data}", ""]
+        lines += [f"  {self.verdict}", ""] if self.verdict else []
         lines += self._section([r for r in self.rows if r.data == "fit"])
+        for data, title in ((FREQUENCIES, "left-out frequencies"), (PARTS, "left-out responses")):
+            rows = [r for r in self.rows if r.data == data]
+            lines += [f"  {title}, predicted by the fit to the others", "", *self._section(rows)] if rows else []
         for data in (IDENTIFICATION, HELD_OUT):
             rows = [r for r in self.rows if r.data == data]
             if rows:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from greybox.statistics.metrics import (
     variance_accounted_for,
     whiteness,
 )
+from greybox.validation.common_likelihood import Likelihoods
 from greybox.validation.comparison import Row
 from greybox.validation.held_out import Predictions
 from greybox.validation.same_data import LIKELIHOOD, count_numbers, count_unknowns, is_likelihood
@@ -27,10 +28,13 @@ from greybox.validation.same_data import LIKELIHOOD, count_numbers, count_unknow
 Array = NDArray[np.float64]
 
 
-def fit_rows(fits: Sequence[Fit], *, same_data: bool, comparable: bool) -> list[Row]:
-    """Return what belongs to the fits as a whole: costs, sizes, AIC and BIC.
+def fit_rows(
+    fits: Sequence[Fit], *, same_data: bool, comparable: bool, likelihoods: Likelihoods | None = None
+) -> list[Row]:
+    """Return what belongs to the fits as a whole: costs, sizes, AIC, AICc and BIC.
 
-    Costs are given where they are `comparable`, AIC and BIC where they are likelihoods too.
+    Costs are given where they are `comparable`, and the criteria of information where they are likelihoods too or the
+    fits have been given common `likelihoods`.
     """
     names = list(dict.fromkeys(fit.criterion for fit in fits))
     criterion = names[0] if len(names) == 1 else LIKELIHOOD
@@ -42,27 +46,38 @@ def fit_rows(fits: Sequence[Fit], *, same_data: bool, comparable: bool) -> list[
         _row("numbers in the data", numbers),
         _row("degrees of freedom", [fit.dof for fit in fits]),
     ]
-    if comparable and all(is_likelihood(fit) for fit in fits):
-        rows += _information_rows(fits, numbers)
+    if likelihoods is not None:
+        unknowns = [len(fit.free) + k for fit, k in zip(fits, likelihoods.nuisances, strict=True)]
+        rows += [_row("negative log-likelihood", likelihoods.costs)]
+        rows += _information_rows(likelihoods.costs, unknowns, numbers)
+    elif comparable and all(is_likelihood(fit) for fit in fits):
+        rows += _information_rows([fit.cost for fit in fits], [count_unknowns(fit) for fit in fits], numbers)
     else:
         rows += [_unknown_row("AIC", fits), _unknown_row("BIC", fits)]
     if same_data:
         rows += _other_costs(fits, criterion if comparable else "")
+        if all(fit.responses for fit in fits):
+            rows += [replace(_row("relative residual (rms)", [_relative_rms(fit) for fit in fits]), unit="%")]
     # That costs, AIC and BIC do not exist is worth a row; of other measures it is not.
     return [row for row in rows if row.measure in ("cost", "AIC", "BIC") or any(v is not None for v in row.values)]
 
 
-def _information_rows(fits: Sequence[Fit], numbers: Sequence[int]) -> Iterator[Row]:
-    """Yield AIC = 2 k - 2 ln L and BIC = k ln n - 2 ln L, for k unknowns and n numbers, and their differences."""
-    unknowns = [count_unknowns(fit) for fit in fits]
+def _information_rows(costs: Sequence[float], unknowns: Sequence[int], numbers: Sequence[int]) -> Iterator[Row]:
+    """Yield AIC = 2 k - 2 ln L, AICc and BIC = k ln n - 2 ln L, for k unknowns and n numbers, and their differences.
+
+    AICc adds 2 k (k + 1) / (n - k - 1); there is none where n is not larger than k + 1. Source: Burnham and Anderson
+    (2002), section 2.4.
+    """
+    sizes = list(zip(unknowns, numbers, strict=True))
     penalties = {
-        "AIC": [2.0 * k for k in unknowns],
-        "BIC": [k * math.log(n) for k, n in zip(unknowns, numbers, strict=True)],
+        "AIC": [2.0 * k for k, _ in sizes],
+        "AICc": [2.0 * k * n / (n - k - 1) if n > k + 1 else math.nan for k, n in sizes],
+        "BIC": [k * math.log(n) for k, n in sizes],
     }
     for name, penalty in penalties.items():
-        values = [term + 2 * fit.cost for term, fit in zip(penalty, fits, strict=True)]
+        values = [term + 2 * cost for term, cost in zip(penalty, costs, strict=True)]
         yield _row(name, values)
-        yield _row(f"{name} less the least", [value - min(values) for value in values])
+        yield _row(f"{name} less the least", [value - np.nanmin([*values, math.inf]) for value in values])
 
 
 def _other_costs(fits: Sequence[Fit], minimized: str) -> Iterator[Row]:
@@ -70,6 +85,13 @@ def _other_costs(fits: Sequence[Fit], minimized: str) -> Iterator[Row]:
     for name in dict.fromkeys(name for fit in fits for name in fit.costs):
         if name != minimized:
             yield _row(f"cost: {name}", [fit.costs.get(name, math.nan) for fit in fits])
+
+
+def _relative_rms(fit: Fit) -> float:
+    """Return the size of the relative residuals of all responses, in percent."""
+    with np.errstate(divide="ignore", invalid="ignore"):  # zeros among the data have none
+        shares = [np.abs(part.response / part.data.response - 1) for part in fit.responses]
+    return 100 * rms(np.concatenate(shares))
 
 
 def _row(measure: str, values: Sequence[float]) -> Row:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.text_table import listed, number, one_line
-from greybox.estimate.result import Fit, FittedResponse
+from greybox.estimate.result import Fit
 from greybox.validation.comparison import SIGNIFICANT, p_text
 from greybox.validation.nesting import Nesting, NotNestedError, nesting
 from greybox.validation.same_data import (
@@ -25,6 +25,11 @@ from greybox.validation.same_data import (
 RATIO_TOLERANCE = 1e-3
 RELATIVE_COST_TOLERANCE = 1e-9
 
+# What scales a ratio, in words.
+IN_TIME = "residuals that are correlated in time"
+BEYOND = "residuals beyond the given variance"
+SIZE = "the size of the errors"
+
 
 @dataclass(frozen=True)
 class NestedTest:
@@ -37,17 +42,18 @@ class NestedTest:
     terms : tuple of str
         The parameters that are free in the larger alone.
     likelihood_ratio : float
-        Twice the difference of the negative log-likelihoods; NaN where the criterion is no likelihood.
+        Twice the difference of the costs; NaN where no ratio can be formed.
     scale : float
-        By how much the correlation of the residuals in time inflates it; 1 for white residuals. Of rows without a time
-        whose variance was given, by how much the residuals' own is larger.
+        What makes it one of likelihoods: by how much the correlation of the residuals in time inflates it, 1 for white
+        residuals; of rows without a time whose variance was given, by how much the residuals' own is larger; of
+        responses, what the size of the errors says of the criterion.
     statistic : float
         What is compared with the F distribution.
     dof : (float, float)
         Its degrees of freedom; the second is `Fit.dof` of the larger.
     p_value : float
-    in_time : bool
-        False where all data are rows without a time.
+    scaled_for : str
+        What the scale accounts for, in words.
     """
 
     small: str
@@ -58,7 +64,7 @@ class NestedTest:
     statistic: float
     dof: tuple[float, float]
     p_value: float
-    in_time: bool = True
+    scaled_for: str = IN_TIME
 
     def __repr__(self) -> str:
         return one_line(self, f"{self.small} in {self.large}", p_text(self.p_value))
@@ -79,9 +85,10 @@ class NestedTest:
 
         method = "Wald test with the standard errors of the fit"
         if not math.isnan(self.likelihood_ratio):
-            why = "residuals that are correlated in time" if self.in_time else "residuals beyond the given variance"
-            method = f"likelihood ratio {number(self.likelihood_ratio, 4)}"
-            method += f", divided by {number(self.scale, 3)} for {why}" if self.in_time or self.scale != 1.0 else ""
+            scaled = self.scaled_for == IN_TIME or self.scale != 1.0
+            ratio = "twice the difference of the costs" if self.scaled_for == SIZE else "likelihood ratio"
+            method = f"{ratio} {number(self.likelihood_ratio, 4)}"
+            method += f", divided by {number(self.scale, 3)} for {self.scaled_for}" if scaled else ""
         return f"{verdict} ({statistic}, {p_text(self.p_value)}; {method})."
 
 
@@ -94,8 +101,10 @@ def nested_test(small: Fit, large: Fit, *, removed_at: Mapping[str, float] | Non
 
     The likelihood ratio is divided by the factor by which correlation of the residuals in time inflates the variance
     of these parameters, so that the test keeps its size there (the mean of the scaled statistic is that of chi-square,
-    over its degrees of freedom F). Of rows without a time it is the F test of least squares. Where the cost is no
-    likelihood, the estimates of these parameters are compared with their values in `small` by their covariance (Wald).
+    over its degrees of freedom F). Of rows without a time it is the F test of least squares. Of frequency responses it
+    is the ratio of whatever criterion was minimized, by the same rule: divided by the variance that the standard errors
+    give these parameters over the one that the curvature of the cost says. Where there is no such ratio, the estimates
+    are compared with their values in `small` by their covariance (Wald).
     Where one of these values is on a bound, the statistic has half of its distribution at one degree of freedom less;
     where several are, the p-value is an upper limit.
 
@@ -158,10 +167,11 @@ def nested_test_at(place: Nesting, small: Fit, large: Fit, labels: tuple[str, st
         raise ValueError(f"the data do not determine {listed(list(lost))} of {labels[1]}: nothing can be tested.")
 
     scale = 1.0
-    in_time = any(isinstance(part, FittedResponse) or part.data.has_time for part in large.parts)
-    if is_likelihood(small) and is_likelihood(large) and large.white is not None:
+    reason = _scaled_for(large)
+    has_ratio = not large.records or (is_likelihood(small) and is_likelihood(large))
+    if has_ratio and large.white is not None:
         ratio = _likelihood_ratio(small, large, labels)
-        estimated = not in_time and not any(isinstance(p.settings.get("noise"), Mapping) for p in large.parts)
+        estimated = reason == BEYOND and not any(isinstance(p.settings.get("noise"), Mapping) for p in large.parts)
         if H.size and not estimated:
             white = H.T @ large.white[np.ix_(inside, inside)] @ H
             scale = float(np.trace(np.linalg.solve(white, C))) / H.shape[1]
@@ -175,7 +185,13 @@ def nested_test_at(place: Nesting, small: Fit, large: Fit, labels: tuple[str, st
         difference = H.T @ moved[inside]
         statistic = float(difference @ np.linalg.solve(C, difference)) / r if H.size else 0.0
     p_value = _p_value(statistic, r, large.dof, on_bound=len(place.on_bound) == 1)
-    return NestedTest(*labels, place.terms, ratio, scale, statistic, (r, large.dof), p_value, in_time)
+    return NestedTest(*labels, place.terms, ratio, scale, statistic, (r, large.dof), p_value, reason)
+
+
+def _scaled_for(fit: Fit) -> str:
+    if any(part.data.has_time for part in fit.records):
+        return IN_TIME
+    return SIZE if fit.responses else BEYOND
 
 
 def _null_space(matrix: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -12,6 +12,7 @@ from greybox.data.text_table import counted, listed, number, with_error
 from greybox.estimate.result import Fit, FittedRecord
 from greybox.simulation.prediction import Prediction
 from greybox.statistics.metrics import mean_test, whiteness
+from greybox.validation.common_likelihood import Likelihoods
 from greybox.validation.comparison import HELD_OUT, IDENTIFICATION, SIGNIFICANT, p_text
 from greybox.validation.held_out import Predictions
 from greybox.validation.nested_models import NestedTest, nested_test_at
@@ -39,6 +40,8 @@ SIMULATION_ACCURACY = 1e-6
 
 # Difference of AIC below which two models have substantial support alike: Burnham and Anderson (2002), section 2.6.
 EQUAL_AIC = 2.0
+# And from which one has essentially no support beside the other: ibid.
+NO_SUPPORT = 10.0
 
 # Standard errors within which an estimate is not distinguishable from zero: 95 % of a normal distribution.
 NOT_ZERO = 2.0
@@ -81,11 +84,15 @@ def verdicts(
     same_data: bool,
     comparable: bool,
     removed_at: Mapping[str, float] | None = None,
-) -> tuple[str, ...]:
-    """Return the sentences of a comparison.
+    likelihoods: Likelihoods | None = None,
+    aic: Sequence[float] = (),
+) -> tuple[tuple[str, ...], Mapping[Pair, Evidence]]:
+    """Return the sentences of a comparison, and the tests by the data of the fits.
 
     `predictions` are those on the data of the fits and on held-out records, as far as there are; `comparable` says
     whether the costs are. What held-out records say stands beside what the data of the fits say, not in its place.
+    Fits of responses by different criteria are tested by their common `likelihoods`, those that are not nested by their
+    `aic`, where these are known.
     """
     sentences: list[str] = []
     evidence: dict[str, dict[Pair, Evidence]] = {kind: {} for kind in (ESTIMATION, IDENTIFICATION, HELD_OUT)}
@@ -93,7 +100,9 @@ def verdicts(
         pair = (a, b)
         found: dict[str, Evidence] = {}
         if same_data:
-            found[ESTIMATION] = _estimation_evidence(fits, labels, pair, comparable, removed_at or {})
+            one_criterion = all(x.has_criterion_of(y) for x, y in zip(fits[a].parts, fits[b].parts, strict=True))
+            tested = likelihoods.fits if likelihoods is not None and not one_criterion else fits
+            found[ESTIMATION] = _estimation_evidence(tested, labels, pair, comparable, removed_at or {}, aic)
         for kind in (IDENTIFICATION, HELD_OUT):
             if kind in predictions:
                 better, sentence = _errors_window_by_window(labels, predictions[kind], pair, kind)
@@ -106,17 +115,22 @@ def verdicts(
         sentences += _residuals_not_white(fits, labels)
     for k in range(len(fits)):
         sentences += _terms(fits, labels, k, evidence)
-    if comparable:
-        sentences += _no_likelihood(fits)
-    return tuple(sentences)
+    if likelihoods is not None:
+        sentences.append(_which_likelihood(fits, labels, likelihoods))
+    return tuple(sentences), evidence[ESTIMATION]
 
 
 def _estimation_evidence(
-    fits: Sequence[Fit], labels: Sequence[str], pair: Pair, comparable: bool, removed_at: Mapping[str, float]
+    fits: Sequence[Fit],
+    labels: Sequence[str],
+    pair: Pair,
+    comparable: bool,
+    removed_at: Mapping[str, float],
+    aic: Sequence[float],
 ) -> Evidence:
     """Compare two fits by the data that both were made with.
 
-    Nested models by the likelihood ratio or Wald's test: the differences of their log-likelihoods have no normal
+    Nested models by the ratio of their costs or Wald's test: the differences of their log-likelihoods have no normal
     distribution, on which Vuong's test rests. Other models in time by that.
     """
     a, b = pair
@@ -137,7 +151,20 @@ def _estimation_evidence(
         return Evidence(None, f"{_cannot_be_told(labels, pair)}: {undecided}{_aic_text(two) if comparable else ''}.")
     if all(len(fit.records) == len(fit.parts) for fit in two):
         return Evidence(*_likelihoods_sample_by_sample(fits, labels, pair))
-    return Evidence(None, "")
+    return Evidence(*_by_aic(labels, pair, aic)) if aic else Evidence(None, "")
+
+
+def _by_aic(labels: Sequence[str], pair: Pair, aic: Sequence[float]) -> tuple[int | None, str]:
+    """Compare structures that are not nested: those without support beside the other are told."""
+    a, b = pair
+    both, difference = f"{labels[a]} and {labels[b]}", aic[b] - aic[a]
+    said = f"AIC differs by {number(abs(difference), 3)}"
+    if abs(difference) < EQUAL_AIC:
+        return 0, f"{both} fit the data equally well ({said}; below {EQUAL_AIC:g} neither is preferred)."
+    if abs(difference) < NO_SUPPORT:
+        return None, f"{_cannot_be_told(labels, pair)} ({said}; from {NO_SUPPORT:g} on one of them has no support)."
+    better, worse = (a, b) if difference > 0 else (b, a)
+    return (1 if difference > 0 else -1), f"{labels[better]} fits the data better than {labels[worse]} ({said})."
 
 
 def _cannot_be_told(labels: Sequence[str], pair: Pair) -> str:
@@ -373,31 +400,38 @@ def _by_evidence(
         kind = IDENTIFICATION if evidence[IDENTIFICATION] else kind
     better = {i: evidence[kind][k, i].better for i in without}
     other, equal, unknown = ([labels[i] for i in without if better[i] == verdict] for verdict in (-1, 0, None))
-    explains = "predicts held-out data" if kind == HELD_OUT else "explains the data"
     if other:
-        text = f"not {value}, but {listed(other)}, without it, {explains} better"
+        text = f"not {value}, but {_explain(other, kind)} better"
     elif unknown:
-        text = f"not {value}, but it cannot be told whether {listed(unknown)}, without it, {explains} as well"
+        text = f"not {value}, but it cannot be told whether {_explain(unknown, kind)} as well"
     elif equal:
-        text = f"not {value}, but {listed(equal)}, without it, {explains} as well"
+        text = f"not {value}, but {_explain(equal, kind)} as well"
     else:
         text = "determined by these data"
 
     held_out = evidence.get(HELD_OUT, {}) if kind != HELD_OUT else {}
     against = [labels[i] for i in without if (k, i) in held_out and held_out[k, i].better == -1 and better[i] != -1]
     if against:
-        text += f", but {listed(against)}, without it, predicts held-out data better"
+        text += f", but {_explain(against, HELD_OUT)} better"
     return f"{text}."
 
 
-def _no_likelihood(fits: Sequence[Fit]) -> Iterator[str]:
-    """Say which measures do not exist for fits of responses."""
-    rules = {part.rule for fit in fits for part in fit.responses if not part.is_likelihood}
+def _explain(models: Sequence[str], kind: str) -> str:
+    """Say that models without a term explain or predict."""
+    verb = "predict{} held-out data" if kind == HELD_OUT else "explain{} the data"
+    return f"{listed(models)}, without it, {verb.format('s' if len(models) == 1 else '')}"
+
+
+def _which_likelihood(fits: Sequence[Fit], labels: Sequence[str], likelihoods: Likelihoods) -> str:
+    """Say of which likelihood AIC, AICc and BIC are, and where they are not at its maximum."""
+    text = f"AIC, AICc and BIC are those of {likelihoods.said}, maximized from each estimate"
+    rules = sorted({part.rule for fit in fits for part in fit.responses if not part.is_likelihood})
     if rules:
-        yield (
-            f"AIC and BIC do not exist for {' and '.join(sorted(rules))}, which is no likelihood: compare the costs; "
-            "RelativeLikelihood() has them, and with the variance of every point MaximumLikelihood()."
-        )
+        text += f", since {' and '.join(rules)} {'is no likelihood' if len(rules) == 1 else 'are no likelihoods'}"
+    elsewhere = [label for label, at in zip(labels, likelihoods.at_maximum, strict=True) if not at]
+    if elsewhere:
+        text += f"; of {listed(elsewhere)}, which cannot be stated again, at the estimate, where they are too high"
+    return f"{text}."
 
 
 def _quantile(dof: float) -> float:

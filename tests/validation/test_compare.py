@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from declared_models import TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from drag_flights import LINEAR, QUADRATIC, Drag, LinearDrag, QuadraticDrag, fitted, flight
 
 import greybox as gb
@@ -162,24 +161,3 @@ def test_mistakes_are_told_in_a_sentence(quadratic, call, error, sentence):
     with pytest.raises(error) as caught:
         call(*quadratic)
     assert sentence in str(caught.value)
-
-
-def test_fits_of_responses_are_compared_by_their_costs():
-    data = measured(LagLagDelay(), TWO_LAGS_OMEGA, {"K": 5.0, "T1": 1.0, "T2": 0.1, "tau": 0.05}, noise=0.02)
-    fits = [gb.fit(gb.Problem(m, data), starts=20) for m in (Lag(), LagLagDelay())]
-    found = gb.compare(*fits)
-    assert found.value("cost: relative-error", "Lag") == fits[0].cost > 5 * fits[1].cost
-    assert found.value("cost: squared-relative-error", "LagLagDelay") is not None
-    assert found.value("AIC", "Lag") is None
-    assert found.value("degrees of freedom", "LagLagDelay") == 56
-    assert found.windows == {}
-    assert any(s.startswith("AIC and BIC do not exist for") for s in found.statements)
-    others = [fits[0], gb.fit(gb.Problem(LagLagDelay(), data, gb.SquaredRelativeError()), starts=20)]
-    (said,) = [s for s in gb.compare(*others).statements if s.startswith("Costs, AIC and BIC are not compared")]
-    assert "they are of different criteria" in said
-    assert "the table has each criterion" in said
-    likely = measured(Lag(), TWO_LAGS_OMEGA, noise=0.02, columns={"variance": np.full(30, 1e-4)})
-    fits = [gb.fit(gb.Problem(m, likely, gb.MaximumLikelihood()), starts=20) for m in (Lag(), LagLagDelay())]
-    found = gb.compare(*fits)
-    assert found.value("AIC", "Lag") == pytest.approx(2 * fits[0].cost + 4)
-    assert not any("do not exist" in s for s in found.statements)

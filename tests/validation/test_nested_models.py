@@ -62,15 +62,21 @@ def test_a_value_on_a_bound_has_half_of_the_distribution_at_one_degree_less():
     assert stuck.p_value > 0.5
 
 
-def test_of_responses_without_a_likelihood_the_estimates_are_compared():
+def test_of_responses_the_ratio_of_squared_errors_is_the_f_test_and_others_agree_with_it():
     data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.02)
-    large = gb.fit(gb.Problem(LagLagDelay(), data), starts=10)
-    value = large.estimate["tau"] + 2.5 * large.standard_error["tau"]
-    small = gb.fit(gb.Problem(LagLagDelay(), data, fixed={"tau": value}), starts=10)
-    found = gb.validation.nested_test(small, large)
-    assert np.isnan(found.likelihood_ratio)
-    assert found.statistic == pytest.approx(2.5**2, rel=1e-6)
-    assert found.p_value == pytest.approx(f.sf(2.5**2, 1, large.dof), rel=1e-6)
+    tested = {}
+    for criterion in (gb.SquaredRelativeError(), gb.RelativeError()):
+        large = gb.fit(gb.Problem(LagLagDelay(), data, criterion), starts=10)
+        value = large.estimate["tau"] + 2.5 * large.standard_error["tau"]
+        small = gb.fit(gb.Problem(LagLagDelay(), data, criterion, fixed={"tau": value}), starts=10)
+        tested[criterion.name] = gb.validation.nested_test(small, large)
+        if criterion == gb.SquaredRelativeError():
+            statistic = (small.cost - large.cost) / (large.cost / large.dof)
+            assert tested[criterion.name].statistic == pytest.approx(statistic, rel=1e-6)
+            assert tested[criterion.name].p_value == pytest.approx(f.sf(statistic, 1, large.dof), rel=1e-5)
+            # The cost is quadratic: the root of the ratio is the distance in standard errors.
+            assert statistic == pytest.approx(2.5**2, rel=0.15)
+    assert tested["relative-error"].p_value < 0.05
     compared = gb.compare(small, large, labels=("held", "free"))
     assert compared.statements[0].startswith("free contains held, and tau is needed: held is rejected")
     (said,) = [s for s in compared.statements if s.startswith("tau")]

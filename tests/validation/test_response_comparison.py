@@ -1,0 +1,124 @@
+"""Fits of frequency responses side by side: one likelihood, one verdict, and points that a fit was not given."""
+
+import numpy as np
+import pytest
+from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
+from scipy.optimize import minimize
+
+import greybox as gb
+
+SQUARED = gb.SquaredRelativeError()
+
+
+def fitted(model, data, criterion=None, **stated):
+    return gb.fit(gb.Problem(model, data, criterion, **stated), starts=4)
+
+
+class Second(LagLagDelay):
+    """Two lags and a delay, and a pair of zeros that the data do not have."""
+
+    zeros = gb.Parameter(0.0, bounds=(-1, 1), unit="s²")
+
+    def response(self, s, p):
+        return super().response(s, p) * (1 + p.zeros * s**2)
+
+
+@pytest.fixture(scope="module")
+def data():
+    return measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.02)
+
+
+@pytest.fixture(scope="module")
+def compared(data):
+    fits = (fitted(Lag(), data), fitted(LagLagDelay(), data, SQUARED), fitted(Second(), data, gb.MagnitudePhase()))
+    return fits, gb.compare(*fits, folds=5)
+
+
+def test_fits_by_different_criteria_have_the_information_criteria_of_one_likelihood(data, compared):
+    fits, found = compared
+
+    def log_likelihood(x):  # of circular normal errors of the relative variance v, as of a textbook, without constants
+        model = x[0] / ((1 + 1j * x[1] * data.omega) * (1 + 1j * x[2] * data.omega)) * np.exp(-1j * x[3] * data.omega)
+        relative = np.abs(data.response / model - 1) ** 2
+        v = relative.mean()
+        return -np.sum(np.log(v * np.abs(model / data.response) ** 2) + relative / v)
+
+    start = [fits[1].estimate[name] for name in ("K", "T1", "T2", "tau")]
+    best = minimize(lambda x: -log_likelihood(x), start, method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-9})
+    k, n = 5, 60  # parameters and the variance; real numbers
+    name = "LagLagDelay"
+    assert found.value("AIC", name) == pytest.approx(2 * k + 2 * best.fun, abs=1e-4)
+    assert found.value("AICc", name) == pytest.approx(2 * k + 2 * best.fun + 2 * k * (k + 1) / (n - k - 1), abs=1e-4)
+    assert found.value("BIC", name) == pytest.approx(k * np.log(n) + 2 * best.fun, abs=1e-4)
+    assert found.value("relative residual (rms)", name) == pytest.approx(
+        100 * np.sqrt(np.mean(np.abs(fits[1].responses[0].response / data.response - 1) ** 2))
+    )
+    for fit, label in zip(fits, found.labels, strict=True):
+        assert found.value(f"cost: {fit.criterion}", label) == pytest.approx(fit.cost)
+    (said,) = [s for s in found.statements if s.startswith("Costs are not compared")]
+    assert "they are of different criteria" in said
+    (said,) = [s for s in found.statements if s.startswith("AIC, AICc and BIC are those of RelativeLikelihood")]
+    assert "sum of relative errors, (4.26)" in said
+
+
+def test_the_verdict_names_the_true_structure(compared):
+    _, found = compared
+    assert found.supported == "LagLagDelay"
+    assert found.verdict.startswith("LagLagDelay (4 free) is supported")
+    assert "no test finds that Second explains more" in found.verdict
+    assert found.verdict in str(found)
+    assert any(s.startswith("LagLagDelay fits the data better than Lag (AIC differs by 39") for s in found.statements)
+    assert len(str(found).splitlines()) < 60  # a page
+
+
+def test_left_out_frequencies_are_predicted_as_by_hand(data, compared):
+    fits, found = compared
+    total, squares = 0.0, 0.0
+    for k in range(5):
+        out = np.arange(30) % 5 == k
+        refit = gb.fit(gb.Problem(Lag(), data.where(~out)), starts=[fits[0].estimate])
+        error = np.abs(refit.response(data.omega[out]).response / data.response[out] - 1)
+        total, squares = total + error.sum(), squares + np.sum(error**2)
+    assert found.value("sum of relative errors", "Lag", "frequencies") == pytest.approx(total, rel=1e-6)
+    rms = 100 * np.sqrt(squares / 30)
+    assert found.value("relative error (rms)", "Lag", "frequencies") == pytest.approx(rms, rel=1e-6)
+    assert any(s.startswith("LagLagDelay predicts left-out frequencies better than Lag") for s in found.statements)
+    assert any(s.startswith("It cannot be told which of LagLagDelay and Second predicts") for s in found.statements)
+
+
+def test_a_response_is_left_out_and_predicted_by_the_others():
+    """Two axes with one lag and gains of their own: the lag comes from the other axis, the gain from the axis."""
+    omega = np.geomspace(0.1, 10, 12)
+    roll, pitch = (
+        measured(Lag(), omega, {"K": gain, "T": 0.5}, noise=0.02, seed=seed) for gain, seed in ((2.0, 1), (3.0, 2))
+    )
+    shared = gb.Problem(Lag(), roll) + gb.Problem(Lag(), pitch, rename={"K": "K_pitch"})
+    other = shared.with_(fixed={"T": 0.4})
+    fits = [gb.fit(problem, starts=4) for problem in (shared, gb.Problem(Lag(), roll) + gb.Problem(Lag(), pitch))]
+    found = gb.compare(*fits, labels=("own gains", "one gain"), folds="parts")
+    assert found.value("values estimated from what is left out", "own gains", "parts") == 2
+    assert found.value("relative error (rms)", "own gains", "parts") < 4
+    assert found.value("relative error (rms)", "one gain", "parts") > 30
+    with pytest.raises(ValueError, match="shares no free parameter with the other parts"):
+        gb.compare(gb.fit(other, starts=2), fits[1], folds="parts")
+
+
+def test_alike_structures_and_mistakes_are_told(data, compared):
+    (lag, both, _), _ = compared
+    twice = gb.compare(both, fitted(LagLagDelay(), data), labels=("a", "b"))
+    assert twice.verdict.startswith("a and b (4 free) are supported alike")
+    for folds in (1, 31, "axes", True):
+        with pytest.raises(ValueError, match=r"folds is .*: give a number from 2 to 30"):
+            gb.compare(lag, both, folds=folds)
+    with pytest.raises(ValueError, match="Lag has one response, which cannot be left out"):
+        gb.compare(lag, both, folds="parts")
+
+
+def test_given_variances_make_the_likelihood():
+    likely = measured(Lag(), TWO_LAGS_OMEGA, noise=0.02, columns={"variance": np.full(30, 1e-4)})
+    likelihood = fitted(Lag(), likely, gb.MaximumLikelihood())
+    found = gb.compare(likelihood, fitted(LagLagDelay(), likely, gb.MaximumLikelihood()))
+    assert found.value("AIC", "Lag") == pytest.approx(2 * likelihood.cost + 4)
+    relative = fitted(Lag(), likely)
+    found = gb.compare(likelihood, relative, labels=("likelihood", "relative"))
+    assert found.value("AIC", "relative") == pytest.approx(found.value("AIC", "likelihood"), abs=1e-5)
