@@ -20,12 +20,9 @@ from greybox.logs.readers import read
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.validation.compare import compare
 from greybox.validation.comparison import Comparison
+from greybox.validation.parsimony import BARE_MENTION
 
 STARTS = 20
-
-# Difference in BIC that is "not worth more than a bare mention" (Kass and Raftery (1995), Bayes Factors, Journal of the
-# American Statistical Association 90, 773-795). BIC, not AIC, as a structure is sought and not the best prediction.
-BARE_MENTION = 2.0
 
 
 class FittedStep(NamedTuple):
