@@ -1,7 +1,9 @@
 """The command `greybox fit`: a problem from many starts."""
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,15 +12,19 @@ from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_w
 from greybox.cli.startup import INTERRUPTED
 from greybox.cli.stated_problem import add_problem_options, stated_problem
 from greybox.cli.workers import add_worker_options, stated_executor
-from greybox.compiled.compiled_problem import AnyProblem
 from greybox.data.response_file import HDF5
-from greybox.estimate.fit import Interrupted, fit
+from greybox.data.text_table import counted
+from greybox.estimate.fit import Interrupted, SolverChoice, fit_keeping
 from greybox.estimate.result import Fit
 from greybox.estimate.storage import save
 from greybox.estimate.summary import summary
 from greybox.formulation.starts import UntilFoundAgain
+from greybox.solve.executors import ExecutorLostError
 from greybox.solve.interruption import Response, responding, take_interrupt
+from greybox.solve.kept_runs import KeptRunsError
 from greybox.solve.multistart import BATCHED, SEARCHES
+from greybox.solve.time_limits import TimeLimits, is_search_over, limited
+from greybox.study.unfinished_fit import RunsBesideFit, kept_beside, runs_beside
 
 
 def add_command(commands: Any) -> None:
@@ -43,7 +49,9 @@ def add_command(commands: Any) -> None:
         help="batched (default): all starts at once, then IPOPT for every minimum; multistart: IPOPT from every start; "
         "global-search: the scatter search of MATLAB's GlobalSearch",
     )
-    parser.add_argument("--out", type=Path, metavar="FILE", help="save the result to this HDF5 file")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="save the result to this HDF5 file; killed, the same command goes on"
+    )
     add_time_options(parser, "fit")
     add_worker_options(parser)
     add_common_options(parser, "responses, time histories and starts")
@@ -52,29 +60,71 @@ def add_command(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> Answer:
     """Fit the stated problem; save and draw the result where asked to."""
-    require_writable(options.out, options.force)
+    goes_on = options.out is not None and runs_beside(options.out).is_dir()
+    require_writable(options.out, options.force or goes_on)
     if options.out is not None and options.out.suffix.lower() not in HDF5:
         raise UsageError(f"--out {options.out} is not a known kind of file: a fit is saved as HDF5, end it in .h5.")
-    require_figure(options.plot, options.force)
+    require_figure(options.plot, options.force or goes_on)
+    make = _stated_fit(options)
+    limits = TimeLimits.from_now(options.seconds, options.start_seconds)
+    try:
+        with _kept(options) as kept, stated_executor(options) as executor, limited(limits):
+            return _answer(options, kept, *_fitted(partial(make, executor=executor), kept, options))
+    except ExecutorLostError as error:
+        resume = "" if options.out is None else "; the same command goes on with the runs that were kept"
+        return {"error": f"{str(error).rstrip('.')}{resume}."}, "", FAILED
+
+
+def _stated_fit(options: argparse.Namespace) -> Callable[..., Fit]:
+    """Return what makes the stated fit, given what keeps its runs and an executor."""
     problem, settings = stated_problem(options)
-    for name in ("starts", "seed", "seconds", "start_seconds"):
+    for name in ("starts", "seed"):
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)
-    settings["search"] = options.search
     if options.until_found_again is not None:
         settings["starts"] = UntilFoundAgain(error=options.until_found_again, seed=settings.pop("seed", None) or 0)
-    with stated_executor(options) as executor:
-        result, interrupted = _fitted(problem, settings | {"executor": executor})
+    by = SolverChoice(settings.pop("method", None), options.search)
+    return partial(fit_keeping, problem=problem, by=by, **settings)
 
+
+def _kept(options: argparse.Namespace) -> AbstractContextManager[RunsBesideFit | None]:
+    """Return what keeps the runs of a fit that is saved."""
+    return nullcontext() if options.out is None else kept_beside(options.out)
+
+
+def _fitted(make: Callable[..., Fit], kept: RunsBesideFit | None, options: argparse.Namespace) -> tuple[Fit, bool]:
+    """Return the fit, or the best so far if it was interrupted, and whether it was."""
+    try:
+        return make(kept), False
+    except Interrupted as stopped:
+        if stopped.fit is None:
+            raise
+        return stopped.fit, True
+    except KeptRunsError as error:
+        if kept is None or not options.force:
+            raise UsageError(
+                f"{runs_beside(options.out)} has runs of another fit to {options.out} that did not end: give what that "
+                "was begun with, or --force to begin anew."
+            ) from error
+        kept.remove()
+        return _fitted(make, kept, options)
+
+
+def _answer(options: argparse.Namespace, kept: RunsBesideFit | None, result: Fit, interrupted: bool) -> Answer:
+    """Save and draw a fit, and return what there is to say; runs are kept until it is complete and saved."""
     answer = summary(result)
     status = USABLE if result.converged else FAILED
     if not result.converged:
         answer["error"] = ": ".join([result.status, *result.warnings[:1]]).rstrip(".") + "."
     notes = []
     try:
-        if options.out is not None:
+        if kept is not None:
             with responding(Response.FINISH):
                 save(result, options.out)
+                if interrupted or is_search_over():
+                    kept.write()
+                else:
+                    kept.remove()
             notes.append(f"saved {options.out}")
         interrupted = take_interrupt() or interrupted
         notes += save_figure(None if interrupted else options.plot, lambda: _figure(result))
@@ -87,17 +137,11 @@ def run(options: argparse.Namespace) -> Answer:
         answer["error"] = "interrupted."
         status = INTERRUPTED
         notes += [f"{options.plot} is not drawn"] if options.plot is not None else []
+    if kept is not None and kept.trouble:
+        notes.append(f"the last runs are not kept: {kept.trouble}")
+    if kept is not None and kept.count:
+        notes.append(f"the same command goes on with {counted(kept.count, 'run')}")
     return answer, "\n".join([str(result), *notes]), status
-
-
-def _fitted(problem: AnyProblem, settings: Mapping[str, Any]) -> tuple[Fit, bool]:
-    """Return the fit, or the best so far if it was interrupted, and whether it was."""
-    try:
-        return fit(problem, **settings), False
-    except Interrupted as stopped:
-        if stopped.fit is None:
-            raise
-        return stopped.fit, True
 
 
 def _figure(result: Fit) -> Any:

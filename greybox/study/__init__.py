@@ -1,7 +1,7 @@
 """Many fits, kept in a folder as they are made.
 
 Begin with `batch`, which makes them; `study` is what they have come to so far, also while they run. `study_folder` says
-what is in the folder, `run_files` how the runs of one problem are kept.
+what is in the folder, `run_files` how the runs of one problem are kept. `unfinished_fit` keeps those of a single fit.
 """
 
 from greybox.study.batch import Member as Member

@@ -118,6 +118,17 @@ class RunFiles(KeptRuns):
             file.path.unlink(missing_ok=True)
         self._files = [*kept, _File(path, rows)]
 
+    @property
+    def count(self) -> int:
+        """How many runs are on disk."""
+        return sum(len(file.rows) for file in self._files)
+
+    def remove(self) -> None:
+        """Remove all runs, and what a killed process left of them."""
+        self._files, self._unwritten = [], []
+        for path in (*(path for _, path in _paths(self._folder)), *self._folder.glob(".runs-*.part")):
+            path.unlink(missing_ok=True)
+
 
 def count_runs(folder: Path) -> int:
     """Return how many runs are in a folder, by the names of the files; a little more while one replaces another."""

@@ -25,6 +25,7 @@ from greybox.data.text_table import printable
 FORMAT = "greybox study"
 LAYOUT = 1
 INDEX = "study.json"
+LOCK = "lock"
 ANSWER = "answer.json"
 FIT = "fit.h5"
 
@@ -42,11 +43,11 @@ def locked(folder: Path) -> Iterator[None]:
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / "lock", timeout=0)
+        lock = FileLock(folder / LOCK, timeout=0)
         lock.acquire()
     except Timeout:
         raise BlockingIOError(
-            f"another process is at work on the study {folder}: wait for its end, or give another folder."
+            f"another process is at work in {folder}: wait for its end, or give another name."
         ) from None
     except OSError as error:
         reason = error.strerror or str(error).rstrip(".")

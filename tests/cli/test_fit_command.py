@@ -2,14 +2,19 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import OWN, QUICK, RECORD, refused, run
 
 import greybox as gb
+from greybox.cli.catalog import find_problem
+from greybox.study.run_files import RunFiles, count_runs
 
 
 def test_the_main_job(capsys):
@@ -77,7 +82,8 @@ def test_a_run_that_fails_has_status_1_and_its_reason(capsys, own):
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no limit of file sizes")
 def test_a_full_disk_costs_the_file_but_not_the_answer(tmp_path):
     code = (
-        "import resource, sys; from greybox.cli.main import main; "
+        "import resource, sys; from greybox.cli.main import main; import greybox.study.run_files as files; "
+        "files.UNWRITTEN = 0.0; "
         "resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192)); sys.exit(main(sys.argv[1:]))"
     )
     command = [sys.executable, "-c", code, "fit", "pitch_hover", "--starts", "3", "--out", "x.h5"]
@@ -183,3 +189,66 @@ def test_a_filter_in_the_path_is_part_of_the_model(capsys, tmp_path):
         assert answer["estimate"][name] == pytest.approx(value, rel=1e-3, abs=1e-5)
     without = json.loads(run(capsys, *command)[1])
     assert without["estimate"]["T_delay"] > 0.008
+
+
+# --- fits that were ended ---------------------------------------------------------------------------------------------
+
+# Runs are on disk at once.
+EAGER = "import greybox.study.run_files\ngreybox.study.run_files.UNWRITTEN = 0.0\n" + OWN
+
+
+def command(name, *words):
+    return [sys.executable, "-m", "greybox", "fit", name, "--search", "multistart", "--out", "own.h5", *words]
+
+
+def kept_runs():
+    folder = Path("own.h5.runs")
+    return count_runs(folder) if folder.is_dir() else 0
+
+
+def test_a_fit_that_is_killed_goes_on(capsys, own, monkeypatch):
+    monkeypatch.setattr("greybox.study.run_files.UNWRITTEN", 2.0)  # is put back afterwards
+    name = own(EAGER)
+    with subprocess.Popen(command(name, "--starts", "2000")) as process:
+        while kept_runs() < 20 and process.poll() is None:
+            time.sleep(0.01)
+        refusal = refused(capsys, *command(name)[3:])
+        process.kill()
+    assert process.returncode == -signal.SIGKILL
+    assert "another process is at work in own.h5.runs" in refusal
+    before = kept_runs()
+    assert not Path("own.h5").exists()
+
+    made = []
+    add = RunFiles.add
+    monkeypatch.setattr(RunFiles, "add", lambda self, *run: (made.append(run), add(self, *run)))
+    count = before + 20
+    assert "--force to begin anew" in refused(capsys, *command(name, "--starts", count, "--seed", "1")[3:])
+    assert (kept_runs(), made) == (before, [])
+    assert run(capsys, *command(name, "--starts", count)[3:])[0] == 0
+    assert len(made) == 20
+    assert [path.name for path in Path().glob("own.h5*")] == ["own.h5"]
+    fit, whole = gb.load("own.h5"), gb.fit(find_problem(name)[0], count, 3, search="multistart", progress=False)
+    assert [r.cost for r in fit.runs] == [r.cost for r in whole.runs]
+    assert (fit.estimate, fit.standard_error) == (whole.estimate, whole.standard_error)
+    assert "own.h5 exists: give another name, or --force" in refused(capsys, *command(name)[3:])
+
+
+def test_a_fit_that_ends_early_goes_on(capsys, own, monkeypatch, press_ctrl_c):
+    monkeypatch.setattr("greybox.study.run_files.UNWRITTEN", 2.0)
+    name = own()
+    add = RunFiles.add
+    monkeypatch.setattr(RunFiles, "add", lambda self, *run: (run[0] == 7 and press_ctrl_c(), add(self, *run)))
+    status, out, err = run(capsys, *command(name, "--starts", 30)[3:])
+    assert (status, err) == (130, "greybox: interrupted.\n")
+    assert "the same command goes on with 8 runs" in out
+    assert len(gb.load("own.h5").runs) == kept_runs() == 8
+    monkeypatch.setattr(RunFiles, "add", add)
+
+    # Of another problem only with --force, which then begins anew.
+    other = command(f"{name}:other", "--starts", 4)[3:]
+    assert "--force to begin anew" in refused(capsys, *other)
+    assert len(gb.load("own.h5").runs) == kept_runs() == 8
+    assert run(capsys, *other, "--force")[0] == 0
+    assert len(gb.load("own.h5").runs) == 4
+    assert kept_runs() == 0

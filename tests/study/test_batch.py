@@ -230,7 +230,7 @@ def test_a_second_process_is_refused(tmp_path):
         assert process.stdout.readline() == "begins\n"
         while not (folder / "members").exists():
             time.sleep(0.01)
-        with pytest.raises(BlockingIOError, match="another process is at work on the study"):
+        with pytest.raises(BlockingIOError, match="another process is at work in"):
             gb.batch(members(), folder, progress=False)
         assert len(gb.study.read_study(folder).members) == 3  # reading is free
         process.kill()
