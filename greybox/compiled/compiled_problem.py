@@ -224,10 +224,10 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
 
 
 def _limits(part: Problem, p: Names) -> dict[str, Any]:
-    """Return what must be >= 0, by a label: the constraints, and the declared bounds of tied parameters."""
+    """Return what must be >= 0, by a label: the constraints, and the bounds of tied parameters."""
     result = {f"constraints[{k}] of {part.name!r}": constraint(p) for k, constraint in enumerate(part.constraints)}
     for name in part.tied:
-        low, high = part.model.parameters[name].bounds
+        low, high = part.declared[name].bounds
         tied = f"of the tied {part.rename.get(name, name)}"
         if math.isfinite(low):
             result[f"the lower bound {low:g} {tied}"] = p[name] - low

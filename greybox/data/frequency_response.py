@@ -5,10 +5,12 @@ import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from greybox.data.magnitude_phase import angular_frequency, complex_response
 from greybox.data.numerical_range import out_of_range
 from greybox.data.text_table import counted, one_line, printable
 from greybox.data.units import to_si
@@ -103,6 +105,45 @@ class FrequencyResponse:
         for name in ("units", "about"):
             texts = {printable(str(key)): printable(str(text)) for key, text in getattr(self, name).items()}
             object.__setattr__(self, name, texts)
+
+    @classmethod
+    def from_magnitude_phase(
+        cls,
+        frequency: ArrayLike,
+        magnitude: ArrayLike,
+        phase: ArrayLike,
+        *,
+        frequency_unit: str = "rad/s",
+        magnitude_unit: str = "absolute",
+        phase_unit: str = "deg",
+        **others: Any,
+    ) -> Self:
+        """Return the response with these magnitudes and phases, as MATLAB's `bode` and most instruments give them.
+
+        Parameters
+        ----------
+        frequency, magnitude, phase : (n,) arrays
+        frequency_unit : "rad/s" or "Hz"
+        magnitude_unit : "absolute" or "dB"
+            Decibels are 20 log10.
+        phase_unit : "deg" or "rad"
+        others
+            `input`, `output`, `coherence`, `name` and the rest of a `FrequencyResponse`; a `variance` is absolute.
+
+        Raises
+        ------
+        ValueError
+            For other units, a negative absolute magnitude, and whatever a `FrequencyResponse` refuses.
+
+        Examples
+        --------
+        >>> import greybox as gb
+        >>> data = gb.FrequencyResponse.from_magnitude_phase(
+        ...     [0.5, 1.0, 2.0], [-3.0, -6.1, -12.2], [-40, -62, -80], frequency_unit="Hz", magnitude_unit="dB"
+        ... )
+        """
+        response = complex_response(magnitude, phase, magnitude_unit, phase_unit)
+        return cls(angular_frequency(frequency, frequency_unit), response, **others)
 
     def _set(self, name: str, value: ArrayLike, kind: type) -> None:
         try:

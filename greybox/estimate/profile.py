@@ -274,6 +274,7 @@ def problem_of(fit: Fit) -> AnyProblem:
         If it had ties, constraints, values with errors of an earlier fit, or a criterion that greybox does not include.
     """
     held = {q.name: q for q in fit.quantities if q.kind == "fixed"}
+    bounds = {q.name: q.bounds for q in fit.quantities if q.kind == "free"}
     problems = []
     for k, part in enumerate(fit.parts):
         uncertain = [q.name for q in held.values() if q.standard_error != 0]
@@ -297,6 +298,7 @@ def problem_of(fit: Fit) -> AnyProblem:
                 weight=part.weight,
                 name=part.name,
                 amplitude=part.sine,  # type: ignore[arg-type]
+                bounds={name: bounds[outside[name]] for name in declared if outside[name] in bounds},
             )
         )
     return problems[0] if len(problems) == 1 else Sum(tuple(problems))

@@ -16,6 +16,7 @@ from greybox.data.text_table import alternatives, counted, number, one_line, som
 from greybox.estimate.identifiability import Identifiability, KnownDirections, correlation, identifiability
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.input_assumptions import Inputs, described_inputs
+from greybox.formulation.restated_parameter import restated
 from greybox.modeling.model import Model
 from greybox.modeling.model_reference import reference, resolve
 from greybox.modeling.pade_delay import delay_order
@@ -701,6 +702,8 @@ def _at_estimate(fit: Fit, model: Model, part: FittedResponse | FittedRecord, in
                 "give the model that was fitted, or the values as {name: value}."
             )
 
+    bounds = {q.name: q.bounds for q in fit.quantities if q.kind == "free"}
+
     # Standard errors treat what ended at its bound as known, and so does everything that follows from them.
     at_bound = {q.name for q in fit.quantities if q.at_bound and q.kind == "free"}
     known = np.array([name in at_bound for name in outside], dtype=bool)
@@ -712,7 +715,10 @@ def _at_estimate(fit: Fit, model: Model, part: FittedResponse | FittedRecord, in
         covariance=np.where(known | known[:, None], 0.0, fit.covariance_of(outside)),
         criterion=criterion_of(inputs, biases, gains),
         part=record,
-        declared=model.parameters,
+        declared={
+            name: restated(name, p, bounds=bounds.get(part.rename.get(name, name)))
+            for name, p in model.parameters.items()
+        },
         own=_own_names(fit, model, record, dict(zip(names, outside, strict=True))) if record else (),
     )
 

@@ -14,6 +14,7 @@ from greybox.data.record import Record, Recording
 from greybox.data.text_table import one_line
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
 from greybox.formulation.held_estimate import HeldEstimate
+from greybox.formulation.restated_parameter import restated
 from greybox.formulation.signal_units import check_response_units, check_units
 from greybox.formulation.sum import Sum
 from greybox.formulation.time_criteria import OutputError, TimeCriterion
@@ -63,6 +64,13 @@ class Problem:
         A label; by default that of the data.
     amplitude : ``{signal: amplitude}`` or Sine, optional
         Compare with the response of an ODE to a sine of this amplitude, see `Sine`, instead of its linearization.
+    bounds : mapping of name to (float, float)
+        ``{"a1": (-10, 10)}``: bounds in place of those that the model declares, see `Parameter`. Those of a tied
+        parameter limit its expression.
+    start : mapping of name to float
+        ``{"a1": -5.0}``: where a single run begins, in place of the declared value.
+    starts : mapping of name to (float, float)
+        ``{"a1": (-8, -2)}``: the box in which starts are drawn, in place of the declared one.
 
     Raises
     ------
@@ -83,6 +91,9 @@ class Problem:
     weight: float = 1.0
     name: str = ""
     amplitude: Sine = None  # type: ignore[assignment]
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    start: Mapping[str, float] = field(default_factory=dict)
+    starts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Fill in the defaults and check that everything fits together."""
@@ -101,6 +112,7 @@ class Problem:
 
         object.__setattr__(self, "_declared", {**self.model.parameters, **self._added_by_criterion()})
         self._check_names()
+        object.__setattr__(self, "_declared", {name: self._restated(name, p) for name, p in self.declared.items()})
         self._check_rename()
         self._check_operating_point()
         self._check_amplitude()
@@ -139,11 +151,15 @@ class Problem:
         return added
 
     def _check_names(self) -> None:
-        """Check that fixed, free, tied and rename name parameters, and the first three each a different one."""
+        """Check that all that names parameters names those of the model, and who is fixed, free or tied only one."""
         label = self.model.label
         known = self.declared
         stated: dict[str, Iterable[str]] = {"fixed": self.fixed_values, "free": self.free, "tied": self.tied}
-        for what, names in {**stated, "rename": self.rename}.items():
+        by_name = {"rename": self.rename, "bounds": self.bounds, "start": self.start, "starts": self.starts}
+        for what, names in by_name.items():
+            if not isinstance(names, Mapping):
+                raise TypeError(f"{what} is {names!r:.60}: give {{name: ...}}, with a name of a parameter.")
+        for what, names in {**stated, **by_name}.items():
             for name in names:
                 if name not in known:
                     raise ValueError(
@@ -186,6 +202,18 @@ class Problem:
         input, _ = pick_signals(self.model, self.data.input, self.data.output)
         check_sine(self.model, self.amplitude, input, self.data.omega)
 
+    def _restated(self, name: str, parameter: Parameter) -> Parameter:
+        """Apply `bounds`, `start` and `starts` to one declared parameter."""
+        given = {what: getattr(self, what)[name] for what in ("bounds", "start", "starts") if name in getattr(self, what)}
+        if name in self.tied and given.keys() - {"bounds"}:
+            raise ValueError(f"{name!r} is tied, so that it has no start of its own: leave it out.")
+        if given and parameter.fixed and not (name in self.fixed_values or name in self.free or name in self.tied):
+            raise ValueError(
+                f"{' and '.join(given)} names {name!r}, which {self.model.label} declares fixed: give free=[{name!r}] "
+                f"to estimate it, or fixed={{{name!r}: ...}} to hold it at another value."
+            )
+        return restated(name, parameter, **given)
+
     def _as_stated(self, name: str, parameter: Parameter) -> Parameter:
         """Apply `fixed` and `free` to one declared parameter."""
         if name not in self.fixed_values:
@@ -201,7 +229,7 @@ class Problem:
         if not low <= value <= high:
             raise ValueError(
                 f"fixed gives {name!r} the value {value:g} outside its bounds ({low:g}, {high:g}): "
-                "change the value or the bounds in the model."
+                f"change the value, or the bounds, bounds={{{name!r}: (low, high)}}."
             )
         return replace(parameter, start=float(value), fixed=True)
 
@@ -232,7 +260,7 @@ class Problem:
 
     @property
     def declared(self) -> Mapping[str, Parameter]:
-        """The parameters of the model, and after them those that the criterion adds."""
+        """The parameters of the model, and after them those that the criterion adds, with bounds and starts from here."""
         return self.__dict__["_declared"]
 
     @property

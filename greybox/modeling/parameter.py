@@ -48,7 +48,7 @@ class Parameter:
 
     def __post_init__(self) -> None:
         """Check the numbers against one another."""
-        low, high = _pair(self.bounds, "bounds")
+        low, high = number_pair(self.bounds, "bounds")
         if not low < high:
             raise ValueError(f"bounds {self.bounds} are reversed or empty: give (low, high) with low < high.")
         if not isinstance(self.start, (int, float, np.number)) or not math.isfinite(self.start):
@@ -67,7 +67,7 @@ class Parameter:
             self._check_box(low, high)
 
     def _check_box(self, low: float, high: float) -> None:
-        first, last = _pair(self.starts, "starts")
+        first, last = number_pair(self.starts, "starts")
         if not (math.isfinite(first) and math.isfinite(last) and first <= last):
             raise ValueError(f"starts {self.starts} must be two finite numbers (low, high) with low <= high.")
         if first < low or last > high:
@@ -101,7 +101,8 @@ class Parameter:
         return np.clip(values, low, high)
 
 
-def _pair(value: object, what: str) -> tuple[float, float]:
+def number_pair(value: object, what: str) -> tuple[float, float]:
+    """Return two numbers (low, high), of which none is NaN; ValueError for anything else."""
     try:
         low, high = value  # type: ignore[misc]
         low, high = float(low), float(high)

@@ -1,0 +1,72 @@
+"""Complex responses from magnitude and phase in the units that instruments and other programs write."""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from greybox.data.units import to_si
+
+DECIBELS = "db"
+ABSOLUTE = ("", "1", "abs", "absolute")
+
+
+def angular_frequency(frequency: ArrayLike, unit: str) -> NDArray[np.float64]:
+    """Return frequencies (n,) in `unit`, of rad/s or Hz, in rad/s.
+
+    Raises
+    ------
+    ValueError
+        For another unit, or what is no array of numbers.
+    """
+    values = _numbers(frequency, "frequency")
+    known = _known(unit)
+    if known == "Hz":
+        return 2 * math.pi * to_si(unit).factor * values
+    if known == "rad/s":
+        return to_si(unit).apply(values)
+    raise ValueError(f"the unit of frequency is {unit!r:.40}: give 'rad/s' or 'Hz'.")
+
+
+def complex_response(
+    magnitude: ArrayLike, phase: ArrayLike, magnitude_unit: str, phase_unit: str
+) -> NDArray[np.complex128]:
+    """Return the response (n,) of these magnitudes, absolute or in dB (20 log10), and phases in degrees or radians.
+
+    Raises
+    ------
+    ValueError
+        For other units, lengths that differ, or a negative absolute magnitude.
+    """
+    size, angle = _numbers(magnitude, "magnitude"), _numbers(phase, "phase")
+    if size.shape != angle.shape:
+        raise ValueError(f"magnitude has {size.size} values but phase has {angle.size}: they must match.")
+    if _known(phase_unit) != "rad":
+        raise ValueError(f"the unit of phase is {phase_unit!r:.40}: give 'deg' or 'rad'.")
+    if str(magnitude_unit).lower() == DECIBELS:
+        with np.errstate(over="ignore"):  # what is too large is refused as a response, in a sentence of its own
+            size = 10 ** (size / 20)
+    elif magnitude_unit not in ABSOLUTE:
+        raise ValueError(f"the unit of magnitude is {magnitude_unit!r:.40}: give 'absolute' or 'dB'.")
+    negative = np.flatnonzero(size < 0)
+    if negative.size:
+        raise ValueError(
+            f"magnitude is {size[negative[0]]:g} at index {negative[0]}, below 0: "
+            "if these are decibels, say so, magnitude_unit='dB'."
+        )
+    return size * np.exp(1j * to_si(phase_unit).apply(angle))
+
+
+def _known(unit: str) -> str:
+    """Return the SI unit of a unit; nothing where it is not known."""
+    try:
+        return to_si(unit).si
+    except (ValueError, AttributeError):
+        return ""
+
+
+def _numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
+    try:
+        return np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{what} must be a one-dimensional array of numbers, not {values!r:.60}.") from None
