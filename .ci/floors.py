@@ -7,7 +7,8 @@ from pathlib import Path
 
 project = tomllib.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))["project"]
 extras = project["optional-dependencies"]
-for requirement in [*project["dependencies"], *extras["dask"], *extras["px4"], *extras["test"]]:
+tested = [requirement for name, group in extras.items() if name not in ("dev", "notebooks") for requirement in group]
+for requirement in [*project["dependencies"], *tested]:
     floor = re.fullmatch(r"([\w-]+)>=([\w.]+)", requirement)
     if floor:
         print(f"{floor[1]}=={floor[2]}")

@@ -1,5 +1,8 @@
 """`repr` of what can be large is one line, so that a bare name at a prompt does not flood the screen."""
 
+from dataclasses import replace
+from html.parser import HTMLParser
+
 import numpy as np
 import pytest
 from declared_models import TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
@@ -59,3 +62,65 @@ def test_the_repr_says_what_it_is():
     assert repr(RECORD) == "<Record 'flight 1', 200 samples, 9.95 s, theta, v>"
     assert repr(SMALL).startswith("<Fit 'flight 1', converged, cost ")
     assert repr(FIT.minima[0]).endswith(", 3 runs, 1 variant>")
+
+
+# --- in notebooks
+
+
+class Elements(HTMLParser):
+    """What a browser would see: the elements, balanced, and the text."""
+
+    def __init__(self, html):
+        super().__init__()
+        self.open, self.seen, self.text = [], set(), ""
+        self.feed(html)
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.open.append(tag)
+        self.seen.add(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += f"{data} "
+
+
+SHOWN = ("Comparison", "Fit", "FrequencyResponse", "Record", "Recording")
+
+
+@pytest.mark.parametrize("kind", SHOWN)
+def test_a_notebook_shows_a_small_table(kind):
+    html = VALUES[kind]._repr_html_()
+    assert len(html) < 12_000
+    seen = Elements(html)
+    assert seen.seen <= set("b p ul li table thead tbody tr th td".split())
+    assert "table" in seen.seen
+
+
+def test_the_table_of_a_fit_has_its_numbers():
+    text = Elements(FIT._repr_html_()).text
+    for words in (FIT.name[:30], "Lag", f"{FIT.standard_error['K']:.2g}"[:4], "gain", "[0.001, 1000]"):
+        assert words in text
+
+
+def test_names_from_files_are_text_and_never_markup():
+    evil = "<script>alert(1)</script>"
+    things = [
+        gb.Record([0, 1], {evil: [1, 2]}, {evil: evil}, name=evil),
+        gb.data.Recording({evil: RECORD}, source=evil, findings=(evil,)),
+        gb.FrequencyResponse([1.0], [1j], name=evil, input=evil, about={evil: evil}),
+        replace(FIT, name=evil, warnings=(evil,), notes=(evil,)),
+        replace(FIT, name=evil, minima=(), warnings=(evil,)),
+        replace(VALUES["Comparison"], labels=(evil, evil), statements=(evil,), data=evil),
+    ]
+    for thing in things:
+        assert "script" not in Elements(thing._repr_html_()).seen
+        assert evil in Elements(thing._repr_html_()).text
+
+
+def test_long_tables_are_cut():
+    many = gb.FrequencyResponse(np.arange(1, 2001), np.ones(2000))
+    assert len(many._repr_html_()) < 20_000
+    assert "and 1940 more" in Elements(many._repr_html_()).text

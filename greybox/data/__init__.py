@@ -1,14 +1,14 @@
 """What was measured: frozen values in numpy, and the files that hold them.
 
 Begin with `record` (named signals on one time base) and `frequency_response` (one input-output pair over frequency,
-which `magnitude_phase` makes of decibels and degrees);
-`transient_spectrum` has the transforms of one manoeuvre; `test_segment` is one test within a record, and the table of
-several; `units` converts those of logs to SI;
+which `magnitude_phase` makes of decibels and degrees); `transient_spectrum` has the transforms of one manoeuvre;
+`test_segment` is one test within a record, and the table of several; `units` converts those of logs to SI;
 `intersample` is how a signal runs between its samples, `numerical_range` how large a number may be.
 
 Files: `record_file` (HDF5) and `response_file` (CSV, HDF5) write and read them; `delimited_text` finds out how a table
 of numbers was written (separator, decimal mark, comments), `text_table` formats those that are printed; `json_numbers`
-has them as JSON does; `safe_files` writes atomically and says what can be read, `sealed_files` adds a checksum.
+has them as JSON does, `html_text` as notebooks do, `pandas_frames` as data frames; `optional_package` imports what
+greybox works without; `safe_files` writes atomically and says what can be read, `sealed_files` adds a checksum.
 Libraries that a damaged or crafted file can lead astray run in a subprocess: `subprocess_reader` starts it, and its
 script `subprocess_main` is the only place where an HDF5 file is read.
 """

@@ -10,9 +10,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from greybox.data.html_text import html_list, html_table, html_text
 from greybox.data.magnitude_phase import angular_frequency, complex_response
 from greybox.data.numerical_range import out_of_range
-from greybox.data.text_table import counted, one_line, printable
+from greybox.data.pandas_frames import Frame, frame_of
+from greybox.data.text_table import counted, number, one_line, printable
 from greybox.data.units import to_si
 
 
@@ -249,6 +251,46 @@ class FrequencyResponse:
         return one_line(
             self, repr(self.name), f"{self.input} -> {self.output}", counted(len(self), "frequency", "frequencies")
         )
+
+    @property
+    def decibels(self) -> NDArray[np.float64]:
+        """Magnitude, (n,), dB; minus infinity where the response is zero."""
+        with np.errstate(divide="ignore"):
+            return 20 * np.log10(np.abs(self.response))
+
+    @property
+    def degrees(self) -> NDArray[np.float64]:
+        """Phase, (n,), degrees, without jumps along the frequencies; the lowest lies between -180 and 180."""
+        order = np.argsort(self.omega)
+        phase = np.empty(len(self))
+        phase[order] = np.degrees(np.unwrap(np.angle(self.response[order])))
+        return phase
+
+    def to_pandas(self) -> Frame:
+        """Return a pandas data frame with the angular frequency in rad/s as index.
+
+        Its columns are ``alpha, beta`` and, if known, ``coherence, variance, dof``; names, units and what the response
+        says about itself stand in ``frame.attrs``.
+
+        Raises
+        ------
+        ModuleNotFoundError
+            Without pandas, ``pip install 'greybox-id[pandas]'``.
+        """
+        columns = {
+            c: v for c in ("alpha", "beta", "coherence", "variance", "dof") if (v := getattr(self, c)) is not None
+        }
+        about = {name: getattr(self, name) for name in ("input", "output", "name", "source")}
+        return frame_of(
+            columns, self.omega, "omega_rad_s", {**about, "units": dict(self.units), "about": dict(self.about)}
+        )
+
+    def _repr_html_(self) -> str:
+        columns: dict[str, NDArray[np.float64]] = {"rad/s": self.omega, "dB": self.decibels, "degrees": self.degrees}
+        columns |= {"coherence": self.coherence} if self.coherence is not None else {}
+        rows = [[number(float(value), 4) for value in row] for row in zip(*columns.values(), strict=True)]
+        said = [f"{key}: {text}" for key, text in self.about.items()]
+        return html_text(str(self)) + html_table(list(columns), rows, ()) + html_list(said)
 
     def __str__(self) -> str:
         pair = f"{self.input or 'input'} -> {self.output or 'output'}"

@@ -45,7 +45,7 @@ def complex_response(
         raise ValueError(f"the unit of phase is {phase_unit!r:.40}: give 'deg' or 'rad'.")
     if str(magnitude_unit).lower() == DECIBELS:
         with np.errstate(over="ignore"):  # what is too large is refused as a response, in a sentence of its own
-            size = 10 ** (size / 20)
+            size = np.minimum(10 ** (size / 20), np.finfo(float).max)
     elif magnitude_unit not in ABSOLUTE:
         raise ValueError(f"the unit of magnitude is {magnitude_unit!r:.40}: give 'absolute' or 'dB'.")
     negative = np.flatnonzero(size < 0)
@@ -54,7 +54,7 @@ def complex_response(
             f"magnitude is {size[negative[0]]:g} at index {negative[0]}, below 0: "
             "if these are decibels, say so, magnitude_unit='dB'."
         )
-    return size * np.exp(1j * to_si(phase_unit).apply(angle))
+    return np.asarray(size * np.exp(1j * to_si(phase_unit).apply(angle)), dtype=complex)
 
 
 def _known(unit: str) -> str:

@@ -4,14 +4,16 @@ import hashlib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from greybox.data.html_text import html_list, html_table, html_text
 from greybox.data.intersample import checked_hold
 from greybox.data.numerical_range import within_range
-from greybox.data.text_table import counted, one_line, printable
+from greybox.data.pandas_frames import Frame, columns_of, frame_of, seconds_of
+from greybox.data.text_table import counted, number, one_line, printable
 
 # Median steps: a longer one is a gap, across which nothing is interpolated. One lost sample makes a step of two, which
 # is none; the half is for jitter.
@@ -158,6 +160,55 @@ class Record:
         new = {name: np.asarray(values, dtype=float) for name, values in signals.items()}
         return replace(self, signals={**self.signals, **new}, units={**self.units, **(units or {})}, checksum="")
 
+    @classmethod
+    def from_pandas(
+        cls, frame: Frame, *, time: str | None = None, units: Mapping[str, str] | None = None, **others: Any
+    ) -> Self:
+        """Return the columns of a pandas data frame as signals.
+
+        Parameters
+        ----------
+        frame : pandas.DataFrame
+            Its index is the time in s; dates and time differences count from the first. Missing values are NaN.
+        time : str, optional
+            The column that is the time instead of the index.
+        units : mapping of name to str, optional
+            In place of ``frame.attrs["units"]``, which `to_pandas` writes.
+        others
+            `name`, `hold` and the rest of a `Record`. ``has_time=False`` for rows without a time.
+
+        Raises
+        ------
+        TypeError, ValueError
+            For what is no data frame, no table of numbers, or no record.
+        """
+        columns = columns_of(frame)
+        stated = {name: frame.attrs[name] for name in ("units", "hold", "name", "source") if name in frame.attrs}
+        if time is not None and time not in columns:
+            raise ValueError(f"the data frame has no column {time!r}; it has {', '.join(columns)}.")
+        if not others.pop("has_time", True):
+            moments = None
+        elif time is not None:
+            moments = seconds_of(frame[time], f"column {time!r}")
+            columns.pop(time)
+        else:
+            moments = seconds_of(frame.index, "index")
+        options = stated | others | ({} if units is None else {"units": units})
+        return cls(moments, columns, **options)  # type: ignore[arg-type]
+
+    def to_pandas(self) -> Frame:
+        """Return the signals as columns of a pandas data frame with the time in s as index.
+
+        Units, holds, name and source stand in ``frame.attrs``.
+
+        Raises
+        ------
+        ModuleNotFoundError
+            Without pandas, ``pip install 'greybox-id[pandas]'``.
+        """
+        about = {"units": dict(self.units), "hold": dict(self.hold), "name": self.name, "source": self.source}
+        return frame_of(self.signals, self.time, "time" if self.has_time else "row", about)
+
     def rows(self, rows: NDArray[np.integer]) -> "Record":
         """Return the samples of these indices, (m,)."""
         signals = {name: values[rows] for name, values in self.signals.items()}
@@ -169,14 +220,23 @@ class Record:
         )
         return one_line(self, repr(self.name), *size, ", ".join(self.signals))
 
+    def _repr_html_(self) -> str:
+        rows = [[name, self.units.get(name, ""), *_range(values)] for name, values in self.signals.items()]
+        head = f"{self.name or 'record'}: {self._extent()}"
+        return html_text(head) + html_table(["signal", "unit", "lowest", "highest", "missing"], rows, (0, 1))
+
     def __str__(self) -> str:
         signals = ", ".join(f"{n} ({self.units[n]})" if self.units.get(n) else n for n in self.signals)
+        return f"{self.name or 'record'}: {self._extent()}: {signals}"
+
+    def _extent(self) -> str:
+        """Say how many samples there are, and when."""
         if not self.has_time:
-            return f"{self.name or 'record'}: {counted(len(self), 'row')} without a time: {signals}"
+            return f"{counted(len(self), 'row')} without a time"
         pieces = len(self.pieces)
         return (
-            f"{self.name or 'record'}: {counted(len(self), 'sample')} at {self.rate:.4g} Hz, {self.duration:.1f} s "
-            f"from {self.time[0]:.1f} s{f' in {pieces} pieces' if pieces > 1 else ''}: {signals}"
+            f"{counted(len(self), 'sample')} at {self.rate:.4g} Hz, {self.duration:.1f} s "
+            f"from {self.time[0]:.1f} s{f' in {pieces} pieces' if pieces > 1 else ''}"
         )
 
 
@@ -248,6 +308,18 @@ class Recording(Mapping[str, Record]):
     def __repr__(self) -> str:
         return one_line(self, repr(self.source), counted(len(self), "message"), ", ".join(self.records))
 
+    def _repr_html_(self) -> str:
+        rows = [
+            [name, str(len(record)), number(record.rate, 4) if record.has_time else "-", ", ".join(record.signals)]
+            for name, record in self.records.items()
+        ]
+        head = f"{self.source or 'recording'}: {counted(len(self), 'message')}"
+        return (
+            html_text(head)
+            + html_table(["message", "samples", "Hz", "signals"], rows, (0, 3))
+            + html_list(self.findings)
+        )
+
 
 def require_time(record: Record, what: str) -> None:
     """Raise ValueError for rows without a time, which `what` needs."""
@@ -280,6 +352,13 @@ def share_samples(a: Record, b: Record) -> bool:
     ]
     # Of quantized signals a few samples are the same by chance.
     return bool(alike) and rows.size > 0 and float(np.mean(np.all(alike, axis=0))) > SAME_MEASUREMENT
+
+
+def _range(values: NDArray[np.float64]) -> tuple[str, str, str]:
+    """Return the lowest and the highest value, and how many are missing, as text."""
+    known = values[np.isfinite(values)]
+    low, high = (number(float(known.min())), number(float(known.max()))) if known.size else ("-", "-")
+    return low, high, str(values.size - known.size)
 
 
 def _row_numbers(signals: Mapping[str, ArrayLike]) -> NDArray[np.float64]:

@@ -1,5 +1,6 @@
 """The answer: estimates, errors, all runs and warnings, in plain values that print themselves."""
 
+import json
 import math
 import re
 from collections import Counter
@@ -11,9 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.html_text import html_list, html_table, html_text
+from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.record import Record, share_samples
 from greybox.data.text_table import alternatives, counted, number, one_line, some, text_table, with_error
 from greybox.estimate.identifiability import Identifiability, KnownDirections, correlation, identifiability
+from greybox.estimate.summary import summary
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.input_assumptions import Inputs, described_inputs
 from greybox.formulation.restated_parameter import restated
@@ -466,6 +470,43 @@ class Fit:
             delay=stated.delay,
         )
 
+    def to_dict(self, level: float = 0.95) -> dict[str, Any]:
+        """Return the numbers as plain values, as ``greybox fit --json`` gives them: None for what is not known.
+
+        Estimates, standard errors, intervals of this `level`, bounds, units and fixed values are mappings by name;
+        ``covariance`` has ``names`` and rows of ``values``. `save` keeps the whole fit.
+        """
+        return summary(self, level)
+
+    def to_json(self, level: float = 0.95) -> str:
+        """Return `to_dict` as a JSON object, indented, without NaN."""
+        return json.dumps(self.to_dict(level), allow_nan=False, ensure_ascii=False, indent=2)
+
+    def to_pandas(self, level: float = 0.95) -> Frame:
+        """Return a row for every parameter and derived quantity as a pandas data frame.
+
+        Its index is the name; its columns are ``value, standard_error``, the ends ``low, high`` of the interval of this
+        `level`, ``unit, kind, lower_bound, upper_bound, at_bound, about``.
+
+        Raises
+        ------
+        ModuleNotFoundError
+            Without pandas, ``pip install 'greybox-id[pandas]'``.
+        """
+        intervals = self.interval(level)
+        ends = np.array([intervals.get(q.name, (math.nan, math.nan)) for q in self.quantities]).reshape(-1, 2)
+        bounds = np.array([q.bounds for q in self.quantities]).reshape(-1, 2)
+        columns = {name: [getattr(q, name) for q in self.quantities] for name in ("value", "standard_error")}
+        columns |= {"low": ends[:, 0], "high": ends[:, 1]}
+        columns |= {name: [getattr(q, name) for q in self.quantities] for name in ("unit", "kind")}
+        columns |= {"lower_bound": bounds[:, 0], "upper_bound": bounds[:, 1]}
+        columns |= {name: [getattr(q, name) for q in self.quantities] for name in ("at_bound", "about")}
+        about = {"name": self.name, "criterion": self.criterion, "cost": self.cost, "level": level}
+        return frame_of(columns, [q.name for q in self.quantities], "name", about)
+
+    def _repr_html_(self) -> str:
+        return _html(self)
+
     def __repr__(self) -> str:
         return one_line(
             self,
@@ -480,7 +521,7 @@ class Fit:
 
 def _text(fit: Fit) -> str:
     """Answer in order: converged, starts that agree, cost, values and their errors, what to beware of."""
-    title = f"{fit.name}: {', '.join(dict.fromkeys(part.label for part in fit.parts))}"
+    title = _title(fit)
     warnings = [f"  warning: {text}" for text in fit.warnings]
     if not fit.converged:
         lines = [title, "", f"  FAILED: {fit.status}.", *warnings]
@@ -496,6 +537,26 @@ def _text(fit: Fit) -> str:
         [*warnings, *(f"  note: {text}" for text in fit.notes), f"  {fit.seconds:.2f} s; starts: {fit.starts}"],
     )
     return "\n\n".join("\n".join(lines) for lines in sections if lines)
+
+
+def _title(fit: Fit) -> str:
+    return f"{fit.name}: {', '.join(dict.fromkeys(part.label for part in fit.parts))}"
+
+
+def _html(fit: Fit) -> str:
+    """Return the same for a notebook, without what the other criteria say."""
+    said = [*(f"warning: {text}" for text in fit.warnings), *(f"note: {text}" for text in fit.notes)]
+    if not fit.converged:
+        return html_text(_title(fit), "b") + html_text(f"FAILED: {fit.status}.") + html_list(said)
+    overview = [" ".join(line.split()) for line in _overview(fit)]
+    error = html_text(f"± is the standard error for {_error_condition(fit)}.") if fit.dof > 0 else ""
+    return (
+        html_text(_title(fit), "b")
+        + html_list(overview)
+        + html_table(TABLE, _rows(fit), TABLE_LEFT)
+        + error
+        + html_list(said)
+    )
 
 
 def _overview(fit: Fit) -> list[str]:
@@ -604,8 +665,16 @@ def _output_text(part: FittedRecord, output: str) -> str:
     return f"{output}{where}: residual {residual} rms" + ("" if math.isnan(percent) else f", fit {percent:.1f} %")
 
 
+TABLE = ["parameter", "estimate", "± error", "unit", "bounds", "", "meaning"]
+TABLE_LEFT = (0, 3, 5, 6)  # columns that are flush left
+
+
 def _table(fit: Fit) -> list[str]:
-    header = ["parameter", "estimate", "± error", "unit", "bounds", "", "meaning"]
+    return ["  " + line for line in text_table(TABLE, _rows(fit), left=TABLE_LEFT).splitlines()]
+
+
+def _rows(fit: Fit) -> list[list[str]]:
+    """Return the cells of the table of quantities."""
     rows = []
     own = _own_of_many(fit)
     for quantity in fit.quantities:
@@ -623,7 +692,7 @@ def _table(fit: Fit) -> list[str]:
         else:
             note = quantity.kind
         rows.append([quantity.name, value, error, quantity.unit, bounds, note, quantity.about])
-    return ["  " + line for line in text_table(header, rows, left=(0, 3, 5, 6)).splitlines()]
+    return rows
 
 
 def _own_of_many(fit: Fit) -> dict[str, tuple[str, str]]:

@@ -1,18 +1,23 @@
 """The numbers of a fit as plain values, for JSON."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from greybox.data.json_numbers import all_finite, finite
-from greybox.estimate.result import Fit, FittedRecord
 from greybox.solve.outcome import SCREENED
 
 
-def summary(result: Fit) -> dict[str, Any]:
-    """Return names, counts, estimates and what there is to say; None for a number that is not known."""
+def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
+    """Return what there is to say of a `Fit`; None for a number that is not known or not finite.
+
+    Intervals are of this `level`. `Fit.to_dict` is the same.
+    """
+    parameters = [q for q in result.quantities if q.kind != "derived"]
     return {
         "problem": result.name,
         "criterion": result.criterion,
+        "rule": result.rule,
         "delay": result.delay,
         "starts": len(result.runs),
         "screened": sum(run.stage == SCREENED for run in result.runs),
@@ -26,6 +31,14 @@ def summary(result: Fit) -> dict[str, Any]:
         "estimate": all_finite(result.estimate),
         "best_effort": None if result.best_effort is None else all_finite(result.best_effort),
         "standard_error": all_finite(result.standard_error),
+        "level": level,
+        "interval": _pairs(result.interval(level)),
+        "dof": finite(result.dof),
+        "covariance": {"names": list(result.names), "values": _rows(result.covariance)},
+        "bounds": _pairs({q.name: q.bounds for q in parameters if q.kind == "free"}),
+        "unit": {q.name: q.unit for q in parameters},
+        "fixed": all_finite({q.name: q.value for q in parameters if q.kind == "fixed"}),
+        "tied": [q.name for q in parameters if q.kind == "tied"],
         "derived": all_finite(result.derived),
         "outputs": [_output(part, name) for part in result.records for name in part.outputs],
         "at_bound": [q.name for q in result.quantities if q.at_bound],
@@ -37,7 +50,15 @@ def summary(result: Fit) -> dict[str, Any]:
     }
 
 
-def _output(part: FittedRecord, name: str) -> dict[str, Any]:
+def _pairs(values: Mapping[str, tuple[float, float]]) -> dict[str, list[float | None]]:
+    return {name: [finite(low), finite(high)] for name, (low, high) in values.items()}
+
+
+def _rows(matrix: Any) -> list[list[float | None]]:
+    return [[finite(value) for value in row] for row in matrix.tolist()]
+
+
+def _output(part: Any, name: str) -> dict[str, Any]:
     """Return how well an output of a record is fitted."""
     # The standard deviation of the residuals, given or estimated.
     noise = float(part.noise[part.outputs.index(name), part.outputs.index(name)])

@@ -204,7 +204,9 @@ class Problem:
 
     def _restated(self, name: str, parameter: Parameter) -> Parameter:
         """Apply `bounds`, `start` and `starts` to one declared parameter."""
-        given = {what: getattr(self, what)[name] for what in ("bounds", "start", "starts") if name in getattr(self, what)}
+        given = {
+            what: getattr(self, what)[name] for what in ("bounds", "start", "starts") if name in getattr(self, what)
+        }
         if name in self.tied and given.keys() - {"bounds"}:
             raise ValueError(f"{name!r} is tied, so that it has no start of its own: leave it out.")
         if given and parameter.fixed and not (name in self.fixed_values or name in self.free or name in self.tied):
@@ -260,7 +262,7 @@ class Problem:
 
     @property
     def declared(self) -> Mapping[str, Parameter]:
-        """The parameters of the model, and after them those that the criterion adds, with bounds and starts from here."""
+        """The parameters of the model, then those that the criterion adds, with the bounds and starts stated here."""
         return self.__dict__["_declared"]
 
     @property

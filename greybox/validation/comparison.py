@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from greybox.data.html_text import html_list, html_table, html_text
 from greybox.data.text_table import counted, number, one_line, text_table
 from greybox.simulation.prediction import Prediction
 from greybox.simulation.windows import seconds
@@ -117,6 +118,12 @@ class Comparison:
             for output in dict.fromkeys(r.output for r in rows):
                 lines += self._section([r for r in rows if r.output == output], output)
         return "\n".join([*lines, *(f"  {text}" for text in self.statements)]).rstrip()
+
+    def _repr_html_(self) -> str:
+        rows = [[r.data, r.output, r.measure, r.unit, *(_cell(v) for v in r.values)] for r in self.rows]
+        table = html_table(["data", "output", "measure", "unit", *self.labels], rows, (0, 1, 2, 3))
+        title = html_text(f"Comparison of {', '.join(self.labels)}", "b") + html_text(f"Data: {self.data}")
+        return title + table + html_list(self.statements)
 
     def _windows(self, data: str) -> str:
         """Say how many windows there are and how long, as used: whole samples of records that may differ."""

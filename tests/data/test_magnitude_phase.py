@@ -15,7 +15,9 @@ MAGNITUDE, RADIANS = ([pair[k] for pair in POLAR] for k in (0, 1))
 make = gb.FrequencyResponse.from_magnitude_phase
 
 
-@pytest.mark.parametrize(("unit", "magnitude"), [("absolute", MAGNITUDE), ("dB", [20 * math.log10(m) for m in MAGNITUDE])])
+@pytest.mark.parametrize(
+    ("unit", "magnitude"), [("absolute", MAGNITUDE), ("dB", [20 * math.log10(m) for m in MAGNITUDE])]
+)
 @pytest.mark.parametrize(("turn", "phase"), [("rad", RADIANS), ("deg", [math.degrees(p) - 360 for p in RADIANS])])
 @pytest.mark.parametrize(("clock", "factor"), [("Hz", 1), ("rad/s", 2 * math.pi), ("kHz", 1e-3)])
 def test_all_units_give_the_same_response(unit, magnitude, turn, phase, clock, factor):
@@ -35,7 +37,11 @@ def test_the_defaults_are_those_of_bode_and_the_rest_is_passed_on():
 @pytest.mark.parametrize(
     ("arguments", "units", "words"),
     [
-        (([1], [-3], [0]), {}, "magnitude is -3 at index 0, below 0: if these are decibels, say so, magnitude_unit='dB'"),
+        (
+            ([1], [-3], [0]),
+            {},
+            "magnitude is -3 at index 0, below 0: if these are decibels, say so, magnitude_unit='dB'",
+        ),
         (([1], [1, 2], [0]), {}, "magnitude has 2 values but phase has 1"),
         (([1], ["x"], [0]), {}, "magnitude must be a one-dimensional array of numbers"),
         (([1], [1], [0]), {"frequency_unit": "furlong"}, "unit of frequency is 'furlong': give 'rad/s' or 'Hz'"),

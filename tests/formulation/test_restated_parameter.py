@@ -91,7 +91,7 @@ def test_what_a_parameter_cannot_have_is_refused(statement, words):
 
 
 def test_things_that_are_no_mapping_and_parameters_that_are_not_free_are_refused():
-    with pytest.raises(TypeError, match="bounds is .* give {name: ...}"):
+    with pytest.raises(TypeError, match=r"bounds is .* give \{name: \.\.\.\}"):
         gb.Problem(LagLagDelay(), TWO, bounds=[("K", 0, 1)])
     data = measured(Parabola(), [1.0, 2.0])
     with pytest.raises(ValueError, match=r"bounds names 'slope', which Parabola declares fixed: give free=\['slope'\]"):

@@ -1,0 +1,38 @@
+"""Small pieces of HTML, as notebooks show them: all text in them is escaped, since names come from files."""
+
+from collections.abc import Sequence
+from html import escape
+
+from greybox.data.text_table import printable
+
+ROWS = 60  # of a table; a notebook stays readable, and the whole is in the object
+
+_CELL = {True: ' style="text-align:left"', False: ' style="text-align:right"'}
+
+
+def html_text(text: str, element: str = "p") -> str:
+    """Return a line of text as an element."""
+    return f"<{element}>{_escaped(text)}</{element}>"
+
+
+def html_list(texts: Sequence[str]) -> str:
+    """Return sentences as a list, nothing where there are none."""
+    return f"<ul>{''.join(html_text(text, 'li') for text in texts)}</ul>" if texts else ""
+
+
+def html_table(header: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> str:
+    """Return `rows` of text under `header` as a table; columns in `left` are flush left, all others flush right."""
+
+    def line(cells: Sequence[str], element: str) -> str:
+        columns = (f"<{element}{_CELL[k in left]}>{_escaped(cell)}</{element}>" for k, cell in enumerate(cells))
+        return f"<tr>{''.join(columns)}</tr>"
+
+    more = len(rows) - ROWS
+    body = [line(row, "td") for row in (rows[:ROWS] if more > 0 else rows)]
+    if more > 0:
+        body.append(f'<tr><td colspan="{len(header)}">and {more} more</td></tr>')
+    return f"<table><thead>{line(header, 'th')}</thead><tbody>{''.join(body)}</tbody></table>"
+
+
+def _escaped(text: str) -> str:
+    return escape(printable(text))

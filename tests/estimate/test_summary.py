@@ -1,0 +1,40 @@
+"""The numbers of a fit as plain values."""
+
+import json
+
+import numpy as np
+from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
+
+import greybox as gb
+
+DATA = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)
+PROBLEM = gb.Problem(
+    LagLagDelay(), DATA, fixed={"tau": 0.05}, tied={"T2": lambda p: p.T1 / 10}, bounds={"K": (1, np.inf)}
+)
+FIT = gb.fit(PROBLEM, [{}], progress=False)
+
+
+def test_json_says_what_python_says():
+    said = json.loads(FIT.to_json(level=0.9))
+    assert said == json.loads(json.dumps(FIT.to_dict(0.9)))
+    assert said["criterion"] == "relative-error"
+    assert said["fixed"] == {"tau": 0.05}
+    assert said["tied"] == ["T2"]
+    assert said["bounds"] == {"K": [1, None], "T1": [0.001, 10]}
+    assert said["unit"] == {"K": "1", "T1": "s", "T2": "s", "tau": "s"}
+    assert said["level"] == 0.9
+    assert {name: tuple(ends) for name, ends in said["interval"].items()} == FIT.interval(0.9)
+    names = said["covariance"]["names"]
+    assert names == list(FIT.names)
+    np.testing.assert_array_equal(said["covariance"]["values"], FIT.covariance)
+    errors = np.sqrt(np.diag(said["covariance"]["values"]))
+    np.testing.assert_allclose(errors, [said["standard_error"][name] for name in names], rtol=1e-12)
+
+
+def test_a_fit_that_failed_has_nulls():
+    failed = gb.fit(PROBLEM, [{}], solver_options={"max_iter": 0}, progress=False)
+    assert not failed.converged
+    said = json.loads(failed.to_json())  # NaN would be refused
+    assert said["cost"] is None
+    assert said["interval"]["K"] == [None, None]
+    assert said["covariance"]["values"][0][0] is None
