@@ -25,6 +25,13 @@ def add_command(commands: Any) -> None:
     add("--input", default="", metavar="[NAME=]SIGNAL", help="the control (default: that of the axis)")
     add("--output", default="", metavar="[NAME=]SIGNAL", help="the output (default: the best-sampled angle)")
     add_measurement_options(parser)
+    add(
+        "--through",
+        nargs="*",
+        metavar="FILTER",
+        help="filters between the output and its log, by the names that the log gives them: gyro-filter, gyro-notch, "
+        "d-term-filter, target-filter; none without a name (default: what the output is known to have passed)",
+    )
     add("--starts", type=positive, default=STARTS, help=f"number of starts of every fit (default: {STARTS})")
     add("--seed", type=nonnegative, default=0, help="seed of the starts (default: 0)")
     add(
@@ -47,7 +54,7 @@ def run(options: argparse.Namespace) -> Answer:
     names = {field.name for field in fields(Settings)}
     stated = {name: value for name, value in vars(options).items() if name in names}
     stated |= {"fields": stated_fields(options), "band": stated_band(options.band)}
-    found = identify(options.log, starts=options.starts, seed=options.seed, **stated)
+    found = identify(options.log, through=options.through, starts=options.starts, seed=options.seed, **stated)
 
     commands = found.commands(options.log, prefix)
     answer = _json(found, commands)
@@ -76,7 +83,13 @@ def _figure(found: Identification) -> Any:
 
 def _json(found: Identification, commands: tuple[str, ...]) -> dict[str, Any]:
     steps = [
-        {"model": s.model, "free": list(s.free), "through": s.through, "about": s.about, "converged": s.fit.converged}
+        {
+            "model": s.model,
+            "free": list(s.free),
+            "through": list(s.through),
+            "about": s.about,
+            "converged": s.fit.converged,
+        }
         | {"cost": finite(s.fit.cost), "chosen": s is found.chosen}
         for s in found.steps
     ]
@@ -86,6 +99,7 @@ def _json(found: Identification, commands: tuple[str, ...]) -> dict[str, Any]:
         "structures": steps,
         "comparison": found.comparison.table if found.comparison else [],
         "reason": found.reason,
+        "fit_without_filters": summary(found.unfiltered.fit) if found.unfiltered is not None else None,
         "fit": summary(found.fit) if found.fit is not None else None,
         "next": list(found.next),
         "commands": list(commands),

@@ -1,6 +1,7 @@
 """The problem that the options of `greybox fit` state: an included one, one in a file, or a model with data."""
 
 import argparse
+import re
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -10,14 +11,19 @@ from greybox.cli.catalog import find_model, find_problem, shipped
 from greybox.cli.data_file import read_data
 from greybox.cli.options import UsageError, assignments
 from greybox.compiled.compiled_problem import AnyProblem
+from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.text_table import alternatives
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import TimeCriterion
+from greybox.identification.identify import filter_model
+from greybox.logs.known_filters import from_text
 from greybox.modeling.model import Model
 from greybox.modeling.transfer_function import TransferFunction
+
+FILTER_NAMES = ("-filter", "-notch")  # ends of the names by which responses state filters
 
 
 def add_problem_options(parser: argparse.ArgumentParser) -> None:
@@ -34,8 +40,10 @@ def add_problem_options(parser: argparse.ArgumentParser) -> None:
     )
     add(
         "--through",
-        metavar="MODEL",
-        help="with --model: a filter between the output and its log, e.g. 'filters:LowPass(20, 0.71)'",
+        nargs="+",
+        metavar="FILTER",
+        help="with --model: filters between the output and its log: 'filters:LowPass(20, 0.71)', or by the names that "
+        "the response states, gyro-filter, gyro-notch ...",
     )
     add("--input", default="", metavar="NAME", help="input of a frequency response, if the model has several")
     add("--output", default="", metavar="NAME", help="output of a frequency response, if the model has several")
@@ -83,13 +91,26 @@ def _problem_of_model(options: argparse.Namespace) -> Problem:
     if options.data is None:
         raise UsageError("--model needs --data FILE, a frequency response or a record.")
     model = find_model(options.model)
-    if options.through is not None:
-        model = through(model, find_model(options.through))
     data = read_data(options.data, model, options.input, options.output)
+    for word in options.through or ():
+        for filtered in _filters(word, data):
+            model = through(model, filtered)
     for name in ("input", "output", "at"):
         if isinstance(data, Record) and getattr(options, name):
             raise UsageError(f"--{name} is for a frequency response, and {options.data} is a record: leave it out.")
     return Problem(model, data, at=assignments(options.at, "--at"))
+
+
+def _filters(word: str, data: FrequencyResponse | Record) -> list[Model]:
+    """Return the filters that a word of --through names: a model, or what a response states of its vehicle."""
+    if re.fullmatch(r"\w+(-\w+)+", word):
+        stated = data.about if isinstance(data, FrequencyResponse) else {}
+        if word not in stated:
+            there = [name for name in stated if name.endswith(FILTER_NAMES)]
+            known = f"they state {', '.join(there)}" if there else "they state none"
+            raise UsageError(f"--through {word} is no filter that the data state; {known}.")
+        return [filter_model(known) for known in from_text(stated[word])]
+    return [find_model(word)]
 
 
 def through(model: Model, filtered: Model) -> Model:

@@ -132,7 +132,7 @@ def _member(stated: Mapping[str, Any], varied: list[str], path: Path) -> tuple[s
         problem=_beside(_text(stated, "problem"), folder),
         model=_beside(_text(stated, "model"), folder),
         data=folder / stated["data"] if "data" in stated else None,
-        through=_text(stated, "through"),
+        through=[filtered] if (filtered := _text(stated, "through")) else [],
         input=_text(stated, "input") or "",
         output=_text(stated, "output") or "",
         at=_assigned(stated, "at"),

@@ -9,7 +9,8 @@ import numpy as np
 from greybox.data.record import Recording
 from greybox.data.test_segment import Segment
 from greybox.identification.measurement import Settings, found_tests
-from greybox.logs.ardupilot import AXES, axis_of
+from greybox.logs.axis_signals import NAMES
+from greybox.logs.flight_controllers import AXES, axis_of
 from greybox.logs.segment_detection import announcing
 
 # Of the rate of the best-sampled signal: those as fast are as good, and the first of the list is taken.
@@ -66,9 +67,10 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
         stated["axis"] = raw
 
     if not stated.get("input"):
-        if not axis or not _has(recording, AXES[axis].control):
+        control = _first(recording, AXES[axis].controls) if axis else ""
+        if not control:
             raise ValueError(f"no control is known for the axis {raw!r}: give the input, --input u=MESSAGE.Field.")
-        stated["input"] = f"u={AXES[axis].control}"
+        stated["input"] = f"u={control}"
         choices.append(Choice(f"input {stated['input']}", f"the control of {axis}", "--input"))
     if not stated.get("output"):
         stated["output"], why = _output(recording, axis, used)
@@ -88,12 +90,17 @@ def _without_signals(stated: dict[str, Any]) -> dict[str, Any]:
 
 
 def _known_axes(recording: Recording) -> list[str]:
-    return [axis for axis, own in AXES.items() if any(_has(recording, s) for s in (own.control, *own.setpoints))]
+    return [axis for axis, own in AXES.items() if any(_has(recording, s) for s in (*own.controls, *own.setpoints))]
 
 
 def _has(recording: Recording, signal: str) -> bool:
     message, _, field = signal.rpartition(".")
     return message in recording and field in recording[message].signals
+
+
+def _first(recording: Recording, signals: Sequence[str]) -> str:
+    """Return the first of the signals that the log has; empty if it has none."""
+    return next((signal for signal in signals if _has(recording, signal)), "")
 
 
 def _body_axis(recording: Recording, tests: Sequence[Segment]) -> str:
@@ -102,11 +109,9 @@ def _body_axis(recording: Recording, tests: Sequence[Segment]) -> str:
     said = axis_of(name) or next((axis for axis in AXES if axis in name.split()), "")
     if said or tests[0].source == "SIDS":
         return said
-    motion = {
-        axis: max((_motion(recording, s, tests) for s in own.setpoints[:1]), default=0.0) for axis, own in AXES.items()
-    }
+    motion = {axis: _motion(recording, _first(recording, own.setpoints), tests) for axis, own in AXES.items()}
     if not any(motion.values()):
-        motion = {axis: _motion(recording, own.control, tests) for axis, own in AXES.items()}
+        motion = {axis: _motion(recording, _first(recording, own.controls), tests) for axis, own in AXES.items()}
     return max(motion, key=motion.__getitem__) if any(motion.values()) else ""
 
 
@@ -115,11 +120,12 @@ def _motion(recording: Recording, signal: str, tests: Sequence[Segment]) -> floa
     if not _has(recording, signal):
         return 0.0
     record, field = recording.locate(signal)
+    turn = 2 * np.pi if record.units.get(field) == "rad" else 360
     spreads = [0.0]
     for test in tests:
         values = record[field][(record.time >= test.start) & (record.time <= test.end)]
         values = values[np.isfinite(values)]
-        spreads.append(float(np.std(np.unwrap(values, period=360))) if values.size else 0.0)
+        spreads.append(float(np.std(np.unwrap(values, period=turn))) if values.size else 0.0)
     return max(spreads)
 
 
@@ -144,7 +150,7 @@ def _output(recording: Recording, axis: str, used: Sequence[Segment]) -> tuple[s
     """Return the best-sampled angle of the axis, or else its rate, with a name, and why."""
     own = AXES.get(axis)
     kinds = ("angle", "rate")
-    groups = zip(kinds, own.names, (own.angles, own.rates), strict=True) if own else ()
+    groups = zip(kinds, NAMES[axis], (own.angles, own.rates), strict=True) if own else ()
     for kind, name, signals in groups:
         rates = {signal: _rate(recording, signal, used) for signal in signals if _has(recording, signal)}
         if not rates or not max(rates.values()):

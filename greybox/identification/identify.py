@@ -1,21 +1,23 @@
 """From a log to a fitted model in one go: the chain of the single verbs, with every choice said."""
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from greybox.data.record import Recording
-from greybox.data.text_table import number, one_line, text_table
+from greybox.data.text_table import number, one_line, text_table, with_error
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit
-from greybox.formulation.frequency_criteria import Criterion, MaximumLikelihood, RelativeLikelihood
+from greybox.formulation.frequency_criteria import MaximumLikelihood, RelativeLikelihood
 from greybox.formulation.problem import Problem
 from greybox.formulation.signal_units import as_the_only_pair
 from greybox.identification.choices import Choice, choose
 from greybox.identification.measurement import Measurement, measure
+from greybox.logs.known_filters import KnownFilter
 from greybox.logs.readers import read
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.validation.compare import compare
@@ -26,12 +28,12 @@ STARTS = 20
 
 
 class FittedStep(NamedTuple):
-    """One structure: the model by its name, what was freed, what it adds, the filter behind it, criterion and fit."""
+    """One structure: the model by its name, what was freed, what it adds, the filters behind it, criterion and fit."""
 
     model: str
     free: tuple[str, ...]
     about: str
-    through: str
+    through: tuple[str, ...]
     criterion: str
     fit: Fit
 
@@ -53,6 +55,8 @@ class Identification:
         None where fewer than two structures converged.
     chosen : FittedStep or None
         The simplest structure that no other one describes the data better than; None where none converged.
+    unfiltered : FittedStep or None
+        The same structure without the filters of the log: their lag is then part of its own lag and delay.
     starts, seed : int
     """
 
@@ -62,6 +66,7 @@ class Identification:
     steps: tuple[FittedStep, ...] = ()
     comparison: Comparison | None = None
     chosen: FittedStep | None = None
+    unfiltered: FittedStep | None = None
     starts: int = STARTS
     seed: int = 0
     reason: str = field(default="", repr=False)
@@ -90,13 +95,19 @@ class Identification:
         if self.steps:
             parts += [_ladder(self), self.reason]
         if self.fit is not None:
-            parts += [str(self.fit)]
+            parts += [str(self.fit), _with_and_without(self)]
         parts += ["\n".join(["Next:", *(f"  {text}" for text in self.next)])]
         return "\n\n".join(part for part in parts if part)
 
 
 def identify(
-    log: str | Path | Recording, *, ladder: Sequence[Any] = (), starts: int = STARTS, seed: int = 0, **stated: Any
+    log: str | Path | Recording,
+    *,
+    ladder: Sequence[Any] = (),
+    through: Sequence[str] | None = None,
+    starts: int = STARTS,
+    seed: int = 0,
+    **stated: Any,
 ) -> Identification:
     """Go from a log to a fitted model: find the tests, measure the response, fit a ladder of structures, compare.
 
@@ -109,6 +120,9 @@ def identify(
     ladder : sequence of (model, free, about), optional
         Structures from the simplest up, as ``("rate:DampedAngle", (), "rate damping")``; by default those of
         `greybox.models.ladder` for the output's name.
+    through : sequence of str, optional
+        Filters between the output and its log, by the names that the log gives them, ``("gyro-filter",)``; ``()`` is
+        none. By default those that the output is known to have passed.
     starts, seed : int
         Of every fit.
     **stated
@@ -131,15 +145,16 @@ def identify(
     if measurement.response is None or not measurement.quality.usable:
         return result
 
-    criterion = MaximumLikelihood() if measurement.response.variance is not None else RelativeLikelihood()
+    filters = _filters(measurement, through)
     steps = tuple(
-        _fitted(measurement, criterion, step, starts, seed) for step in (ladder or _ladder_of(settings.names[1][0]))
+        _fitted(measurement, step, filters, starts, seed) for step in (ladder or _ladder_of(settings.names[1][0]))
     )
     converged = [step for step in steps if step.fit.converged]
     labels = [str(1 + steps.index(step)) for step in converged]
     comparison = compare(*(step.fit for step in converged), labels=labels) if len(converged) > 1 else None
     chosen, reason = _chosen(steps, comparison)
-    return Identification(recording, choices, measurement, steps, comparison, chosen, starts, seed, reason)
+    unfiltered = _fitted(measurement, chosen[:3], {}, starts, seed) if filters and chosen else None
+    return Identification(recording, choices, measurement, steps, comparison, chosen, unfiltered, starts, seed, reason)
 
 
 def _ladder_of(output: str) -> Sequence[Any]:
@@ -153,19 +168,42 @@ def _ladder_of(output: str) -> Sequence[Any]:
     return ladders[output]
 
 
-def _fitted(measurement: Measurement, criterion: Criterion, step: Any, starts: int, seed: int) -> FittedStep:
+def filter_model(known: KnownFilter) -> TransferFunction:
+    """Return the included model of a filter of a flight controller."""
+    return getattr(import_module("greybox.models.filters"), type(known).__name__)(*known.values)
+
+
+def _filters(measurement: Measurement, names: Sequence[str] | None) -> dict[str, tuple[KnownFilter, ...]]:
+    """Return the filters of these names, or those that the output has passed before its log."""
+    assert measurement.response is not None
+    passed = measurement.record.filters.get(measurement.response.output, ())
+    if names is None:
+        known = {name: f for name, f in measurement.filters.items() if set(f) <= set(passed)}
+        return {name: known[name] for name in sorted(known, key=lambda name: passed.index(known[name][0]))}
+    for name in names:
+        if name not in measurement.filters:
+            there = ", ".join(measurement.filters) or "none"
+            raise ValueError(f"--through {name}: the log tells of no such filter; it tells of {there}.")
+    return {name: measurement.filters[name] for name in names}
+
+
+def _fitted(
+    measurement: Measurement,
+    step: Any,
+    filters: Mapping[str, tuple[KnownFilter, ...]],
+    starts: int,
+    seed: int,
+) -> FittedStep:
     reference, free, about = step
     file, _, name = reference.partition(":")
     model: TransferFunction = getattr(import_module(f"greybox.models.{file}"), name)()
-    words = []
     assert measurement.response is not None
-    for known in measurement.record.filters.get(measurement.response.output, ()):
-        low_pass = import_module("greybox.models.filters").LowPass(known.cutoff, known.damping)
-        model = model.through(low_pass)
-        words.append(f"filters:LowPass({known.cutoff!r}, {known.damping!r})")
+    for known in chain.from_iterable(filters.values()):
+        model = model.through(filter_model(known))
+    criterion = MaximumLikelihood() if measurement.response.variance is not None else RelativeLikelihood()
     data = as_the_only_pair(model, measurement.response)
     result = fit(Problem(model, data, criterion, free=tuple(free)), starts=starts, seed=seed)
-    return FittedStep(reference, tuple(free), about, " ".join(words), criterion.name, result)
+    return FittedStep(reference, tuple(free), about, tuple(filters), criterion.name, result)
 
 
 def _chosen(steps: Sequence[FittedStep], comparison: Comparison | None) -> tuple[FittedStep | None, str]:
@@ -204,8 +242,26 @@ def _ladder(result: Identification) -> str:
         cost = number(step.fit.cost, 4) if step.fit.converged else "failed"
         name = step.model + (f" with {', '.join(step.free)} free" if step.free else "")
         rows.append((label, name, str(len(step.fit.free)), cost, *cells, step.about))
-    title = "Structures, behind the filter that the log names:" if result.steps[0].through else "Structures:"
+    through = result.steps[0].through
+    title = f"Structures, in series with the {' and the '.join(through)} of the log:" if through else "Structures:"
     return "\n".join([title, text_table(header, rows, left=(1, 6))])
+
+
+def _with_and_without(result: Identification) -> str:
+    """Return lags and delays beside those of the same structure without the filters, which take up their lag."""
+    with_, without = result.chosen, result.unfiltered
+    if with_ is None or without is None or not without.fit.converged:
+        return ""
+    times = [q.name for q in with_.fit.quantities if q.kind == "free" and q.unit == "s"]
+    rows = [(f"{name}, s", *(_with_error(step.fit, name) for step in (with_, without))) for name in times]
+    if not rows:
+        return ""
+    names = " and ".join(with_.through)
+    return f"Lag and delay with and without the {names}:\n" + text_table(("", "with", "without"), rows)
+
+
+def _with_error(fit: Fit, name: str) -> str:
+    return " ± ".join(with_error(fit.estimate[name], fit.standard_error[name]))
 
 
 def _next_steps(result: Identification) -> list[str]:
@@ -252,7 +308,7 @@ def _commands(result: Identification, log: str, prefix: str) -> list[list[str]]:
     found = [["greybox", "inspect", log, *finding], [*measured, "--out", response]]
     for step in (result.chosen,) if result.chosen else ():
         words = ["greybox", "fit", "--model", step.model, "--data", response]
-        words += ["--through", step.through] if step.through else []
+        words += ["--through", *step.through] if step.through else []
         words += ["--free", *step.free] if step.free else []
         words += ["--criterion", step.criterion]
         words += ["--starts", str(result.starts), "--seed", str(result.seed)]

@@ -16,7 +16,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
-from greybox.logs.ardupilot import AXES, axis_of
+from greybox.logs.flight_controllers import AXES, axis_of
 from greybox.logs.segment_detection import SETPOINTS
 from greybox.spectral.composite_windows import spectral_response
 

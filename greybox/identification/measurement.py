@@ -11,6 +11,8 @@ from greybox.data.test_segment import Segment, segment_table
 from greybox.data.text_table import alternatives, counted, number, one_line
 from greybox.data.units import to_si
 from greybox.identification.loop import DirectDifference, controller_in, direct_difference
+from greybox.logs.flight_controllers import axis_of, named_filters
+from greybox.logs.known_filters import KnownFilter, in_series
 from greybox.logs.prepare import prepare
 from greybox.logs.segment_detection import announcing, find_segments
 from greybox.spectral.composite_windows import spectral_response
@@ -125,6 +127,8 @@ class Measurement:
     quality : Quality
     choices : tuple of str
         What was chosen and dropped and why, in sentences.
+    filters : mapping of str to tuple of KnownFilter
+        Those of the flight controller whose parameters the log holds, by name.
     controller : str
         The signal that shows a closed loop; empty where nothing does.
     difference : DirectDifference or None
@@ -141,6 +145,7 @@ class Measurement:
     response: FrequencyResponse | None
     quality: Quality
     choices: tuple[str, ...] = ()
+    filters: Mapping[str, tuple[KnownFilter, ...]] = field(default_factory=dict, repr=False)
     controller: str = ""
     difference: DirectDifference | None = None
     detail: str = field(default="", repr=False)
@@ -217,7 +222,18 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         response = replace(response, about=_about(recording, record, response, signals, used, settings))
     choices = _choices(recording, settings, used, controller, signals, response, difference)
     return Measurement(
-        settings, tests, tuple(used), signals, record, response, quality, choices, controller, difference, detail
+        settings,
+        tests,
+        tuple(used),
+        signals,
+        record,
+        response,
+        quality,
+        choices,
+        named_filters(recording, axis_of(control)),
+        controller,
+        difference,
+        detail,
     )
 
 
@@ -318,10 +334,11 @@ def _about(
         "excitation": _excitation(used),
         "estimate": _kind(signals, used, settings),
         "filter": "; ".join(
-            f"{name} was logged behind a {known.cutoff:g} Hz low-pass filter of damping {known.damping:.3g}"
+            f"{name} was logged behind a {known}"
             for name in (response.input, response.output)
             for known in record.filters.get(name, ())
         ),
+        **{name: in_series(known) for name, known in named_filters(recording, axis_of(settings.names[0][1])).items()},
         "band": "" if settings.band is None else f"{settings.band[0]:.5g} to {settings.band[1]:.5g} rad/s",
         **response.about,
     }

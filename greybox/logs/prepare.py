@@ -12,7 +12,7 @@ from greybox.data.intersample import HELD, intersample
 from greybox.data.record import GAP, Record, Recording, require_time
 from greybox.data.text_table import counted
 from greybox.data.units import to_si
-from greybox.logs.ardupilot import gyro_filter
+from greybox.logs.flight_controllers import passed_filters
 
 Array = NDArray[np.float64]
 
@@ -306,9 +306,9 @@ def _detrended(record: Record, how: str) -> Record:
 
 
 def _known_filters(recording: Recording, names: Sequence[str]) -> tuple[Any, ...]:
-    """Return the filters that the record knows of, or else ArduPilot's filter of gyro rates."""
+    """Return the filters that the record knows of, or else those of the flight controller."""
     for name in names:
         record, field = recording.locate(name)
         if field in record.filters:
             return record.filters[field]
-    return next(((known,) for name in names if (known := gyro_filter(recording, name))), ())
+    return next((known for name in names if (known := passed_filters(recording, name))), ())

@@ -11,11 +11,16 @@ from greybox.data.record import Record, Recording, require_time
 from greybox.data.test_segment import Segment
 from greybox.data.units import to_si
 from greybox.logs.ardupilot import ATTITUDE_SETPOINTS, SYSTEMID_AXES, SYSTEMID_DELAY
+from greybox.logs.px4 import AXES as PX4_AXES
 from greybox.logs.sine_detection import sines_and_sweeps
 
 Array = NDArray[np.float64]
 ANNOUNCED = {"segment": "Seg", "axis": "Ax", "omega": "W", "amplitude": "Eta", "offset": "Th0"}
-SETPOINTS = (*ATTITUDE_SETPOINTS, "r", "setpoint", "reference")  # searched when none is named
+SETPOINTS = (  # searched when none is named
+    *ATTITUDE_SETPOINTS,
+    *(axis.setpoints[0] for axis in PX4_AXES.values()),
+    *("r", "setpoint", "reference"),
+)
 
 PAUSE = 1.0  # s without its announcement end a test, or five intervals of a slow message
 EDGE = 0.1  # s: times of start and end, from messages and modes, are logged no more often than ten times a second

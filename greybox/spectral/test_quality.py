@@ -163,8 +163,10 @@ def check(
 def _filters(record: Record, names: Sequence[str]) -> Iterator[Finding]:
     for name in names:
         for known in record.filters.get(name, ()):
-            text = f"{name} was logged behind a {known.cutoff:g} Hz low-pass filter: fit the plant times that filter"
-            yield Finding("filters", "note", known.cutoff, f"{text}, greybox.models.filters.LowPass.")
+            text = (
+                f"{name} was logged behind a {known}: fit the plant in series with greybox.models.filters.{known.model}"
+            )
+            yield Finding("filters", "note", math.nan, f"{text}.")
 
 
 def _gaps(record: Record, segments: Sequence[Segment]) -> Iterator[Finding]:

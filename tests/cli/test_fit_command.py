@@ -191,6 +191,16 @@ def test_a_filter_in_the_path_is_part_of_the_model(capsys, tmp_path):
     assert without["estimate"]["T_delay"] > 0.008
 
 
+def test_a_filter_that_the_response_states_is_named(capsys, tmp_path):
+    rate_response(tmp_path / "rate.csv", about={"gyro-filter": "LowPass(20.0, 0.7071067811865476)"})
+    command = ["fit", "--model", "rate:DampedRotation", "--data", tmp_path / "rate.csv", "--starts", "3", "--json"]
+    answer = json.loads(run(capsys, *command, "--through", "gyro-filter")[1])
+    assert answer["estimate"]["T_rotor"] == pytest.approx(0.05, rel=1e-3)
+    status, _, err = run(capsys, *command, "--through", "gyro-notch")
+    assert status == 2
+    assert "--through gyro-notch is no filter that the data state; they state gyro-filter." in err
+
+
 # --- fits that were ended ---------------------------------------------------------------------------------------------
 
 # Runs are on disk at once.

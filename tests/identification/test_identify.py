@@ -77,3 +77,51 @@ def test_a_log_without_a_test_says_how_to_name_one():
     )
     with pytest.raises(ValueError, match=r"no usable test was found in made\.bin: say where they are, --announced"):
         choose(still)
+
+
+@pytest.fixture(scope="module")
+def filtered_rate_log():
+    """A sweep of the control through K / ((T s + 1)(s + a)), logged behind the gyro's low-pass filter and its notch."""
+    from scipy.signal import bilinear, chirp, lfilter, lsim
+
+    time = np.arange(0, 60, 0.0025)
+    inside = (time > 2) & (time < 58)
+    u = np.where(inside, 0.1 * chirp(time - 2, 0.15, 56, 12, method="logarithmic", phi=-90), 0)
+    rate = lsim(([90], [0.05, 1 + 0.05 * 0.7, 0.7]), u, time)[1]
+    notch, low_pass = 2 * np.pi * 60, 2 * np.pi * 20
+    width = notch * (16 / 9 - 1) / (4 / 3)  # of a bandwidth of 30 Hz: the lower edge lies at 45, the upper at 80 Hz
+    for b, a in (
+        ([1, 0.01 * width, notch**2], [1, width, notch**2]),
+        ([low_pass**2], [1, 2**0.5 * low_pass, low_pass**2]),
+    ):
+        rate = lfilter(*bilinear(b, a, 400), rate)
+    rate += 0.01 * np.random.default_rng(3).normal(size=time.size)
+    settings = {"INS_GYRO_FILTER": 20.0, "INS_NOTCH_ENABLE": 1, "INS_NOTCH_FREQ": 60, "INS_NOTCH_ATT": 40}
+    records = {
+        "RATE": Record(time, {"POut": u, "P": rate}, {"P": "rad/s"}, hold={"POut": 0.0, "P": 0.0}),
+        "SIDD": Record(time, {"Targ": u}),
+    }
+    return Recording(records, "made.bin", metadata={"parameters": settings | {"INS_NOTCH_BW": 30}})
+
+
+def test_filters_of_the_log_are_in_series_with_the_model(filtered_rate_log):
+    stated = {"input": "u=RATE.POut", "output": "q=RATE.P", "setpoint": "SIDD.Targ", "band": (1.5, 60.0), "starts": 5}
+    ladder = [("rate:DampedRotation", (), "rate damping")]
+    found = gb.identify(filtered_rate_log, ladder=ladder, **stated)
+    assert found.chosen.through == ("gyro-notch", "gyro-filter")
+    truth = {"K_phi": 90, "a": 0.7, "T_rotor": 0.05, "T_delay": 0}
+    for name, value in truth.items():
+        assert abs(found.fit.estimate[name] - value) < 3 * found.fit.standard_error[name] + 1e-4, name
+    # What the filters delay at low frequencies, 2 ζ / ω_c and (1 - 0.01) / (Q ω_0), is in the other lag and delay.
+    lag = 2**0.5 / (2 * np.pi * 20) + 0.99 * 7 / 12 / (2 * np.pi * 60)
+    without = found.unfiltered.fit.estimate
+    assert without["T_delay"] + without["T_rotor"] == pytest.approx(0.05 + lag, abs=0.003)
+    assert "Lag and delay with and without the gyro-notch and gyro-filter" in str(found)
+    assert "--through gyro-notch gyro-filter" in found.commands()[-1]
+    about = found.measurement.response.about
+    assert about["gyro-filter"] == "LowPass(20.0, 0.7071067811865476)"
+
+    as_logged = gb.identify(filtered_rate_log, ladder=ladder, through=(), **stated)
+    assert (as_logged.chosen.through, as_logged.unfiltered) == ((), None)
+    with pytest.raises(ValueError, match="tells of no such filter; it tells of gyro-filter, gyro-notch"):
+        gb.identify(filtered_rate_log, ladder=ladder, through=("d-term-filter",), **stated)

@@ -8,7 +8,7 @@ from scipy import constants as c
 
 import greybox as gb
 from greybox.data.record import Record, Recording
-from greybox.logs.ardupilot import SecondOrderLowPass
+from greybox.logs.known_filters import LowPass as KnownLowPass
 from greybox.logs.prepare import Derived, negative
 
 RANDOM = np.random.default_rng(0)
@@ -161,7 +161,7 @@ def test_the_gyro_filter_is_recorded():
         RATE=(time, {"P": time, "POut": time}, {"P": "deg/s"}),
     )
     record = gb.prepare(log, {"u": "RATE.POut", "q": "RATE.P"}, rate=50)
-    assert record.filters == {"q": (SecondOrderLowPass(20.0),)}
+    assert record.filters == {"q": (KnownLowPass(20.0),)}
 
 
 def test_the_filter_model_is_the_filter():
@@ -234,7 +234,7 @@ def test_known_filters_survive_a_second_preparation_and_are_noted():
     )
     first = gb.prepare(log, {"u": "RATE.POut", "q": "RATE.P"}, rate=50)
     again = gb.prepare(first, {"u": "u", "q2": "q"}, rate=50)
-    assert again.filters == {"q2": (SecondOrderLowPass(20.0),)}
+    assert again.filters == {"q2": (KnownLowPass(20.0),)}
     (note,) = [f for f in gb.spectral.check(first, output="q").findings if f.about == "filters"]
     assert "20 Hz low-pass" in note.text
 

@@ -1,0 +1,12 @@
+"""What ArduPilot does to signals and tests, with its parameters from the log.
+
+`signals` names the controls, sensors and setpoints of an axis, and those of System Identification mode; `filters` has
+the filters of the gyro and of the rate controllers.
+"""
+
+from greybox.logs.ardupilot.filters import named_filters as named_filters
+from greybox.logs.ardupilot.filters import passed_filters as passed_filters
+from greybox.logs.ardupilot.signals import ATTITUDE_SETPOINTS as ATTITUDE_SETPOINTS
+from greybox.logs.ardupilot.signals import AXES as AXES
+from greybox.logs.ardupilot.signals import SYSTEMID_AXES as SYSTEMID_AXES
+from greybox.logs.ardupilot.signals import SYSTEMID_DELAY as SYSTEMID_DELAY

@@ -1,0 +1,118 @@
+"""Filters of ArduPilot with the parameters of a log: of the gyro, its notches, and those of the rate controllers.
+
+Sources: INS_GYRO_FILTER, INS_HNTCH_*, ATC_RAT_*_FLTD, FLTT and FLTE at
+https://ardupilot.org/copter/docs/parameters.html; LowPassFilter2p.cpp, NotchFilter.cpp, HarmonicNotchFilter.cpp and
+AC_PID.cpp of the firmware, for what they mean; the messages FTN and FTNS at
+https://ardupilot.org/copter/docs/logmessages.html.
+"""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from greybox.data.record import Recording
+from greybox.logs.known_filters import FirstOrderLowPass, KnownFilter, LowPass, Notch
+
+# Fields that are logged behind the filters of the gyro.
+GYRO_RATES = {
+    "RATE": ("R", "P", "Y"),
+    "IMU": ("GyrX", "GyrY", "GyrZ"),
+    "PIDR": ("Act",),
+    "PIDP": ("Act",),
+    "PIDY": ("Act",),
+}
+
+CONTROLLERS = {"roll": "RLL", "pitch": "PIT", "yaw": "YAW"}  # as the parameters of rate controllers name the axis
+CONTROLLER_FILTERS = {"d-term-filter": "FLTD", "target-filter": "FLTT", "error-filter": "FLTE"}
+
+FIXED, THROTTLE = 0, 1  # INS_HNTCH_MODE; the others follow sensors, whose frequency only FTN or FTNS tells
+DOUBLE, TRIPLE = 1, 16  # bits of INS_HNTCH_OPTS
+
+
+def passed_filters(recording: Recording, signal: str) -> tuple[KnownFilter, ...]:
+    """Return the filters that the gyro's rates have passed before they were logged, if `signal` is one of them.
+
+    Parameters
+    ----------
+    recording : Recording
+        With the parameters of the vehicle.
+    signal : str
+        ``"RATE.P"``, ``"IMU[0].GyrY"`` ...
+    """
+    message, _, field = signal.rpartition(".")
+    if field not in GYRO_RATES.get(message.partition("[")[0], ()):
+        return ()
+    known = named_filters(recording)
+    return (*known.get("gyro-notch", ()), *known.get("gyro-filter", ()))
+
+
+def named_filters(recording: Recording, axis: str = "") -> dict[str, tuple[KnownFilter, ...]]:
+    """Return the filters whose parameters are known, by name: of the gyro, and of the rate controller of an axis."""
+    parameters = recording.metadata.get("parameters", {})
+    found: dict[str, tuple[KnownFilter, ...]] = {}
+    if parameters.get("INS_GYRO_FILTER", 0) > 0:
+        found["gyro-filter"] = (LowPass(float(parameters["INS_GYRO_FILTER"])),)
+        notches = _harmonic_notches(recording, parameters)
+        found |= {"gyro-notch": notches} if notches else {}
+    controller = CONTROLLERS.get(axis, "")
+    for name, end in CONTROLLER_FILTERS.items():
+        cutoff = parameters.get(f"ATC_RAT_{controller}_{end}", 0)
+        found |= {name: (FirstOrderLowPass(float(cutoff)),)} if cutoff > 0 else {}
+    return found
+
+
+def _harmonic_notches(recording: Recording, parameters: Mapping[str, float]) -> tuple[Notch, ...]:
+    notches: list[Notch] = []
+    for number, begin in enumerate(("INS_HNTCH_", "INS_HNTC2_")):
+        if parameters.get(f"{begin}ENABLE", 0) > 0:
+            notches += _one_harmonic_notch(recording, number, {k: parameters.get(f"{begin}{k}", 0) for k in KEYS})
+    if parameters.get("INS_NOTCH_ENABLE", 0) > 0:  # the static notch of firmware before 4.1
+        center, width, depth = (parameters.get(f"INS_NOTCH_{k}", 0) for k in ("FREQ", "BW", "ATT"))
+        notches += [Notch(float(center), _quality(center, width), float(depth))] if center > width / 2 > 0 else []
+    return tuple(notches)
+
+
+KEYS = ("MODE", "FREQ", "BW", "ATT", "HMNCS", "REF", "OPTS")
+
+
+def _one_harmonic_notch(recording: Recording, number: int, setting: Mapping[str, float]) -> list[Notch]:
+    """Return the notches of all harmonics; none where their frequency is not known."""
+    center, width = setting["FREQ"], setting["BW"]
+    base = _logged_center(recording, number) or _set_center(recording, setting)
+    if not (center > width / 2 > 0 and base):
+        return []
+    parts = 3 if int(setting["OPTS"]) & TRIPLE else 2 if int(setting["OPTS"]) & DOUBLE else 1
+    spread = width / (32 * center)
+    offsets = {1: (0.0,), 2: (-spread, spread), 3: (-spread, 0.0, spread)}[parts]
+    quality = _quality(center, width / parts)
+    harmonics = [k + 1 for k in range(16) if int(setting["HMNCS"] or 1) >> k & 1]
+    return [Notch(k * base * (1 + offset), quality, float(setting["ATT"])) for k in harmonics for offset in offsets]
+
+
+def _quality(center: float, width: float) -> float:
+    """Return Q of a notch that is `width` wide, Hz: NotchFilter::calculate_A_and_Q."""
+    ratio = (center / (center - width / 2)) ** 2
+    return math.sqrt(ratio) / (ratio - 1)
+
+
+def _logged_center(recording: Recording, number: int) -> float:
+    """Return the median of the logged centers, Hz; 0 where they were not logged."""
+    for name, field in ((f"FTNS[{number}]", "NF"), ("FTNS", "NF"), (f"FTN[{number}]", "NF1"), ("FTN", "NF1")):
+        exact = name in recording.records or (number == 0 and "[" not in name and name in recording)
+        if exact and field in recording[name].signals:
+            values = recording[name][field]
+            values = values[np.isfinite(values) & (values > 0)]
+            return float(np.median(values)) if values.size else 0.0
+    return 0.0
+
+
+def _set_center(recording: Recording, setting: Mapping[str, float]) -> float:
+    if setting["MODE"] == FIXED or setting["REF"] <= 0:
+        return float(setting["FREQ"])
+    if setting["MODE"] == THROTTLE and "RATE" in recording and "AOut" in recording["RATE"].signals:
+        throttle = recording["RATE"]["AOut"]
+        flying = throttle[throttle > 0]
+        median = float(np.median(flying)) if flying.size else 0.0
+        return float(setting["FREQ"]) * math.sqrt(max(1.0, median / setting["REF"]))
+    return 0.0

@@ -1,0 +1,30 @@
+"""How ArduPilot names the signals of an axis, and the axes of its System Identification mode."""
+
+from greybox.logs.axis_signals import AxisSignals
+
+# SID_AXIS from 1, https://ardupilot.org/copter/docs/parameters.html
+SYSTEMID_AXES = (
+    "input roll,input pitch,input yaw,recovery roll,recovery pitch,recovery yaw,rate roll,rate pitch,rate yaw,"
+    "mixer roll,mixer pitch,mixer yaw,mixer thrust,measured lateral position,measured longitudinal position,"
+    "measured lateral velocity,measured longitudinal velocity,input lateral velocity,input longitudinal velocity"
+).split(",")
+
+SYSTEMID_DELAY = 1.0  # s, SYSTEM_ID_DELAY: the waveform starts this long after the mode (ArduCopter/mode_systemid.cpp)
+
+ATTITUDE_SETPOINTS = ("ATT.DesRoll", "ATT.DesPitch", "ATT.DesYaw")
+
+# Messages ATT, ANG, RATE and PID*, https://ardupilot.org/copter/docs/logmessages.html
+AXES = {
+    axis: AxisSignals(
+        controls=(f"RATE.{short}Out",),
+        angles=(f"ATT.{word}", f"ANG.{word}"),
+        rates=(f"RATE.{short}", f"PID{short}.Act", f"IMU.Gyr{gyro}"),
+        setpoints=(f"ATT.Des{word}", f"ANG.Des{word}", f"RATE.{short}Des"),
+        terms=(f"PID{short}.Tar", f"PID{short}.P"),
+    )
+    for axis, short, word, gyro in (
+        ("roll", "R", "Roll", "X"),
+        ("pitch", "P", "Pitch", "Y"),
+        ("yaw", "Y", "Yaw", "Z"),
+    )
+}

@@ -1,0 +1,17 @@
+"""The signals of one axis of a vehicle, as a flight controller logs them."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class AxisSignals:
+    """The signals of one axis, the best first: controls, angles, rates, setpoints, and terms of its controllers."""
+
+    controls: tuple[str, ...]
+    angles: tuple[str, ...]
+    rates: tuple[str, ...]
+    setpoints: tuple[str, ...]
+    terms: tuple[str, ...]
+
+
+NAMES = {"roll": ("phi", "p"), "pitch": ("theta", "q"), "yaw": ("psi", "r")}  # of angle and rate in models

@@ -1,0 +1,30 @@
+"""What is known of the flight controllers together: the signals of an axis, and the filters that a log names."""
+
+from greybox.data.record import Recording
+from greybox.logs.ardupilot import filters as of_ardupilot
+from greybox.logs.ardupilot.signals import AXES as ARDUPILOT_AXES
+from greybox.logs.axis_signals import AxisSignals
+from greybox.logs.known_filters import KnownFilter
+from greybox.logs.px4 import AXES as PX4_AXES
+from greybox.logs.px4 import named_filters as px4_filters
+from greybox.logs.px4 import passed_filters as passed_in_px4
+
+AXES = {
+    axis: AxisSignals(*(getattr(own, kind) + getattr(PX4_AXES[axis], kind) for kind in AxisSignals.__match_args__))
+    for axis, own in ARDUPILOT_AXES.items()
+}
+
+
+def axis_of(signal: str) -> str:
+    """Return the axis whose control or setpoint a signal is: "roll", "pitch" or "yaw"; empty for others."""
+    return next((axis for axis, own in AXES.items() if signal in (*own.controls, *own.setpoints, *own.terms)), "")
+
+
+def passed_filters(recording: Recording, signal: str) -> tuple[KnownFilter, ...]:
+    """Return the filters that a signal has passed before it was logged, the first of them first."""
+    return of_ardupilot.passed_filters(recording, signal) or passed_in_px4(recording, signal)
+
+
+def named_filters(recording: Recording, axis: str = "") -> dict[str, tuple[KnownFilter, ...]]:
+    """Return the filters whose parameters the log holds, by name: ``gyro-filter``, ``gyro-notch`` and so on."""
+    return px4_filters(recording) | of_ardupilot.named_filters(recording, axis)

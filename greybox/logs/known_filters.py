@@ -1,0 +1,94 @@
+"""Filters of a flight controller whose parameters its log holds, as values that models are made of.
+
+`greybox.models.filters` has a model of the same name for each. They are written into the files of responses as
+``LowPass(20.0, 0.71)``, several in series as ``Notch(80.0, 1.9, 40.0) * LowPass(20.0, 0.71)``, and read from there as
+numbers for these three names alone.
+"""
+
+import ast
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+
+SERIES = " * "
+
+
+@dataclass(frozen=True)
+class KnownFilter:
+    """A filter with known parameters, those of the model of its name."""
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """The parameters, those that are not known left out."""
+        return tuple(float(value) for value in astuple(self) if value is not None)
+
+    @property
+    def model(self) -> str:
+        """The model and its parameters, ``LowPass(20.0, 0.71)``."""
+        return f"{type(self).__name__}({', '.join(map(repr, self.values))})"
+
+
+@dataclass(frozen=True)
+class LowPass(KnownFilter):
+    """A second-order low-pass filter: cutoff in Hz, damping, and its sampling rate in Hz if digital."""
+
+    cutoff: float
+    damping: float = math.sqrt(0.5)
+    rate: float | None = None
+
+    def __str__(self) -> str:
+        return f"{self.cutoff:g} Hz low-pass filter"
+
+
+@dataclass(frozen=True)
+class FirstOrderLowPass(KnownFilter):
+    """A first-order low-pass filter: cutoff in Hz."""
+
+    cutoff: float
+
+    def __str__(self) -> str:
+        return f"{self.cutoff:g} Hz first-order low-pass filter"
+
+
+@dataclass(frozen=True)
+class Notch(KnownFilter):
+    """A notch filter: center in Hz, quality (center over bandwidth), attenuation at the center in dB."""
+
+    center: float
+    quality: float
+    attenuation: float
+
+    def __str__(self) -> str:
+        return f"{self.center:.4g} Hz notch"
+
+
+KINDS = {kind.__name__: kind for kind in (LowPass, FirstOrderLowPass, Notch)}
+
+
+def in_series(filters: Sequence[KnownFilter]) -> str:
+    """Return filters in series as text that `from_text` reads."""
+    return SERIES.join(known.model for known in filters)
+
+
+def from_text(text: str) -> tuple[KnownFilter, ...]:
+    """Return the filters that a text such as ``LowPass(20.0, 0.71)`` names.
+
+    Raises
+    ------
+    ValueError
+        For anything but known names with numbers.
+    """
+    return tuple(_from_text(part) for part in text.split(SERIES.strip()))
+
+
+def _from_text(text: str) -> KnownFilter:
+    match = re.fullmatch(r"\s*(\w+)\(([-+.,\seE\d]*)\)\s*", text)
+    try:
+        if match is None or match[1] not in KINDS:
+            raise ValueError(text)
+        return KINDS[match[1]](*(float(value) for value in ast.literal_eval(f"({match[2]},)")))
+    except (ValueError, TypeError, SyntaxError):
+        raise ValueError(
+            f"the filter {text.strip()!r:.60} is not known: it must be one of {', '.join(KINDS)} with numbers."
+        ) from None

@@ -1,0 +1,50 @@
+"""What PX4 does to signals and tests: the signals of an axis, and the filters of the gyro.
+
+Sources: the topics at https://docs.px4.io/main/en/msg_docs/; IMU_GYRO_CUTOFF, IMU_GYRO_NF0_FRQ, IMU_GYRO_NF0_BW and
+IMU_DGYRO_CUTOFF at https://docs.px4.io/main/en/advanced_config/parameter_reference; LowPassFilter2p.hpp and
+NotchFilter.hpp of the firmware, for what they mean.
+"""
+
+from greybox.data.record import Recording
+from greybox.logs.axis_signals import AxisSignals
+from greybox.logs.known_filters import KnownFilter, LowPass, Notch
+
+FILTERED = ("vehicle_angular_velocity",)  # topics behind the filters of the gyro
+COMPLETE = 200.0  # dB: the notch of PX4 takes all at its center
+
+# Torque setpoints are from version 1.13 on, actuator controls before. Angles are those that the reader computes from
+# quaternions.
+AXES = {
+    axis: AxisSignals(
+        controls=(f"vehicle_torque_setpoint.xyz[{k}]", f"actuator_controls_0.control[{k}]"),
+        angles=(f"vehicle_attitude.{axis}",),
+        rates=(f"vehicle_angular_velocity.xyz[{k}]", f"vehicle_attitude.{axis}speed"),
+        setpoints=(
+            f"vehicle_attitude_setpoint.{axis}",
+            f"vehicle_attitude_setpoint.{axis}_body",
+            f"vehicle_rates_setpoint.{axis}",
+        ),
+        terms=(f"rate_ctrl_status.{axis}speed_integ",),
+    )
+    for k, axis in enumerate(("roll", "pitch", "yaw"))
+}
+
+
+def passed_filters(recording: Recording, signal: str) -> tuple[KnownFilter, ...]:
+    """Return the filters that angular velocities have passed before they were logged, if `signal` is one of them."""
+    if signal.rpartition(".")[0].partition("[")[0] not in FILTERED:
+        return ()
+    known = named_filters(recording)
+    return (*known.get("gyro-notch", ()), *known.get("gyro-filter", ()))
+
+
+def named_filters(recording: Recording) -> dict[str, tuple[KnownFilter, ...]]:
+    """Return the filters of the gyro whose parameters are known, by name."""
+    parameters = recording.metadata.get("parameters", {})
+    found: dict[str, tuple[KnownFilter, ...]] = {}
+    for name, key in (("gyro-filter", "IMU_GYRO_CUTOFF"), ("d-term-filter", "IMU_DGYRO_CUTOFF")):
+        cutoff = parameters.get(key, 0)
+        found |= {name: (LowPass(float(cutoff)),)} if cutoff > 0 else {}
+    pairs = [(parameters.get(f"IMU_GYRO_NF{k}_FRQ", 0), parameters.get(f"IMU_GYRO_NF{k}_BW", 0)) for k in (0, 1)]
+    notches = tuple(Notch(float(center), center / width, COMPLETE) for center, width in pairs if center > 0 < width)
+    return found | ({"gyro-notch": notches} if notches else {})

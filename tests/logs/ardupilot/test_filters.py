@@ -1,0 +1,118 @@
+"""Filters of the flight controller, held against the firmware's own recurrences, run sample by sample."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.signal import freqz
+
+import greybox as gb
+from greybox.data.record import Record, Recording
+from greybox.identification.identify import filter_model
+from greybox.logs.flight_controllers import named_filters, passed_filters
+from greybox.logs.known_filters import FirstOrderLowPass, LowPass, from_text, in_series
+
+OMEGA = np.array([5.0, 40.0, 200.0, 300.0, 500.0])
+RATE = 8000.0  # Hz, high enough for the digital filter to be the continuous one
+
+
+def log(records=None, **parameters):
+    records = records or {"ATT": Record([0.0], {})}
+    return Recording(records, metadata={"parameters": parameters})
+
+
+def firmware_notch(center, width, attenuation, omega):
+    """NotchFilter.cpp: init() with center, bandwidth and attenuation, as written there."""
+    a = 10 ** (-attenuation / 40)
+    octaves = 2 * math.log2(center / (center - width / 2))
+    q = math.sqrt(2**octaves) / (2**octaves - 1)
+    phase = 2 * math.pi * center / RATE
+    alpha = math.sin(phase) / (2 * q)
+    b = [1 + alpha * a**2, -2 * math.cos(phase), 1 - alpha * a**2]
+    return freqz(b, [1 + alpha, -2 * math.cos(phase), 1 - alpha], worN=omega, fs=2 * math.pi * RATE)[1]
+
+
+def response(filters, omega=OMEGA):
+    return np.prod([gb.frequency_response(filter_model(known), {}, omega).response for known in filters], axis=0)
+
+
+def test_the_harmonic_notch_is_that_of_the_firmware():
+    known = named_filters(
+        log(
+            INS_GYRO_FILTER=40,
+            INS_HNTCH_ENABLE=1,
+            INS_HNTCH_FREQ=50,
+            INS_HNTCH_BW=25,
+            INS_HNTCH_ATT=40,
+            INS_HNTCH_HMNCS=5,
+        )
+    )
+    single = firmware_notch(50, 25, 40, OMEGA)
+    third = firmware_notch(150, 75, 40, OMEGA)  # the third harmonic has the quality of the first
+    assert len(known["gyro-notch"]) == 2
+    assert response(known["gyro-notch"]) == pytest.approx(single * third, rel=0.01)
+    assert known["gyro-filter"] == (LowPass(40.0),)
+
+
+def test_a_double_notch_lies_on_both_sides_of_the_center():
+    setting = {
+        "INS_GYRO_FILTER": 20,
+        "INS_HNTCH_ENABLE": 1,
+        "INS_HNTCH_FREQ": 80,
+        "INS_HNTCH_BW": 40,
+        "INS_HNTCH_ATT": 40,
+    }
+    below, above = named_filters(log(**setting, INS_HNTCH_OPTS=1))["gyro-notch"]
+    assert below.center == pytest.approx(80 - 40 / 32)
+    assert above.center == pytest.approx(80 + 40 / 32)
+
+
+def test_a_notch_that_follows_the_motors_lies_where_it_was():
+    setting = {
+        "INS_GYRO_FILTER": 20,
+        "INS_HNTCH_ENABLE": 1,
+        "INS_HNTCH_FREQ": 60,
+        "INS_HNTCH_BW": 30,
+        "INS_HNTCH_ATT": 40,
+    }
+    throttle = Record([0.0, 1.0, 2.0], {"AOut": [0.0, 0.36, 0.36]})
+    by_throttle = log({"RATE": throttle}, **setting, INS_HNTCH_MODE=1, INS_HNTCH_REF=0.25)
+    assert named_filters(by_throttle)["gyro-notch"][0].center == pytest.approx(60 * 1.2)
+    logged = log({"FTNS[0]": Record([0.0, 1.0], {"NF": [91.0, 93.0]})}, **setting, INS_HNTCH_MODE=3, INS_HNTCH_REF=1)
+    assert named_filters(logged)["gyro-notch"][0].center == pytest.approx(92)
+    assert "gyro-notch" not in named_filters(log(**setting, INS_HNTCH_MODE=3, INS_HNTCH_REF=1))
+
+
+@pytest.mark.parametrize(("signal", "filtered"), [("RATE.P", True), ("IMU[1].GyrX", True), ("RATE.PDes", False)])
+def test_rates_have_passed_the_filters_of_the_gyro(signal, filtered):
+    flown = log(INS_GYRO_FILTER=20, INS_NOTCH_ENABLE=1, INS_NOTCH_FREQ=80, INS_NOTCH_BW=40, INS_NOTCH_ATT=15)
+    passed = passed_filters(flown, signal)
+    assert [str(known) for known in passed] == (["80 Hz notch", "20 Hz low-pass filter"] if filtered else [])
+    assert passed_filters(Recording({}), signal) == ()
+
+
+def test_the_filters_of_the_controller_are_those_of_its_axis():
+    known = named_filters(log(ATC_RAT_PIT_FLTD=20, ATC_RAT_PIT_FLTT=10, ATC_RAT_RLL_FLTD=7), "pitch")
+    assert known == {"d-term-filter": (FirstOrderLowPass(20.0),), "target-filter": (FirstOrderLowPass(10.0),)}
+    # AC_PID: y += dt / (dt + 1 / (2π f)) (x - y), which is the lag as the loop gets fast.
+    step = 1e-5
+    alpha = step / (step + 1 / (2 * math.pi * 20))
+    expected = freqz([alpha], [1, alpha - 1], worN=OMEGA, fs=2 * math.pi / step)[1]
+    assert response(known["d-term-filter"]) == pytest.approx(expected, rel=0.01)
+
+
+def test_px4_has_its_own():
+    flown = log(IMU_GYRO_CUTOFF=30, IMU_GYRO_NF0_FRQ=120, IMU_GYRO_NF0_BW=20, IMU_DGYRO_CUTOFF=20)
+    notch, low_pass = passed_filters(flown, "vehicle_angular_velocity.xyz[0]")
+    assert (notch.center, notch.quality, low_pass) == (120.0, 6.0, LowPass(30.0))
+    at_center = response([notch], np.array([2 * math.pi * 120]))
+    assert abs(at_center[0]) < 1e-9
+
+
+def test_files_name_filters_and_nothing_else():
+    known = named_filters(log(INS_GYRO_FILTER=20, INS_NOTCH_ENABLE=1, INS_NOTCH_FREQ=80, INS_NOTCH_BW=40))
+    for filters in known.values():
+        assert from_text(in_series(filters)) == filters
+    for text in ("os:system('x')", "my.py:Class(1)", "LowPass(a)", "LowPass()", "", "LowPass(1, 2, 3, 4)"):
+        with pytest.raises(ValueError, match="is not known: it must be one of LowPass"):
+            from_text(text)
