@@ -12,6 +12,11 @@ from greybox.modeling.model import Model, require_known
 def several(model: Model, records: Sequence[Record], own: Sequence[str] = (), **options: Any) -> Sum[Problem]:
     """Return the sum of a problem for every record, parameters shared but for those of its own.
 
+    Every record has its own estimated noise variances, which weight it: a record that the model fits badly has little
+    weight. To give records of one sensor equal weight, state its standard deviation,
+    ``criterion=OutputError(noise={"y": 0.1})``; with a single output any value will do, since standard errors use the
+    residual variance. One record that holds all of them, with gaps in its time, has one estimated variance.
+
     Parameters
     ----------
     model : Model
@@ -22,11 +27,6 @@ def several(model: Model, records: Sequence[Record], own: Sequence[str] = (), **
         are so anyway, as in every sum, unless `rename` gives them one name.
     options
         Of every `Problem`: criterion, fixed, tied, constraints ...
-
-    Every record has its own estimated noise variances, which weight it: a record that the model fits badly has little
-    weight. To give records of one sensor equal weight, state its standard deviation,
-    ``criterion=OutputError(noise={"y": 0.1})``; with a single output any value will do, since standard errors use the
-    residual variance. One record that holds all of them, with gaps in its time, has one estimated variance.
 
     Raises
     ------

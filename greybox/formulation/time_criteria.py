@@ -21,6 +21,12 @@ ROWS_CONDITION = "independent errors of equal variance in each output"
 class TimeCriterion(AnyCriterion):
     """What the criteria in time share: the likelihood of normal errors of the outputs.
 
+    What a delayed input did before the record, or during a gap, is not known. If the input is at rest at the beginning
+    of a gapless stretch (exactly constant over the first 5 samples and clearly longer than it holds its values later),
+    it is assumed to have been at rest before. If it moves, outputs are not compared for the largest delay that the
+    bounds of its parameter allow: a generous upper bound costs data, and a warning says when it costs more than 5 % of
+    a record.
+
     Parameters
     ----------
     noise : "diagonal", "full", or mapping of output to standard deviation
@@ -36,12 +42,6 @@ class TimeCriterion(AnyCriterion):
         the measured less the true value. In a sum of problems it is each record's own, see `Sum`.
     initial : mapping of state to value or function of the parameters
         Known states at the first sample of the record; all others, and those after a gap, are estimated.
-
-    What a delayed input did before the record, or during a gap, is not known. If the input is at rest at the beginning
-    of a gapless stretch (exactly constant over the first 5 samples and clearly longer than it holds its values later),
-    it is assumed to have been at rest before. If it moves, outputs are not compared for the largest delay that the
-    bounds of its parameter allow: a generous upper bound costs data, and a warning says when it costs more than 5 % of
-    a record.
 
     Attributes
     ----------

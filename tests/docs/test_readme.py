@@ -1,11 +1,11 @@
-"""What the README shows runs, and its tables are what the code gives."""
+"""What the README and the guide show runs, and their tables are what the code gives."""
 
 import operator
 import re
 
 import pytest
 from PIL import Image
-from readme_blocks import PICTURE, README, draw_picture, written
+from readme_blocks import INCLUDED, PICTURE, README, draw_picture, written
 
 import greybox as gb
 from greybox.cli.study_file import read_study_file
@@ -15,21 +15,37 @@ TEXT = README.read_text(encoding="utf-8")
 NUMBER = re.compile(r"-?\d+\.?\d*(?:e[+-]?\d+)?")
 
 
-def test_the_example_runs(tmp_path, monkeypatch, capsys):
+PAGES = [README, *sorted((README.parent / "docs").rglob("*.md"))]
+RUNNING = [page for page in PAGES if "```python\n" in page.read_text(encoding="utf-8")]
+
+
+@pytest.mark.parametrize("page", RUNNING, ids=lambda page: page.stem)
+def test_the_examples_run(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    blocks = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
-    assert blocks
+    blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    names = {"__name__": "example"}
     for block in blocks:
-        exec(compile(block, "README.md", "exec"), {"__name__": "readme_example"})
-    assert "rate per control" in capsys.readouterr().out
-    assert (tmp_path / "roll.h5").exists()
+        exec(compile(block, page.name, "exec"), names)
+    if page is README:
+        assert "rate per control" in capsys.readouterr().out
+        assert (tmp_path / "roll.h5").exists()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_links_lead_somewhere(page):
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)#]+)\)", text) + re.findall(r"`(benchmarks/[\w/.]+)`", text):
+        if not target.startswith("http"):
+            base = README.parent if target.startswith("benchmarks/") else page.parent
+            assert (base / target).exists(), target
 
 
 def test_the_tables_are_what_the_code_gives():
-    new = written(TEXT)
-    assert NUMBER.sub("#", new) == NUMBER.sub("#", TEXT), "run `python tests/support/readme_blocks.py`"
+    text = INCLUDED.read_text(encoding="utf-8")
+    new = written(text)
+    assert NUMBER.sub("#", new) == NUMBER.sub("#", text), "run `python tests/support/readme_blocks.py`"
     # The yaw problem's values lie in a flat valley: their last digits depend on the machine.
-    shown, found = ([float(n) for n in NUMBER.findall(text)] for text in (TEXT, new))
+    shown, found = ([float(n) for n in NUMBER.findall(text)] for text in (text, new))
     assert found == pytest.approx(shown, rel=5e-3, abs=1e-6), "run `python tests/support/readme_blocks.py`"
 
 
@@ -43,9 +59,9 @@ def test_the_picture_is_what_the_command_draws(tmp_path):
         assert kept.text["Description"] == new.text["Description"], "run `python tests/support/readme_blocks.py`"
 
 
-@pytest.mark.parametrize("file", ["README.md", "CONTRIBUTING.md"])
-def test_the_names_are_there(file):
-    for name in re.findall(r"`gb\.([a-z_.A-Z]+)", (README.parent / file).read_text(encoding="utf-8")):
+@pytest.mark.parametrize("page", [*PAGES, README.with_name("CONTRIBUTING.md")], ids=lambda page: page.stem)
+def test_the_names_are_there(page):
+    for name in re.findall(r"`gb\.([a-z_.A-Z]+)", page.read_text(encoding="utf-8")):
         operator.attrgetter(name.rstrip("."))(gb)
 
 
@@ -58,13 +74,13 @@ def test_the_new_names_in_the_changelog_are_there():
 
 
 def test_the_commands_are_there():
-    for heading in ("Run it", "Test it"):
-        section = TEXT.split(f"## {heading}\n")[1].split("\n## ")[0]
-        assert re.search(r"```bash\n.+\n```", section)
+    for command in ("run", "test"):
+        assert re.search(rf"<!-- {command} -->\n```bash\n.+\n```", TEXT)
 
 
 def test_the_study_file_is_read(tmp_path):
-    (block,) = re.findall(r"```toml\n(.*?)```", TEXT, re.DOTALL)
+    page = README.parent / "docs" / "guide" / "many_fits.md"
+    (block,) = re.findall(r"```toml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
     (tmp_path / "study.toml").write_text(block)
     gb.data.write_response(pitch_hover.data(), tmp_path / "pitch.csv")
     members = read_study_file(tmp_path / "study.toml")

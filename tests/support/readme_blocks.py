@@ -1,4 +1,4 @@
-"""The generated tables and the picture of the README; `python tests/support/readme_blocks.py` writes them."""
+"""The generated tables of docs/included.md and the picture of the README; running this file writes them."""
 
 import re
 from pathlib import Path
@@ -8,6 +8,7 @@ from greybox.cli.catalog import find_problem, models_of, shipped, shipped_module
 from greybox.modeling.model import equation
 
 README = Path(__file__).parents[2] / "README.md"
+INCLUDED = README.parent / "docs" / "included.md"
 PICTURE = README.parent / "docs" / "pitch_hover.png"
 STARTS = 20  # reach the values of 200 starts to 8e-8; tests/problems holds the minima against those of 1000 starts
 
@@ -56,7 +57,7 @@ def draw_picture(path):
 
 
 def written(text):
-    """Return the README's text with its tables made anew."""
+    """Return the text with its tables made anew."""
     tables = {"problems": problems_table(), "least squares": least_squares_table(), "models": models_table()}
     for title, table in tables.items():
         pattern = rf"(<!-- {title} -->\n).*?(<!-- end -->)"
@@ -70,4 +71,4 @@ def _values(values, source=""):
 
 if __name__ == "__main__":
     draw_picture(PICTURE)
-    README.write_text(written(README.read_text(encoding="utf-8")), encoding="utf-8")
+    INCLUDED.write_text(written(INCLUDED.read_text(encoding="utf-8")), encoding="utf-8")

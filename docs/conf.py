@@ -1,0 +1,96 @@
+"""The documentation site: `sphinx-build -W docs site`.
+
+Pages are the Markdown files here; the notebooks are executed, and the API reference is made from the docstrings of the
+public names, both into folders that are not kept.
+"""
+
+import inspect
+import re
+import shutil
+from importlib import import_module
+from pathlib import Path
+
+import greybox as gb
+
+HERE = Path(__file__).parent
+FOLDERS = "data logs spectral modeling experiment formulation regression solve simulation validation identification"
+FOLDERS += " study plotting"
+
+project = "greybox"
+copyright = "the greybox authors"
+version = release = gb.__version__
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+    "sphinx_copybutton",
+]
+exclude_patterns = ["jupyter_execute"]
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 3
+nb_execution_timeout = 600
+nb_execution_raise_on_error = True
+nb_execution_show_tb = True
+nb_merge_streams = True
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # the docstrings give shapes and units, which types do not
+napoleon_use_rtype = False
+default_role = "code"
+suppress_warnings = ["ref.python"]  # an attribute that several classes have is no link
+html_theme = "pydata_sphinx_theme"
+html_title = "greybox"
+html_theme_options = {"show_toc_level": 2, "navbar_align": "left", "show_prev_next": False}
+html_show_sourcelink = False
+
+
+def public(module):
+    """Return the public classes and functions of a module, in order of the alphabet."""
+    names = (name for name in dir(module) if not name.startswith("_"))
+    return [n for n in names if inspect.isclass(getattr(module, n)) or inspect.isroutine(getattr(module, n))]
+
+
+def page(title, module, names):
+    """Return a page of the reference."""
+    text = [title, "=" * len(title), "", f".. currentmodule:: {module}", ""]
+    for name in names:
+        found = getattr(import_module(module), name)
+        kind = "autoclass" if inspect.isclass(found) else "autofunction"
+        text += [name, "-" * len(name), "", f".. {kind}:: {name}"]
+        text += ["   :members:", ""] if kind == "autoclass" else [""]
+    return "\n".join(text)
+
+
+def write_sources(_):
+    """Copy the notebooks and write the pages of the reference."""
+    shutil.rmtree(HERE / "notebooks", ignore_errors=True)
+    shutil.copytree(HERE.parent / "notebooks", HERE / "notebooks", ignore=shutil.ignore_patterns(".*"))
+    api = HERE / "api"
+    shutil.rmtree(api, ignore_errors=True)
+    api.mkdir()
+    top = public(gb)
+    (api / "greybox.rst").write_text(page("greybox", "greybox", top), encoding="utf-8")
+    for folder in FOLDERS.split():
+        module = f"greybox.{folder}"
+        only_here = [name for name in public(import_module(module)) if name not in top]
+        (api / f"{folder}.rst").write_text(page(f"greybox.{folder}", module, only_here), encoding="utf-8")
+    contents = "\n".join(f"   {name}" for name in ("greybox", *FOLDERS.split()))
+    (api / "index.rst").write_text(f"API\n===\n\n.. toctree::\n   :maxdepth: 2\n\n{contents}\n", encoding="utf-8")
+
+
+LITERAL = re.compile(r"(``.+?``|:math:`.+?`|`.+?`)")
+
+
+def as_restructured_text(_app, _what, _name, _object, _options, lines):
+    """Let `$...$` in docstrings be a formula, and a magnitude `|r|` no substitution."""
+    text = re.sub(r"\$([^$]+)\$", r":math:`\1`", "\n".join(lines))
+    pieces = LITERAL.split(text)
+    pieces[::2] = [piece.replace("|", r"\|") for piece in pieces[::2]]
+    lines[:] = "".join(pieces).split("\n")
+
+
+def setup(app):
+    """Connect what is above."""
+    app.connect("builder-inited", write_sources, priority=100)
+    app.connect("autodoc-process-docstring", as_restructured_text)
