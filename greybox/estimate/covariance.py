@@ -200,6 +200,20 @@ def known_directions(
     return replace(at, elsewhere=_directions_at(beside, assess(nlp, beside, trajectories)))
 
 
+def known_of(nlp: Nlp, accuracy: Accuracy, values: Array, slopes: Array) -> KnownDirections | None:
+    """Return what is known of values (m,) by their derivatives (m, k) with respect to all; None without a covariance.
+
+    What ended at its bound counts as known, as in all errors of the fit.
+    """
+    if not np.all(np.isfinite(accuracy.covariance)) or not accuracy.shares:
+        return None
+    scaled = slopes * accuracy.size
+    open_rows = np.array([name not in accuracy.at_bound for name in nlp.names], dtype=bool)
+    unseen = accuracy.blind[:, np.any(np.abs(accuracy.blind[open_rows]) > 0, axis=0)]
+    size = np.maximum(np.linalg.norm(scaled, axis=1), 1e-300)
+    return KnownDirections(slopes @ accuracy.covariance @ slopes.T, scaled @ unseen / size[:, None], size, values)
+
+
 def _directions_at(x: Array, accuracy: Accuracy) -> KnownDirections | None:
     p = len(x)
     covariance = accuracy.covariance[:p, :p]

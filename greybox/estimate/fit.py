@@ -24,7 +24,7 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.text_table import counted
-from greybox.estimate.covariance import Accuracy, assess, known_directions
+from greybox.estimate.covariance import Accuracy, assess, known_directions, known_of
 from greybox.estimate.diagnostics.delay_approximation import pade_error
 from greybox.estimate.diagnostics.determined_together import determined_together
 from greybox.estimate.diagnostics.discretization import discretization_warnings
@@ -38,7 +38,7 @@ from greybox.estimate.diagnostics.records import finding_warnings, record_warnin
 from greybox.estimate.diagnostics.unused_noise import unused_noise
 from greybox.estimate.fitted_record import fitted_record, stated
 from greybox.estimate.harmonic_numbers import are_open, with_enough_harmonics, with_more_harmonics
-from greybox.estimate.quantities import quantities
+from greybox.estimate.quantities import quantities, slopes_of_parameters
 from greybox.estimate.result import Fit, FittedRecord, FittedResponse
 from greybox.formulation.frequency_criteria import evaluate
 from greybox.formulation.included_criteria import CRITERIA
@@ -346,6 +346,7 @@ def assemble(
             if found
             else None
         ),
+        known=known_of(nlp, accuracy, *slopes_of_parameters(nlp, estimate)) if found else None,
     )
     return replace(answer, notes=(*answer.notes, *determined_together(answer)))
 

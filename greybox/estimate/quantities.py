@@ -55,6 +55,16 @@ def quantities(
     return tuple(lines), tuple(parameters), covariance
 
 
+def slopes_of_parameters(nlp: Nlp, estimate: Mapping[str, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the values (m,) of free, fixed and tied parameters, and their derivatives (m, k) by all values."""
+    of_all = np.array([estimate[name] for name in nlp.names])
+    ties = _tied(nlp.problem)
+    if not ties:
+        return of_all, np.eye(len(nlp.names))
+    values, gradients = _evaluated(nlp, ties, estimate)
+    return np.concatenate([of_all, values]), np.vstack([np.eye(len(nlp.names)), gradients])
+
+
 def formulas(problem: AnyProblem) -> list[Formula]:
     """Return the tied parameters and derived quantities of a problem."""
     return _tied(problem) + _derived(problem)

@@ -17,6 +17,7 @@ from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.record import Record, share_samples
 from greybox.data.text_table import alternatives, counted, number, one_line, some, text_table, with_error
 from greybox.estimate.identifiability import Identifiability, KnownDirections, correlation, identifiability
+from greybox.estimate.response_band import ResponseBand, band_of, require_level, response_and_slope, t_quantile
 from greybox.estimate.summary import summary
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.input_assumptions import Inputs, described_inputs
@@ -243,6 +244,8 @@ class Fit:
         What the covariance of the free parameters would be if the cost were the likelihood of white errors.
     directions : KnownDirections or None
         The covariance of the free parameters within the directions that the data determine, and the other directions.
+    known : KnownDirections or None
+        The same of all `names`, with what ended at a bound as known: the errors of whatever depends on them follow.
     warnings, notes : tuple of str
         What to know before believing the estimate; and what may be worth a look.
     models, given : tuple of Model or None, tuple of Model or class
@@ -270,6 +273,7 @@ class Fit:
     white: NDArray[np.float64] | None = field(default=None, repr=False)
     notes: tuple[str, ...] = ()
     directions: KnownDirections | None = field(default=None, repr=False)
+    known: KnownDirections | None = field(default=None, repr=False)
 
     @property
     def responses(self) -> tuple[FittedResponse, ...]:
@@ -380,17 +384,11 @@ class Fit:
 
     def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
         """Return confidence intervals by Student's t, by name; NaN where there is no standard error."""
-        if not 0 < level < 1:
-            raise ValueError(f"level {level} must lie between 0 and 1, e.g. 0.95.")
-        from scipy.special import stdtrit  # noqa: PLC0415  (takes a tenth of a second to import)
-
         intervals = {}
         for q in self.quantities:
             if q.kind == "fixed" and not q.standard_error > 0:
                 continue
-            # At 1e9 degrees of freedom Student's t is the normal distribution to all digits; it takes no infinity.
-            quantile = float(stdtrit(min(q.dof, 1e9), 0.5 + level / 2)) if q.dof > 0 else math.nan
-            half = quantile * q.standard_error
+            half = t_quantile(level, q.dof) * q.standard_error
             intervals[q.name] = (q.value - half, q.value + half)
         return intervals
 
@@ -449,14 +447,7 @@ class Fit:
         LookupError
             If a loaded fit does not know the model; the sentence has the cure.
         """
-        stated = self.parts[part]
-        if not isinstance(stated, FittedResponse):
-            raise ValueError(
-                f"part {part} of the fit is a record: use gb.frequency_response(model, fit.estimate, omega), or "
-                "gb.simulate for time histories."
-            )
-        if model is None:
-            model = self.models[part] if self.models else resolve(stated.model, self.given)
+        stated, model = self._response_part(part, model)
         values = {name: self.estimate[stated.rename.get(name, name)] for name in model.parameters}
         return response_of_test(
             model,
@@ -506,6 +497,81 @@ class Fit:
 
     def _repr_html_(self) -> str:
         return _html(self)
+
+    def _response_part(self, part: int, model: Model | None) -> tuple[FittedResponse, Model]:
+        """Return a part that is a frequency response, and its model where none is given."""
+        stated = self.parts[part]
+        if not isinstance(stated, FittedResponse):
+            raise ValueError(
+                f"part {part} of the fit is a record: use gb.frequency_response(model, fit.estimate, omega), or "
+                "gb.simulate for time histories."
+            )
+        if model is None:
+            model = self.models[part] if self.models else resolve(stated.model, self.given)
+        return stated, model
+
+    @property
+    def residuals(self) -> tuple[NDArray[Any], ...]:
+        """Measured less fitted values of every part: of a response (n,) complex, of a record (outputs, n).
+
+        Those of a record are NaN where nothing was compared; `plotting.residuals` draws them.
+        """
+        return tuple(
+            part.data.response - part.response
+            if isinstance(part, FittedResponse)
+            else np.array([part.residual(name) for name in part.outputs])
+            for part in self.parts
+        )
+
+    def response_band(
+        self, omega: ArrayLike | None = None, level: float = 0.95, part: int = 0, model: Model | None = None
+    ) -> ResponseBand:
+        """Return the fitted response of a part at `omega` (n,) rad/s with its confidence band at each frequency.
+
+        To first order in the errors of the parameters, whose covariance is that of the criterion: the band holds where
+        the standard errors do. By default at the frequencies of the curve in figures.
+
+        Raises
+        ------
+        ValueError
+            If the fit has no estimate or no covariance, or the part is a record (`output_band`).
+        LookupError
+            If a loaded fit does not know the model; the sentence has the cure.
+        """
+        stated, model = self._response_part(part, model)
+        known = self._known_errors()
+        if omega is None:
+            omega = stated.data.omega if stated.sine or stated.curve is None else stated.curve.omega
+        require_level(level)
+        names = [stated.rename.get(name, name) for name in model.parameters]
+        response, slope = response_and_slope(
+            model,
+            {name: self.estimate[outside] for name, outside in zip(model.parameters, names, strict=True)},
+            np.atleast_1d(np.asarray(omega, dtype=float)),
+            stated.sine,
+            stated.data.omega,
+            input=stated.data.input,
+            output=stated.data.output,
+            at=stated.at,
+            delay=stated.delay,
+        )
+        places = [self.names.index(name) for name in names]
+        return band_of(response, slope, known, places, level, self._fewest_degrees(names))
+
+    def _known_errors(self) -> KnownDirections:
+        """Return what is known of the errors of all parameters, if anything is."""
+        if not self.converged:
+            raise ValueError(f"the fit {self.name!r} has no estimate: {self.status}.")
+        if self.known is None:
+            raise ValueError(
+                f"the fit {self.name!r} has no covariance from which a band could follow: its data leave no degrees of "
+                "freedom; add data or fix parameters."
+            )
+        return self.known
+
+    def _fewest_degrees(self, names: Sequence[str]) -> float:
+        """Return the fewest degrees of freedom of the parameters with an error, or of the fit where these have none."""
+        return min((q.dof for q in self.quantities if q.name in names and q.standard_error > 0), default=self.dof)
 
     def __repr__(self) -> str:
         return one_line(

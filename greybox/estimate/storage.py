@@ -11,6 +11,7 @@ Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``
 ``/directions``  if known, ``covariance`` (p, p) of the free parameters within the directions that the data determine,
                  and the other directions ``unseen`` (p, b) in multiples of ``size`` (p,), ``at`` the estimate (p,); if
                  some are not determined, the same beside the estimate in ``elsewhere``.
+``/known``       the same, if known, of all the names of the covariance.
 ``/runs``        one row per start: ``start`` and ``estimate`` (r, p), ``cost, status, reason, converged, iterations,
                  seconds``, ``minimum`` (the row of ``/minima``, -1 for none); attribute ``free`` names the p columns.
 ``/minima``      ``cost`` (m,), ``estimate`` (m, p), ``variants`` (m,), best first.
@@ -130,6 +131,8 @@ def _write(file: Node, fit: Fit) -> None:
         file["covariance/white"] = fit.white
     if fit.directions is not None:
         _write_directions(file.create_group("directions"), fit.directions)
+    if fit.known is not None:
+        _write_directions(file.create_group("known"), fit.known)
     _write_runs(file, fit)
     for k, part in enumerate(fit.parts):
         _write_part(file.create_group(f"parts/{k}"), part)
@@ -215,6 +218,7 @@ def _read(file: Stored) -> Fit:
         versions=_json_texts(attributes["versions"]),
         white=_array(file["covariance/white"], (len(free), len(free))) if "white" in file["covariance"] else None,
         directions=_read_directions(file["directions"], len(free)) if "directions" in file else None,
+        known=_read_directions(file["known"], len(names)) if "known" in file else None,
     )
     return _checked(fit)
 

@@ -1,17 +1,23 @@
-"""The Bode diagram: magnitude, phase and coherence."""
+"""The Bode diagram: magnitude, phase, coherence, and the errors of fits."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullFormatter
 from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.estimate.response_band import ResponseBand
 from greybox.estimate.result import Fit
 from greybox.plotting.response_series import (
+    BAND_ALPHA,
     CROWD,
+    ErrorSeries,
     ResponseSeries,
+    error_series,
     interpolated,
     legend_entries,
     ratio,
@@ -31,20 +37,27 @@ from greybox.plotting.style import (
     new_figure,
 )
 
-PANELS = ("magnitude", "phase", "coherence")
+DB_PER_NEPER = 20 / np.log(10)
+HEIGHTS = {"magnitude": 3.0, "phase": 3.0, "coherence": 1.6, "magnitude error": 1.3, "phase error": 1.3}  # inches
 
 _Phase = tuple[NDArray[np.float64], NDArray[np.float64]]  # sorted omega (n,) in rad/s, phase (n,) in degrees
 
 
 def bode(
-    *fits: Fit | FrequencyResponse, labels: Sequence[str] = (), axes: GivenAxes | None = None, legend: bool = True
+    *fits: Fit | FrequencyResponse,
+    labels: Sequence[str] = (),
+    axes: GivenAxes | None = None,
+    legend: bool = True,
+    level: float | None = 0.95,
 ) -> AxesArray:
-    """Draw the Bode diagram: magnitude in dB and unwrapped phase in degrees over omega in rad/s.
+    """Draw the Bode diagram: magnitude in dB and unwrapped phase in degrees over omega in rad/s, and below the errors.
 
     Curves are unwrapped along omega and every measured phase is moved by multiples of 360° next to its curve, unless
     the curve is far off: then the data are unwrapped by themselves. For each input-output pair the first curve begins
     within (-180°, 180°] and the others are moved next to it as a whole. Where the data have a variance, error bars show
-    one standard deviation of one component, sqrt(variance / 2), in magnitude (20 dB at most) and phase.
+    one standard deviation of one component, sqrt(variance / 2), in magnitude (20 dB at most) and phase. Shaded is the
+    confidence band of a fit (`Fit.response_band`), around zero in the panels of errors, which are measured less fitted
+    values in dB and degrees.
 
     Parameters
     ----------
@@ -54,30 +67,36 @@ def bode(
     labels : sequence of str, optional
         One legend entry for each of `fits`, e.g. ``("published", "refitted")``.
     axes : array-like of Axes, optional
-        Two, for magnitude and phase; a third shows the coherence. Without it a new figure is made.
+        For magnitude and phase; a third for the coherence, where it is known; two more for the errors of fits. Without
+        it a new figure is made.
     legend : bool
         False leaves the legend out. It stands below a new figure, and in the magnitude's panel of given axes.
+    level : float or None
+        Of the bands; None draws none.
 
     Returns
     -------
-    numpy.ndarray of Axes, shape (2,) or (3,)
-        Magnitude, phase and, of a new figure where it is known, coherence. The last line of a notebook cell is
-        ``gb.plotting.bode(fit)[0].figure``.
+    numpy.ndarray of Axes, shape (n,)
+        Magnitude, phase and, of a new figure, coherence where it is known, and the errors of magnitude and phase where
+        there is a fit. The last line of a notebook cell is ``gb.plotting.bode(fit)[0].figure``.
 
     Raises
     ------
     TypeError, ValueError
         For what cannot be drawn, or for a wrong number of labels or axes.
     """
-    series = response_series(fits, labels)
+    series = response_series(fits, labels, level)
+    errors = error_series(fits, series)
+    panels = bode_panels(series, errors)
     if axes is not None:
         drawn = flat_axes(axes)
-        drawn = given_axes(drawn, PANELS[: 3 if drawn.size == 3 and has_coherence(series) else 2], "this Bode diagram")
+        panels = _panels_for(panels, drawn.size)
+        drawn = given_axes(drawn, panels, "this Bode diagram")
     else:
-        figure = new_figure(6.4, 7.0 if has_coherence(series) else 5.8)
-        drawn = bode_axes(figure, series)
+        figure = new_figure(6.4, bode_height(panels))
+        drawn = bode_axes(figure, panels)
 
-    draw_bode(drawn, series, title(fits))
+    draw_bode(drawn, panels, series, errors, title(fits))
 
     if axes is None:
         drawn[0].figure.align_ylabels(drawn)
@@ -88,57 +107,145 @@ def bode(
     return drawn
 
 
-def has_coherence(series: Sequence[ResponseSeries]) -> bool:
-    """Return whether there is a coherence to draw."""
-    return any(one.response.coherence is not None for one in series)
+def bode_panels(series: Sequence[ResponseSeries], errors: Sequence[ErrorSeries]) -> list[str]:
+    """Return the names of the panels, from top to bottom."""
+    has_coherence = any(one.response.coherence is not None for one in series)
+    return [
+        "magnitude",
+        "phase",
+        *(["coherence"] if has_coherence else []),
+        *(["magnitude error", "phase error"] if errors else []),
+    ]
 
 
-def bode_axes(figure: Figure | SubFigure, series: Sequence[ResponseSeries]) -> AxesArray:
-    """Make the axes in a figure or a part of one, with those of a coherence where it is known."""
-    heights = (3, 3, 1.6) if has_coherence(series) else (3, 3)
-    return figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+def _panels_for(panels: list[str], count: int) -> list[str]:
+    """Return as many of the panels as there are axes, if that can be: the errors come in pairs."""
+    known = [panel for panel in panels if "error" not in panel]
+    choices = [panels, known, [*known[:2], *panels[len(known) :]], known[:2]]
+    return next((choice for choice in choices if len(choice) == count), known[:2])
 
 
-def draw_bode(drawn: AxesArray, series: Sequence[ResponseSeries], text: str) -> None:
-    """Draw the series into two or three panels, with this title."""
+def bode_height(panels: Sequence[str]) -> float:
+    """Return the height in inches that a figure of these panels needs."""
+    return 0.8 + 0.85 * sum(HEIGHTS[name] for name in panels)
+
+
+def bode_axes(figure: Figure | SubFigure, panels: Sequence[str]) -> AxesArray:
+    """Make the axes in a figure or a part of one."""
+    return figure.subplots(len(panels), 1, sharex=True, height_ratios=[HEIGHTS[name] for name in panels])
+
+
+def draw_bode(
+    drawn: AxesArray,
+    panels: Sequence[str],
+    series: Sequence[ResponseSeries],
+    errors: Sequence[ErrorSeries],
+    text: str,
+) -> None:
+    """Draw the series and the errors into these panels, with this title."""
+    place = dict(zip(panels, drawn, strict=True))
     for one, phase in zip(series, _phases(series), strict=True):
-        _draw_series(drawn, one, phase)
+        _draw_series(place, one, phase)
+    if "magnitude error" in place:
+        _draw_errors(place["magnitude error"], place["phase error"], errors, series)
 
-    labels = (f"Magnitude of {ratio(series)}, dB", f"Phase of {ratio(series)}, °", "Coherence γ²")
-    for ax, label in zip(drawn, labels, strict=False):
-        finish(ax, label)
+    labels = {
+        "magnitude": f"Magnitude of {ratio(series)}, dB",
+        "phase": f"Phase of {ratio(series)}, °",
+        "coherence": "Coherence γ²",
+        "magnitude error": "Error, dB",
+        "phase error": "Error, °",
+    }
+    for name, ax in place.items():
+        finish(ax, labels[name])
     drawn[0].set_title(text, fontsize=TITLE_SIZE)
 
     span = float(np.ptp(drawn[1].get_ylim()))
     step = next((step for step in (15, 30, 45, 90, 180, 360) if span <= 7 * step), 720 * np.ceil(span / 5040))
     drawn[1].yaxis.set_major_locator(MultipleLocator(step) if span > 60 else MaxNLocator(7, steps=[1, 2, 5, 10]))
 
-    if len(drawn) > 2:
-        drawn[2].set_ylim(0, 1.05)
+    if "coherence" in place:
+        place["coherence"].set_ylim(0, 1.05)
     _frequency_axes(drawn)
 
 
-def _draw_series(drawn: AxesArray, one: ResponseSeries, phase: NDArray[np.float64]) -> None:
-    """Draw magnitude, `phase` (n,) in degrees, and what is known of coherence and variance."""
+def _draw_series(place: Mapping[str, Axes], one: ResponseSeries, phase: NDArray[np.float64]) -> None:
+    """Draw magnitude, `phase` (n,) in degrees, and what is known of coherence, variance and band."""
     response = one.response
     size = np.abs(response.response)
     decibel = 20 * np.log10(np.where(size > 0, size, np.nan))
-    drawn[0].plot(response.omega, decibel, **one.look)
-    drawn[1].plot(response.omega, phase, **one.look)
+    place["magnitude"].plot(response.omega, decibel, **one.look)
+    place["phase"].plot(response.omega, phase, **one.look)
 
-    if response.coherence is not None and len(drawn) > 2:
-        drawn[2].plot(response.omega, response.coherence, **one.look)
+    if response.coherence is not None and "coherence" in place:
+        place["coherence"].plot(response.omega, response.coherence, **one.look)
 
     if response.variance is not None:
-        relative = np.sqrt(response.variance / 2) / np.maximum(size, 1e-300)
-        # At most 20 dB to either side: below, the logarithm has no end.
-        down = -20 * np.log10(1 - np.minimum(relative, 0.9))
-        up = 20 * np.log10(1 + np.minimum(relative, 9.0))
-        few = len(response) < CROWD
-        look = {"fmt": "none", "ecolor": one.color, "zorder": 2 if few else 1.2, "capsize": 2.0 if few else 0.0}
-        look |= {"elinewidth": 1.0, "alpha": 0.7 if few else 0.3}
-        drawn[0].errorbar(response.omega, decibel, [down, up], **look)
-        drawn[1].errorbar(response.omega, phase, np.degrees(np.minimum(relative, np.pi)), **look)
+        down, up, turn = _error_bars(response)
+        look = _bar_look(response, one.color)
+        place["magnitude"].errorbar(response.omega, decibel, [down, up], **look)
+        place["phase"].errorbar(response.omega, phase, turn, **look)
+
+    if one.band is not None:
+        order, half = _half_width(one.band)
+        omega = one.band.omega[order]
+        middle = interpolated(omega, response.omega, decibel), interpolated(omega, response.omega, phase)
+        for ax, center, width in zip((place["magnitude"], place["phase"]), middle, half, strict=True):
+            ax.fill_between(omega, center - width, center + width, **_band_look(one.color))
+
+
+def _draw_errors(magnitude: Axes, phase: Axes, errors: Sequence[ErrorSeries], series: Sequence[ResponseSeries]) -> None:
+    """Draw measured less fitted values, and the bands of the fits around zero."""
+    for one in series:
+        if one.band is not None:
+            order, half = _half_width(one.band)
+            for ax, width in zip((magnitude, phase), half, strict=True):
+                ax.fill_between(one.band.omega[order], -width, width, **_band_look(one.color))
+
+    for error in errors:
+        omega = error.data.omega
+        with np.errstate(divide="ignore"):
+            decibel = 20 * np.log10(np.abs(error.ratio))
+        decibel = np.where(np.isfinite(decibel), decibel, np.nan)  # of a measured zero
+        turn = np.degrees(np.angle(error.ratio))
+        if error.data.variance is not None:
+            down, up, half_turn = _error_bars(error.data)
+            look = _bar_look(error.data, error.look["color"])
+            magnitude.errorbar(omega, decibel, [down, up], **look)
+            phase.errorbar(omega, turn, half_turn, **look)
+        magnitude.plot(omega, decibel, **error.look)
+        phase.plot(omega, turn, **error.look)
+
+    for ax in (magnitude, phase):
+        ax.axhline(0, color="0.6", linewidth=0.8, zorder=1)
+        ax.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+
+
+def _half_width(band: ResponseBand) -> tuple[NDArray[np.integer], NDArray[np.float64]]:
+    """Return the order of the frequencies, and half of the widths (2, n) in dB and degrees along it."""
+    order = np.argsort(band.omega)
+    factors = np.array([[DB_PER_NEPER], [180 / np.pi]])
+    return order, (factors * band.half_width)[:, order]
+
+
+def _band_look(color: str) -> dict[str, Any]:
+    return {"color": color, "alpha": BAND_ALPHA, "linewidth": 0, "zorder": 1.1}
+
+
+def _error_bars(data: FrequencyResponse) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return one standard deviation of one component, (n,): down and up in dB, and in degrees."""
+    assert data.variance is not None
+    relative = np.sqrt(data.variance / 2) / np.maximum(np.abs(data.response), 1e-300)
+    # At most 20 dB to either side: below, the logarithm has no end.
+    down = -20 * np.log10(1 - np.minimum(relative, 0.9))
+    up = 20 * np.log10(1 + np.minimum(relative, 9.0))
+    return down, up, np.degrees(np.minimum(relative, np.pi))
+
+
+def _bar_look(data: FrequencyResponse, color: str) -> dict[str, Any]:
+    few = len(data) < CROWD
+    look = {"fmt": "none", "ecolor": color, "zorder": 2 if few else 1.2, "capsize": 2.0 if few else 0.0}
+    return look | {"elinewidth": 1.0, "alpha": 0.7 if few else 0.3}
 
 
 def _frequency_axes(drawn: AxesArray) -> None:

@@ -4,7 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection, PolyCollection
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.patches import Circle
 from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 from matplotlib.transforms import Bbox
@@ -12,8 +15,17 @@ from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.text_table import counted
+from greybox.estimate.response_band import radius, require_level
 from greybox.estimate.result import Fit
-from greybox.plotting.response_series import MARKER_SIZE, ResponseSeries, legend_entries, ratio, response_series, title
+from greybox.plotting.response_series import (
+    BAND_ALPHA,
+    MARKER_SIZE,
+    ResponseSeries,
+    legend_entries,
+    ratio,
+    response_series,
+    title,
+)
 from greybox.plotting.style import (
     TITLE_SIZE,
     AxesArray,
@@ -28,13 +40,22 @@ from greybox.plotting.style import (
 UNLIKE = 5.0  # ratio of magnitudes above which the smaller one would vanish beside the larger
 REPEAT_DISTANCE = 45.0  # points (1/72 inch) within which a number is not repeated
 ANNOTATED = 12  # points of one data set up to which all have their number
+BAND_REACH = 0.5  # of the extent of points and curves, which a band may add to it: a wider one is cut off
 ZERO = "zero"  # marks the lines through the origin
 
 
 def nyquist(
-    *fits: Fit | FrequencyResponse, labels: Sequence[str] = (), axes: GivenAxes | None = None, legend: bool = True
+    *fits: Fit | FrequencyResponse,
+    labels: Sequence[str] = (),
+    axes: GivenAxes | None = None,
+    legend: bool = True,
+    level: float | None = 0.95,
 ) -> AxesArray:
     """Draw the Nyquist diagram: measured points, numbered by their frequency in rad/s, and the fitted curves.
+
+    Around every point of known variance is the region that holds the true response at this level, a circle since both
+    components have half of the variance. Shaded around a fitted curve is what the confidence ellipses of its points
+    cover (`Fit.response_band`).
 
     Input-output pairs whose magnitudes differ by more than a factor of 5 have one panel each. A curve that extends so
     far that the data would be a dot is cut off, and the title says so.
@@ -50,6 +71,8 @@ def nyquist(
         One for everything, or one for each input-output pair. Without it a new figure is made.
     legend : bool
         False leaves the legend out. It stands below a new figure, and inside axes that are given.
+    level : float or None
+        Of the regions; None draws none.
 
     Returns
     -------
@@ -61,7 +84,9 @@ def nyquist(
     TypeError, ValueError
         For what cannot be drawn, or for a wrong number of labels or axes.
     """
-    series = response_series(fits, labels)
+    if level is not None:
+        require_level(level)
+    series = response_series(fits, labels, level)
     if axes is not None:
         drawn = flat_axes(axes)
         groups = _groups_for(series, drawn.size)
@@ -71,7 +96,7 @@ def nyquist(
         figure = new_figure(1.8 + 4.6 * columns, 1.2 + 4.6 * rows)
         drawn = panel_axes(figure, len(groups))
 
-    draw_nyquist(drawn, groups)
+    draw_nyquist(drawn, groups, level)
 
     if axes is None:
         add_title(drawn[0].figure, drawn, title(fits))
@@ -131,24 +156,49 @@ def add_title(figure: Figure | SubFigure, drawn: AxesArray, text: str) -> None:
         figure.suptitle(text, fontsize=TITLE_SIZE)
 
 
-def draw_nyquist(drawn: AxesArray, groups: Sequence[Sequence[ResponseSeries]]) -> None:
+def draw_nyquist(drawn: AxesArray, groups: Sequence[Sequence[ResponseSeries]], level: float | None) -> None:
     """Draw each group of series into its panel; the title of a panel says if curves are cut off."""
     for ax, members in zip(drawn, groups, strict=True):
-        _draw_panel(ax, members)
+        _draw_panel(ax, members, level)
 
 
-def _draw_panel(ax: Axes, series: Sequence[ResponseSeries]) -> None:
+def _draw_panel(ax: Axes, series: Sequence[ResponseSeries], level: float | None) -> None:
     ax.axhline(0, color="0.6", linewidth=0.8, zorder=1, gid=ZERO)
     ax.axvline(0, color="0.6", linewidth=0.8, zorder=1, gid=ZERO)
     for one in series:
         ax.plot(one.response.alpha, one.response.beta, **one.look)
     ax.margins(0.12)
     ax.set_aspect("equal", adjustable="datalim")
+    if level is not None:
+        _draw_regions(ax, series, level)
     finish(ax, f"Imaginary part of {ratio(series)}")
     ax.set_xlabel(f"Real part of {ratio(series)}", fontsize=11)
     note = _keep_data_visible(ax, series)
     if note:
         ax.set_title(note, fontsize=TITLE_SIZE)
+
+
+def _draw_regions(ax: Axes, series: Sequence[ResponseSeries], level: float) -> None:
+    """Draw the circles around measured points and the ellipses along curves."""
+    for one in series:
+        if one.band is not None:
+            outlines = one.band.ellipses()
+            shapes = [np.column_stack([e.real, e.imag]) for e in outlines if np.all(np.isfinite(e))]
+            # Opaque, and of a pale color: where ellipses overlap, transparent ones would add up.
+            pale = tuple(1 - BAND_ALPHA * (1 - part) for part in to_rgb(one.color))
+            ax.add_collection(PolyCollection(shapes, facecolors=[pale], linewidths=0, zorder=0.5), autolim=False)
+            reach = ax.dataLim.expanded(1 + BAND_REACH, 1 + BAND_REACH)
+            ax.update_datalim(np.clip(np.vstack([np.zeros((0, 2)), *shapes]), reach.min, reach.max))
+        if one.measured and one.response.variance is not None:
+            data = one.response
+            assert data.variance is not None
+            dof = np.full(len(data), np.inf) if data.dof is None else data.dof
+            radii = np.sqrt(data.variance / 2) * [radius(level, each) for each in dof]
+            circles = [
+                Circle(place, r) for place, r in zip(zip(data.alpha, data.beta, strict=True), radii, strict=True)
+            ]
+            look = {"facecolors": "none", "edgecolors": one.color, "linewidths": 0.8, "alpha": 0.6, "zorder": 2}
+            ax.add_collection(PatchCollection(circles, **look), autolim=False)
 
 
 def _largest_magnitude(series: Sequence[ResponseSeries]) -> float:

@@ -3,15 +3,16 @@
 from matplotlib.figure import Figure, SubFigure
 
 from greybox.estimate.result import Fit
-from greybox.plotting.bode import bode_axes, draw_bode
+from greybox.plotting.bode import bode_axes, bode_panels, draw_bode
 from greybox.plotting.nyquist import add_title, draw_nyquist, grid, number_points, panel_axes, panels
-from greybox.plotting.response_series import ResponseSeries, legend_entries, response_series, title
+from greybox.plotting.response_series import ResponseSeries, error_series, legend_entries, response_series, title
 from greybox.plotting.starts import draw_starts
 from greybox.plotting.style import TITLE_SIZE, legend_below, new_figure, plain
 from greybox.plotting.time_history import WIDTH, draw_history, histories, history_axes, history_height, history_legend
 
 BODE_WIDTH = 6.2  # inches
 STARTS_HEIGHT = 3.4  # inches
+LEVEL = 0.95  # of the bands, as in the diagrams alone
 
 
 def plot(fit: Fit) -> Figure:
@@ -47,12 +48,12 @@ def _plot_records(fit: Fit) -> Figure:
     legend_below(rows[-1], draw_starts(rows[-1].subplots(), fit))
 
     for column in columns[1:]:
-        _add_bode(column, response_series((fit,), ()))
+        _add_bode(column, fit, response_series((fit,), (), LEVEL))
     return figure
 
 
 def _plot_responses(fit: Fit) -> Figure:
-    series = response_series((fit,), ())
+    series = response_series((fit,), (), LEVEL)
     groups = panels(series)
     rows, columns = grid(len(groups))
     width = 2.8 + 3.4 * columns  # of the Nyquist diagram, inches
@@ -64,18 +65,20 @@ def _plot_responses(fit: Fit) -> Figure:
     top, bottom = left.subfigures(2, 1, height_ratios=(height, STARTS_HEIGHT), squeeze=False)[:, 0]
 
     drawn = panel_axes(top, len(groups))
-    draw_nyquist(drawn, groups)
+    draw_nyquist(drawn, groups, LEVEL)
     add_title(top, drawn, "Nyquist diagram")
     legend_below(top, legend_entries(series))
 
-    _add_bode(right, series)
+    _add_bode(right, fit, series)
     legend_below(bottom, draw_starts(bottom.subplots(), fit))
     number_points(drawn, groups)  # last, when all places on the page are known
     return figure
 
 
-def _add_bode(part: SubFigure, series: list[ResponseSeries]) -> None:
-    axes = bode_axes(part, series)
-    draw_bode(axes, series, "Bode diagram")
+def _add_bode(part: SubFigure, fit: Fit, series: list[ResponseSeries]) -> None:
+    errors = error_series((fit,), series)
+    names = bode_panels(series, errors)
+    axes = bode_axes(part, names)
+    draw_bode(axes, names, series, errors, "Bode diagram")
     part.align_ylabels(axes)
     legend_below(part, legend_entries(series))

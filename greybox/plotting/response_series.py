@@ -1,20 +1,25 @@
-"""What a diagram of frequency responses shows: measured points and fitted curves, each with label, color and style."""
+"""What a diagram of frequency responses shows: measured points, fitted curves with their bands, and errors of a fit."""
 
+import contextlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.estimate.response_band import ResponseBand
 from greybox.estimate.result import Fit
 from greybox.plotting.style import COLORS, DARK, GRAYS, MARKERS, plain, symbol
 
 LINE_STYLES = ("-", "--", "-.", ":")
 MARKER_SIZE = 5.5  # points
 CROWD = 100  # points of one data set from which on they shrink and lie below the curves
+BAND_ALPHA = 0.2  # opacity of a band
 SAME_CURVE = 1e-2  # relative distance below which two curves of one fit look like one line
 
 
@@ -22,7 +27,8 @@ SAME_CURVE = 1e-2  # relative distance below which two curves of one fit look li
 class ResponseSeries:
     """Measured points (of the style of a marker) or a curve (of the style of a line), and what it belongs to.
 
-    `checksum` is that of the data, `pair` the names of input and output.
+    `checksum` is that of the data, `pair` the names of input and output, `fit` and `band` are those of a fitted
+    curve, the band where it is known.
     """
 
     response: FrequencyResponse
@@ -31,6 +37,8 @@ class ResponseSeries:
     style: str
     checksum: str
     pair: tuple[str, str]
+    band: ResponseBand | None = None
+    fit: Fit | None = None
 
     @property
     def measured(self) -> bool:
@@ -63,12 +71,60 @@ class ResponseSeries:
         return Line2D([], [], **{**self.look, **size})
 
 
-def legend_entries(series: Sequence[ResponseSeries]) -> dict[str, tuple[Line2D, ...]]:
-    """Return the legend of all data, then of the curves: one entry a fit, with all its colors."""
+@dataclass(frozen=True, eq=False)
+class ErrorSeries:
+    """How far measured points lie from the curve that was fitted to them.
+
+    Attributes
+    ----------
+    data : FrequencyResponse
+        What was measured, (n,).
+    ratio : (n,) complex array
+        Of measured to fitted response.
+    look : dict
+        The keywords of matplotlib's `plot`.
+    """
+
+    data: FrequencyResponse
+    ratio: NDArray[np.complex128]
+    look: dict[str, Any]
+
+
+def error_series(items: Sequence[Fit | FrequencyResponse], series: Sequence[ResponseSeries]) -> list[ErrorSeries]:
+    """Return the errors of every fit, in the look of its data; of several fits in the color of their curves."""
+    fits = [item for item in items if isinstance(item, Fit)]
+    points = {one.checksum: one for one in series if one.measured}
+    curves = [one for one in series if not one.measured and one.checksum]
+    found = []
+    for k, fit in enumerate(fits):
+        for part in fit.responses:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ratio = part.data.response / part.response
+            if not np.any(np.isfinite(ratio)):
+                continue
+            shown = points[part.data.checksum]
+            look = {**shown.look, "label": f"_{shown.label}"}
+            if len(fits) > 1:
+                own = [one for one in curves if one.fit is fit]
+                own = [one for one in own if one.checksum == part.data.checksum] or own
+                look["color"] = own[0].color if own else shown.color
+                if k:  # data that several fits share: told apart also where the curves have the color of the data
+                    look |= {"markerfacecolor": "none", "markeredgecolor": look["color"], "markeredgewidth": 1.0}
+            found.append(ErrorSeries(part.data, ratio, look))
+    return found
+
+
+def legend_entries(series: Sequence[ResponseSeries]) -> dict[str, tuple[Artist, ...]]:
+    """Return the legend of all data, then of the curves and bands: one entry a fit, with all its colors."""
     entries: dict[str, dict[str, Line2D]] = {}
     for one in sorted(series, key=lambda one: not one.measured):
         entries.setdefault(one.label, {})[one.color + one.style] = one.key
-    return {label: tuple(keys.values()) for label, keys in entries.items()}
+    legend: dict[str, tuple[Artist, ...]] = {label: tuple(keys.values()) for label, keys in entries.items()}
+    shaded = {one.color: one.band.level for one in series if one.band is not None}
+    if shaded:
+        level = 100 * next(iter(shaded.values()))
+        legend[f"{level:g} % band"] = tuple(Patch(color=c, alpha=BAND_ALPHA, linewidth=0) for c in shaded)
+    return legend
 
 
 def ratio(series: Sequence[ResponseSeries]) -> str:
@@ -78,8 +134,12 @@ def ratio(series: Sequence[ResponseSeries]) -> str:
     return f"{symbol(*outputs)}/{symbol(*inputs)}" if len(outputs) == len(inputs) == 1 else "P(jω)"
 
 
-def response_series(items: Sequence[Fit | FrequencyResponse], labels: Sequence[str]) -> list[ResponseSeries]:
+def response_series(
+    items: Sequence[Fit | FrequencyResponse], labels: Sequence[str], level: float | None = None
+) -> list[ResponseSeries]:
     """Return the curves of all items, and then their data; data that several share are there once.
+
+    Curves of fits have their bands at this `level`.
 
     Raises
     ------
@@ -92,7 +152,7 @@ def response_series(items: Sequence[Fit | FrequencyResponse], labels: Sequence[s
     curves = [_distinct(_curves(item)) for item in items]
     pairs = _pairs(items)
     return [
-        *_curve_series(items, curves, names, [*measured], pairs),
+        *_curve_series(items, curves, names, [*measured], pairs, level),
         *_data_series(measured, pairs),
     ]
 
@@ -116,6 +176,7 @@ def _curve_series(
     names: Sequence[str],
     checksums: Sequence[str],
     pairs: Mapping[str, tuple[str, str]],
+    level: float | None,
 ) -> list[ResponseSeries]:
     """Give every curve the color of its data where these are told apart by color, else one of its item."""
     # One curve that stands for several data sets has the color of none of them.
@@ -132,8 +193,22 @@ def _curve_series(
                 k = checksums.index(checksum)
             color = palette[k % len(palette)]
             style = LINE_STYLES[i % len(LINE_STYLES)]
-            series.append(ResponseSeries(curve, names[i], color, style, checksum, _pair(curve, pairs)))
+            item = items[i]
+            fit = item if isinstance(item, Fit) else None
+            band = None if fit is None or level is None else _band(fit, checksum, level)
+            series.append(ResponseSeries(curve, names[i], color, style, checksum, _pair(curve, pairs), band, fit))
     return series
+
+
+def _band(fit: Fit, checksum: str, level: float) -> ResponseBand | None:
+    """Return the band of the curve that was fitted to these data; None where no covariance or no model is known."""
+    part = next(k for k, part in enumerate(fit.parts) if part.data.checksum == checksum)
+    if fit.known is None:
+        return None
+    with contextlib.suppress(LookupError):  # a loaded fit of a model that greybox does not include
+        band = fit.response_band(level=level, part=part)
+        return band if np.any(np.isfinite(band.relative_error)) else None
+    return None
 
 
 def _data_series(

@@ -4,14 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drawn_lines import TRUTH, curves, points
+from drawn_lines import QUICK, TRUTH, curves, points
+from matplotlib.figure import Figure
 
 import greybox as gb
 from greybox.models.tilt import Tilt
 
 
 def test_bode_is_in_decibel_and_degrees(pitch):
-    magnitude, phase = gb.plotting.bode(pitch)
+    magnitude, phase, *_ = gb.plotting.bode(pitch)
     part = pitch.parts[0]
     for line, expected in ((curves(magnitude)[0], part.curve), (points(magnitude)[0], part.data)):
         np.testing.assert_allclose(line.get_xdata(), expected.omega)
@@ -33,7 +34,7 @@ def test_phase_is_unwrapped_and_points_lie_next_to_their_curve(sweep):
 
 
 def test_phases_of_each_pair_begin_within_half_a_turn(rotors, pitch):
-    joint = replace(rotors, parts=(*pitch.parts, *rotors.parts))
+    joint = replace(rotors, parts=(*pitch.parts, *rotors.parts), known=None)
     axes = gb.plotting.bode(joint)[1]
     assert [-180 < line.get_ydata()[0] <= 180 for line in curves(axes)] == [True, True]
     for line in points(axes):
@@ -88,4 +89,36 @@ def test_coherence_and_variance_are_shown_where_known(sweep, pitch):
     low, high = np.array(bars.get_segments())[:, :, 1].T
     np.testing.assert_allclose((high - low) / 2, np.degrees(0.1 / np.sqrt(2)))
     assert magnitude.collections
-    assert not gb.plotting.bode(pitch)[0].collections
+    assert not gb.plotting.bode(pitch, level=None)[0].collections
+
+
+def test_errors_and_bands_are_those_of_the_fit(pitch):
+    magnitude, phase, error, turn = gb.plotting.bode(pitch, level=0.9)
+    part, band = pitch.parts[0], pitch.response_band(level=0.9)
+    ratio = part.data.response / part.response
+    for ax, expected in ((error, 20 * np.log10(np.abs(ratio))), (turn, np.degrees(np.angle(ratio)))):
+        line = next(line for line in ax.get_lines() if line.get_linestyle() == "None")
+        np.testing.assert_allclose(line.get_ydata(), expected)
+    top = 20 * np.log10(band.magnitude[1])
+    for ax, expected in (
+        (magnitude, top.max()),
+        (error, (top - 20 * np.log10(np.sqrt(np.prod(band.magnitude, 0)))).max()),
+    ):
+        (shade,) = [each for each in ax.collections if type(each).__name__ != "LineCollection"]
+        np.testing.assert_allclose(shade.get_paths()[0].vertices[:, 1].max(), expected, rtol=1e-6)
+    assert phase.collections
+
+
+def test_errors_of_several_fits_have_the_color_of_their_curves(pitch):
+    other = gb.fit(gb.Problem(Tilt(), pitch.parts[0].data, fixed={"a1": 0.0}), **QUICK)
+    magnitude, *_, turn = gb.plotting.bode(pitch, other)
+    shown = [line.get_color() for line in turn.get_lines() if line.get_linestyle() == "None"]
+    assert shown == [line.get_color() for line in curves(magnitude)]
+
+
+def test_users_axes_may_leave_out_the_errors(pitch, sweep):
+    figure = Figure()
+    for count in (2, 4):
+        assert len(gb.plotting.bode(pitch, axes=figure.subplots(count, 1))) == count
+    with pytest.raises(ValueError, match="draws 2 panels"):
+        gb.plotting.bode(sweep, axes=figure.subplots(4, 1))

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drawn_lines import TRUTH, curves, numbers, points
+from scipy import stats
 
 import greybox as gb
 from greybox.models.tilt import Tilt
@@ -34,14 +35,14 @@ def test_nyquist_of_many_points_numbers_a_few(sweep):
 
 
 def test_each_pair_has_a_panel_when_one_would_vanish_beside_another(rotors, pitch):
-    joint = replace(rotors, parts=(*rotors.parts, *pitch.parts))
+    joint = replace(rotors, parts=(*rotors.parts, *pitch.parts), known=None)
     for first, second in (gb.plotting.nyquist(joint), gb.plot(joint).axes[:2]):
         assert [line.get_label() for line in points(first)] == [f"rotor {k}" for k in (1, 2, 3, 4)]
         assert [line.get_label() for line in points(second)] == ["pitch"]
         assert (len(curves(first)), len(curves(second))) == (1, 1)
         assert (first.get_xlabel(), second.get_xlabel()) == ("Real part of Ω/u", "Real part of θ/u")
         assert numbers(second)
-    assert len(gb.plotting.bode(joint)) == 2
+    assert len(gb.plotting.bode(joint)) == 4
 
 
 @pytest.mark.parametrize(("factor", "count"), [(4, 1), (1 / 4, 1), (6, 2), (1 / 6, 2), (1e-9, 2)])
@@ -65,3 +66,17 @@ def test_a_curve_far_off_leaves_the_data_visible(pitch):
     assert np.ptp(axes.get_ylim()) < 5 * np.abs(part.data.response).max()
     assert "cut off: curves reach a magnitude of" in axes.get_title()
     assert "cut off" not in gb.plotting.nyquist(pitch)[0].get_title()
+
+
+def test_points_of_known_variance_have_their_region_and_curves_their_band(pitch):
+    data = gb.FrequencyResponse([1.0, 2.0], [1.0, 1j], variance=[0.02, 0.08])
+    for given, dof in ((data, 1e9), (replace(data, dof=[6.0, 6.0]), 6)):
+        (circles,) = gb.plotting.nyquist(given)[0].collections
+        widths = [np.ptp(path.vertices[:, 0]) / 2 for path in circles.get_paths()]
+        np.testing.assert_allclose(widths, np.sqrt(data.variance * stats.f.ppf(0.95, 2, dof)), rtol=1e-3)
+
+    (axes,) = gb.plotting.nyquist(pitch)
+    (band,) = axes.collections
+    ellipses = pitch.response_band().ellipses()
+    np.testing.assert_allclose(band.get_paths()[7].vertices[:-1], np.column_stack([ellipses[7].real, ellipses[7].imag]))
+    assert not gb.plotting.nyquist(pitch, data, level=None)[0].collections

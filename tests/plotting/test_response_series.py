@@ -16,7 +16,7 @@ def test_a_joint_fit_shows_every_part_and_a_common_curve_once(rotors):
     assert [line.get_label() for line in points(axes)] == [f"rotor {k}" for k in (1, 2, 3, 4)]
     assert len({line.get_color() for line in points(axes)}) == 4
     assert len(curves(axes)) == 1
-    assert legend(axes) == ["rotor 1", "rotor 2", "rotor 3", "rotor 4", "fit of Rotor"]
+    assert legend(axes) == ["rotor 1", "rotor 2", "rotor 3", "rotor 4", "fit of Rotor", "95 % band"]
 
 
 def test_a_common_curve_over_a_part_of_the_band_is_not_drawn_again(rotors):
@@ -43,13 +43,14 @@ def test_an_overlay_draws_shared_data_once(draw, pitch):
     axes = draw(pitch, other, labels=("published", "refitted"))[0]
     assert len(points(axes)) == 1
     assert len({(line.get_color(), line.get_linestyle()) for line in curves(axes)}) == 2
-    assert legend(axes) == ["pitch", "published", "refitted"]
+    assert legend(axes) == ["pitch", "published", "refitted", "95 % band"]
 
 
 def test_overlaid_fits_without_labels_are_told_apart(pitch):
     other = replace(pitch, name="pitch again")
-    assert legend(gb.plotting.nyquist(pitch, other)[0]) == ["pitch", "fit of pitch", "fit of pitch again"]
-    assert legend(gb.plotting.nyquist(pitch, pitch)[0]) == ["pitch", "fit 1", "fit 2"]
+    one, two = (gb.plotting.nyquist(pitch, second, level=None)[0] for second in (other, pitch))
+    assert legend(one) == ["pitch", "fit of pitch", "fit of pitch again"]
+    assert legend(two) == ["pitch", "fit 1", "fit 2"]
 
 
 @pytest.mark.parametrize("draw", [gb.plotting.nyquist, gb.plotting.bode])

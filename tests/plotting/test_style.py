@@ -31,7 +31,7 @@ def page():
 def test_a_bode_diagram_goes_into_two_panels_of_a_users_figure(page, pitch):
     drawn = gb.plotting.bode(pitch, axes=page[:, 0])
     assert drawn.tolist() == [page[0, 0], page[1, 0]]
-    assert [text.get_text() for text in page[0, 0].get_legend().get_texts()] == ["pitch", "fit of Tilt"]
+    assert [text.get_text() for text in page[0, 0].get_legend().get_texts()] == ["pitch", "fit of Tilt", "95 % band"]
     assert page[1, 0].get_legend() is None
     assert [ax.get_xscale() for ax in drawn] == ["log", "log"]
     assert [ax.get_xlabel() for ax in drawn] == ["ω, rad/s", "ω, rad/s"]
@@ -87,6 +87,6 @@ def test_what_is_no_axes_is_refused(pitch):
 
 
 def test_only_the_lowest_of_stacked_panels_is_labeled(pitch):
-    assert [ax.get_xlabel() for ax in gb.plotting.bode(pitch)] == ["", "ω, rad/s"]
+    assert [ax.get_xlabel() for ax in gb.plotting.bode(pitch)] == ["", "", "", "ω, rad/s"]
     stacked = Figure().subplots(2, 1, sharex=True)
     assert [ax.get_xlabel() for ax in gb.plotting.bode(pitch, axes=stacked)] == ["", "ω, rad/s"]

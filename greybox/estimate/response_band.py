@@ -1,0 +1,175 @@
+"""The confidence band of a fitted frequency response, to first order in the errors of the parameters."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.text_table import counted, one_line
+from greybox.estimate.identifiability import KnownDirections
+from greybox.modeling.harmonic_balance import enough_harmonics, harmonic_function
+from greybox.modeling.linear_response import formula_at_one_frequency, response_function
+from greybox.modeling.model import Model, pick_signals
+from greybox.modeling.pade_delay import delay_order
+from greybox.modeling.sine import Sine
+
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseBand:
+    """A fitted frequency response with the errors that those of its parameters make, frequency by frequency.
+
+    It holds the response of the true system at each single frequency at this level, if the model structure is right;
+    the noise of the measured points is not in it.
+
+    Attributes
+    ----------
+    response : FrequencyResponse
+        The fitted one, (n,).
+    level : float
+    dof : float
+        Degrees of freedom of Student's t: the fewest of the parameters that the response depends on.
+    covariance : (n, 2, 2) array
+        Of real and imaginary part; NaN where the response depends on what the data of the fit do not determine.
+    relative_error : (2, n) array
+        Standard errors of the logarithm of the magnitude and of the phase in rad.
+    """
+
+    response: FrequencyResponse
+    level: float
+    dof: float
+    covariance: Array
+    relative_error: Array
+
+    def __len__(self) -> int:
+        return len(self.response)
+
+    @property
+    def omega(self) -> Array:
+        """Frequencies (n,), rad/s."""
+        return self.response.omega
+
+    @property
+    def half_width(self) -> Array:
+        """Half of the widths (2, n) of the band of the logarithm of the magnitude and of the phase in rad."""
+        return t_quantile(self.level, self.dof) * self.relative_error
+
+    @property
+    def magnitude(self) -> tuple[Array, Array]:
+        """Lower and upper limit (n,) of the magnitude, symmetric in its logarithm."""
+        size = np.abs(self.response.response)
+        factor = np.exp(self.half_width[0])
+        return size / factor, size * factor
+
+    @property
+    def phase(self) -> tuple[Array, Array]:
+        """Lower and upper limit (n,) of the phase, rad."""
+        phase = np.angle(self.response.response)
+        return phase - self.half_width[1], phase + self.half_width[1]
+
+    def ellipses(self, points: int = 48) -> Complexes:
+        """Return the ellipse (n, points) in the complex plane that holds real and imaginary part at this level."""
+        turn = np.linspace(0, 2 * np.pi, points)
+        circle = np.array([np.cos(turn), np.sin(turn)]) * radius(self.level, self.dof)
+        known = np.where(np.isnan(self.covariance), 0.0, self.covariance)
+        values, vectors = np.linalg.eigh(known)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+        around = root @ circle
+        around[np.isnan(self.covariance).any(axis=(1, 2))] = np.nan
+        return self.response.response[:, None] + around[:, 0] + 1j * around[:, 1]
+
+    def __repr__(self) -> str:
+        return one_line(self, self.response.name, counted(len(self), "frequency", "frequencies"), f"{self.level:g}")
+
+
+def t_quantile(level: float, dof: float) -> float:
+    """Return how many standard errors of `dof` degrees of freedom hold a value at this level, to either side.
+
+    Raises
+    ------
+    ValueError
+        For a level that is none.
+    """
+    require_level(level)
+    from scipy.special import stdtrit  # noqa: PLC0415  (takes a tenth of a second to import)
+
+    # At 1e9 degrees of freedom Student's t is the normal distribution to all digits; it takes no infinity.
+    return float(stdtrit(min(dof, 1e9), 0.5 + level / 2)) if dof > 0 else float("nan")
+
+
+def require_level(level: float) -> None:
+    """Raise ValueError for a confidence level that is none."""
+    if not 0 < level < 1:
+        raise ValueError(f"level {level} must lie between 0 and 1, e.g. 0.95.")
+
+
+def radius(level: float, dof: float) -> float:
+    """Return how many standard errors of one component hold both of two at this level: √(2 F) of (2, dof) degrees."""
+    outside = 1 - level
+    squared = -2 * np.log(outside) if np.isinf(dof) else dof * (outside ** (-2 / dof) - 1)
+    return float(np.sqrt(squared))
+
+
+def band_of(
+    response: FrequencyResponse,
+    slope: Complexes,
+    known: KnownDirections,
+    places: Sequence[int],
+    level: float,
+    dof: float,
+) -> ResponseBand:
+    """Return the band of a response (n,) from its derivatives `slope` (n, k) by parameters at `places` in `known`."""
+    gradient: Complexes = np.zeros((len(response), len(known.at)), dtype=complex)
+    for k, place in enumerate(places):
+        gradient[:, place] += slope[:, k]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = gradient / response.response[:, None]
+    both = np.stack([gradient.real, gradient.imag])
+    covariance = np.einsum("ink,kl,jnl->nij", both, known.covariance, both)
+    lost = np.isnan(known.errors(gradient.real)) | np.isnan(known.errors(gradient.imag))
+    return ResponseBand(
+        response=response,
+        level=level,
+        dof=dof,
+        covariance=np.where(lost[:, None, None], np.nan, covariance),
+        relative_error=np.array([known.errors(relative.real), known.errors(relative.imag)]),
+    )
+
+
+def response_and_slope(
+    model: Model, values: Mapping[str, float], omega: Array, sine: Sine | None, measured: Array, **signals: Any
+) -> tuple[FrequencyResponse, Complexes]:
+    """Return the response at `omega` (n,) rad/s and its derivatives (n, k) by the parameters of the model.
+
+    The arguments are those of `greybox.modeling.periodic_motions.response_of_test`.
+    """
+    input, output = pick_signals(model, signals["input"], signals["output"])
+    options: dict[str, Any] = {"input": input, "output": output, "at": signals["at"]}
+    options["pade"] = delay_order(signals["delay"])
+    p = np.array([values[name] for name in model.parameters])
+    if sine is None and (formula := formula_at_one_frequency(model, omega, **options)) is not None:
+        q, frequency = ca.SX.sym("p", p.size), ca.SX.sym("omega")
+        rows = ca.vertcat(*formula(q, frequency))
+        each = ca.Function("slope", [q, frequency], [ca.densify(ca.horzcat(rows, ca.jacobian(rows, q)))])
+        found = np.asarray(each.map("slopes", "serial", omega.size, [0], [])(p, omega[None]))
+        found = found.reshape(2, omega.size, 1 + p.size)
+    else:
+        if sine is None:
+            compiled = response_function(model, omega, **options)
+        else:
+            sine = enough_harmonics(model, omega, sine.between(measured, omega), values, **options)
+            compiled = harmonic_function(model, omega, sine, **options)
+        q = ca.MX.sym("p", p.size)
+        rows = ca.vertcat(*compiled(q))
+        whole = ca.Function("slope", [q], [rows, ca.jacobian(rows, q)])
+        value, jacobian = (np.asarray(ca.DM(each)) for each in whole(p))
+        found = np.concatenate([value, jacobian], axis=1).reshape(2, omega.size, 1 + p.size)
+    both = found[0] + 1j * found[1]
+    response = FrequencyResponse(omega, both[:, 0], input, output, name=model.label, source="model")
+    return response, both[:, 1:]
