@@ -13,7 +13,9 @@ from pathlib import Path
 import greybox as gb
 
 HERE = Path(__file__).parent
-FOLDERS = "data logs spectral modeling experiment formulation regression solve simulation validation identification"
+FOLDERS = (
+    "data logs spectral modeling experiment formulation regression solve simulation validation interop identification"
+)
 FOLDERS += " study plotting"
 
 project = "greybox"

@@ -30,6 +30,7 @@ NAMESPACES = {
     "formulation": "Criterion MagnitudePhase MaximumLikelihood OutputError PredictionError Problem RelativeError "
     "RelativeLikelihood SquaredRelativeError Starts Sum TimeCriterion several",
     "identification": "Identification Measurement Settings identify measure",
+    "interop": "from_control from_scipy to_casadi to_control to_scipy write_c write_mat",
     "logs": "find_segments horizontal_velocity negative prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response linearize rational",

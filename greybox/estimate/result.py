@@ -434,8 +434,18 @@ class Fit:
             raise ValueError(f"the fit {self.name!r} has no estimate: {self.status}.")
         k = _part_index(self, model, part, record)
         if model is None:
-            model = self.models[k] if self.models else resolve(self.parts[k].model, self.given)
+            model = self.model_of(k)
         return _at_estimate(self, model, self.parts[k], inputs)
+
+    def model_of(self, part: int = 0) -> Model:
+        """Return the model of a part; of a loaded fit one that greybox includes, or that was given to `load`.
+
+        Raises
+        ------
+        LookupError
+            If a loaded fit does not know it; the sentence has the cure.
+        """
+        return self.models[part] if self.models else resolve(self.parts[part].model, self.given)
 
     def response(self, omega: ArrayLike, part: int = 0, model: Model | None = None) -> FrequencyResponse:
         """Evaluate the fitted model of a part at `omega` (n,) rad/s.
@@ -507,7 +517,7 @@ class Fit:
                 "gb.simulate for time histories."
             )
         if model is None:
-            model = self.models[part] if self.models else resolve(stated.model, self.given)
+            model = self.model_of(part)
         return stated, model
 
     @property

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from greybox.data.text_table import printable
+from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
 from greybox.modeling.model import Model
 from greybox.modeling.model_file import models_of
 from greybox.modeling.transfer_function import FeedbackLoop, SeriesConnection
@@ -60,10 +61,11 @@ def _given(name: str, given: Sequence[Model | type[Model]]) -> Model | type[Mode
 
 
 def _included(module_name: str, class_name: str) -> type[Model] | None:
-    """Return an included model, or a connection of models."""
-    connections = {f"{c.__module__}:{c.__qualname__}": c for c in (SeriesConnection, FeedbackLoop)}
-    if f"{module_name}:{class_name}" in connections:
-        return connections[f"{module_name}:{class_name}"]
+    """Return an included model, a connection of models, or a system whose numbers are its arguments."""
+    kinds = (SeriesConnection, FeedbackLoop, KnownTransferFunction, KnownStateSpace)
+    general: dict[str, type[Model]] = {f"{kind.__module__}:{kind.__qualname__}": kind for kind in kinds}
+    if f"{module_name}:{class_name}" in general:
+        return general[f"{module_name}:{class_name}"]
     package = importlib.import_module("greybox.models")
     included = {f"greybox.models.{item.name}" for item in pkgutil.iter_modules(package.__path__)}
     if module_name not in included:

@@ -1,0 +1,56 @@
+"""A model at its estimate as a CasADi function, for optimal control, estimators and code generation."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import casadi as ca
+
+from greybox.interop.linear_systems import given_model
+from greybox.interop.source_names import identifier
+
+
+def to_casadi(
+    thing: Any,
+    values: Mapping[str, float] | None = None,
+    *,
+    pade: int | None = None,
+    part: int = 0,
+    with_parameters: bool = False,
+) -> ca.Function:
+    """Return ``(x, u) -> (derivative, y)`` of a model at its estimate as a `casadi.Function`.
+
+    A transfer function has the states of its observer canonical form. The order of states, inputs and outputs is that
+    of the model.
+
+    Parameters
+    ----------
+    thing : Fit or Model
+    values : mapping of name to float, optional
+        Of a model: values of its parameters, by default the declared starts.
+    pade : int, optional
+        Order of the Padé approximation of delays, which the function cannot hold; 0 leaves delays out.
+    part : int
+        Of a fit.
+    with_parameters : bool
+        Whether the parameters are a third argument ``p``, in the order of the model's, instead of numbers.
+
+    Raises
+    ------
+    ValueError, TypeError
+        For a delay without `pade`, or what cannot be converted.
+
+    Examples
+    --------
+    >>> import greybox as gb
+    >>> from greybox.models.tilt import LinearTilt
+    >>> f = gb.interop.to_casadi(LinearTilt(), {"a1": -14.6}, pade=2)
+    >>> derivative, y = f([0] * f.size1_in(0), 0.1)
+    """
+    given = given_model(thing, values, None, part)
+    system, p = given.ode(pade, "a CasADi function of states and inputs")
+    x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
+    q = ca.SX.sym("p", len(p)) if with_parameters else p
+    arguments = {"x": x, "u": u} | ({"p": q} if with_parameters else {})
+    outputs = [system.derivative(x, u, q), system.output(x, u, q)]
+    name = identifier(given.model.label)
+    return ca.Function(name, [*arguments.values()], outputs, [*arguments], ["derivative", "y"])

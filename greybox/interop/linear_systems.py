@@ -1,0 +1,155 @@
+"""A model and its values as polynomials in s, as matrices, and as an ODE with numbers in it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.estimate.result import Fit, FittedResponse
+from greybox.modeling.linearization import LinearSystem, linearize
+from greybox.modeling.model import Model, pick_signals
+from greybox.modeling.pade_delay import pade_states
+from greybox.modeling.rational import Rational, rational
+from greybox.modeling.realization import Dynamics, dynamics
+from greybox.modeling.state_space import StateSpace
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class GivenModel:
+    """What is converted: a model with the values of its parameters.
+
+    Attributes
+    ----------
+    model : Model
+    values : mapping of name to float
+    at : mapping of name to float
+        The operating point of its linearization.
+    name : str
+        Of the fit, empty without one.
+    """
+
+    model: Model
+    values: Mapping[str, float]
+    at: Mapping[str, float]
+    name: str = ""
+
+    def polynomials(self, pade: int | None, input: str, output: str, kind: str) -> tuple[Array, Array]:
+        """Return numerator and denominator, highest power of s first; `kind` names in a sentence what has no delay."""
+        input, output = pick_signals(self.model, input, output)
+        at = self.at if isinstance(self.model, StateSpace) else None
+        order = pade or None
+        found: Rational = rational(self.model, self.values, input=input, output=output, at=at, pade=order)
+        if pade != 0:
+            self._require_no_delay({input: float(found.delay)}, kind)
+        return np.array(found.numerator, dtype=float), np.array(found.denominator, dtype=float)
+
+    def matrices(self, pade: int | None, kind: str) -> LinearSystem:
+        """Return the linearized system, with states for delays if `pade` is an order."""
+        system = linearize(self.model, self.values, self.at) if isinstance(self.model, StateSpace) else self._realized()
+        delays = dict(zip(system.inputs, system.delays.tolist(), strict=True))
+        if pade is None:
+            self._require_no_delay(delays, kind)
+        return _with_delay_states(system, pade) if pade and any(delays.values()) else system
+
+    def ode(self, pade: int | None, kind: str) -> tuple[Dynamics, Array]:
+        """Return the ODE, with states for delays if `pade` is an order, and the values of its parameters (p,)."""
+        system = dynamics(self.model, pade or None)
+        p = np.array(list(self.model.values(self.values).values()), dtype=float)
+        delays = system.delay(p).full().ravel().tolist()
+        if pade is None:
+            self._require_no_delay(dict(zip(system.inputs, delays, strict=True)), kind)
+        return system, p
+
+    def _realized(self) -> LinearSystem:
+        system = dynamics(self.model)
+        p = np.array(list(self.model.values(self.values).values()), dtype=float)
+        x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
+        f, h = system.derivative(x, u, p), system.output(x, u, p)
+        zero = [np.zeros(len(system.states)), np.zeros(len(system.inputs))]
+        blocks = ca.Function(
+            "blocks", [x, u], [ca.jacobian(f, x), ca.jacobian(f, u), ca.jacobian(h, x), ca.jacobian(h, u)]
+        )
+        return LinearSystem(
+            *(np.asarray(ca.DM(block)) for block in blocks(*zero)),
+            states=system.states,
+            inputs=system.inputs,
+            outputs=system.outputs,
+            delays=system.delay(p).full().ravel(),
+            point=dict.fromkeys((*system.states, *system.inputs), 0.0),
+        )
+
+    def _require_no_delay(self, delays: Mapping[str, float], kind: str) -> None:
+        for name, delay in delays.items():
+            if delay:
+                raise ValueError(
+                    f"{self.model.label} delays {name} by {delay:.4g} s, which {kind} cannot hold: give pade=3 for a "
+                    "Padé approximation of that order, or pade=0 to leave the delay out."
+                )
+
+
+def given_model(
+    thing: Any, values: Mapping[str, float] | None, at: Mapping[str, float] | None, part: int = 0
+) -> GivenModel:
+    """Return the model meant by a `Fit`, at its estimate, or by a model and values for its parameters.
+
+    Raises
+    ------
+    TypeError
+        For anything else, and for values beside a fit.
+    ValueError, LookupError
+        If the fit has no estimate, or is loaded and does not know its model.
+    """
+    if isinstance(thing, Fit):
+        if values is not None:
+            raise TypeError("values were given beside a Fit, which has its own: leave them out, or give the model.")
+        estimate = thing.at_estimate(part=part)
+        fitted = thing.parts[part]
+        model = thing.model_of(part)
+        stated = {
+            name: float(v) for name, v in zip(estimate.names, estimate.q, strict=True) if name in model.parameters
+        }
+        own = fitted.at if isinstance(fitted, FittedResponse) else {}
+        return GivenModel(model, stated, own if at is None else at, thing.name)
+    if isinstance(thing, Model):
+        return GivenModel(thing, dict(thing.values(values)), at or {})
+    raise TypeError(f"{thing!r:.60} cannot be converted: give a Fit, a model with its values, or a FrequencyResponse.")
+
+
+def _with_delay_states(system: LinearSystem, order: int) -> LinearSystem:
+    """Put the Padé approximation of every delay before its input."""
+    blocks = []
+    for name, delay in zip(system.inputs, system.delays.tolist(), strict=True):
+        size = order if delay else 0
+        x, u = ca.SX.sym("x", size), ca.SX.sym("u")
+        output, derivative = pade_states(x, u, ca.SX(delay), order) if delay else (u, ca.SX(0, 1))
+        jacobians = [ca.jacobian(e, v) for e in (derivative, output) for v in (x, u)]
+        numbers = ca.Function("delay", [x, u], jacobians)(np.zeros(size), 0.0)
+        blocks.append((f"{name}_delay", [np.asarray(ca.DM(block)) for block in numbers]))
+    A, B, C, D = (_block_diagonal([numbers[k] for _, numbers in blocks]) for k in range(4))
+    zero = np.zeros((A.shape[0], system.A.shape[0]))
+    names = tuple(f"{name}_{i}" for name, numbers in blocks for i in range(numbers[0].shape[0]))
+    return LinearSystem(
+        np.block([[system.A, system.B @ C], [zero, A]]),
+        np.vstack([system.B @ D, B]),
+        np.hstack([system.C, system.D @ C]),
+        system.D @ D,
+        states=(*system.states, *names),
+        inputs=system.inputs,
+        outputs=system.outputs,
+        delays=np.zeros(len(system.inputs)),
+        point={**system.point, **dict.fromkeys(names, 0.0)},
+    )
+
+
+def _block_diagonal(blocks: list[Array]) -> Array:
+    whole = np.zeros(np.sum([block.shape for block in blocks], axis=0))
+    row = column = 0
+    for block in blocks:
+        whole[row : row + block.shape[0], column : column + block.shape[1]] = block
+        row, column = row + block.shape[0], column + block.shape[1]
+    return whole

@@ -1,0 +1,183 @@
+"""To and from python-control (https://python-control.readthedocs.io), ``pip install 'greybox-id[control]'``."""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, get_args
+
+import casadi as ca
+import numpy as np
+
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.optional_package import required
+from greybox.interop.linear_systems import GivenModel, given_model
+from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
+from greybox.modeling.model import pick_signals
+from greybox.modeling.transfer_function import TransferFunction
+
+Kind = Literal["transfer-function", "state-space", "nonlinear"]
+
+
+def to_control(
+    thing: Any,
+    values: Mapping[str, float] | None = None,
+    *,
+    kind: Kind | None = None,
+    pade: int | None = None,
+    at: Mapping[str, float] | None = None,
+    input: str = "",
+    output: str = "",
+    part: int = 0,
+) -> Any:
+    """Return a response, or a model at its estimate, as a system of python-control.
+
+    Parameters
+    ----------
+    thing : FrequencyResponse, Fit or Model
+        A response becomes a `control.FrequencyResponseData`.
+    values : mapping of name to float, optional
+        Of a model: values of its parameters, by default the declared starts.
+    kind : "transfer-function", "state-space" or "nonlinear"
+        The `control.TransferFunction` of one input-output pair, the `control.StateSpace` of the linearization, or the
+        `control.NonlinearIOSystem` of the ODE, whose parameters ``params`` can be changed. By default the first for a
+        `TransferFunction`, the second for a `StateSpace`.
+    pade : int, optional
+        Order of the Padé approximation of delays, which none of these can hold; 0 leaves delays out.
+    at : mapping of name to float, optional
+        Operating point of the linearization; by default that of the fit.
+    input, output : str
+        The pair of a transfer function, where a model has several.
+    part : int
+        Of a fit.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        Without python-control.
+    ValueError, TypeError
+        For a delay without `pade`, or what cannot be converted.
+
+    Examples
+    --------
+    >>> import greybox as gb
+    >>> from greybox.models.tilt import Tilt
+    >>> system = gb.interop.to_control(Tilt(), {"a1": -14.6, "a2": 3.0, "a3": 8.5, "a4": 295.0}, pade=2)
+    """
+    control = required("control", "control", "to_control()")
+    if isinstance(thing, FrequencyResponse):
+        order = np.argsort(thing.omega)
+        names = {"inputs": [thing.input or "u"], "outputs": [thing.output or "y"]}
+        response = thing.response[order].reshape(1, 1, -1)
+        return control.FrequencyResponseData(response, thing.omega[order], **names, **_named(thing.name))
+    given = given_model(thing, values, at, part)
+    kind = kind or ("transfer-function" if isinstance(given.model, TransferFunction) else "state-space")
+    name = _named(given.name or given.model.label)
+    if kind == "transfer-function":
+        numerator, denominator = given.polynomials(pade, input, output, "a transfer function of python-control")
+        u, y = pick_signals(given.model, input, output)
+        return control.TransferFunction(numerator, denominator, inputs=[u], outputs=[y], **name)
+    if kind == "state-space":
+        found = given.matrices(pade, "a state space of python-control")
+        labels = {"states": found.states, "inputs": found.inputs, "outputs": found.outputs}
+        return control.StateSpace(found.A, found.B, found.C, found.D, **{k: list(v) for k, v in labels.items()}, **name)
+    if kind == "nonlinear":
+        return _nonlinear(control, given, pade, name)
+    raise ValueError(f"kind is {kind!r:.40}: give one of {', '.join(map(repr, get_args(Kind)))}.")
+
+
+def from_control(
+    system: Any, *, inputs: Sequence[str] = (), outputs: Sequence[str] = (), prefix: str = "", name: str = ""
+) -> FrequencyResponse | KnownTransferFunction | KnownStateSpace:
+    """Return a system of python-control as a frequency response or as a model.
+
+    The numbers of a model are parameters that are fixed, `KnownTransferFunction` or `KnownStateSpace`: it serves as a
+    known filter, ``from_control(filter) * Plant()``, and ``Problem(..., free=["a1"])`` estimates one of them.
+
+    Parameters
+    ----------
+    system : control.FrequencyResponseData, TransferFunction or StateSpace
+        In continuous time; of one input and one output unless it is a state space.
+    inputs, outputs : sequence of str
+        Names of the signals, by default those of the system.
+    prefix : str
+        Begins the names of the parameters, so that two such models can be connected.
+    name : str
+        Of a response.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        Without python-control.
+    ValueError, TypeError
+        For several inputs or outputs, discrete time, or what is none of these.
+    """
+    control = required("control", "control", "from_control()")
+    if isinstance(system, control.FrequencyResponseData):
+        _require_one_pair(system.ninputs, system.noutputs)
+        u, y = (_signal_names(*pair) for pair in ((inputs, system.input_labels), (outputs, system.output_labels)))
+        response = np.asarray(system.frdata if hasattr(system, "frdata") else system.fresp)[0, 0]
+        return FrequencyResponse(system.omega, response, input=u[0], output=y[0], name=name or (system.name or ""))
+    if not isinstance(system, control.TransferFunction | control.StateSpace):
+        kinds = "FrequencyResponseData, a TransferFunction or a StateSpace"
+        raise TypeError(f"system is {system!r:.60}: give a {kinds} of python-control.")
+    if system.isdtime(strict=True):
+        raise ValueError(f"the system has a sampling time of {system.dt} s, and models here are continuous in time.")
+    u, y = (_signal_names(*pair) for pair in ((inputs, system.input_labels), (outputs, system.output_labels)))
+    if isinstance(system, control.TransferFunction):
+        _require_one_pair(system.ninputs, system.noutputs)
+        numerator, denominator = (polynomial[0][0].tolist() for polynomial in (system.num, system.den))
+        return KnownTransferFunction(numerator, denominator, u[0], y[0], prefix)
+    x = _signal_names((), system.state_labels)
+    return KnownStateSpace(system.A, system.B, system.C, system.D, states=x, inputs=u, outputs=y, prefix=prefix)
+
+
+def _nonlinear(control: Any, given: GivenModel, pade: int | None, name: Mapping[str, str]) -> Any:
+    system, p = given.ode(pade, "a nonlinear system of python-control")
+    x, u, q = (
+        ca.SX.sym(letter, len(names)) for letter, names in zip("xup", (system.states, system.inputs, p), strict=True)
+    )
+    functions = [ca.Function("f", [x, u, q], [one(x, u, q)]) for one in (system.derivative, system.output)]
+
+    def values(params: Mapping[str, float]) -> list[float]:
+        return [params[one] for one in system.parameters]
+
+    def update(_: float, state: Any, input: Any, params: Mapping[str, float]) -> Any:
+        return functions[0](state, input, values(params)).full().ravel()
+
+    def output(_: float, state: Any, input: Any, params: Mapping[str, float]) -> Any:
+        return functions[1](state, input, values(params)).full().ravel()
+
+    return control.NonlinearIOSystem(
+        update,
+        output,
+        params=dict(zip(system.parameters, p.tolist(), strict=True)),
+        states=list(system.states),
+        inputs=list(system.inputs),
+        outputs=list(system.outputs),
+        **name,
+    )
+
+
+def _named(name: str) -> dict[str, str]:
+    """Return the name of a system without the characters that python-control's own naming uses."""
+    plain = re.sub(r"\W+", "_", name).strip("_")
+    return {"name": plain} if plain else {}
+
+
+def _signal_names(given: Sequence[str], labels: Sequence[str]) -> tuple[str, ...]:
+    """Return the names given, else the labels; those that python-control numbers, ``u[0]``, become ``u``, or ``u1``."""
+    if given:
+        return (given,) if isinstance(given, str) else tuple(given)
+
+    def plain(label: str) -> str:
+        numbered = re.fullmatch(r"([a-z])\[(\d+)\]", label)
+        if numbered:
+            alone = len(labels) == 1 and numbered[1] != "x"
+            return numbered[1] if alone else f"{numbered[1]}{int(numbered[2]) + 1}"
+        return re.sub(r"\W+", "_", label).strip("_")
+
+    return tuple(plain(str(label)) for label in labels)
+
+
+def _require_one_pair(inputs: int, outputs: int) -> None:
+    if (inputs, outputs) != (1, 1):
+        raise ValueError(f"the system has {inputs} inputs and {outputs} outputs: give one of its pairs, system[0, 0].")

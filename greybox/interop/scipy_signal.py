@@ -1,0 +1,83 @@
+"""To and from the linear systems of scipy.signal, `scipy.signal.lti`."""
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from greybox.interop.linear_systems import given_model
+from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
+from greybox.modeling.transfer_function import TransferFunction
+
+
+def to_scipy(
+    thing: Any,
+    values: Mapping[str, float] | None = None,
+    *,
+    kind: Literal["transfer-function", "state-space"] | None = None,
+    pade: int | None = None,
+    at: Mapping[str, float] | None = None,
+    input: str = "",
+    output: str = "",
+    part: int = 0,
+) -> Any:
+    """Return a model at its estimate as a `scipy.signal.TransferFunction` or `scipy.signal.StateSpace`.
+
+    Parameters
+    ----------
+    thing : Fit or Model
+    values, kind, pade, at, input, output, part
+        As of `greybox.interop.to_control`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        For a delay without `pade`, or what cannot be converted.
+    """
+    from scipy import signal  # noqa: PLC0415  (takes a third of a second to import)
+
+    given = given_model(thing, values, at, part)
+    kind = kind or ("transfer-function" if isinstance(given.model, TransferFunction) else "state-space")
+    if kind == "transfer-function":
+        return signal.TransferFunction(*given.polynomials(pade, input, output, "a transfer function of scipy"))
+    if kind == "state-space":
+        found = given.matrices(pade, "a state space of scipy")
+        return signal.StateSpace(found.A, found.B, found.C, found.D)
+    raise ValueError(f"kind is {kind!r:.40}: give 'transfer-function' or 'state-space'.")
+
+
+def from_scipy(
+    system: Any, *, input: str = "u", output: str = "y", prefix: str = ""
+) -> KnownTransferFunction | KnownStateSpace:
+    """Return a `scipy.signal.lti` as a model whose numbers are parameters that are fixed.
+
+    Parameters
+    ----------
+    system : scipy.signal.TransferFunction, ZerosPolesGain or StateSpace
+        In continuous time.
+    input, output : str
+        Names of the signals; numbered, ``u1, u2 ...``, where a state space has several.
+    prefix : str
+        Begins the names of the parameters, so that two such models can be connected.
+
+    Raises
+    ------
+    ValueError, TypeError
+        For several outputs in one transfer function, discrete time, or what is none of these.
+    """
+    from scipy import signal  # noqa: PLC0415  (takes a third of a second to import)
+
+    if isinstance(system, signal.dlti):
+        raise ValueError(f"the system has a sampling time of {system.dt} s, and models here are continuous in time.")
+    if not isinstance(system, signal.lti):
+        raise TypeError(f"system is {system!r:.60}: give a scipy.signal.lti.")
+    found: Any = system  # whose attributes scipy does not declare
+    if isinstance(system, signal.StateSpace):
+        outputs, inputs = found.D.shape
+        u, y = [
+            [name] if count == 1 else [f"{name}{k + 1}" for k in range(count)]
+            for name, count in ((input, inputs), (output, outputs))
+        ]
+        return KnownStateSpace(found.A, found.B, found.C, found.D, inputs=u, outputs=y, prefix=prefix)
+    rational = found.to_tf()
+    if rational.num.ndim > 1:
+        raise ValueError(f"the system has {rational.num.shape[0]} outputs: give a system of one, or a StateSpace.")
+    return KnownTransferFunction(rational.num.tolist(), rational.den.tolist(), input, output, prefix)

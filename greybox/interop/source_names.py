@@ -1,0 +1,29 @@
+"""Names that C, MATLAB and CasADi accept, from names of models and signals."""
+
+import keyword
+import re
+from collections.abc import Iterable
+
+C_WORDS = frozenset(
+    "auto break case char const continue default do double else enum extern float for goto if int long register return "
+    "short signed sizeof static struct switch typedef union unsigned void volatile while inline restrict".split()
+)
+
+
+def identifier(name: str) -> str:
+    """Return a name of letters, digits and single underscores that begins with a letter."""
+    plain = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
+    plain = plain if plain[:1].isalpha() else f"m_{plain}".rstrip("_")
+    return f"{plain}_" if plain in C_WORDS or keyword.iskeyword(plain) else plain
+
+
+def identifiers(names: Iterable[str]) -> dict[str, str]:
+    """Return a different identifier for every name."""
+    taken: dict[str, str] = {}
+    for name in names:
+        plain, k = identifier(name), 1
+        while plain in taken.values():
+            k += 1
+            plain = f"{identifier(name)}_{k}"
+        taken[name] = plain
+    return taken

@@ -1,0 +1,156 @@
+"""Linear systems whose numbers are known, such as a filter or an actuator, as models.
+
+Their coefficients are parameters that are fixed, so that a problem may free one of them, ``free=["a1"]``.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from greybox.modeling.function_of_s import polynomial_value
+from greybox.modeling.parameter import Parameter
+from greybox.modeling.state_space import StateSpace
+from greybox.modeling.transfer_function import TransferFunction
+
+
+class KnownTransferFunction(TransferFunction):
+    r"""Ratio of two polynomials with given coefficients.
+
+    $$\frac{b_m s^m + \dots + b_0}{a_n s^n + \dots + a_0}$$
+
+    Parameters
+    ----------
+    numerator, denominator : sequence of float
+        Highest power of s first.
+    input, output : str
+        Names of the signals.
+    prefix : str
+        Begins the names of the coefficients, ``<prefix>b0`` and so on: where two such models are connected, each needs
+        one of its own.
+
+    Raises
+    ------
+    ValueError
+        For coefficients that are not finite, or a denominator that is zero.
+    """
+
+    def __init__(
+        self,
+        numerator: Sequence[float],
+        denominator: Sequence[float],
+        input: str = "u",
+        output: str = "y",
+        prefix: str = "",
+    ) -> None:
+        b = _coefficients(numerator, "numerator")
+        a = _coefficients(denominator, "denominator")
+        if a == [0.0]:
+            raise ValueError("the denominator is zero: give one with a coefficient that is not.")
+        self.arguments = ((b, a, input, output, prefix), {})
+        self.input = input
+        self.output = output
+        self.parameters = {
+            f"{prefix}{letter}{len(values) - 1 - k}": Parameter(value, fixed=True, about=f"of s^{len(values) - 1 - k}")
+            for letter, values in (("b", b), ("a", a))
+            for k, value in enumerate(values)
+        }
+        self._names = tuple(
+            [f"{prefix}{letter}{k}" for k in reversed(range(len(values)))] for letter, values in (("b", b), ("a", a))
+        )
+
+    def response(self, s: Any, p: Any) -> Any:
+        """Return the ratio."""
+        b, a = self._names
+        return polynomial_value([p[name] for name in b], s) / polynomial_value([p[name] for name in a], s)
+
+
+class KnownStateSpace(StateSpace):
+    """``x' = A x + B u``, ``y = C x + D u`` with given matrices; their entries that are not zero are parameters.
+
+    Parameters
+    ----------
+    A, B, C, D : arrays (n, n), (n, m), (k, n), (k, m)
+    states, inputs, outputs : sequence of str
+        By default ``x1, x2 ...``, ``u`` or ``u1, u2 ...`` and ``y`` or ``y1, y2 ...``.
+    prefix : str
+        Begins the names of the entries, ``<prefix>A_1_2`` and so on.
+
+    Raises
+    ------
+    ValueError
+        For matrices that do not fit together, numbers that are not finite, or names of another number.
+    """
+
+    def __init__(
+        self,
+        A: ArrayLike,
+        B: ArrayLike,
+        C: ArrayLike,
+        D: ArrayLike,
+        *,
+        states: Sequence[str] = (),
+        inputs: Sequence[str] = (),
+        outputs: Sequence[str] = (),
+        prefix: str = "",
+    ) -> None:
+        given = {
+            name: np.atleast_2d(np.array(value, dtype=float)) for name, value in zip("ABCD", (A, B, C, D), strict=True)
+        }
+        k, m = given["D"].shape
+        n = given["A"].shape[0] if given["A"].size else 0
+        for name, shape in zip("ABCD", ((n, n), (n, m), (k, n), (k, m)), strict=True):
+            given[name] = given[name].reshape(shape) if given[name].size == n == 0 else given[name]
+            if given[name].shape != shape:
+                raise ValueError(f"{name} has shape {given[name].shape} where the others need {shape}.")
+            if not np.all(np.isfinite(given[name])):
+                raise ValueError(f"{name} has an entry that is not finite: give finite numbers.")
+        self.states = _signal_names(states, "x", n, numbered=True)
+        self.inputs = _signal_names(inputs, "u", m)
+        self.outputs = _signal_names(outputs, "y", k)
+        self.matrices = given
+        plain = [given[name].tolist() for name in "ABCD"]
+        names = {"states": self.states, "inputs": self.inputs, "outputs": self.outputs, "prefix": prefix}
+        self.arguments = (tuple(plain), names)
+        self._names = {
+            name: {(i, j): f"{prefix}{name}_{i + 1}_{j + 1}" for i, j in np.argwhere(matrix).tolist()}
+            for name, matrix in given.items()
+        }
+        self.parameters = {
+            label: Parameter(float(given[name][place]), fixed=True, about=f"entry of {name}")
+            for name, labels in self._names.items()
+            for place, label in labels.items()
+        }
+
+    def derivative(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
+        """Return A x + B u."""
+        return self._rows(("A", self.states, x), ("B", self.inputs, u), p)
+
+    def output(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
+        """Return C x + D u."""
+        return self._rows(("C", self.states, x), ("D", self.inputs, u), p)
+
+    def _rows(self, *terms: Any) -> list[Any]:
+        *products, p = terms
+        rows: list[Any] = [0.0] * self.matrices[products[0][0]].shape[0]
+        for name, signals, values in products:
+            for (i, j), label in self._names[name].items():
+                rows[i] = rows[i] + p[label] * values[signals[j]]
+        return rows
+
+
+def _coefficients(values: Sequence[float], what: str) -> list[float]:
+    """Return the coefficients without leading zeros."""
+    numbers: NDArray[np.float64] = np.atleast_1d(np.array(values, dtype=float))
+    if numbers.ndim != 1 or not numbers.size or not np.all(np.isfinite(numbers)):
+        raise ValueError(f"the {what} is {values!r:.60}: give finite coefficients, highest power of s first.")
+    return np.trim_zeros(numbers, "f").tolist() or [0.0]
+
+
+def _signal_names(names: Sequence[str], letter: str, count: int, *, numbered: bool = False) -> tuple[str, ...]:
+    if not names:
+        return (letter,) if count == 1 and not numbered else tuple(f"{letter}{k + 1}" for k in range(count))
+    if isinstance(names, str) or len(names) != count:
+        raise ValueError(f"{names!r:.60} are the names of {count} signals: give as many.")
+    return tuple(names)
