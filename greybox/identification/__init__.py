@@ -2,7 +2,7 @@
 
 Begin with `identify`, the whole chain. `choices` finds the tests, the axis and its signals; `measurement` makes a
 response of them: which samples, which instrument, open or closed loop; `loop` tells whether a log was flown in closed
-loop, and by how much a direct estimate would differ.
+loop, and by how much a direct estimate would differ; `systematic_errors` are those that the scatter does not show.
 """
 
 from greybox.identification.identify import Identification as Identification

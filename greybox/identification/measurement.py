@@ -5,18 +5,22 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.data.text_table import alternatives, counted, number, one_line
 from greybox.data.units import to_si
 from greybox.identification.loop import DirectDifference, controller_in, direct_difference
+from greybox.identification.systematic_errors import motor_saturation, systematic_errors, with_systematic_errors
 from greybox.logs.flight_controllers import axis_of, named_filters
 from greybox.logs.known_filters import KnownFilter, in_series
 from greybox.logs.prepare import prepare
 from greybox.logs.segment_detection import announcing, find_segments
 from greybox.spectral.composite_windows import spectral_response
 from greybox.spectral.demodulation import METHODS
+from greybox.spectral.frequency_points import FiniteFrequency
 from greybox.spectral.multisine_lines import periodic_response
 from greybox.spectral.single_sine import finite_frequency
 from greybox.spectral.test_quality import Finding, Quality, check, jitter
@@ -207,12 +211,19 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         quality = check(record, response, judged, input=u, output=y)
         return Quality((*quality.findings, *jitter(during)), quality.bands)
 
-    quality, response, detail, difference = quality_of(None), None, "", None
+    quality, response, detail, difference, points = quality_of(None), None, "", None, None
     pieces = [record.between(s.start, s.end) for s in used] or [record]
     if quality.usable:
         try:
-            response, detail = _estimated(record, pieces, used if sines else (), settings)
-            quality = quality_of(response)
+            response, detail, points = _estimated(record, pieces, used if sines else (), settings)
+            amplitudes = np.array([abs(point.u) for point in points.points]) if points else None
+            errors = systematic_errors(recording, record, response, control, used, amplitudes)
+            response = with_systematic_errors(response, errors)
+            detail = points.with_variance(response.variance).table if points else detail
+            spans = [(segment.start, segment.end) for segment in used] or [(record.time[0], record.time[-1])]
+            quality = quality_of(response).with_findings(
+                *_on_points(points), *motor_saturation(recording, control, spans), *(error.finding for error in errors)
+            )
         except ValueError as error:
             refused = Finding("response", "refusal", math.nan, " ".join(str(error).split()))
             quality = Quality((refused, *quality.findings))
@@ -294,7 +305,7 @@ def _instrument(recording: Recording, settings: Settings, used: Sequence[Segment
 
 def _estimated(
     record: Record, pieces: Sequence[Record], sines: Sequence[Segment], settings: Settings
-) -> tuple[FrequencyResponse, str]:
+) -> tuple[FrequencyResponse, str, FiniteFrequency | None]:
     (u, _), (y, _) = settings.names
     if sines:
         setpoint = SETPOINT if SETPOINT in record.signals else ""
@@ -302,7 +313,7 @@ def _estimated(
             record, sines, input=u, output=y, setpoint=setpoint, settle=settings.settle, method=settings.method
         )
         dropped = {"dropped": f"{len(estimate.left_out)} of {counted(len(sines), 'test')}"} if estimate.left_out else {}
-        return replace(estimate.response, about=dropped), "\n".join([str(estimate), *estimate.findings])
+        return replace(estimate.response, about=dropped), estimate.table, estimate
 
     instrument = INSTRUMENT if INSTRUMENT in record.signals else None
     if settings.period:
@@ -313,7 +324,15 @@ def _estimated(
         measured = spectral_response(
             pieces, u, y, instrument=instrument, band=settings.band, points=settings.points, name=record.name
         )
-    return measured, str(measured)
+    return measured, str(measured), None
+
+
+def _on_points(points: FiniteFrequency | None) -> list[Finding]:
+    """Return what sine tests say of their points, as findings of the verdict."""
+    if points is None:
+        return []
+    warnings = [Finding("sines", "warning", math.nan, f"{text}.") for text in points.findings]
+    return [*warnings, *(Finding("sines", "note", math.nan, f"{text}.") for text in points.notes)]
 
 
 def _about(

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.test_segment import Segment
@@ -11,6 +12,11 @@ from greybox.data.text_table import counted, number, one_line, text_table
 
 # Harmonics over fundamental. Of a cubic nonlinearity, y = x + k x³, harmonics of a share h come with a gain 3h off.
 NONLINEAR = 0.1
+
+# Harmonics over fundamental that the plant does not explain, from which a warning is due. They stand for a standard
+# error of the gain of their own size: of a clipped sine the gain is h off, of a cubic nonlinearity 3h, of a sine that
+# is rounded while other motions carry it across the steps nearly nothing.
+UNEXPLAINED = 0.03
 
 # Change of trim over the amplitude, and standard error over the response: about the size of the error in the gain that
 # `NONLINEAR` stands for.
@@ -34,7 +40,8 @@ class FrequencyPoint:
     omega, response : float, rad/s, and complex
         Output over control, (3.15).
     standard_error, dof : float
-        Square root of E|P̂ - P|², both components together (NaN for a single period), and its degrees of freedom.
+        Square root of E|P̂ - P|², both components together (NaN for a single period), and its degrees of freedom. The
+        gain error that unexplained harmonics stand for is part of it.
     periods, start, end : int and floats, s
         The window used.
     u, y, r : complex
@@ -43,8 +50,11 @@ class FrequencyPoint:
         Of control and output: harmonics over fundamental (root of sum of squares); change of trim over the window.
     saturation : float
         Share of time that the control was at its limit; NaN where it cannot be told.
-    findings : tuple of str
-        Warnings, in words.
+    findings, notes : tuple of str
+        Warnings, and what is worth knowing, in words.
+    unexplained : float
+        Harmonics that the plant does not explain, over the control's sine (root of sum of squares); NaN where they
+        cannot be told.
     """
 
     omega: float
@@ -61,6 +71,8 @@ class FrequencyPoint:
     drift: tuple[float, float]
     saturation: float
     findings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    unexplained: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,13 +89,29 @@ class FiniteFrequency:
         found = [f"{p.omega:g} rad/s: {text}" for p in self.points for text in p.findings]
         return (*found, *(f"{s.kind} from {s.start:.1f} s left out: {reason}" for s, reason in self.left_out))
 
+    def with_variance(self, variance: NDArray[np.float64] | None) -> "FiniteFrequency":
+        """Return the points with other variances (n,); None changes nothing."""
+        if variance is None:
+            return self
+        points = [replace(p, standard_error=math.sqrt(v)) for p, v in zip(self.points, variance, strict=True)]
+        return replace(self, points=tuple(points), response=replace(self.response, variance=variance))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is worth knowing of the points, in words."""
+        return tuple(f"{p.omega:g} rad/s: {text}" for p in self.points for text in p.notes)
+
+    @property
+    def table(self) -> str:
+        """The response and its points, without the findings."""
+        header = ("rad/s", "periods", "|u|", "|y|", "gain", "phase °", "error %", "harmonics u, y %", "saturated %")
+        return "\n".join([str(self.response), text_table(header, [_row(p) for p in self.points], left=())])
+
     def __repr__(self) -> str:
         return one_line(self, counted(len(self.points), "frequency", "frequencies"), f"{len(self.left_out)} left out")
 
     def __str__(self) -> str:
-        header = ("rad/s", "periods", "|u|", "|y|", "gain", "phase °", "error %", "harmonics u, y %", "saturated %")
-        table = text_table(header, [_row(p) for p in self.points], left=())
-        return "\n".join([str(self.response), table, *self.findings])
+        return "\n".join([self.table, *self.notes, *self.findings])
 
 
 def with_findings(point: FrequencyPoint, findings: list[str]) -> FrequencyPoint:
@@ -122,15 +150,27 @@ def averaged(points: list[FrequencyPoint]) -> FrequencyPoint:
     known = variance > 0 and np.all(dof > 0)
     effective_dof = float(variance**2 / np.sum(parts**2 / dof)) if known else float(dof.sum())  # Welch, Satterthwaite
 
-    findings = (f"mean of {len(points)} tests", *dict.fromkeys(text for p in points for text in p.findings))
+    shares = [p.unexplained for p in points if not math.isnan(p.unexplained)]
     return replace(
         points[0],
         response=complex(weight @ [p.response for p in points]),
         standard_error=math.sqrt(variance),
         dof=effective_dof,
         periods=sum(p.periods for p in points),
-        findings=findings,
+        findings=tuple(dict.fromkeys(text for p in points for text in p.findings)),
+        notes=(f"mean of {len(points)} tests", *dict.fromkeys(text for p in points for text in p.notes)),
+        unexplained=max(shares, default=math.nan),
     )
+
+
+def with_unexplained(point: FrequencyPoint, share: float) -> FrequencyPoint:
+    """Return a point with the harmonics that the plant does not explain, and the error of the gain they stand for."""
+    if not share > 0:
+        return replace(point, unexplained=share)
+    error = math.hypot(point.standard_error, share * abs(point.response))
+    text = f"the plant does not explain harmonics of {share:.0%} of the control's sine: it is not linear there"
+    findings = (*point.findings, *([text] if share > UNEXPLAINED else []))
+    return replace(point, unexplained=share, standard_error=error, findings=findings)
 
 
 def _row(point: FrequencyPoint) -> tuple[str, ...]:

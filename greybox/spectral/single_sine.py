@@ -25,7 +25,9 @@ from greybox.spectral.frequency_points import (
     averaged,
     missing_samples,
     with_findings,
+    with_unexplained,
 )
+from greybox.spectral.harmonic_distortion import Harmonics, harmonics_of, unexplained
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -129,10 +131,13 @@ def finite_frequency(  # noqa: PLR0913 - one keyword for each choice
     known = np.isfinite(signals).all(axis=0)
     settings = _Settings(record.time[known], signals[:, known], settle, periods, method, harmonics, limits)
     points = []
+    measured = []
     left_out = []
     for segment in segments:
         try:
-            points.append(_point(settings, segment))
+            point, found = _point(settings, segment)
+            points.append(point)
+            measured.append((point.u, found))
         except UnusableSegmentError as reason:
             left_out.append((segment, str(reason)))
     if not points:
@@ -140,28 +145,31 @@ def finite_frequency(  # noqa: PLR0913 - one keyword for each choice
         raise ValueError(f"no segment gives a point of the response: {reasons}.")
 
     frequencies = sorted({p.omega for p in points})
+    merged = [averaged([p for p in points if p.omega == omega]) for omega in frequencies]
+    shares = unexplained(np.array(frequencies), np.array([p.response for p in merged]), measured)
+    points = [with_unexplained(p, float(share)) for p, share in zip(points, shares, strict=True)]
     merged = tuple(averaged([p for p in points if p.omega == omega]) for omega in frequencies)
     response = _response(merged, record, input, output)
     stretches = [Stretch(record.checksum, p.start, p.end) for p in points]
     return FiniteFrequency(replace(response, stretches=stretches), merged, tuple(left_out))
 
 
-def _point(settings: _Settings, segment: Segment) -> FrequencyPoint:
-    """Estimate one point of the response, or raise `UnusableSegmentError`."""
+def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmonics]:
+    """Estimate one point of the response and the harmonics beside it, or raise `UnusableSegmentError`."""
     if not segment.usable or segment.kind != "sine":
         raise UnusableSegmentError("; ".join(segment.findings) or f"a {segment.kind} is not a single sine")
     inside = (settings.time >= segment.start) & (settings.time <= segment.end)
     time = settings.time[inside]
     signals = settings.signals[:, inside]
     omega = segment.omega
-    findings = []
+    notes = []
 
     rows, q = whole_periods(time, omega, settings.settle, settings.periods)
     if len(signals) == 3 and q > 1:
         error = _frequency_error(time[rows], signals[2, rows], omega)
         if abs(error) * 2 * math.pi * q / omega > PHASE_DRIFT:
             omega += error
-            findings.append(f"the setpoint runs at {omega:.5g} rad/s, which was used")
+            notes.append(f"the setpoint runs at {omega:.5g} rad/s, which was used")
             rows, q = whole_periods(time, omega, settings.settle, settings.periods)
 
     t = time[rows]
@@ -194,9 +202,10 @@ def _point(settings: _Settings, segment: Segment) -> FrequencyPoint:
         distortion=(float(distortion[0]), float(distortion[1])),
         drift=(float(drift[0]), float(drift[1])),
         saturation=_saturation(x[0], settings.limits),
+        notes=tuple(notes),
     )
     missing = 1 - t.size * float(np.median(np.diff(t))) * omega / (q * 2 * math.pi)
-    return with_findings(point, findings + missing_samples(missing))
+    return with_findings(point, missing_samples(missing)), harmonics_of(t, amplitudes, residual, omega, q)
 
 
 def _frequency_error(t: Array, r: Array, omega: float) -> float:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -92,6 +92,10 @@ class Quality:
         """The sentences that refuse the test."""
         return tuple(f.text for f in self.findings if f.severity == "refusal")
 
+    def with_findings(self, *findings: Finding) -> "Quality":
+        """Return the verdict with more findings, each in its place."""
+        return replace(self, findings=_by_severity((*self.findings, *findings)))
+
     def __repr__(self) -> str:
         return one_line(self, "usable" if self.usable else "not usable", counted(len(self.findings), "finding"))
 
@@ -155,9 +159,13 @@ def check(
         *_rate(record, response, segments),
         *_precision(response),
     ]
-    rank = {"refusal": 0, "warning": 1, "note": 2}
     bands = () if response is None else tuple(_bands(record, response))
-    return Quality(tuple(sorted(findings, key=lambda f: rank[f.severity])), bands)
+    return Quality(_by_severity(findings), bands)
+
+
+def _by_severity(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    rank = {"refusal": 0, "warning": 1, "note": 2}
+    return tuple(sorted(findings, key=lambda f: rank[f.severity]))
 
 
 def _filters(record: Record, names: Sequence[str]) -> Iterator[Finding]:

@@ -18,7 +18,7 @@ def test_equal_tests_average_to_half_the_variance_and_twice_the_degrees_of_freed
     assert both.standard_error == pytest.approx(0.01 / math.sqrt(2))
     assert both.dof == pytest.approx(16)
     assert both.periods == 20
-    assert both.findings == ("mean of 2 tests",)
+    assert both.notes == ("mean of 2 tests",)
 
 
 def test_a_mean_counts_periods_and_control_power_and_its_variance_is_monte_carlos():

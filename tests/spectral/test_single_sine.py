@@ -191,7 +191,7 @@ def flight(u=None, y=None, noise=1e-4, **words):
 
 
 def said(found):
-    return "; ".join(found.findings)
+    return "; ".join((*found.notes, *found.findings))
 
 
 def test_a_clean_test_has_nothing_to_say():

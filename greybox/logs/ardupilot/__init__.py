@@ -1,7 +1,8 @@
 """What ArduPilot does to signals and tests, with its parameters from the log.
 
-`signals` names the controls, sensors and setpoints of an axis, and those of System Identification mode; `filters` has
-the filters of the gyro and of the rate controllers.
+`signals` names the controls, sensors and setpoints of an axis, and the axes of System Identification mode; `filters`
+has the filters of the gyro and of the rate controllers. `loop_rate` says what a log of every second pass of the control
+loop costs, `motors` how finely a control reaches the motors, and when these are at their limits.
 """
 
 from greybox.logs.ardupilot.filters import named_filters as named_filters

@@ -1,0 +1,142 @@
+"""Logs that hold only some passes of the control loop, and by how much the kept ones differ from all.
+
+The gyro is sampled on a clock of its own: at 1 kHz and 400 passes a second, passes see two and three samples in turn.
+The D term divides the change of the gyro by one and the same interval, so that it alternates by ±20 % behind its
+filter, and the newest sample is older in one pass than in the next. What a log keeps, every second pass say, is then
+not the mean of what drove the motors, while noise does not show it.
+
+Sources: AC_PID.cpp and AP_InertialSensor.cpp (wait_for_sample) of ArduPilot; mode_systemid.cpp for what is logged in
+System Identification mode; SCHED_LOOP_RATE, INS_GYRO_RATE, LOG_BITMASK and LOG_FILE_RATEMAX at
+https://ardupilot.org/copter/docs/parameters.html.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.record import Recording
+from greybox.logs.ardupilot.filters import CONTROLLERS, named_filters
+
+Array = NDArray[np.float64]
+
+GYRO_RATE = 1000.0  # Hz, of INS_GYRO_RATE 0; 1, 2, 3 double it as often
+EVERY_PASS = 1.25  # passes a sample of the log, below which it has them all: the rate of the loop is kept within 10 %
+FAST, MEDIUM = 1, 2  # bits of LOG_BITMASK for attitude
+PHASES, PASSES = 20, 240  # tried between gyro and loop; passes of which the mean is taken, a multiple of 2 to 6
+
+# Of an error whose size is known and whose sign is not: between both it is taken as uniform, since the clocks of gyro
+# and loop drift and passes change their roles. Uniform between ±1, the standard deviation is 1/√3.
+DRIFTING = 1 / math.sqrt(3)
+
+
+@dataclass(frozen=True)
+class Thinning:
+    """A log of every `kept`-th pass.
+
+    Attributes
+    ----------
+    loop, logged : float, Hz
+    kept : int
+    count : float
+        Root mean square of the difference in gyro samples between the kept passes and all, as a share of their number.
+    age : float, s
+        The same of the age of the newest sample.
+    cure : str
+        How to log every pass, in words.
+    """
+
+    loop: float
+    logged: float
+    kept: int
+    count: float
+    age: float
+    cure: str
+
+    def __str__(self) -> str:
+        return (
+            f"every {_ordinal(self.kept)} pass of the control loop was logged ({self.logged:.4g} of {self.loop:g} Hz)"
+        )
+
+
+def thinning(recording: Recording, signal: str, start: float, end: float) -> Thinning | None:
+    """Return how a signal was thinned from `start` to `end`, s; None where every pass is there, or it is not known."""
+    parameters = recording.metadata.get("parameters", {})
+    loop = float(parameters.get("SCHED_LOOP_RATE", 0))
+    record, _ = recording.locate(signal)
+    time = record.time[(record.time >= start) & (record.time <= end)]
+    if loop <= 0 or time.size < 3 or "INS_GYRO_FILTER" not in parameters:
+        return None
+    logged = 1 / float(np.median(np.diff(time)))
+    if loop < EVERY_PASS * logged:
+        return None
+    kept = round(loop / logged)
+    gyro = GYRO_RATE * 2 ** int(parameters.get("INS_GYRO_RATE", 0))
+    count, age = _differences(gyro / loop, kept)
+    mode = next((name for moment, name in reversed(recording.metadata.get("modes", ())) if moment <= start), "")
+    return Thinning(loop, logged, kept, count, age / gyro, _cure(parameters, mode))
+
+
+def thinning_error(found: Thinning, recording: Recording, axis: str, response: FrequencyResponse) -> Array:
+    """Return the standard error of a response from a control to an angle or a rate, relative to it, (n,).
+
+    The D term's share of the control follows from the gains of the rate controller and from the response itself.
+    """
+    parameters = recording.metadata.get("parameters", {})
+    s = 1j * response.omega
+    gain = float(parameters.get(f"ATC_RAT_{CONTROLLERS.get(axis, '')}_D", 0))
+    share = gain * s * response.response * _first_order(named_filters(recording, axis).get("d-term-filter", ()), s)
+    if response.units.get(response.output) == "rad":
+        share = share * s * _second_order(float(parameters["INS_GYRO_FILTER"]), s)
+    d_term = np.abs(share) * found.count * _passed(parameters, axis, found.loop)
+    return DRIFTING * np.hypot(d_term, response.omega * found.age)
+
+
+def _differences(per_pass: float, kept: int) -> tuple[float, float]:
+    """Return by how much kept passes differ from all, in the number of gyro samples and in the age of the newest."""
+    j = np.arange(PASSES + 1) * per_pass
+    times = j + np.arange(PHASES)[:, None] / PHASES
+    counts = np.diff(np.floor(times + 1e-9), axis=1)
+    ages = (times - np.floor(times + 1e-9))[:, 1:]
+    return tuple(  # type: ignore[return-value]
+        float(np.sqrt(np.mean((values[:, ::kept].mean(axis=1) - values.mean(axis=1)) ** 2)) / scale)
+        for values, scale in ((counts, per_pass), (ages, 1.0))
+    )
+
+
+def _passed(parameters: Mapping[str, float], axis: str, loop: float) -> float:
+    """Return what the D term's filter, at the rate of the loop, leaves of an alternation from pass to pass."""
+    cutoff = float(parameters.get(f"ATC_RAT_{CONTROLLERS.get(axis, '')}_FLTD", 0))
+    alpha = 1 / (1 + loop / (2 * math.pi * cutoff)) if cutoff > 0 else 1.0
+    return alpha / (2 - alpha)
+
+
+def _first_order(filters: tuple, s: NDArray[np.complexfloating]) -> NDArray[np.complexfloating]:
+    result = np.ones_like(s)
+    for known in filters:
+        result = result / (1 + s / (2 * math.pi * known.cutoff))
+    return result
+
+
+def _second_order(cutoff: float, s: NDArray[np.complexfloating]) -> NDArray[np.complexfloating]:
+    x = s / (2 * math.pi * cutoff)
+    return 1 / (x**2 + math.sqrt(2) * x + 1)
+
+
+def _cure(parameters: Mapping[str, float], mode: str) -> str:
+    """Return how to log every pass."""
+    if parameters.get("LOG_FILE_RATEMAX", 0) > 0:
+        return f"set LOG_FILE_RATEMAX 0 (it is {parameters['LOG_FILE_RATEMAX']:g} Hz)"
+    mask = int(parameters.get("LOG_BITMASK", 0))
+    if mode == "SYSTEMID":
+        wanted, bits = mask | FAST | MEDIUM, "fast and medium attitude: System Identification mode needs both"
+    else:
+        wanted, bits = mask | FAST, "fast attitude"
+    return f"set LOG_BITMASK {wanted} ({bits})" if wanted != mask else "log to a faster card, or lower SCHED_LOOP_RATE"
+
+
+def _ordinal(number: int) -> str:
+    return {2: "second", 3: "third"}.get(number, f"{number}th")

@@ -1,0 +1,82 @@
+"""A thinned log, held against a loop that is run sample by sample with its gyro on a clock of its own."""
+
+import math
+
+import numpy as np
+import pytest
+
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.record import Record, Recording
+from greybox.logs.ardupilot.loop_rate import thinning, thinning_error
+
+LOOP, GYRO = 400.0, 1000.0
+SETTINGS = {"SCHED_LOOP_RATE": LOOP, "INS_GYRO_FILTER": 20.0, "ATC_RAT_PIT_D": 0.01, "ATC_RAT_PIT_FLTD": 20.0}
+
+
+def log(rate, **more):
+    time = np.arange(0, 20, 1 / rate)
+    modes = ((0.0, "SYSTEMID"),) if more.pop("systemid", False) else ((0.0, "STABILIZE"),)
+    return Recording({"RATE": Record(time, {"POut": time})}, metadata={"parameters": SETTINGS | more, "modes": modes})
+
+
+def test_a_complete_log_has_no_such_error():
+    assert thinning(log(400), "RATE.POut", 0, 20) is None
+    assert thinning(log(360), "RATE.POut", 0, 20) is None
+
+
+@pytest.mark.parametrize(("gyro", "kept", "share"), [(0, 2, 0.2), (0, 3, 0.0), (0, 4, 0.2), (1, 2, 0.0)])
+def test_kept_passes_differ_where_the_gyro_does_not_fit_the_loop(gyro, kept, share):
+    """1 kHz at 400 Hz are two and three samples in turn; 2 kHz are five in every pass."""
+    found = thinning(log(400 / kept, INS_GYRO_RATE=gyro), "RATE.POut", 0, 20)
+    assert found.kept == kept
+    assert found.count == pytest.approx(share, abs=1e-12)
+
+
+def test_the_error_is_that_of_a_simulated_loop():
+    """The D term of a sine from a filtered gyro: amplitude in every second pass against that in all."""
+    omega, seconds = 12.0, 60
+    ticks = np.arange(seconds * int(GYRO))
+    angle = np.sin(omega * ticks / GYRO)
+    step = 1 / GYRO
+    wc = 2 * math.pi * 20
+    filtered, x, v = np.empty(ticks.size), 0.0, 0.0
+    for k, rate in enumerate(np.gradient(angle, step)):  # the second-order filter, by small steps
+        v += step * (wc**2 * (rate - x) - math.sqrt(2) * wc * v)
+        x += step * v
+        filtered[k] = x
+    newest = np.floor(np.arange(1, seconds * int(LOOP)) * GYRO / LOOP + 0.3).astype(int)
+    raw = np.diff(filtered[newest]) * LOOP
+    alpha = 1 / (1 + LOOP / (2 * math.pi * 20))
+    d, term = 0.0, np.empty(raw.size)
+    for k, value in enumerate(raw):
+        d += alpha * (value - d)
+        term[k] = d
+    t = np.arange(2, seconds * int(LOOP)) / LOOP
+    kept = slice(2001, None, 2)
+    amplitudes = [2 * np.mean(term[rows] * np.exp(-1j * omega * t[rows])) for rows in (slice(2000, None), kept)]
+    measured = abs(amplitudes[1] / amplitudes[0] - 1)
+
+    # A plant whose control is all D term: P = 1 / (0.01 s² F), F both filters.
+    s = 1j * omega
+    low_pass = wc**2 / (s**2 + math.sqrt(2) * wc * s + wc**2)
+    plant = 1 / (0.01 * s**2 * low_pass / (1 + s / (2 * math.pi * 20)))
+    response = FrequencyResponse([omega], [plant], "u", "theta", units={"theta": "rad"})
+    flown = log(200)
+    found = thinning(flown, "RATE.POut", 0, 20)
+    stated = float(thinning_error(found, flown, "pitch", response)[0])
+    assert 0.5 * stated < measured < math.sqrt(3) * stated * 1.05  # uniform between the largest and its negative
+
+
+@pytest.mark.parametrize(
+    ("settings", "cure"),
+    [
+        ({"LOG_BITMASK": 137117, "systemid": True}, "set LOG_BITMASK 137119 (fast and medium attitude"),
+        ({"LOG_BITMASK": 2}, "set LOG_BITMASK 3 (fast attitude)"),
+        ({"LOG_BITMASK": 3, "LOG_FILE_RATEMAX": 200.0}, "set LOG_FILE_RATEMAX 0 (it is 200 Hz)"),
+        ({"LOG_BITMASK": 3}, "log to a faster card"),
+    ],
+)
+def test_the_answer_says_how_to_log_instead(settings, cure):
+    found = thinning(log(200, **settings), "RATE.POut", 0, 20)
+    assert cure in found.cure
+    assert str(found) == "every second pass of the control loop was logged (200 of 400 Hz)"
