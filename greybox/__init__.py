@@ -90,6 +90,7 @@ from greybox.simulation import simulate as simulate
 from greybox.solve.cost import cost as cost
 from greybox.study import batch as batch
 from greybox.validation import compare as compare
+from greybox.validation import reduce as reduce
 
 __version__ = "0.1.0"
 

@@ -14,8 +14,8 @@ NAMES = """
 Collocation Controller Criterion Fit FrequencyResponse Integrator MagnitudePhase MaximumLikelihood MultipleShooting
 OutputError Parameter PredictionError Problem Profiles Record RelativeError RelativeLikelihood Rosenbrock RungeKutta
 SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion TransferFunction Transcription batch compare cost
-feedback fit
-frequency_response identify load plot predict prepare profile read read_response save several simulate virtual_flight
+feedback fit frequency_response identify load plot predict prepare profile read read_response reduce save several
+simulate virtual_flight
 """.split()
 
 FORMULAS = """
@@ -41,7 +41,7 @@ NAMESPACES = {
     "spectral": "FiniteFrequency Quality check demodulate finite_frequency periodic_response spectral_response "
     "transient_spectrum",
     "study": "Member Study StudyMember batch read_study",
-    "validation": "Comparison NestedTest compare nested_test",
+    "validation": "Comparison NestedTest Reduction compare nested_test reduce",
 }
 EVERYTHING = [(gb, name) for name in (*NAMES, *FORMULAS)]
 EVERYTHING += [(getattr(gb, space), name) for space, names in NAMESPACES.items() for name in names.split()]

@@ -13,8 +13,9 @@ written with `functions`. One formula has several readings:
 - `realization` turns a model into differential equations, `integrators` and `implicit_integrators` step
   them, and `step_size` is the rule for the number of their steps.
 
-`known_systems` are linear models whose numbers are known, such as a filter; `model_reference` names a model in a stored
-result, `model_file` finds the models in a file of one's own.
+`known_systems` are linear models whose numbers are known, such as a filter; `limit` is a transfer function with a
+parameter at zero or infinity; `model_reference` names a model in a stored result, `model_file` finds the models in a
+file of one's own.
 """
 
 from greybox.modeling.implicit_integrators import ImplicitIntegrator as ImplicitIntegrator

@@ -25,6 +25,9 @@ from greybox.validation.same_data import (
 RATIO_TOLERANCE = 1e-3
 RELATIVE_COST_TOLERANCE = 1e-9
 
+# Relative eigenvalue below which the data do not see a direction of parameter space: that of rounding, twice.
+RANK = 1e-14
+
 # What scales a ratio, in words.
 IN_TIME = "residuals that are correlated in time"
 BEYOND = "residuals beyond the given variance"
@@ -186,6 +189,24 @@ def nested_test_at(place: Nesting, small: Fit, large: Fit, labels: tuple[str, st
         statistic = float(difference @ np.linalg.solve(C, difference)) / r if H.size else 0.0
     p_value = _p_value(statistic, r, large.dof, on_bound=len(place.on_bound) == 1)
     return NestedTest(*labels, place.terms, ratio, scale, statistic, (r, large.dof), p_value, reason)
+
+
+def ratio_test(small: Fit, large: Fit, terms: tuple[str, ...], labels: tuple[str, str]) -> NestedTest:
+    """Test a fit of responses against a larger one that is known to contain it, if only as a limit.
+
+    There the larger one has no direction that leaves the smaller, so the scale is the mean over all that it determines.
+    """
+    removed = len(large.free) - len(small.free)
+    known = large.directions
+    if known is None or large.white is None or not large.dof > 0:
+        raise ValueError(f"the data leave {labels[1]} no degrees of freedom: nothing can be tested.")
+    inverse = np.linalg.pinv(large.white / np.outer(known.size, known.size), rcond=RANK, hermitian=True)
+    product = inverse @ (known.covariance / np.outer(known.size, known.size))
+    scale = float(np.trace(product)) / max(np.linalg.matrix_rank(inverse, tol=0.0), 1)
+    ratio = 2 * (small.cost - large.cost)
+    statistic = max(ratio, 0.0) / (scale * removed)
+    p_value = _p_value(statistic, removed, large.dof, on_bound=False)
+    return NestedTest(*labels, terms, ratio, scale, statistic, (removed, large.dof), p_value, SIZE)
 
 
 def _scaled_for(fit: Fit) -> str:
