@@ -12,6 +12,7 @@ from greybox.data.json_numbers import finite
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.data.text_table import number, text_table
+from greybox.logs.flight_controllers import axis_of
 from greybox.logs.readers import read
 from greybox.logs.segment_detection import announcing
 
@@ -41,7 +42,8 @@ def run(options: argparse.Namespace) -> Answer:
     answer = {
         "log": recording.source,
         "checksum": recording.checksum,
-        **{key: recording.metadata.get(key) for key in ("vehicle", "firmware")},
+        **{key: recording.metadata.get(key) for key in ("vehicle", "firmware", "frame", "board")},
+        "modes": [[time, name] for time, name in recording.metadata.get("modes", ())],
         "armed": [list(span) for span in recording.metadata.get("armed", ())],
         "messages": [_message(name, record) for name, record in recording.items()],
         "segments": [segment_as_json(segment) for segment in segments],
@@ -53,8 +55,15 @@ def run(options: argparse.Namespace) -> Answer:
 
 
 def _following(recording: Recording, segments: Sequence[Segment], options: argparse.Namespace) -> str:
-    """Return the command to type next, where there is something to identify."""
-    words = ["greybox", "identify", options.log]
+    """Return the command to type next, where there is something to identify.
+
+    A table does not say which of its columns is what.
+    """
+    signals = [f"{name}.{field}" for name, record in recording.items() for field in record.signals]
+    if any(axis_of(signal) for signal in signals):
+        words = ["greybox", "identify", options.log]
+    else:
+        words = ["greybox", "response", options.log, "--input", "u=SIGNAL", "--output", "theta=SIGNAL"]
     for flag, value in (("--announced", options.announced), ("--setpoint", options.setpoint)):
         words += [flag, value] if value else []
     words += ["--fields", *options.fields] if options.fields else []
@@ -72,6 +81,12 @@ def _about(recording: Recording) -> str:
     about = recording.metadata
     words = [recording.source, f"SHA-256 {recording.checksum[:16]}..."]
     words += [str(about[key]) for key in ("vehicle", "firmware") if about.get(key)]
+    words += [f"{key} {about[key]}" for key in ("frame", "board") if about.get(key)]
+    words += (
+        [f"modes {', '.join(f'{name} from {time:.1f} s' for time, name in about['modes'])}"]
+        if about.get("modes")
+        else []
+    )
     words += [f"armed {start:.1f} to {end:.1f} s" for start, end in about.get("armed", ())]
     words += [f"{len(about['parameters'])} parameters"] if about.get("parameters") else []
     return "\n".join(words)

@@ -78,7 +78,7 @@ def _share(omega: Array, response: Complex, u: float, found: Harmonics) -> float
     return float(np.sqrt(np.sum(excess**2)) / u)
 
 
-def _read_off(omega: Array, response: Complex, at: Array) -> Complex:
+def _read_off(omega: Array, response: Complex, at: NDArray[np.floating]) -> Complex:
     """Return the response at other frequencies: straight lines of log magnitude and phase over log frequency."""
     x, wanted = np.log(omega), np.log(at)
     known = np.log(np.abs(response)) + 1j * np.unwrap(np.angle(response))

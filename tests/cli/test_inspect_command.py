@@ -1,6 +1,7 @@
 """`greybox inspect` says what a log holds."""
 
 import json
+import math
 from importlib.resources import files
 
 import pytest
@@ -13,7 +14,8 @@ PITCH = ["--announced", "SINE", "--input", "u=RATE.POut", "--output", "theta=ATT
 def test_inspect_says_what_a_log_holds(capsys, tmp_path):
     status, out, _ = run(capsys, "inspect", LOG, "--announced", "SINE", "--plot", tmp_path / "log.png")
     assert status == 0
-    for words in ("ArduCopter", "ATT", "RATE", "20.11", "sitl_pitch.BIN"):
+    assert out.splitlines()[-1] == f"next: greybox identify {LOG} --announced SINE"
+    for words in ("ArduCopter", "frame QUAD/PLUS", "modes GUIDED from", "ATT", "RATE", "20.11", "sitl_pitch.BIN"):
         assert words in out
     assert (tmp_path / "log.png").read_bytes().startswith(b"\x89PNG")
 
@@ -30,3 +32,12 @@ def test_without_an_announcement_the_tests_are_found_in_the_setpoint(capsys):
     answer = json.loads(run(capsys, "inspect", LOG, "--setpoint", "ATT.DesPitch", "--json")[1])
     found = [s["omega"] for s in answer["segments"] if s["usable"]]
     assert found == pytest.approx([20.11, 16.01, 12.03, 8, 5.34, 4, 3.5, 3, 2, 1], rel=0.01)
+
+
+def test_the_next_command_for_a_table_names_what_it_needs(capsys, tmp_path):
+    time = [0.01 * k for k in range(3000)]
+    rows = "\n".join(f"{t},{math.sin(3 * t)},{math.cos(3 * t)}" for t in time)
+    (tmp_path / "flight.csv").write_text(f"time,r,y\n{rows}\n")
+    out = run(capsys, "inspect", tmp_path / "flight.csv")[1]
+    expected = f"next: greybox response {tmp_path / 'flight.csv'} --input u=SIGNAL --output theta=SIGNAL"
+    assert out.splitlines()[-1] == expected

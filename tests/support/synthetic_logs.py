@@ -198,6 +198,8 @@ def ulog(seconds=2.0, rate=100):
     put("F", b"vehicle_status:uint64_t timestamp;uint8_t arming_state;uint8_t nav_state;")
     key("I", b"char[3] sys_name", b"PX4")
     key("I", b"char[8] ver_sw", b"29f5e2a1")
+    key("I", b"uint32_t ver_sw_release", struct.pack("<I", 0x010E03FF))
+    key("I", b"char[10] ver_hw", b"PX4_FMU_V5")
     key("P", b"float MC_PITCH_P", struct.pack("<f", 6.5))
     key("P", b"int32_t CBRK_IO", struct.pack("<i", 4))
     topics = (b"vehicle_attitude", 0), (b"sensor_accel", 0), (b"sensor_accel", 1), (b"vehicle_status", 0)

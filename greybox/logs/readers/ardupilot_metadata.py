@@ -1,6 +1,7 @@
 """Metadata of an ArduPilot log: vehicle, firmware, parameters, modes, arming; its names of units."""
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -17,6 +18,13 @@ VEHICLES = {  # the firmware's name for itself, and its MAV_TYPE of MAVLink, by 
     "AntennaTracker": 5,
     "Blimp": 7,
 }
+FORMER_NAMES = {"APM:Copter": "ArduCopter", "APM:Plane": "ArduPlane", "APM:Rover": "ArduRover", "APM:Sub": "ArduSub"}
+FRAME_CLASSES: Mapping[float, str] = dict(
+    enumerate(("QUAD", "HEXA", "OCTA", "OCTAQUAD", "Y6", "HELI", "TRI", "SINGLE", "COAX"), start=1)
+)
+FRAME_TYPES: Mapping[float, str] = {0: "PLUS", 1: "X", 2: "V", 3: "H"}
+# The board and the serial number of its processor, as ``CubeOrange 0036002A 30325105 37383433``.
+BOARD = re.compile(r"(\S+) [0-9A-F]{8} [0-9A-F]{8} [0-9A-F]{8}")
 EVENT_ARMED, EVENT_DISARMED = 10, 11  # EV.Id, ArduPilot's LogEvent
 UNITS = {  # of the log, where greybox writes them differently
     "degheading": "deg",
@@ -50,6 +58,8 @@ def metadata(groups: Iterable[Messages], span: tuple[float, float]) -> dict[str,
         **_parameters(by_name.get("PARM")),
         "texts": _texts(by_name.get("MSG")),
     }
+    said = by_name["MSG"].texts.get("Message", ()) if "MSG" in by_name else ()
+    known |= frame_and_board(said, known.get("parameters", {}))
     known["modes"] = _modes(by_name.get("MODE"), known.get("vehicle", ""))
     known["armed"] = armed_intervals(_arming(by_name), span)
     return {key: value for key, value in known.items() if value}
@@ -81,10 +91,33 @@ def _firmware(by_name: Mapping[str, Messages]) -> dict[str, Any]:
     said = list(by_name["VER"].texts.get("FWS", ())) if "VER" in by_name else []
     said += by_name["MSG"].texts.get("Message", ()) if "MSG" in by_name else ()
     for text in said:
-        vehicle = text.split(" ")[0]
-        if vehicle in VEHICLES:
+        vehicle = vehicle_in(text)
+        if vehicle:
             return {"vehicle": vehicle, "firmware": text}
     return {}
+
+
+def vehicle_in(text: str) -> str:
+    """Return the vehicle whose firmware a text names, as ``APM:Copter V3.4-rc2`` does; empty for other texts."""
+    name = text.partition(" ")[0]
+    name = FORMER_NAMES.get(name, name)
+    return name if name in VEHICLES else ""
+
+
+def frame_and_board(texts: Iterable[str], parameters: Mapping[str, float]) -> dict[str, str]:
+    """Return the frame, as ``QUAD/X``, and the board, as far as texts or parameters tell."""
+    frame = board = ""
+    for text in texts:
+        frame = frame or (text.removeprefix("Frame: ") if text.startswith("Frame: ") else "")
+        match = BOARD.fullmatch(text.strip())
+        board = board or (match[1] if match else "")
+    if not frame and "FRAME_CLASS" in parameters:
+        kind = FRAME_CLASSES.get(parameters["FRAME_CLASS"], "")
+        shape = FRAME_TYPES.get(parameters.get("FRAME_TYPE", math.nan), "")
+        frame = "/".join(part for part in (kind, shape) if part)
+    elif not frame and "FRAME" in parameters:  # before version 3.5, whose firmware is made for one class
+        frame = FRAME_TYPES.get(parameters["FRAME"], "")
+    return {"frame": frame, "board": board}
 
 
 def _parameters(parm: Messages | None) -> dict[str, Any]:

@@ -121,7 +121,7 @@ def _numbers(values: Sequence[str]) -> NDArray[np.float64]:
 
 def _banner(lines: Lines) -> list[Messages]:
     """Return the line in which an old log names its firmware, as a text message."""
-    said = [line for line in lines.other if line.split(" ")[0] in ardupilot_metadata.VEHICLES][:1]
+    said = [line for line in lines.other if ardupilot_metadata.vehicle_in(line)][:1]
     if not said or "MSG" in lines.bodies:
         return []
     return [Messages("MSG", np.zeros(1, dtype=np.int64), None, {}, {"Message": said})]

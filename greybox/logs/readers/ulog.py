@@ -1,9 +1,13 @@
 """PX4 logs (.ulg), through pyulog, which the extra ``px4`` installs."""
 
+import re
 from collections.abc import Collection, Iterable, Mapping
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from greybox.data.record import Record, Recording
 from greybox.logs.readers import named_arrays
@@ -31,6 +35,12 @@ MODES = {  # vehicle_status.nav_state
     22: "AUTO_VTOL_TAKEOFF",
 }
 STATUS = "vehicle_status"
+QUATERNIONS = {"vehicle_attitude": "q", "vehicle_attitude_setpoint": "q_d"}
+RATES = {  # fields in rad/s
+    "vehicle_angular_velocity": r"xyz\[\d\]",
+    "vehicle_rates_setpoint": "roll|pitch|yaw",
+    "vehicle_attitude": "(roll|pitch|yaw)speed",
+}
 
 
 def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
@@ -46,7 +56,8 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     -------
     Recording
         Times in s since the vehicle's start, SI values; a PX4 log knows no units. Elements of arrays are signals
-        ``q[0]``, ``q[1]`` ...; several instances of a topic are named ``sensor_accel[0]``, ``sensor_accel[1]``.
+        ``q[0]``, ``q[1]`` ...; of attitudes and their setpoints the angles roll, pitch and yaw are added. Several
+        instances of a topic are named ``sensor_accel[0]``, ``sensor_accel[1]``.
 
     Raises
     ------
@@ -63,7 +74,11 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     whole = named_arrays.recording(path, found, None, found.about["parameters"])
     topics = {name: name.partition("[")[0] for name in whole}
     about = {**_about(found.about), **(_states(whole[STATUS]) if STATUS in topics.values() else {})}
-    kept = {name: record for name, record in whole.items() if asked is None or topics[name] in asked}
+    kept = {
+        name: _with_angles(topics[name], record)
+        for name, record in whole.items()
+        if asked is None or topics[name] in asked
+    }
     missing = tuple(f"there is no topic {name}." for name in sorted({*(asked or ())} - {*topics.values()}))
     return Recording(kept, whole.source, whole.checksum, about, (*missing, *whole.findings))
 
@@ -72,12 +87,47 @@ def _about(said: Mapping[str, Any]) -> dict[str, Any]:
     info = said["info"]
     known = {
         "vehicle": info.get("sys_name"),
-        "firmware": info.get("ver_sw"),
+        "firmware": _firmware(info),
+        "board": info.get("ver_hw"),
+        "frame": f"airframe {airframe:g}" if (airframe := said["parameters"].get("SYS_AUTOSTART")) else None,
         "parameters": {name: float(value) for name, value in said["parameters"].items()},
         "defaults": {name: float(value) for name, value in said["defaults"].items()},
         "texts": tuple((ticks / 1e6, text) for ticks, text in said["texts"]),
     }
     return {key: value for key, value in known.items() if value}
+
+
+def _firmware(info: Mapping[str, Any]) -> str | None:
+    """Return the release and the commit, as ``v1.14.3 (29f5e2a1)``."""
+    commit, release = info.get("ver_sw"), info.get("ver_sw_release")
+    if not isinstance(release, int) or not release:
+        return commit
+    version = ".".join(str(release >> bits & 0xFF) for bits in (24, 16, 8))
+    return f"v{version} ({commit})" if commit else f"v{version}"
+
+
+def _with_angles(name: str, record: Record) -> Record:
+    """Add roll, pitch and yaw, rad, to a record of quaternions, and the units of known fields."""
+    units = {field: "rad/s" for field in record.signals if re.fullmatch(RATES.get(name, ""), field)}
+    q = [record.signals.get(f"{QUATERNIONS.get(name, '')}[{k}]") for k in range(4)]
+    angles: dict[str, Any] = {}
+    if not any(part is None for part in q):
+        w, x, y, z = (np.asarray(part) for part in q)
+        angles = {
+            "roll": np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
+            "pitch": np.arcsin(np.clip(2 * (w * y - z * x), -1, 1)),
+            "yaw": np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
+        }
+        angles = {name: values for name, values in angles.items() if name not in record.signals}
+    hold = {
+        angle: record.hold[f"{QUATERNIONS[name]}[0]"] for angle in angles if f"{QUATERNIONS[name]}[0]" in record.hold
+    }
+    return replace(
+        record,
+        signals={**record.signals, **angles},
+        units={**record.units, **units, **dict.fromkeys(angles, "rad")},
+        hold={**record.hold, **hold},
+    )
 
 
 def _states(status: Record) -> dict[str, Any]:

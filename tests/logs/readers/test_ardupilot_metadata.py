@@ -46,6 +46,7 @@ def test_what_a_log_says_about_its_vehicle():
     assert metadata(log, (0.5, 9.0)) == {
         "vehicle": "ArduCopter",
         "firmware": "ArduCopter V4.5.1 (abc)",
+        "frame": "H",
         "parameters": {"INS_GYRO_FILTER": 20.0, "FRAME": 3.0},
         "defaults": {"INS_GYRO_FILTER": 20.0},
         "texts": ((0.5, "ArduCopter V4.5.1 (abc)"),),
@@ -53,6 +54,30 @@ def test_what_a_log_says_about_its_vehicle():
         "armed": ((1.0, 8.0),),
     }
     assert metadata([], (0.0, 0.0)) == {}
+
+
+@pytest.mark.parametrize(
+    ("texts", "parameters", "expected"),
+    [
+        (["APM:Copter V3.4-rc2 (cb1ff4c)", "PX4: 8d505a02", "PX4v2 00390026 30365105 33343234"], {"FRAME": 1.0},
+         ("ArduCopter", "X", "PX4v2")),
+        (["ArduCopter V4.6.0 (fbb78585)", "Frame: QUAD/PLUS"], {"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0},
+         ("ArduCopter", "QUAD/PLUS", None)),
+        (["ArduPlane V4.5.7 (abc)", "CubeOrange 0036002A 30325105 37383433"], {}, ("ArduPlane", None, "CubeOrange")),
+        (["hello"], {"FRAME_CLASS": 2.0, "FRAME_TYPE": 1.0}, (None, "HEXA/X", None)),
+    ],
+)  # fmt: skip
+def test_vehicle_frame_and_board_of_old_logs_too(texts, parameters, expected):
+    values = {"Value": np.array(list(parameters.values()))}
+    log = [
+        messages("MSG", [0.5] * len(texts), texts={"Message": texts}),
+        messages("PARM", [0] * len(parameters), values, {"Name": list(parameters)}),
+        messages("MODE", [1], {"Mode": np.array([5.0])}),
+    ]
+    about = metadata(log, (0.5, 9.0))
+    assert (about.get("vehicle"), about.get("frame"), about.get("board")) == expected
+    if expected[0] == "ArduCopter":
+        assert about["modes"] == ((1.0, "LOITER"),)
 
 
 def test_units_are_written_as_greybox_writes_them():

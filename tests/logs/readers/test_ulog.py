@@ -26,6 +26,10 @@ def test_topics_are_records(saved):
     attitude = recording["vehicle_attitude"]
     np.testing.assert_allclose(attitude.time, 2 + np.arange(200) / 100)
     np.testing.assert_array_equal(attitude["q[2]"], np.sin(0.1 * np.arange(200)).astype("f4"))
+    # The quaternion (1, 0, sin, 0), normalized, is a pitch of twice the arc tangent of its ratio.
+    q = attitude["q[2]"][:10]
+    np.testing.assert_allclose(np.sin(attitude["pitch"][:10]), np.clip(2 * q, -1, 1), atol=1e-6)
+    assert attitude.units["pitch"] == "rad"
     np.testing.assert_allclose(recording["sensor_accel[1]"]["x"], 10.81)
     assert recording.findings == ()
 
@@ -36,7 +40,8 @@ def test_metadata(saved):
     assert list(recording) == ["vehicle_attitude"]
     assert recording.findings == ("there is no topic vehicle_gps_position.",)
     about = recording.metadata
-    assert (about["vehicle"], about["firmware"]) == ("PX4", "29f5e2a1")
+    assert (about["vehicle"], about["firmware"]) == ("PX4", "v1.14.3 (29f5e2a1)")
+    assert about["board"] == "PX4_FMU_V5"
     assert about["parameters"] == {"MC_PITCH_P": 7, "CBRK_IO": 4}
     assert about["texts"] == ((2.1, "[commander] Takeoff detected"),)
     assert about["modes"] == ((2, "POSCTL"), (3, "STAB"))
