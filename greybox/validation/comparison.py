@@ -19,6 +19,11 @@ PARTS = "parts"
 SIGNIFICANT = 0.05
 
 
+# Rows of the table beyond which its text leaves out details: what a page holds beside titles and sentences.
+PAGE = 45
+MOST_SIGNALS = 3  # that an output is shown to be correlated with: the largest findings
+
+
 @dataclass(frozen=True)
 class Row:
     """One measure, for every fit: None where it is not known or does not exist.
@@ -33,6 +38,11 @@ class Row:
     measure, unit : str
     values : tuple of float or None
         In the order of the fits.
+    signal : str
+        Of a p-value of no correlation between the errors of the output and a signal, that signal; of what belongs to
+        such a row too.
+    is_detail : bool
+        Whether the text leaves it out where it would be longer than a page.
     """
 
     data: str
@@ -40,6 +50,13 @@ class Row:
     measure: str
     unit: str
     values: tuple[float | None, ...]
+    signal: str = ""
+    is_detail: bool = False
+
+    @property
+    def is_p_value(self) -> bool:
+        """Whether it is a p-value."""
+        return self.measure.endswith("(p)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +124,8 @@ class Comparison:
     def __str__(self) -> str:
         lines = [f"Comparison of {', '.join(self.labels)}", "", f"  data  {self.data}", ""]
         lines += [f"  {self.verdict}", ""] if self.verdict else []
-        lines += self._section([r for r in self.rows if r.data == "fit"])
+        shown = self._shown()
+        lines += self._section([r for r in shown if r.data == "fit"])
         for data, title in ((FREQUENCIES, "left-out frequencies"), (PARTS, "left-out responses")):
             rows = [r for r in self.rows if r.data == data]
             lines += [f"  {title}, predicted by the fit to the others", "", *self._section(rows)] if rows else []
@@ -116,8 +134,17 @@ class Comparison:
             if rows:
                 lines += [f"  {data} data: {self._windows(data)}", ""]
             for output in dict.fromkeys(r.output for r in rows):
-                lines += self._section([r for r in rows if r.output == output], output)
+                lines += self._section([r for r in shown if r.data == data and r.output == output], output)
+        if len(shown) < len(self.rows):
+            lines += [f"  The most telling {len(shown)} of {len(self.rows)} rows; `table` has all.", ""]
         return "\n".join([*lines, *(f"  {text}" for text in self.statements)]).rstrip()
+
+    def _shown(self) -> list[Row]:
+        """Return the rows of the text: correlated signals first, and no details beyond a page."""
+        outputs = dict.fromkeys((r.data, r.output) for r in self.rows)
+        of_outputs = {key: [r for r in self.rows if (r.data, r.output) == key] for key in outputs}
+        shown = [row for rows in of_outputs.values() for row in _without_uncorrelated(rows)]
+        return shown if len(shown) <= PAGE else [row for row in shown if not row.is_detail]
 
     def _repr_html_(self) -> str:
         rows = [[r.data, r.output, r.measure, r.unit, *(_cell(v) for v in r.values)] for r in self.rows]
@@ -147,6 +174,30 @@ class Comparison:
         cells = [[r.measure, r.unit, *(_cell(v) for v in r.values)] for r in rows]
         table = text_table([title, "", *self.labels], cells, left=(0, 1))
         return [*("  " + line for line in table.splitlines()), ""]
+
+
+def _without_uncorrelated(rows: Sequence[Row]) -> list[Row]:
+    """Return the rows of one output with the signals that its errors are most clearly correlated with, first.
+
+    The others are one row with the least of their p-values. Many signals are many tests: a p-value counts below its
+    share of the limit (Bonferroni).
+    """
+    signals = list(dict.fromkeys(r.signal for r in rows if r.signal))
+    least = {
+        name: min(v for r in rows if r.signal == name and r.is_p_value for v in (*r.values, 1.0) if v is not None)
+        for name in signals
+    }
+    found = [name for name in sorted(signals, key=lambda name: least[name]) if least[name] < SIGNIFICANT / len(signals)]
+    told = found[:MOST_SIGNALS]
+    result = [r for r in rows if not r.signal] + [r for name in told for r in rows if r.signal == name]
+    others = [r for r in rows if r.signal and r.signal not in told and r.is_p_value]
+    if len(others) > 1:
+        columns = zip(*(r.values for r in others), strict=True)
+        values = tuple(min((v for v in column if v is not None), default=None) for column in columns)
+        row = others[0]
+        result.append(Row(row.data, row.output, f"  {len(others)} other signals (least p)", "", values))
+        return result
+    return result + [r for r in rows if r.signal and r.signal not in told]
 
 
 def _cell(value: float | None) -> str:

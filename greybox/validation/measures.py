@@ -138,8 +138,10 @@ class _Output:
         """Whether one of its records has a time."""
         return any(p.data.has_time for p in self.predictions[0])
 
-    def row(self, measure: str, unit: str, values: Sequence[float]) -> Row:
-        return Row(self.kind, self.name, measure, unit, _finite(values))
+    def row(
+        self, measure: str, unit: str, values: Sequence[float], signal: str = "", *, is_detail: bool = False
+    ) -> Row:
+        return Row(self.kind, self.name, measure, unit, _finite(values), signal, is_detail)
 
     def one_step(self) -> list[list[Array]]:
         """Return the errors one step ahead of every fit, in the order of time, cut where the records are."""
@@ -159,10 +161,10 @@ def _accuracy_rows(output: _Output) -> Iterator[Row]:
     coefficients = [theil(measured, predicted) for measured, predicted in pairs]
 
     yield output.row("fit", "%", [fit_percent(measured, predicted) for measured, predicted in pairs])
-    yield output.row("variance accounted for", "%", [variance_accounted_for(m, p) for m, p in pairs])
-    yield output.row("Theil's coefficient", "", [t.coefficient for t in coefficients])
+    yield output.row("variance accounted for", "%", [variance_accounted_for(m, p) for m, p in pairs], is_detail=True)
+    yield output.row("Theil's coefficient", "", [t.coefficient for t in coefficients], is_detail=True)
     for share in ("bias", "variance", "covariance"):
-        yield output.row(f"  its share of {share}", "", [getattr(t, share) for t in coefficients])
+        yield output.row(f"  its share of {share}", "", [getattr(t, share) for t in coefficients], is_detail=True)
     yield output.row("error (rms)", output.unit, [rms(measured - predicted) for measured, predicted in pairs])
 
 
@@ -176,7 +178,7 @@ def _growth_rows(output: _Output) -> Iterator[Row]:
         for of_fit in output.predictions:
             ahead = [p.residual(output.name)[:, samples_ahead(share, _horizon(p)) - 1] for p in of_fit]
             errors.append(rms(np.concatenate(ahead)))
-        yield output.row(f"  {_seconds_ahead(first, share)} s ahead", output.unit, errors)
+        yield output.row(f"  {_seconds_ahead(first, share)} s ahead", output.unit, errors, is_detail=True)
 
 
 def _one_step_rows(output: _Output, fits: Sequence[Fit]) -> Iterator[Row]:
@@ -191,7 +193,7 @@ def _one_step_rows(output: _Output, fits: Sequence[Fit]) -> Iterator[Row]:
 
 
 def _input_rows(output: _Output, fits: Sequence[Fit], outputs: Sequence[str]) -> Iterator[Row]:
-    """Yield the correlation of the errors one step ahead with every signal that is no output."""
+    """Yield the correlation of the errors one step ahead with every signal that is no output and not constant."""
     if not output.in_time:
         return
     errors = output.one_step()
@@ -199,9 +201,19 @@ def _input_rows(output: _Output, fits: Sequence[Fit], outputs: Sequence[str]) ->
         if name in outputs or not all(name in p.data.signals for of_fit in output.predictions for p in of_fit):
             continue
         signals = [[s for p in of_fit for s in _pieces(p.data, p.data[name])] for of_fit in output.predictions]
+        if all(_is_constant(of_fit) for of_fit in signals):
+            continue
         tests = [input_correlation(e, u) for e, u in zip(errors, signals, strict=True)]
-        yield output.row(f"  not correlated with {name} (p)", "", [test.p_value for test in tests])
-        yield output.row(f"  lags of {name} beyond 99 %", f"of {LAGS}", [test.outside for test in tests])
+        yield output.row(f"  not correlated with {name} (p)", "", [test.p_value for test in tests], name)
+        lags = [test.outside for test in tests]
+        yield output.row(f"  lags of {name} beyond 99 %", f"of {LAGS}", lags, name, is_detail=True)
+
+
+def _is_constant(pieces: Sequence[Array]) -> bool:
+    """Tell whether a signal has one value in all pieces."""
+    values = np.concatenate(pieces)
+    values = values[np.isfinite(values)]
+    return not values.size or float(np.ptp(values)) == 0
 
 
 def _horizon(prediction: Prediction) -> int:

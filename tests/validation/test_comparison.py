@@ -37,6 +37,25 @@ def test_it_prints_the_table_and_the_sentences():
     assert lines[-1] == "  a is better."
 
 
+def test_many_signals_fill_no_page():
+    signals = [f"u{k}" for k in range(17)]
+    rows = []
+    for data, output in ((d, o) for d in ("identification", "held-out") for o in ("p", "q", "r")):
+        rows += [Row(data, output, f"measure {k}", "", (1.0, 2.0), is_detail=k > 3) for k in range(14)]
+        for k, name in enumerate(signals):
+            p = (0.4, 1e-9 if k == 11 else 1e-4 if k == 5 else 0.2)
+            rows.append(Row(data, output, f"  not correlated with {name} (p)", "", p, name))
+            rows.append(Row(data, output, f"  lags of {name} beyond 99 %", "", (1.0, 7.0), name, is_detail=True))
+    windows = dict.fromkeys(("identification", "held-out"), ((),))
+    found = Comparison(("a", "b"), "the same for all", (*ROWS, *rows), predictions=windows, statements=())
+    text = str(found).splitlines()
+    assert len(text) < 75  # a page; all rows are 290
+    said = [line.split()[3] for line in text if line.lstrip().startswith("not correlated")]
+    assert said == ["u11", "u5"] * 6  # the largest findings, and these first
+    assert sum("15 other signals (least p)" in line for line in text) == 6
+    assert len(found.table) == len(ROWS) + 6 * 48
+
+
 def test_p_values_in_sentences():
     assert [p_text(p) for p in (0.0, 9e-5, 1e-4, 0.0123, 0.5)] == [
         "p < 0.0001",

@@ -1,0 +1,56 @@
+"""Residuals of fitted records, against histograms and tests by hand."""
+
+import numpy as np
+import pytest
+from hardening_spring import Spring, driven
+
+import greybox as gb
+from greybox.statistics.metrics import input_correlation, whiteness
+
+
+@pytest.fixture(scope="module")
+def record():
+    return driven(duration=6.0, noise=0.02, stiffness=4.0, damping=0.8)
+
+
+@pytest.fixture(scope="module")
+def spring(record):
+    return gb.fit(gb.Problem(Spring(), record), starts=[{}], progress=False)
+
+
+def test_residuals_have_a_histogram_and_their_correlations(spring, record):
+    histogram, autocorrelation, force = gb.plotting.residuals(spring)
+    (e,) = spring.residuals[0]
+    (curve,) = histogram.get_lines()
+    at = curve.get_xdata()[100]
+    density = np.exp(-0.5 * ((at - e.mean()) / e.std()) ** 2) / (e.std() * np.sqrt(2 * np.pi))
+    np.testing.assert_allclose(curve.get_ydata()[100], density)
+    area = sum(patch.get_width() * patch.get_height() for patch in histogram.patches)
+    assert area == pytest.approx(1)
+    for ax, test in ((autocorrelation, whiteness([e])), (force, input_correlation([e], [record["force"]]))):
+        np.testing.assert_allclose(ax.get_lines()[-1].get_ydata(), test.correlations)
+        assert f"p = {test.p_value:.2g}" in ax.get_title()
+
+
+def test_what_the_model_lacks_shows(record):
+    stiff = gb.fit(gb.Problem(Spring(), record, fixed={"stiffness": 4.6}), starts=[{}], progress=False)
+    assert "p < 0.0001" in gb.plotting.residuals(stiff)[1].get_title()
+
+
+def test_constant_inputs_and_rows_without_a_time_have_no_correlations(spring, record):
+    class Line(gb.StateSpace):
+        inputs, outputs = ("x",), ("y",)
+        a = gb.Parameter(1.0)
+
+        def output(self, x, u, p):
+            return (p.a * u.x,)
+
+    time = np.arange(30.0)
+    still = gb.Record(time, {"x": np.ones(30), "y": 2 + 0.1 * np.sin(time**2)})
+    rows = gb.Record(time, {"x": time, "y": time + 0.1 * np.sin(time**2)}, has_time=False)
+    fits = [gb.fit(gb.Problem(Line(), each), starts=[{}], progress=False) for each in (still, rows)]
+    assert [len(gb.plotting.residuals(fit)) for fit in fits] == [2, 1]
+    with pytest.raises(ValueError, match="there is no record 3"):
+        gb.plotting.residuals(spring, 3)
+    with pytest.raises(ValueError, match="draws 3 panels"):
+        gb.plotting.residuals(spring, axes=gb.plotting.residuals(spring)[:2])
