@@ -88,7 +88,9 @@ from greybox.modeling.functions import where as where
 from greybox.simulation import predict as predict
 from greybox.simulation import simulate as simulate
 from greybox.solve.cost import cost as cost
+from greybox.study import Bootstrap as Bootstrap
 from greybox.study import batch as batch
+from greybox.study import bootstrap as bootstrap
 from greybox.validation import compare as compare
 from greybox.validation import reduce as reduce
 

@@ -11,11 +11,12 @@ import pytest
 import greybox as gb
 
 NAMES = """
+Bootstrap
 Collocation Controller Criterion Fit FrequencyResponse Integrator MagnitudePhase MaximumLikelihood MultipleShooting
 OutputError Parameter PredictionError Problem Profiles Record RelativeError RelativeLikelihood Rosenbrock RungeKutta
-SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion TransferFunction Transcription batch compare cost
-feedback fit frequency_response identify load plot predict prepare profile read read_response reduce save several
-simulate virtual_flight
+SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion TransferFunction Transcription batch bootstrap
+compare cost feedback fit frequency_response identify load plot predict prepare profile read read_response reduce save
+several simulate virtual_flight
 """.split()
 
 FORMULAS = """
@@ -40,7 +41,7 @@ NAMESPACES = {
     "solve": "LatinHypercube Listed Sobol Starts Strategies Uniform UntilFoundAgain WorkerPool",
     "spectral": "FiniteFrequency Quality check demodulate finite_frequency periodic_response spectral_response "
     "transient_spectrum",
-    "study": "Member Study StudyMember batch read_study",
+    "study": "Bootstrap Member Study StudyMember batch bootstrap read_study",
     "validation": "Comparison NestedTest Reduction compare nested_test reduce",
 }
 EVERYTHING = [(gb, name) for name in (*NAMES, *FORMULAS)]

@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 
 from greybox.cli import (
     batch_command,
+    bootstrap_command,
     compare_command,
     fit_command,
     identify_command,
@@ -36,6 +37,7 @@ COMMANDS = (
     response_command,
     fit_command,
     profile_command,
+    bootstrap_command,
     batch_command,
     compare_command,
 )

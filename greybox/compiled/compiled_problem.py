@@ -163,7 +163,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         local = [part.local_values(named) for part in problem.parts]
         own = [p for part, p in zip(problem.parts, local, strict=True) if part in responding]
         responses = [Complex(*f(ca.vertcat(*p.values()))) for f, p in zip(models, own, strict=True)]
-        limits = [item for part, p in zip(problem.parts, local, strict=True) for item in _limits(part, p).items()]
+        limits = [item for part, p in zip(problem.parts, local, strict=True) for item in limits_of(part, p).items()]
         return responses, dict(limits)
 
     x = kind.sym("x", len(free) + len(constants))
@@ -223,7 +223,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     )
 
 
-def _limits(part: Problem, p: Names) -> dict[str, Any]:
+def limits_of(part: Problem, p: Names) -> dict[str, Any]:
     """Return what must be >= 0, by a label: the constraints, and the bounds of tied parameters."""
     result = {f"constraints[{k}] of {part.name!r}": constraint(p) for k, constraint in enumerate(part.constraints)}
     for name in part.tied:
@@ -261,11 +261,12 @@ def _locator(part: Problem) -> Criterion:
 
 def _response(part: Problem) -> ca.Function:
     if part.amplitude is not None:
-        return harmonic_function(part.model, part.response.omega, part.amplitude, **_options(part))
-    return response_function(part.model, part.response.omega, **_options(part))
+        return harmonic_function(part.model, part.response.omega, part.amplitude, **response_options(part))
+    return response_function(part.model, part.response.omega, **response_options(part))
 
 
-def _options(part: Problem) -> dict[str, Any]:
+def response_options(part: Problem) -> dict[str, Any]:
+    """Return how the response of a part is evaluated, as `response_function` takes it."""
     data = part.response
     return {"input": data.input, "output": data.output, "at": part.at, "pade": delay_order(part.delay)}
 
@@ -275,7 +276,7 @@ def _mapped(parts: list[Problem]) -> list[Mapped] | None:
     size = sum(part.response.omega.size * (len(part.declared) + 1) for part in parts)
     if size < FEW or any(part.amplitude is not None for part in parts):
         return None
-    formulas = [formula_at_one_frequency(part.model, part.response.omega, **_options(part)) for part in parts]
+    formulas = [formula_at_one_frequency(part.model, part.response.omega, **response_options(part)) for part in parts]
     found = [Mapped(f, part.response.omega) for f, part in zip(formulas, parts, strict=True) if f is not None]
     return found if len(found) == len(parts) and sum(m.work for m in found) > LARGE else None
 
@@ -290,7 +291,7 @@ def _composed_hessian(
 ) -> ca.Function | None:
     """Return the Hessian of the weighted costs of mapped responses and of the constraints."""
     local = {part: part.local_values(named) for part in problem.parts}
-    limits = dict(item for part, p in local.items() for item in _limits(part, p).items())
+    limits = dict(item for part, p in local.items() for item in limits_of(part, p).items())
     parts = [
         (
             response,

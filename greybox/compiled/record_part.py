@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -209,6 +210,24 @@ class RecordPart(Part):
     def excerpt(self, samples: int) -> "RecordPart":
         """Return the part on excerpts, evenly over the record, of about so many samples in all."""
         return RecordPart(self.model, self.data.excerpts(samples), self.substeps, step=self.step)
+
+    def with_outputs(self, outputs: Sequence[Array]) -> "RecordPart":
+        """Return the part with other measured outputs (k, n) of every stretch, NaN where there are none."""
+        part = copy(self)
+        each = zip(self.data.stretches, outputs, strict=True)
+        part.data = replace(self.data, stretches=tuple(replace(stretch, outputs=values) for stretch, values in each))
+        counts = np.isfinite(part.data.measured).sum(axis=1)
+        part.covariance = replace(self.covariance, counts=counts)
+        part._placed_data = None
+        for made in ("_measured", "_at_nodes"):
+            vars(part).pop(made, None)
+        return part
+
+    def with_weight(self, factor: float) -> "RecordPart":
+        """Return the part with its cost counted so many times."""
+        part = copy(self)
+        part.weight = factor * self.weight
+        return part
 
     def with_inputs(self, between: tuple[Intersample, ...]) -> "RecordPart":
         """Return the part with inputs that run otherwise between their samples."""

@@ -341,7 +341,7 @@ def _contributions(
         own[:p, :p] = root @ middle @ root.T
         result.append((own, share.dof))
     unknown = np.zeros(k, dtype=bool)
-    for known, dof in _known_covariances(nlp):
+    for known, dof in known_covariances(nlp):
         unknown |= np.isnan(np.diag(known))
         result.append((slope @ np.nan_to_num(known) @ slope.T, dof))
     return tuple(result), unknown
@@ -499,7 +499,7 @@ def _is_loose(combination: Combination, nlp: Nlp, covariance: Array, x: Array) -
     return bool(np.any(~(error < LOOSE * np.abs(x[places]))))
 
 
-def _known_covariances(nlp: Nlp) -> list[tuple[Array, float]]:
+def known_covariances(nlp: Nlp) -> list[tuple[Array, float]]:
     """Return the covariance of the constants that come from each earlier fit, embedded in that of all values."""
     names = nlp.names
     sources: dict[int, tuple[HeldEstimate, list[str]]] = {}

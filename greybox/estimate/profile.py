@@ -27,16 +27,12 @@ from greybox.compiled.response_part import SMOOTHING, ResponsePart
 from greybox.data.json_numbers import all_finite, finite
 from greybox.data.text_table import alternatives, number, one_line
 from greybox.estimate.covariance import Accuracy, assess
+from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.harmonic_numbers import with_enough_harmonics
 from greybox.estimate.quantities import Formula, formulas
-from greybox.estimate.result import Fit, FittedResponse, Quantity
-from greybox.formulation.frequency_criteria import Criterion
-from greybox.formulation.included_criteria import CRITERIA
-from greybox.formulation.problem import Problem
+from greybox.estimate.result import Fit, Quantity
 from greybox.formulation.starts import Sobol
-from greybox.formulation.sum import Sum
-from greybox.modeling.model_reference import resolve
-from greybox.solve.ipopt import CONVERGED, StopCheck, checked_nlpsol
+from greybox.solve.ipopt import CONVERGED, WARM, StopCheck, checked_nlpsol
 
 Array = NDArray[np.float64]
 
@@ -51,9 +47,6 @@ EVEN = 1e-6  # relative, up to which errors of the points count as equal in size
 SWEEPS = 3  # over the points, while neighbors improve one another
 CLOSE = 1e-4  # relative, within which IPOPT's barrier leaves what a bound holds
 LOWER = 1e-4  # relative: the smoothing moves costs by up to 6e-5
-
-# IPOPT begins at a solution nearby: without these it would leave it first, for the middle between the bounds.
-WARM = {"mu_init": 1e-5, "bound_push": 1e-8, "bound_frac": 1e-8, "max_iter": 200}
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,54 +256,6 @@ def profile(
         if name not in known:
             raise ValueError(f"there is no {name!r} to profile; there are {alternatives(name, list(known))}.")
     return _profiles(nlp, fit, [known[name] for name in wanted], level, fresh_starts)
-
-
-def problem_of(fit: Fit) -> AnyProblem:
-    """Return the problem of a fit of responses, from what the fit keeps of it.
-
-    Raises
-    ------
-    ValueError
-        If it had ties, constraints, values with errors of an earlier fit, or a criterion that greybox does not include.
-    """
-    held = {q.name: q for q in fit.quantities if q.kind == "fixed"}
-    bounds = {q.name: q.bounds for q in fit.quantities if q.kind == "free"}
-    problems = []
-    for k, part in enumerate(fit.parts):
-        uncertain = [q.name for q in held.values() if q.standard_error != 0]
-        if part.tied or part.constraints or uncertain:
-            what = "ties" if part.tied else "constraints" if part.constraints else f"{uncertain[0]} from an earlier fit"
-            raise ValueError(f"the fit {fit.name!r} has {what}, of which it keeps the text alone: give its problem=...")
-        assert isinstance(part, FittedResponse)
-        model = fit.models[k] if fit.models else resolve(part.model, fit.given)
-        declared = model.parameters
-        outside = {name: part.rename.get(name, name) for name in declared}
-        problems.append(
-            Problem(
-                model,
-                part.data,
-                _criterion(fit, part),
-                fixed={name: held[outside[name]].value for name in declared if outside[name] in held},
-                free=[name for name, p in declared.items() if p.fixed and outside[name] not in held],
-                delay=part.delay,
-                at=part.at,
-                rename=part.rename,
-                weight=part.weight,
-                name=part.name,
-                amplitude=part.sine,  # type: ignore[arg-type]
-                bounds={name: bounds[outside[name]] for name in declared if outside[name] in bounds},
-            )
-        )
-    return problems[0] if len(problems) == 1 else Sum(tuple(problems))
-
-
-def _criterion(fit: Fit, part: FittedResponse) -> Criterion:
-    for kind in {type(criterion) for criterion in CRITERIA}:
-        if kind().class_path == part.criterion_class:
-            return kind(**part.settings)
-    raise ValueError(
-        f"the fit {fit.name!r} has the criterion {part.criterion}, not one of greybox: give its problem=..."
-    )
 
 
 # --- what the cost says as a likelihood -------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.formulation.criterion import AnyCriterion
 from greybox.modeling.complex_arithmetic import Complex
-from greybox.modeling.functions import log, sqrt
+from greybox.modeling.functions import exp, log, sqrt
 
 _DB_PER_NEPER = 20 / math.log(10)  # dB per unit of natural logarithm of a magnitude
 _DEGREES_PER_RADIAN = 180 / math.pi
@@ -302,7 +302,7 @@ class MagnitudePhase(Criterion):
     def _weights(self, data: FrequencyResponse) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Square roots of the weights of log magnitude and phase, with the units and 20/n inside."""
         coherence = np.ones(len(data)) if data.coherence is None else data.coherence
-        common = math.sqrt(20 / len(data)) * 1.58 * (1 - np.exp(-coherence))
+        common = math.sqrt(20 / len(data)) * 1.58 * (1 - exp(-coherence))
         return (
             common * math.sqrt(self.magnitude_weight) * _DB_PER_NEPER,
             common * math.sqrt(self.phase_weight) * _DEGREES_PER_RADIAN,

@@ -7,8 +7,9 @@ IPOPT as one sparse program. `waves` says in which order starts are tried and wh
 the scatter search of MATLAB's GlobalSearch; an `outcome` is what one run leaves, `minima` groups the runs. `executors`
 has the runs made by other processes, `worker_pool` has such on this machine, `kept_runs` says what keeps them.
 `local_search` tries more than the starts, `discretization_error` refines the integration, `cost` evaluates a problem at
-given parameters. `constraints` and `quadratic_program` serve the Gauss-Newton steps. `interruption` says what becomes
-of Ctrl-C, `time_limits` how long a search may take.
+given parameters. `response_replicates` and `record_replicates` repeat a fit on data that are drawn anew. `constraints`
+and `quadratic_program` serve the Gauss-Newton steps. `interruption` says what becomes of Ctrl-C, `time_limits` how long
+a search may take.
 """
 
 from greybox.compiled.strategies import Strategies as Strategies

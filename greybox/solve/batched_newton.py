@@ -87,6 +87,7 @@ class _Points:
     gradient: Array
     hessian: Array  # (m, p, p)
     live: Flags
+    given: Array  # (g, m), what the function takes besides, of each search
 
     def taken(self, columns: NDArray[np.int_]) -> "_Points":
         return _Points(
@@ -98,6 +99,7 @@ class _Points:
             self.gradient[:, columns],
             self.hessian[columns],
             self.live[columns],
+            self.given[:, columns],
         )
 
 
@@ -105,24 +107,37 @@ class BatchedNewton:
     """Minimizes a function of z within bounds, from many points at once."""
 
     def __init__(self, program: ca.Function, lower: Array, upper: Array) -> None:
-        """Take the program, an SX function (z, smoothing) -> cost, ..., and the bounds (p,) of z."""
-        z, smoothing = ca.SX.sym("z", program.numel_in(0)), ca.SX.sym("smoothing")
-        cost = program(z, smoothing)[0]
+        """Take the program and the bounds (p,) of z.
+
+        It is an SX function (z, smoothing) -> cost, ..., or (z, smoothing, given) -> ... where searches differ in what
+        is given.
+        """
+        inputs = [ca.SX.sym("v", program.numel_in(k)) for k in range(program.n_in())]
+        z, cost = inputs[0], program(*inputs)[0]
         hessian, gradient = ca.hessian(cost, z)
         outputs = [cost, ca.densify(gradient), ca.vec(ca.densify(hessian))]
-        derivatives = ca.Function("derivatives", [z, smoothing], outputs, {"cse": True})
+        derivatives = ca.Function("derivatives", inputs, outputs, {"cse": True})
         self._function = Columns(derivatives, fewest=MANY)
         self._lower, self._upper = lower[:, None], upper[:, None]
 
-    def minimize(self, z: Array, *, max_iterations: int, tolerance: float, from_near: bool = False) -> Ends:
+    def minimize(
+        self,
+        z: Array,
+        *,
+        max_iterations: int,
+        tolerance: float,
+        from_near: bool = False,
+        given: Array | None = None,
+    ) -> Ends:
         """Search from the columns of z (p, m); with `from_near` at the last level only.
 
         A search ends where its projected gradient is at most the `tolerance`, relative to the cost where that is above
-        one.
+        one. The columns of `given` (g, m) belong to the searches, where the program takes them.
         """
         m = z.shape[1]
         ends = Ends(np.clip(z, self._lower, self._upper), np.zeros(m, bool), np.zeros(m, int))
-        points = self._begun(ends.z if from_near else self._inside(ends.z), LAST if from_near else 0)
+        first = ends.z if from_near else self._inside(ends.z)
+        points = self._begun(first, LAST if from_near else 0, np.zeros((0, m)) if given is None else given)
         for _ in range(max_iterations):
             self._end_finished(points, ends, tolerance)
             if reason_to_end() or not points.live.any():
@@ -142,9 +157,10 @@ class BatchedNewton:
         margin = np.where(np.isfinite(width), INSIDE * width, 0.0)
         return np.clip(z, self._lower + margin, self._upper - margin)
 
-    def _evaluated(self, z: Array, level: NDArray[np.int_]) -> tuple[Array, Array, Array]:
+    def _evaluated(self, z: Array, level: NDArray[np.int_], given: Array) -> tuple[Array, Array, Array]:
         """Return cost (m,), gradient (p, m) and Hessian (m, p, p), those of the barrier included."""
-        costs, gradient, hessians = self._function(z, np.take(SMOOTHINGS, level)[None])
+        inputs = (z, np.take(SMOOTHINGS, level)[None], given)
+        costs, gradient, hessians = self._function(*inputs[: 3 if len(given) else 2])
         p, m = z.shape
         cost, hessian = costs[0], hessians.reshape(p, p, m).transpose(2, 0, 1)
         barrier = np.take(BARRIERS, level)
@@ -158,15 +174,16 @@ class BatchedNewton:
                 hessian[:, diagonal, diagonal] += (factor / distance**2).T
         return cost, gradient, hessian
 
-    def _begun(self, z: Array, level: int) -> _Points:
+    def _begun(self, z: Array, level: int, given: Array) -> _Points:
         m = z.shape[1]
         columns = np.r_[np.arange(m), np.zeros(_width(m) - m, int)]
         levels = np.full(len(columns), level)
-        cost, gradient, hessian = self._evaluated(z[:, columns], levels)
+        given = given[:, columns]
+        cost, gradient, hessian = self._evaluated(z[:, columns], levels, given)
         owner = np.where(np.arange(len(columns)) < m, columns, -1)
         live = (owner >= 0) & _are_finite(cost, gradient, hessian)
         radius = np.full(len(columns), RADIUS)
-        return _Points(owner, z[:, columns], levels, radius, cost, gradient, hessian, live)
+        return _Points(owner, z[:, columns], levels, radius, cost, gradient, hessian, live, given)
 
     def _projected_gradient(self, points: _Points) -> Array:
         """Return its largest component, (m,)."""
@@ -192,7 +209,7 @@ class BatchedNewton:
         points.level = points.level + next_level
         moved = np.where(next_level | ~points.live, points.z, moved)
         step = moved - points.z
-        cost, gradient, hessian = self._evaluated(moved, points.level)
+        cost, gradient, hessian = self._evaluated(moved, points.level, points.given)
 
         promised = -np.einsum("pm,pm->m", points.gradient, step)
         modeled = promised - 0.5 * np.einsum("pm,mpq,qm->m", step, points.hessian, step)

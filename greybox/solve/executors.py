@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from greybox.solve.interruption import interrupt_noted, stop_requested
 from greybox.solve.kept_runs import Memory
-from greybox.solve.local_solver import LocalSolver
+from greybox.solve.local_solver import Runner
 from greybox.solve.outcome import INTERRUPTED, SEARCH_OVER, WORKER_LOST, Outcome
 from greybox.solve.time_limits import TimeLimits, current_limits, limited, one_run
 from greybox.solve.worker_pool import NoWorkerError, WorkerLostError
@@ -54,13 +54,13 @@ class ExecutorLostError(RuntimeError):
 
 
 def run_all(
-    solver: LocalSolver,
+    solver: Runner,
     numbered: Iterable[tuple[int, Array]],
     count: int,
     executor: Executor | None = None,
     memory: Memory | None = None,
 ) -> Iterator[tuple[int, Array, Outcome]]:
-    """Give the numbers of the starts, the starts (p,) and what a run from each leaves, until a stop is requested.
+    """Give the numbers of the starts, the starts (s,) and what a run from each leaves, until a stop is requested.
 
     They come in the order of `numbered`, of which there are `count`. As many are run at once as the solver runs
     together; of a batch that a stop cuts short, what was finished counts. With an executor the first batch is run here:
@@ -111,13 +111,13 @@ def _recalled(memory: Memory, batch: Batch) -> list[Outcome] | None:
     return None if any(outcome is None for outcome in known) else [o for o in known if o is not None]
 
 
-def _timed(solver: LocalSolver, starts: Array) -> list[Outcome]:
+def _timed(solver: Runner, starts: Array) -> list[Outcome]:
     """Run a batch in the time that all of its starts have."""
     with one_run(starts=len(starts)):
         return solver.run_together(starts)
 
 
-def packed(solver: LocalSolver) -> tuple[str, bytes]:
+def packed(solver: Runner) -> tuple[str, bytes]:
     """Return what names a solver, the same in every process, and the solver as it travels."""
     payload = pickle.dumps(solver)
     return hashlib.sha256(payload).hexdigest(), payload
@@ -159,7 +159,7 @@ class _Tasks:
 
     def __init__(
         self,
-        solver: LocalSolver,
+        solver: Runner,
         batches: Iterator[Batch],
         count: int,
         executor: Executor,
@@ -295,7 +295,7 @@ class _Built(threading.local):
     """The solvers of this thread: CasADi's functions serve one at a time."""
 
     def __init__(self) -> None:
-        self.solvers: OrderedDict[str, LocalSolver] = OrderedDict()
+        self.solvers: OrderedDict[str, Runner] = OrderedDict()
 
 
 _built = _Built()

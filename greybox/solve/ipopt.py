@@ -47,6 +47,10 @@ PATIENCE = 200
 # The fits of the paper take some 30 iterations; what takes 500 does not converge.
 QUIET = {"print_level": 0, "sb": "yes", "max_iter": 500}
 
+# Options of a run that begins at a solution nearby: without these it would leave it first, for the middle between the
+# bounds.
+WARM = {"mu_init": 1e-5, "bound_push": 1e-8, "bound_frac": 1e-8, "max_iter": 200}
+
 # CasADi 3.8.2 crashes where two threads build solvers of functions with derivatives at once.
 _one_thread = threading.Lock()
 

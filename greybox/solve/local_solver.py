@@ -26,8 +26,32 @@ class Profile:
     converged: bool
 
 
-class LocalSolver(ABC):
-    """A solver of one compiled problem, built once for all starts.
+class Runner(ABC):
+    """What makes runs, here or on workers, each from a row of numbers.
+
+    Attributes
+    ----------
+    together : int
+        How many it makes at once.
+    """
+
+    together: ClassVar[int] = 1
+
+    @abstractmethod
+    def __reduce__(self) -> tuple[Callable[..., "Runner"], tuple[Any, ...]]:
+        """Return what builds the same, and its arguments."""
+
+    @abstractmethod
+    def run(self, start: Array) -> Outcome:
+        """Make the run that `start` (s,) stands for."""
+
+    def run_together(self, starts: Array) -> list[Outcome]:
+        """Make those of every row of `starts` (r, s), at most `together`."""
+        return [self.run(start) for start in starts]
+
+
+class LocalSolver(Runner):
+    """A solver of one compiled problem, built once for all starts, which are parameters (p,).
 
     Pickled, it is its problem and its options, and is built anew where it arrives.
 
@@ -37,25 +61,14 @@ class LocalSolver(ABC):
         How many are tried where nothing is said.
     tries_declared_values : bool
         Whether the declared values are the first of a number of starts.
-    together : int
-        How many starts it runs at once.
     """
 
     starts: ClassVar[int] = 20
     tries_declared_values: ClassVar[bool] = True
-    together: ClassVar[int] = 1
 
     @abstractmethod
     def __reduce__(self) -> tuple[Callable[..., "LocalSolver"], tuple[Any, ...]]:
         """Return what builds the same solver, and its arguments."""
-
-    @abstractmethod
-    def run(self, start: Array) -> Outcome:
-        """Solve from the parameters `start` (p,)."""
-
-    def run_together(self, starts: Array) -> list[Outcome]:
-        """Solve from every row of `starts` (r, p), at most `together`."""
-        return [self.run(start) for start in starts]
 
     @abstractmethod
     def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:

@@ -4,11 +4,11 @@ Layout, version 1
 -----------------
 ``runs-SERIAL-COUNT.h5``  sealed (`greybox.data.sealed_files`), with the attributes ``format`` ("greybox runs"),
     ``layout``, ``fingerprint`` (of the compiled problem and its solver), ``statuses`` (JSON), and datasets with a row
-    a run: ``number`` (of the start), ``start`` and ``estimate`` (r, p), ``cost``, ``status`` (index of ``statuses``),
-    ``converged``, ``iterations``, ``seconds``, ``stage`` (index of `STAGES`, the last where it is missing); where runs
-    have them, ``signature`` (r, m) and, of every part of the problem, ``nodes/0 ...`` (r, s n), the states of (s, n) as
-    the JSON attribute ``shapes`` has it. A row of NaN is none. A run may be in two files, of which one replaces the
-    other.
+    a run: ``number`` (of the start), ``start`` (r, s) and ``estimate`` (r, p), ``cost``, ``status`` (index of
+    ``statuses``), ``converged``, ``iterations``, ``seconds``, ``stage`` (index of `STAGES`, the last where it is
+    missing); where runs have them, ``signature`` (r, m) and, of every part of the problem, ``nodes/0 ...`` (r, s n),
+    the states of (s, n) as the JSON attribute ``shapes`` has it. A row of NaN is none. A run may be in two files, of
+    which one replaces the other.
 """
 
 import json
@@ -195,8 +195,8 @@ def _rows(file: Stored) -> list[Row]:
     detail = [array for array in (signature, *nodes) if array is not None]
     if any(len(column) != count for column in (*columns.values(), *detail)):
         raise ValueError("its columns differ in length")
-    if columns["start"].ndim != 2 or columns["start"].shape != columns["estimate"].shape:
-        raise ValueError("starts and estimates differ in size")
+    if columns["start"].ndim != 2 or columns["estimate"].ndim != 2:
+        raise ValueError("starts and estimates are no rows of numbers")
     return [_row(k, columns, statuses, signature, nodes) for k in range(count)]
 
 

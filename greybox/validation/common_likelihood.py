@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from greybox.estimate.fit import fit as fit_problem
-from greybox.estimate.profile import problem_of
+from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.result import Fit
 from greybox.formulation.frequency_criteria import Criterion, MaximumLikelihood, RelativeLikelihood
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.data.text_table import counted, number
 from greybox.estimate.fit import fit as fit_problem
-from greybox.estimate.profile import problem_of
+from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.result import Fit
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum

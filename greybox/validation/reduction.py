@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.data.text_table import number, one_line, text_table
 from greybox.estimate.fit import fit as fit_problem
+from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.identifiability import ERROR_GUIDELINE
-from greybox.estimate.profile import problem_of
 from greybox.estimate.result import Fit
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol

@@ -1,0 +1,68 @@
+"""The command `greybox bootstrap`: errors and intervals of a saved fit from data that are drawn anew."""
+
+import argparse
+from pathlib import Path
+from typing import Any, get_args
+
+from greybox.cli.catalog import find_problem
+from greybox.cli.options import UsageError, add_common_options, nonnegative, positive
+from greybox.cli.output import FAILED, USABLE, Answer
+from greybox.cli.startup import INTERRUPTED
+from greybox.cli.workers import add_worker_options, stated_executor
+from greybox.solve.executors import ExecutorLostError
+from greybox.study.bootstrap import Resampling, bootstrap
+
+
+def add_command(commands: Any) -> None:
+    """Declare the command and its options."""
+    parser = commands.add_parser("bootstrap", help="errors and intervals from data drawn anew", allow_abbrev=False)
+    add = parser.add_argument
+    add("result", type=Path, metavar="RESULT", help="a fit that greybox fit --out wrote")
+    add("--problem", metavar="PROBLEM", help="what was fitted, where it has ties, constraints or a model of your own")
+    add(
+        "--resampling",
+        choices=get_args(Resampling),
+        help="what is drawn: residuals (default), points, or parametric errors of responses; blocks of residuals "
+        "(default) or parametric errors of records; parts: whole records or responses",
+    )
+    add("--replicates", type=positive, default=1000, metavar="N", help="1000 by default")
+    add("--seed", type=nonnegative, default=0, help="of what is drawn, 0 by default")
+    add("--block", type=positive, metavar="N", help="samples of a block (default: as the residuals say)")
+    add("--level", type=float, default=0.95, help="of the intervals in the JSON object, 0.95 by default")
+    add("--out", type=Path, metavar="DIR", help="keep the replicates in this folder; the same command goes on there")
+    add_worker_options(parser)
+    add_common_options(parser)
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> Answer:
+    """Read the fit and repeat it."""
+    from greybox.estimate.storage import load  # noqa: PLC0415  (needs h5py)
+
+    if not 0 < options.level < 1:
+        raise UsageError(f"--level {options.level} must lie between 0 and 1, e.g. 0.95.")
+    if options.out is not None and options.out.exists() and not options.out.is_dir():
+        raise UsageError(f"{options.out} is a file: give a folder.")
+    problem = None if options.problem is None else find_problem(options.problem)[0]
+    fit = load(options.result)
+    try:
+        with stated_executor(options) as executor:
+            found = bootstrap(
+                fit,
+                options.resampling,
+                options.replicates,
+                problem=problem,
+                seed=options.seed,
+                block=options.block,
+                executor=executor,
+                folder=options.out,
+            )
+    except KeyboardInterrupt:
+        again = f"; the same command goes on in {options.out}" if options.out is not None else ""
+        return {"error": f"interrupted{again}."}, f"interrupted{again}", INTERRUPTED
+    except ExecutorLostError as error:
+        return {"error": str(error)}, "", FAILED
+    answer, status = found.summary(options.level), USABLE
+    if found.failed > len(found.values) - 2:
+        answer["error"], status = found.warnings[0], FAILED
+    return answer, found.text(options.level), status

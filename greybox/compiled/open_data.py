@@ -1,0 +1,165 @@
+"""Frequency responses with their data left open: one function serves many data sets of one size, a column each.
+
+A compiled problem has its data as numbers inside. Refits of hundreds of data sets that differ in their numbers alone
+would spend most of their time on being compiled. Here frequencies, measured values and what is known of their errors
+are an input, and so are the constants of the problem, which an earlier fit may give with errors.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.compiled.compiled_problem import Nlp, limits_of, response_options
+from greybox.compiled.response_map import LARGE
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.formulation.problem import Problem
+from greybox.modeling.complex_arithmetic import Complex
+from greybox.modeling.linear_response import formula_at_one_frequency
+
+Array = NDArray[np.float64]
+
+ROWS = ("omega", "re", "im", "coherence", "variance", "dof")
+
+
+def data_table(data: FrequencyResponse) -> Array:
+    """Return the numbers of a response, `ROWS` by points; NaN for what it does not have."""
+    rows = [data.omega, data.response.real, data.response.imag, data.coherence, data.variance, data.dof]
+    return np.array([np.full(len(data), np.nan) if row is None else row for row in rows])
+
+
+def given(constants: Array, counts: Array, tables: Sequence[Array]) -> Array:
+    """Return the third input of an `open_program`: the constants, how often every part counts, and its table."""
+    return np.concatenate([constants, counts, *(table.ravel() for table in tables)])
+
+
+def formulas_of_frequency(nlp: Nlp) -> list[ca.Function] | None:
+    """Return (parameters, frequency) -> response of every part of a problem of responses; None where one has none.
+
+    That is where a trim is found by Newton's method, or the response is that to a sine of finite amplitude.
+    """
+    found = [
+        None
+        if part.amplitude is not None
+        else formula_at_one_frequency(part.model, part.response.omega, **response_options(part))
+        for part in nlp.problem.parts
+    ]
+    formulas = [formula for formula in found if formula is not None]
+    return formulas if len(formulas) == len(found) else None
+
+
+def open_program(nlp: Nlp, formulas: Sequence[ca.Function] | None, sizes: Sequence[int]) -> ca.Function:
+    """Return (z, smoothing, given) -> the cost of a problem of responses, and what must be >= 0.
+
+    Without `formulas` the frequencies that are given have no effect: they are those of the problem.
+
+    Parameters
+    ----------
+    nlp : Nlp
+    formulas : sequence of casadi.Function, or None
+        What `formulas_of_frequency` returns.
+    sizes : sequence of int
+        How many points are given for every part.
+
+    Raises
+    ------
+    ValueError
+        Where a criterion takes data as numbers alone.
+    """
+    parts = nlp.problem.parts
+    small = all(f.is_a("SXFunction") for f in formulas or [nlp.responses])
+    if formulas is not None:
+        small &= sum(f.n_instructions() * n * (len(nlp.free) + 1) for f, n in zip(formulas, sizes, strict=True)) < LARGE
+    kind: Any = ca.SX if small else ca.MX
+    z, smoothing = kind.sym("z", len(nlp.free)), kind.sym("smoothing")
+    lengths = [len(nlp.constants), len(parts), *(len(ROWS) * size for size in sizes)]
+    numbers = kind.sym("given", sum(lengths))
+    constants, counts, *tables = ca.vertsplit(numbers, np.cumsum([0, *lengths]).tolist())
+    values = [*nlp.scaling.expressions(z), *ca.vertsplit(constants)]
+    named = dict(zip(nlp.names, values, strict=True))
+    local = [part.local_values(named) for part in parts]
+    if formulas is None:
+        responses = _at_own_frequencies(nlp, ca.vertcat(*values))
+    else:
+        responses = [
+            _response(formula, ca.vertcat(*p.values()), table[:size])
+            for formula, p, table, size in zip(formulas, local, tables, sizes, strict=True)
+        ]
+    costs = [
+        count * part.weight * _cost(part, response, _open(part.response, table, size), smoothing)
+        for part, count, response, table, size in zip(
+            parts, ca.vertsplit(counts), responses, tables, sizes, strict=True
+        )
+    ]
+    limits = dict(item for part, p in zip(parts, local, strict=True) for item in limits_of(part, p).items())
+    return ca.Function(
+        "program",
+        [z, smoothing, numbers],
+        [kind(sum(costs)), ca.vertcat(kind(0, 1), *limits.values())],
+    )
+
+
+class _Measured(Complex):
+    """A measured response as symbols; unlike `Complex` it has `np.abs`, which criteria take of data."""
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any) -> Any:
+        return abs(self) if ufunc is np.absolute else NotImplemented
+
+
+@dataclass(frozen=True, eq=False)
+class _OpenData:
+    """What criteria take of a `FrequencyResponse`, as symbols; None for what it does not have."""
+
+    omega: Any
+    response: _Measured
+    coherence: Any
+    variance: Any
+    dof: Any
+
+    def __len__(self) -> int:
+        return self.omega.numel()
+
+
+def _open(data: FrequencyResponse, table: Any, size: int) -> Any:
+    """Return the rows of a table as data of the same kind as these."""
+    omega, re, im, coherence, variance, dof = ca.vertsplit(table, size)
+    return _OpenData(
+        omega,
+        _Measured(re, im),
+        None if data.coherence is None else coherence,
+        None if data.variance is None else variance,
+        None if data.dof is None else dof,
+    )
+
+
+def _cost(part: Problem, response: Complex, data: Any, smoothing: Any) -> Any:
+    criterion: Any = part.criterion
+    try:
+        return criterion.cost(response, data, smoothing)
+    except (TypeError, AttributeError, NotImplementedError, RuntimeError) as error:
+        said = " ".join(str(error).split())[:120].rstrip(".")
+        raise ValueError(
+            f"{type(criterion).__name__} takes its data as numbers alone ({said}), and many data sets are fitted at "
+            "once as symbols: write its cost with data.response, abs and the functions of greybox."
+        ) from error
+
+
+def _response(formula: ca.Function, p: Any, omega: Any) -> Complex:
+    if isinstance(omega, ca.SX):
+        each = [formula(p, omega[k]) for k in range(omega.numel())]
+        return Complex(ca.vertcat(*[re for re, _ in each]), ca.vertcat(*[im for _, im in each]))
+    re, im = formula.map("responses", "serial", omega.numel(), [0], [])(p, omega.T)
+    return Complex(re.T, im.T)
+
+
+def _at_own_frequencies(nlp: Nlp, values: Any) -> list[Complex]:
+    stacked: Any = nlp.responses(values)
+    count, begin, found = stacked.numel() // 2, 0, []
+    for part in nlp.problem.parts:
+        end = begin + len(part.data)
+        found.append(Complex(stacked[begin:end], stacked[count + begin : count + end]))
+        begin = end
+    return found

@@ -1,0 +1,76 @@
+"""The problem that was fitted, from what its answer keeps of it."""
+
+from typing import Any
+
+from greybox.compiled.compiled_problem import AnyProblem
+from greybox.estimate.result import Fit, FittedPart, FittedRecord, FittedResponse
+from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
+from greybox.formulation.problem import Problem
+from greybox.formulation.sum import Sum
+from greybox.formulation.time_criteria import TimeCriterion
+from greybox.modeling.model_reference import resolve
+
+
+def problem_of(fit: Fit) -> AnyProblem:
+    """Return the problem of a fit, from what the fit keeps of it.
+
+    Raises
+    ------
+    ValueError
+        If it had ties, constraints, values with errors of an earlier fit, or a criterion that greybox does not include
+        or that holds functions.
+    LookupError
+        If a loaded fit does not know its model.
+    """
+    held = {q.name: q for q in fit.quantities if q.kind == "fixed"}
+    bounds = {q.name: q.bounds for q in fit.quantities if q.kind == "free"}
+    uncertain = [q.name for q in held.values() if q.standard_error != 0]
+    problems = []
+    for k, part in enumerate(fit.parts):
+        if part.tied or part.constraints or uncertain:
+            what = "ties" if part.tied else "constraints" if part.constraints else f"{uncertain[0]} from an earlier fit"
+            raise ValueError(f"the fit {fit.name!r} has {what}, of which it keeps the text alone: give its problem=...")
+        model = fit.models[k] if fit.models else resolve(part.model, fit.given)
+        criterion: Any = _criterion(fit, part)
+        declared = dict(model.parameters)
+        asked: dict[str, Any] = {}
+        if isinstance(criterion, TimeCriterion):
+            assert isinstance(part, FittedRecord)
+            declared |= criterion.parameters(model, part.data)
+        else:
+            assert isinstance(part, FittedResponse)
+            asked = {"at": part.at, "amplitude": part.sine}
+        outside = {name: part.rename.get(name, name) for name in declared}
+        problems.append(
+            Problem(
+                model,
+                part.data,
+                criterion,
+                fixed={name: held[outside[name]].value for name in declared if outside[name] in held},
+                free=[name for name, p in declared.items() if p.fixed and outside[name] not in held],
+                delay=part.delay,
+                rename=part.rename,
+                weight=part.weight,
+                name=part.name,
+                bounds={name: bounds[outside[name]] for name in declared if outside[name] in bounds},
+                **asked,
+            )
+        )
+    return problems[0] if len(problems) == 1 else Sum(tuple(problems), fit.name)
+
+
+def _criterion(fit: Fit, part: FittedPart) -> Any:
+    for kind in dict.fromkeys(type(criterion) for criterion in (*CRITERIA, *TIME_CRITERIA)):
+        if kind().class_path != part.criterion_class:
+            continue
+        criterion = kind(**part.settings)
+        functions = [name for name, value in part.settings.get("initial", {}).items() if isinstance(value, str)]
+        if functions:
+            raise ValueError(
+                f"the fit {fit.name!r} has a function for the initial {functions[0]}, of which it keeps the text "
+                "alone: give its problem=..."
+            )
+        return criterion
+    raise ValueError(
+        f"the fit {fit.name!r} has the criterion {part.criterion}, not one of greybox: give its problem=..."
+    )

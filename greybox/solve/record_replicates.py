@@ -1,0 +1,214 @@
+"""Refits of records whose outputs were drawn anew, from the estimate.
+
+As in `response_replicates`, a run is named by a number: from zero on a replicate, below zero the data without one
+piece. What travels is the compiled problem with the fitted outputs and the residuals.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from copy import copy
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.part import Trajectory
+from greybox.compiled.record_part import RecordPart
+from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.local_solver import Runner
+from greybox.solve.outcome import Outcome
+from greybox.statistics.resampling import block_length, drawn_blocks
+
+Array = NDArray[np.float64]
+
+Drawn = Literal["blocks", "parametric", "parts"]
+
+# Pieces of which one is left out at a time, for the acceleration: each is a fit, and the skewness of twenty values is
+# known as well as that of the bias by a thousand replicates moves an end of an interval.
+PIECES = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Stretched:
+    """One stretch of a record: its measured and fitted outputs (k, n), and residuals as large as errors, without gaps.
+
+    Where an output is missing, its residual is drawn from the others by the replicate: NaN here.
+    """
+
+    measured: Array
+    fitted: Array
+    residuals: Array
+
+
+@dataclass(frozen=True, eq=False)
+class RecordDraws:
+    """How the outputs of replicates of a problem of records are drawn.
+
+    Attributes
+    ----------
+    drawn : "blocks", "parametric" or "parts"
+    seed : int
+    stretches : tuple of tuple of Stretched
+        Of every part.
+    lengths : tuple of int
+        Samples of a block, of every part.
+    roots : tuple of (k, k) arrays
+        Square roots of the covariance of the errors of the outputs, of every part.
+    """
+
+    drawn: Drawn
+    seed: int
+    stretches: tuple[tuple[Stretched, ...], ...]
+    lengths: tuple[int, ...]
+    roots: tuple[Array, ...]
+
+    def outputs(self, number: int) -> list[list[Array]]:
+        """Return the outputs (k, n) of every stretch of every part for a replicate."""
+        random = np.random.default_rng([self.seed, number])
+        each = zip(self.stretches, self.lengths, self.roots, strict=True)
+        return [[self._drawn(random, one, length, root) for one in some] for some, length, root in each]
+
+    def _drawn(self, random: np.random.Generator, one: Stretched, length: int, root: Array) -> Array:
+        k, n = one.measured.shape
+        if self.drawn == "parametric":
+            errors = root @ random.standard_normal((k, n))
+        else:
+            errors = one.residuals[:, drawn_blocks(random, n, n, length)]
+            for row, residuals in zip(errors, one.residuals, strict=True):
+                known, missing = residuals[np.isfinite(residuals)], np.isnan(row)
+                row[missing] = random.choice(known, int(missing.sum())) if known.size else np.nan
+        return np.where(np.isfinite(one.measured), one.fitted + errors, np.nan)
+
+    def counts(self, number: int) -> Array:
+        """Return how often every part is in a replicate of whole parts."""
+        random = np.random.default_rng([self.seed, number])
+        many = len(self.stretches)
+        return np.bincount(random.integers(0, many, many), minlength=many).astype(float)
+
+    def without(self, k: int) -> list[list[Array]]:
+        """Return the measured outputs with piece k of `PIECES` left out, counted over all parts."""
+        total = sum(one.measured.shape[1] for some in self.stretches for one in some)
+        low, high = k * total // PIECES, (k + 1) * total // PIECES
+        found, begin = [], 0
+        for some in self.stretches:
+            of_part = []
+            for one in some:
+                values = one.measured.copy()
+                values[:, max(low - begin, 0) : max(high - begin, 0)] = np.nan
+                begin += values.shape[1]
+                of_part.append(values)
+            found.append(of_part)
+        return found
+
+
+def record_draws(
+    nlp: Nlp, trajectories: tuple[Trajectory, ...], drawn: Drawn, seed: int, block: int | None
+) -> RecordDraws:
+    """Return how replicates are drawn of a problem of records, along its best `trajectories`.
+
+    Residuals are enlarged for the parameters and initial states that were fitted. Blocks are as long as the output
+    whose residuals are correlated the longest needs.
+
+    Raises
+    ------
+    ValueError
+        Where the residuals correct the states, for a block that is longer than the records, and for data that are
+        fitted exactly.
+    """
+    stretches, lengths, roots = [], [], []
+    share = len(nlp.free) / len(nlp.parts)
+    for part, trajectory in zip(nlp.parts, trajectories, strict=True):
+        assert isinstance(part, RecordPart)
+        if part.gains and drawn != "parts":
+            raise ValueError(
+                f"the residuals of {part.name!r} correct its states, so that they cannot be drawn and added: use "
+                "OutputError, or resampling='parts' of several records."
+            )
+        left = max(1 - (share + part.unknown_initial_states) / max(part.numbers, 1), 1 / max(part.numbers, 1))
+        larger = 1 / math.sqrt(left)
+        fitted = part.data.unpadded(part.simulated_outputs(trajectory))
+        own = []
+        for stretch, values in zip(part.data.stretches, fitted, strict=True):
+            residuals = stretch.outputs - values
+            counts = np.isfinite(residuals).sum(axis=1, keepdims=True)
+            means = np.nansum(residuals, axis=1, keepdims=True) / np.maximum(counts, 1)
+            own.append(Stretched(stretch.outputs, values, larger * (residuals - means)))
+        stretches.append(tuple(own))
+        series = [[np.nan_to_num(one.residuals[k]) for one in own] for k in range(len(part.outputs))]
+        if not all(any(values.any() for values in each) for each in series):
+            raise ValueError(f"{part.name!r} is fitted exactly, so that the size of its errors is not known.")
+        longest = max(one.measured.shape[1] for one in own)
+        if block is not None and not 1 <= block <= longest:
+            raise ValueError(f"block is {block}: give a number of samples from 1 to {longest}, those of the record.")
+        chosen = max(block_length(each) for each in series) if part.model.has_time else 1
+        lengths.append(chosen if block is None else block)
+        given = part.covariance.known is not None
+        covariance = part.covariance.covariance(trajectory.products) * (1.0 if given else larger**2)
+        roots.append(np.linalg.cholesky(covariance))
+    return RecordDraws(drawn, seed, tuple(stretches), tuple(lengths), tuple(roots))
+
+
+class RecordReplicates(Runner):
+    """Gauss-Newton steps from the estimate for records with other outputs, or for some of the records.
+
+    Parameters
+    ----------
+    nlp : Nlp
+    draws : RecordDraws
+    start : (p,) array
+        The estimate.
+    nodes : tuple of (s, n) arrays
+        Its states at the beginning of every segment, of every part.
+    """
+
+    def __init__(self, nlp: Nlp, draws: RecordDraws, start: Array, nodes: tuple[Array, ...]) -> None:
+        """Keep them."""
+        self._nlp, self._draws, self._start, self._nodes = nlp, draws, start, nodes
+
+    def __reduce__(self) -> tuple[Callable[..., "RecordReplicates"], tuple[Any, ...]]:
+        """Return what builds the same."""
+        return RecordReplicates, (self._nlp, self._draws, self._start, self._nodes)
+
+    @property
+    def left_out(self) -> int:
+        """How many data sets there are with one piece left out."""
+        return len(self._nlp.parts) if self._draws.drawn == "parts" else PIECES
+
+    def constants_of(self, number: int) -> Array:
+        """Return the constants (c,) of a run."""
+        return self._nlp.constant_values
+
+    def run(self, start: Array) -> Outcome:
+        """Make the run of a number, (1,)."""
+        began = time.perf_counter()
+        number = int(start[0])
+        if self._draws.drawn == "parts":
+            counts = self._draws.counts(number) if number >= 0 else 1 - np.eye(len(self._nodes))[-1 - number]
+            kept = np.flatnonzero(counts).tolist()
+            parts = [self._part(k).with_weight(float(counts[k])) for k in kept]
+            nodes = tuple(self._nodes[k] for k in kept)
+        else:
+            outputs = self._draws.outputs(number) if number >= 0 else self._draws.without(-1 - number)
+            parts = [self._part(k).with_outputs(values) for k, values in enumerate(outputs)]
+            nodes = self._nodes
+        nlp = copy(self._nlp)
+        object.__setattr__(nlp, "parts", tuple(parts))
+        solver = GaussNewton(nlp)
+        near = solver.run_simulated(self._start, nodes, self._nlp.strategies.max_iterations)
+        found = near if near is not None and near.converged else solver.run(self._start)
+        return Outcome(
+            found.estimate,
+            found.status,
+            found.iterations,
+            time.perf_counter() - began,
+            converged=found.converged,
+            cost=found.cost,
+        )
+
+    def _part(self, k: int) -> RecordPart:
+        part = self._nlp.parts[k]
+        assert isinstance(part, RecordPart)
+        return part

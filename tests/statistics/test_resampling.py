@@ -1,0 +1,54 @@
+"""Intervals from replicates against scipy's, and blocks against the theory of an autoregression."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.signal import lfilter
+from scipy.stats import bootstrap, norm
+from scipy.stats import t as student
+
+from greybox.statistics.resampling import acceleration, bca_interval, block_length, drawn_blocks, percentile_interval
+
+
+def test_intervals_are_those_of_scipy():
+    sample = np.random.default_rng(3).gamma(1.5, size=25)
+    spread = {"n_resamples": 999, "vectorized": True, "random_state": 0}
+    bca = bootstrap((sample,), np.std, method="BCa", **spread)
+    values, estimate = bca.bootstrap_distribution, float(np.std(sample))
+    left_out = np.array([[np.std(np.delete(sample, k))] for k in range(sample.size)])
+    found = bca_interval(values, estimate, float(acceleration(left_out)[0]), 0.95)
+    assert_allclose(found, [bca.confidence_interval.low, bca.confidence_interval.high], rtol=1e-6)
+    plain = bootstrap((sample,), np.std, method="percentile", **spread).confidence_interval
+    assert_allclose(percentile_interval(values, 0.95), [plain.low, plain.high], rtol=1e-6)
+
+
+def test_few_degrees_of_freedom_widen_to_students_t():
+    # Normal replicates of deviation 1 about the estimate, which are what a bootstrap of a mean gives.
+    values = norm.ppf((np.arange(100_000) + 0.5) / 100_000)
+    for found in (percentile_interval(values, 0.95, 5), bca_interval(values, 0.0, 0.0, 0.95, 5)):
+        assert_allclose(found, np.array([-1, 1]) * student.ppf(0.975, 5), rtol=2e-3)
+
+
+def test_an_estimate_beyond_all_replicates_has_no_bca_interval():
+    assert np.isnan(bca_interval(np.arange(10.0), 20.0, 0.0, 0.95)).all()
+
+
+@pytest.mark.parametrize("fade", [0.5, 0.8, 0.95])
+def test_blocks_have_the_length_that_is_best_for_an_autoregression(fade):
+    # Politis and White (2004): b = (2 G² / D n)^(1/3), of an AR(1) G / g(0) = 2 φ / (1 - φ²) and D = 4/3 g(0)².
+    n = 20_000
+    random = np.random.default_rng(0)
+    lengths = [block_length([lfilter([1], [1, -fade], random.normal(size=n))]) for _ in range(9)]
+    best = (1.5 * (2 * fade / (1 - fade**2)) ** 2 * n) ** (1 / 3)
+    assert_allclose(np.median(lengths), best, rtol=0.2)
+
+
+def test_white_residuals_are_drawn_one_by_one():
+    lengths = [block_length([np.random.default_rng(seed).normal(size=300)]) for seed in range(40)]
+    assert np.median(lengths) == 1
+
+
+def test_blocks_follow_each_other_on_a_circle():
+    places = drawn_blocks(np.random.default_rng(0), 100, 30, 7)
+    assert len(places) == 100
+    assert np.all((np.diff(places) % 30 == 1) | (np.arange(1, 100) % 7 == 0))

@@ -1,0 +1,185 @@
+"""The bootstrap against theory, single fits of the same data, and its own promises."""
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from benchmark_module import benchmark
+from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.signal import lfilter
+
+import greybox as gb
+from greybox.cli.main import main
+from greybox.compiled.compiled_problem import compile_problem
+from greybox.problems import pitch_hover, yaw_hover
+from greybox.solve.response_replicates import response_draws
+
+OMEGA = np.geomspace(0.5, 20, 8)
+SIGMA = 0.05
+
+
+class Gain(gb.TransferFunction):
+    """A constant, of which the theory is short."""
+
+    input, output = "u", "y"
+    K = gb.Parameter(1.0, bounds=(0.1, 10))
+
+    def response(self, s, p):
+        return p.K + 0 * s
+
+
+class Ramp(gb.StateSpace):
+    """A constant in time."""
+
+    states, inputs, outputs = (), ("u",), ("y",)
+    K = gb.Parameter(1.0, bounds=(-10, 10))
+
+    def output(self, x, u, p):
+        return (p.K * u.u,)
+
+
+@pytest.fixture(scope="module")
+def pitch():
+    return gb.fit(pitch_hover.problem(), starts=8, progress=False)
+
+
+@pytest.fixture(scope="module")
+def lag():
+    data = measured(Lag(), OMEGA, {"K": 2.0, "T": 0.3}, noise=SIGMA, seed=1)
+    return gb.fit(gb.Problem(Lag(), data, gb.SquaredRelativeError()), starts=8, progress=False)
+
+
+@pytest.mark.parametrize("resampling", ["residuals", "parametric", "points"])
+def test_the_spread_of_a_mean_is_that_of_theory(resampling):
+    # Of n points with errors σ in each component, the real parts tell of the gain: σ / √n.
+    n, sigma = 80, 0.005
+    data = measured(Gain(), np.geomspace(1, 10, n), {"K": 1.0}, noise=sigma, seed=0)
+    fit = gb.fit(gb.Problem(Gain(), data, gb.SquaredRelativeError()), starts=6, progress=False)
+    found = gb.bootstrap(fit, resampling, 600, progress=False)
+    assert_allclose(found.standard_error["K"], sigma / np.sqrt(n), rtol=0.15)
+    low, high = found.interval()["K"]
+    assert_allclose((high - low) / 2, 1.98 * sigma / np.sqrt(n), rtol=0.2)
+
+
+@pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.MagnitudePhase()])
+def test_a_replicate_is_the_fit_to_its_data(criterion):
+    data = measured(LagLagDelay(), TWO_LAGS_OMEGA[::3], TWO_LAGS, noise=0.03, seed=3)
+    problem = gb.Problem(LagLagDelay(), data, criterion)
+    fit = gb.fit(problem, starts=10, progress=False)
+    found = gb.bootstrap(fit, "residuals", 20, progress=False)
+    nlp = compile_problem(problem)
+    x = np.array([fit.estimate[name] for name in nlp.free])
+    nothing = np.zeros((len(nlp.constants),) * 2)
+    draws = response_draws(nlp, x, np.zeros(len(x), bool), nothing, "residuals", 0)
+    n, c = len(data), len(nlp.constants)
+    for k in (7,):
+        table = draws.replicate(k)[c + 1 :].reshape(6, n)
+        drawn = gb.FrequencyResponse(table[0], table[1] + 1j * table[2], input=data.input, output=data.output)
+        again = gb.fit(problem.with_(data=drawn), starts=[fit.estimate], progress=False)
+        values = {**again.estimate, **again.derived}
+        assert_allclose([found[name][k] for name in nlp.free], [values[name] for name in nlp.free], rtol=2e-3)
+
+
+def test_replicates_follow_from_the_seed_alone(lag):
+    alone = gb.bootstrap(lag, replicates=200, seed=4, progress=False)
+    with ThreadPoolExecutor(2) as two:
+        assert_array_equal(gb.bootstrap(lag, replicates=200, seed=4, executor=two, progress=False).values, alone.values)
+    assert_array_equal(gb.bootstrap(lag, replicates=140, seed=4, progress=False).values[:128], alone.values[:128])
+    assert not np.array_equal(gb.bootstrap(lag, replicates=10, seed=5, progress=False).values, alone.values[:10])
+
+
+def test_what_was_interrupted_goes_on(lag, tmp_path):
+    whole = gb.bootstrap(lag, replicates=200, progress=False)
+
+    def stop(done, count):
+        if done == 150:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        gb.bootstrap(lag, replicates=200, folder=tmp_path, progress=stop)
+    again = gb.bootstrap(lag, replicates=200, folder=tmp_path, progress=False)
+    assert_array_equal(again.values, whole.values)
+    assert again.interval() == whole.interval()
+    with pytest.raises(ValueError, match="made for another problem"):
+        gb.bootstrap(lag, replicates=200, seed=1, folder=tmp_path, progress=False)
+
+
+def test_a_parameter_that_the_data_leave_open_has_no_upper_end():
+    fit = gb.fit(yaw_hover.problem(), starts=12, progress=False)
+    found = gb.bootstrap(fit, replicates=200, progress=False)
+    low, high = found.interval(method="percentile")["a2"]
+    assert low > 50
+    assert high == np.inf
+    assert found.at_bound["a2"][1] > 0.025
+    assert "above" in str(found)
+
+
+def test_errors_of_constants_from_an_earlier_fit_are_drawn(lag):
+    data = measured(Lag(), OMEGA, {"K": 2.0, "T": 0.3}, noise=0.001, seed=2)
+    problem = gb.Problem(Lag(), data, gb.SquaredRelativeError(), fixed={"T": lag})
+    fit = gb.fit(problem, starts=6, progress=False)
+    with pytest.raises(ValueError, match="T from an earlier fit"):
+        gb.bootstrap(fit, progress=False)
+    found = gb.bootstrap(fit, replicates=300, problem=problem, progress=False)
+    assert_allclose(found.standard_error["K"], fit.standard_error["K"], rtol=0.2)
+    assert_allclose(found.standard_error["bandwidth"], lag.standard_error["bandwidth"], rtol=0.2)
+
+
+def test_blocks_see_errors_that_are_correlated_in_time():
+    # Of a mean of n errors of an AR(1) the standard error is larger by √((1 + φ) / (1 - φ)) than of white ones.
+    n, fade = 500, 0.7
+    errors = lfilter([1], [1, -fade], np.random.default_rng(1).normal(size=n + 200))[200:]
+    record = gb.Record(np.arange(n) / 10, {"u": np.ones(n), "y": 2.0 + 0.1 * errors})
+    fit = gb.fit(gb.Problem(Ramp(), record), starts=[{}], progress=False)
+    blocks = gb.bootstrap(fit, replicates=60, progress=False)
+    white = gb.bootstrap(fit, replicates=60, block=1, progress=False)
+    white_error = 0.1 * np.std(errors) / np.sqrt(n)
+    assert_allclose(white.standard_error["K"], white_error, rtol=0.25)
+    assert_allclose(blocks.standard_error["K"], white_error * np.sqrt((1 + fade) / (1 - fade)), rtol=0.3)
+    assert "samples each" in blocks.about
+    assert_allclose(gb.bootstrap(fit, "parametric", 40, progress=False).standard_error["K"], white_error, rtol=0.3)
+
+
+def test_whole_parts_are_drawn_where_they_differ_by_more_than_their_noise():
+    # Every response has a gain of its own: the mean of ten has the error of the gains, which no residual shows.
+    random = np.random.default_rng(5)
+    gains = 1 + 0.1 * random.normal(size=10)
+    data = [measured(Gain(), OMEGA, {"K": gain}, noise=0.01, seed=k) for k, gain in enumerate(gains)]
+    problem = sum(gb.Problem(Gain(), one, gb.SquaredRelativeError()) for one in data)
+    fit = gb.fit(problem, starts=6, progress=False)
+    found = gb.bootstrap(fit, "parts", 400, progress=False)
+    assert_allclose(found.standard_error["K"], np.std(gains) / np.sqrt(10), rtol=0.25)
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    coverage = benchmark("bootstrap_coverage")
+    make, truth, _ = coverage.response_case(*coverage.RESPONSES[0][1:])
+    counts, failed = coverage.held(make, truth, "residuals", 8, 200)
+    # Of 16 intervals of nominally 95 % at least 12 hold (99.9 % of the time).
+    assert min(sum(counts["percentile"].values()), sum(counts["bca"].values())) >= 12
+    assert failed == 0
+
+
+def test_what_cannot_be_drawn_is_refused(lag):
+    with pytest.raises(ValueError, match="'blocks' is not for frequency responses"):
+        gb.bootstrap(lag, "blocks")
+    with pytest.raises(ValueError, match="has 1 part"):
+        gb.bootstrap(lag, "parts")
+    with pytest.raises(ValueError, match="replicates is 1"):
+        gb.bootstrap(lag, replicates=1)
+    exact = gb.fit(gb.Problem(Lag(), measured(Lag(), OMEGA, {"K": 2.0, "T": 0.3})), starts=8, progress=False)
+    with pytest.raises(ValueError, match="fitted exactly"):
+        gb.bootstrap(exact)
+
+
+def test_the_command_prints_what_the_function_finds(pitch, tmp_path, capsys):
+    gb.save(pitch, tmp_path / "pitch.h5")
+    words = ["bootstrap", str(tmp_path / "pitch.h5"), "--replicates", "150", "--resampling", "parametric", "--json"]
+    assert main(words) == 0
+    answer = json.loads(capsys.readouterr().out)
+    expected = gb.bootstrap(pitch, "parametric", 150, progress=False)
+    assert answer["quantities"]["a1"]["bca"] == list(expected.interval()["a1"])
+    assert answer["failed"] == 0
+    assert main([*words, "--level", "2"]) == 2
