@@ -101,6 +101,7 @@ _ON_FIRST_USE = {
     "load": ("greybox.estimate.storage", "load"),
     "plot": ("greybox.plotting", "plot"),
     "plotting": ("greybox.plotting", None),
+    "report": ("greybox.html_report.report", "report"),
     "save": ("greybox.estimate.storage", "save"),
 }
 

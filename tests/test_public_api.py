@@ -11,12 +11,11 @@ import pytest
 import greybox as gb
 
 NAMES = """
-Bootstrap
-Collocation Controller Criterion Fit FrequencyResponse Integrator MagnitudePhase MaximumLikelihood MultipleShooting
-OutputError Parameter PredictionError Problem Profiles Record RelativeError RelativeLikelihood Rosenbrock RungeKutta
-SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion TransferFunction Transcription batch bootstrap
-compare cost feedback fit frequency_response identify load plot predict prepare profile read read_response reduce save
-several simulate virtual_flight
+Bootstrap Collocation Controller Criterion Fit FrequencyResponse Integrator MagnitudePhase MaximumLikelihood
+MultipleShooting OutputError Parameter PredictionError Problem Profiles Record RelativeError RelativeLikelihood
+Rosenbrock RungeKutta SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion Transcription
+TransferFunction batch bootstrap compare cost feedback fit frequency_response identify load plot predict prepare
+profile read read_response reduce report save several simulate virtual_flight
 """.split()
 
 FORMULAS = """

@@ -21,6 +21,7 @@ from greybox.cli import (
     inspect_command,
     list_command,
     profile_command,
+    report_command,
     response_command,
 )
 from greybox.cli.options import UsageError
@@ -40,6 +41,7 @@ COMMANDS = (
     bootstrap_command,
     batch_command,
     compare_command,
+    report_command,
 )
 
 

@@ -87,6 +87,15 @@ def with_error(value: float, error: float) -> tuple[str, str]:
     return f"{round(value, decimals):.{places}f}", f"{round(error, decimals):.{places}f}"
 
 
+def greek(name: str) -> str:
+    """Return the Greek letter of this name, as θ for ``theta``; any other name as it is."""
+    size = "SMALL" if name.islower() else "CAPITAL" if name.istitle() else "no"
+    try:
+        return unicodedata.lookup(f"GREEK {size} LETTER {name}")
+    except KeyError:
+        return name
+
+
 def is_number(cell: str) -> bool:
     """Tell whether a cell of a table is a number."""
     try:

@@ -5,6 +5,7 @@ written with `functions`. One formula has several readings:
 
 - `symbolic_reading` traces it with CasADi; `complex_arithmetic` gives real and imaginary part of a function of s, and
   `rational` numerator, denominator and delay (`function_of_s` is what these two share).
+- `expression_tree` has it as sums, products and functions, to be shown.
 - `pade_delay` approximates a delay by a rational function or by states.
 - `linear_response` is the frequency response, with `linearization` of an ODE at its operating point (`trim`) and
   `elimination` of the states.

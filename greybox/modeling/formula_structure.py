@@ -67,7 +67,7 @@ def separated(formula: ca.SX, z: ca.SX) -> tuple[ca.SX, ca.SX]:
         return _Term({}, _apply(operation, [term.whole(z) for term in terms]), moving)
 
     symbols = [_Term({j: ca.SX(1)}, ca.SX(0), False) for j in range(z.numel())]
-    for k, term in enumerate(_walk(formula, z, symbols, lambda e: _Term({}, e, False), operate)):
+    for k, term in enumerate(walk(formula, z, symbols, lambda e: _Term({}, e, False), operate)):
         for j, slope in term.slopes.items():
             linear[k, j] = slope
         rest[k] = term.rest
@@ -252,11 +252,11 @@ def _held_switches(formula: ca.SX, z: ca.SX) -> tuple[ca.SX, list[_Switch]]:
             return _apply(operation, terms)
         return hold(side, *terms)
 
-    held = ca.vertcat(*_walk(formula, z, ca.vertsplit(z), lambda e: e, operate))
+    held = ca.vertcat(*walk(formula, z, ca.vertsplit(z), lambda e: e, operate))
     return held, list(switches.values())
 
 
-def _walk(
+def walk(
     formula: ca.SX,
     z: ca.SX,
     symbols: list[Any],

@@ -144,7 +144,7 @@ def draw_bode(
 ) -> None:
     """Draw the series and the errors into these panels, with this title."""
     place = dict(zip(panels, drawn, strict=True))
-    for one, phase in zip(series, _phases(series), strict=True):
+    for one, phase in zip(series, phases(series), strict=True):
         _draw_series(place, one, phase)
     if "magnitude error" in place:
         _draw_errors(place["magnitude error"], place["phase error"], errors, series)
@@ -181,13 +181,13 @@ def _draw_series(place: Mapping[str, Axes], one: ResponseSeries, phase: NDArray[
         place["coherence"].plot(response.omega, response.coherence, **one.look)
 
     if response.variance is not None:
-        down, up, turn = _error_bars(response)
+        down, up, turn = error_bars(response)
         look = _bar_look(response, one.color)
         place["magnitude"].errorbar(response.omega, decibel, [down, up], **look)
         place["phase"].errorbar(response.omega, phase, turn, **look)
 
     if one.band is not None:
-        order, half = _half_width(one.band)
+        order, half = half_width(one.band)
         omega = one.band.omega[order]
         middle = interpolated(omega, response.omega, decibel), interpolated(omega, response.omega, phase)
         for ax, center, width in zip((place["magnitude"], place["phase"]), middle, half, strict=True):
@@ -198,7 +198,7 @@ def _draw_errors(magnitude: Axes, phase: Axes, errors: Sequence[ErrorSeries], se
     """Draw measured less fitted values, and the bands of the fits around zero."""
     for one in series:
         if one.band is not None:
-            order, half = _half_width(one.band)
+            order, half = half_width(one.band)
             for ax, width in zip((magnitude, phase), half, strict=True):
                 ax.fill_between(one.band.omega[order], -width, width, **_band_look(one.color))
 
@@ -209,7 +209,7 @@ def _draw_errors(magnitude: Axes, phase: Axes, errors: Sequence[ErrorSeries], se
         decibel = np.where(np.isfinite(decibel), decibel, np.nan)  # of a measured zero
         turn = np.degrees(np.angle(error.ratio))
         if error.data.variance is not None:
-            down, up, half_turn = _error_bars(error.data)
+            down, up, half_turn = error_bars(error.data)
             look = _bar_look(error.data, error.look["color"])
             magnitude.errorbar(omega, decibel, [down, up], **look)
             phase.errorbar(omega, turn, half_turn, **look)
@@ -221,7 +221,7 @@ def _draw_errors(magnitude: Axes, phase: Axes, errors: Sequence[ErrorSeries], se
         ax.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
 
 
-def _half_width(band: ResponseBand) -> tuple[NDArray[np.integer], NDArray[np.float64]]:
+def half_width(band: ResponseBand) -> tuple[NDArray[np.integer], NDArray[np.float64]]:
     """Return the order of the frequencies, and half of the widths (2, n) in dB and degrees along it."""
     order = np.argsort(band.omega)
     factors = np.array([[DB_PER_NEPER], [180 / np.pi]])
@@ -232,7 +232,7 @@ def _band_look(color: str) -> dict[str, Any]:
     return {"color": color, "alpha": BAND_ALPHA, "linewidth": 0, "zorder": 1.1}
 
 
-def _error_bars(data: FrequencyResponse) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def error_bars(data: FrequencyResponse) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return one standard deviation of one component, (n,): down and up in dB, and in degrees."""
     assert data.variance is not None
     relative = np.sqrt(data.variance / 2) / np.maximum(np.abs(data.response), 1e-300)
@@ -262,7 +262,7 @@ def _frequency_axes(drawn: AxesArray) -> None:
     label_horizontal(drawn, "ω, rad/s")
 
 
-def _phases(series: Sequence[ResponseSeries]) -> list[NDArray[np.float64]]:
+def phases(series: Sequence[ResponseSeries]) -> list[NDArray[np.float64]]:
     """Return the phase (n,) of each series in degrees, within each input-output pair next to each other."""
     first: dict[tuple[str, str], _Phase] = {}
     guides: dict[ResponseSeries, _Phase] = {}

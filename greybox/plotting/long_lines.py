@@ -17,12 +17,14 @@ def pieces(time: Array, gap: float) -> list[Rows]:
     return np.split(np.arange(time.size), cuts)
 
 
-def drawn_line(time: Array, values: Array, rows: Sequence[Rows], *, thin: bool = True) -> tuple[Array, Array]:
+def drawn_line(
+    time: Array, values: Array, rows: Sequence[Rows], *, thin: bool = True, columns: int = COLUMNS
+) -> tuple[Array, Array]:
     """Return the pieces of a line, one after the other with a NaN between.
 
-    Of a long line only the extremes of what falls into one pixel column are returned, unless `thin` is False.
+    Of a long line only the extremes of what falls into one of so many columns are returned, unless `thin` is False.
     """
-    size = -(-sum(map(len, rows)) // COLUMNS) if thin else 1
+    size = -(-sum(map(len, rows)) // columns) if thin else 1
     times: list[Array] = []
     kept_values: list[Array] = []
 

@@ -1,7 +1,6 @@
 """What all figures share: colors, symbols for signal names, the frame of a diagram, legends, and given axes."""
 
 import io
-import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
@@ -11,6 +10,8 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.legend_handler import HandlerTuple
 from numpy.typing import NDArray
+
+from greybox.data.text_table import greek
 
 # Okabe and Ito's colors, which readers with a color vision deficiency can tell apart; yellow is too pale for lines.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -81,15 +82,7 @@ def plain(text: str) -> str:
 
 def symbol(name: str) -> str:
     """Return a signal's name with Greek letters: theta is θ, u_phi is u_φ."""
-    return "_".join(_greek(part) for part in name.split("_"))
-
-
-def _greek(name: str) -> str:
-    size = "SMALL" if name.islower() else "CAPITAL" if name.istitle() else "no"
-    try:
-        return unicodedata.lookup(f"GREEK {size} LETTER {name}")
-    except KeyError:
-        return name.replace("$", r"\$")
+    return "_".join(greek(part) for part in name.split("_")).replace("$", r"\$")
 
 
 def finish(ax: Axes, ylabel: str) -> None:

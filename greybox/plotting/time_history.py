@@ -40,7 +40,7 @@ WIDTH = 9.5  # inches
 
 
 @dataclass(frozen=True, eq=False)
-class _History:
+class History:
     """One item as it is drawn: values (n,) by output, half-widths of a 95 % band where there is one."""
 
     label: str
@@ -108,7 +108,7 @@ def time_history(
     return places
 
 
-def histories(items: Sequence[Fit | Prediction], record: int, labels: Sequence[str] = ()) -> list[_History]:
+def histories(items: Sequence[Fit | Prediction], record: int, labels: Sequence[str] = ()) -> list[History]:
     """Return what is drawn of each item.
 
     Raises
@@ -138,18 +138,18 @@ def histories(items: Sequence[Fit | Prediction], record: int, labels: Sequence[s
     return [replace(history, label=name) for name, history in zip(names, drawn, strict=True)]
 
 
-def history_height(drawn: Sequence[_History]) -> float:
+def history_height(drawn: Sequence[History]) -> float:
     """Return the height in inches that a figure of these needs."""
     return 1.4 + 2.6 * len(_outputs(drawn)) + 1.1 * len(_inputs(drawn))
 
 
-def history_axes(figure: Figure | SubFigure, drawn: Sequence[_History]) -> AxesArray:
+def history_axes(figure: Figure | SubFigure, drawn: Sequence[History]) -> AxesArray:
     """Make the axes in a figure or a part of one: output and residual for each output, then the inputs."""
     heights = [*(height for _ in _outputs(drawn) for height in (1.9, 0.8)), *(0.9 for _ in _inputs(drawn))]
     return figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
 
 
-def draw_history(places: AxesArray, drawn: Sequence[_History]) -> None:
+def draw_history(places: AxesArray, drawn: Sequence[History]) -> None:
     """Draw all items into their panels."""
     outputs = _outputs(drawn)
     for k, name in enumerate(outputs):
@@ -157,14 +157,14 @@ def draw_history(places: AxesArray, drawn: Sequence[_History]) -> None:
 
     for ax, name in zip(places[2 * len(outputs) :], _inputs(drawn), strict=True):
         data = next(history.data for history in drawn if name in history.data.signals)
-        values = data[name] * _scale(data, name)
-        ax.plot(*drawn_line(_along(data), values, _pieces(data)), color=INPUT, **_look(data, 1.0))
+        values = data[name] * shown_scale(data, name)
+        ax.plot(*drawn_line(along(data), values, gapless_rows(data)), color=INPUT, **_look(data, 1.0))
         finish(ax, _label(data, name))
 
     label_horizontal(places, "Time, s" if drawn[0].data.has_time else "Row")
 
 
-def history_legend(drawn: Sequence[_History]) -> dict[str, tuple[Artist, ...]]:
+def history_legend(drawn: Sequence[History]) -> dict[str, tuple[Artist, ...]]:
     """Return the legend: what was measured, every item, and the bands."""
     keys: dict[str, tuple[Artist, ...]] = {"measured": (Line2D([], [], color=MEASURED, linewidth=2.4),)}
     for k, history in enumerate(drawn):
@@ -174,30 +174,30 @@ def history_legend(drawn: Sequence[_History]) -> dict[str, tuple[Artist, ...]]:
     return keys
 
 
-def _of_fit(fit: Fit, record: int) -> _History:
+def _of_fit(fit: Fit, record: int) -> History:
     count = len(fit.records)
     if not count:
         raise ValueError(f"the fit {fit.name!r} has no record: draw its responses with gb.plot or gb.plotting.bode.")
     if not -count <= record < count:
         raise ValueError(f"there is no record {record}: the fit has {count}, counted from 0.")
     part: FittedRecord = fit.records[record]
-    return _History(
+    return History(
         label=f"fit of {part.label}",
         data=part.data,
         outputs=part.outputs,
         inputs=tuple(name for name in part.data.signals if name not in part.outputs),
         values={name: part.simulated[name] for name in part.outputs},
         half_width={},
-        pieces=_pieces(part.data),
+        pieces=gapless_rows(part.data),
         window_starts=np.zeros(0, dtype=int),
     )
 
 
-def _of_prediction(prediction: Prediction) -> _History:
+def _of_prediction(prediction: Prediction) -> History:
     from scipy.special import ndtri  # noqa: PLC0415  (takes a tenth of a second to import)
 
     predicted = prediction.record
-    return _History(
+    return History(
         label=prediction.title,
         data=prediction.data,
         outputs=prediction.outputs,
@@ -209,14 +209,14 @@ def _of_prediction(prediction: Prediction) -> _History:
     )
 
 
-def _pieces(data: Record) -> list[Rows]:
+def gapless_rows(data: Record) -> list[Rows]:
     """Return the rows between the gaps; rows without a time are not joined."""
     if not data.has_time:
         return [np.array([row]) for row in range(len(data))]
     return pieces(data.time, GAP * data.step)
 
 
-def _along(data: Record) -> Array:
+def along(data: Record) -> Array:
     """Return the times, or the numbers of the rows from one."""
     return data.time if data.has_time else data.time + 1
 
@@ -228,30 +228,30 @@ def _look(data: Record, width: float) -> dict[str, Any]:
     return {"linestyle": "none", "marker": ".", "markersize": 3 + width}
 
 
-def _outputs(drawn: Sequence[_History]) -> list[str]:
+def _outputs(drawn: Sequence[History]) -> list[str]:
     return list(dict.fromkeys(name for history in drawn for name in history.outputs))
 
 
-def _inputs(drawn: Sequence[_History]) -> list[str]:
+def _inputs(drawn: Sequence[History]) -> list[str]:
     """Return the inputs of all."""
     return list(dict.fromkeys(name for history in drawn for name in history.inputs))
 
 
-def _panels(drawn: Sequence[_History]) -> list[str]:
+def _panels(drawn: Sequence[History]) -> list[str]:
     """Return the names of the panels, from top to bottom."""
     outputs = [panel for name in _outputs(drawn) for panel in (name, f"residual of {name}")]
     return [*outputs, *_inputs(drawn)]
 
 
-def _draw_output(ax: Axes, residual_ax: Axes, drawn: Sequence[_History], name: str) -> None:
+def _draw_output(ax: Axes, residual_ax: Axes, drawn: Sequence[History], name: str) -> None:
     data = next(history.data for history in drawn if name in history.outputs)
-    scale = _scale(data, name)
+    scale = shown_scale(data, name)
     measured = np.isfinite(data[name])
 
     if measured.sum() <= DOTS or not data.has_time:
-        ax.plot(_along(data)[measured], scale * data[name][measured], ".", color=MEASURED, markersize=4.5, zorder=1.5)
+        ax.plot(along(data)[measured], scale * data[name][measured], ".", color=MEASURED, markersize=4.5, zorder=1.5)
     else:
-        line = drawn_line(data.time, scale * data[name], _pieces(data))
+        line = drawn_line(data.time, scale * data[name], gapless_rows(data))
         ax.plot(*line, color=MEASURED, linewidth=2.4, zorder=1.5)
 
     for k, history in enumerate(drawn):
@@ -263,8 +263,8 @@ def _draw_output(ax: Axes, residual_ax: Axes, drawn: Sequence[_History], name: s
     finish(residual_ax, "residual")
 
 
-def _draw_item(ax: Axes, residual_ax: Axes, history: _History, name: str, color: str, scale: float) -> None:
-    time = _along(history.data)
+def _draw_item(ax: Axes, residual_ax: Axes, history: History, name: str, color: str, scale: float) -> None:
+    time = along(history.data)
     values = scale * history.values[name]
     residual = scale * history.data[name] - values
     ax.plot(*drawn_line(time, values, history.pieces), color=color, **_look(history.data, 1.1), zorder=2.5)
@@ -287,7 +287,7 @@ def _draw_item(ax: Axes, residual_ax: Axes, history: _History, name: str, color:
         ax.plot(time[history.window_starts], values[history.window_starts], ".", color=color, markersize=4, zorder=3)
 
 
-def _scale(data: Record, name: str) -> float:
+def shown_scale(data: Record, name: str) -> float:
     """Return the factor to what a person reads: degrees for radians."""
     return 180 / np.pi if data.units.get(name, "") in ("rad", "rad/s") else 1.0
 

@@ -1,0 +1,61 @@
+"""The command `greybox report`: a page about saved results."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from greybox.cli.options import UsageError, add_common_options
+from greybox.cli.output import USABLE, Answer, require_writable
+from greybox.study.study import read_study
+from greybox.validation.same_data import labels_of
+
+PAGES = (".html", ".htm")
+
+
+def add_command(commands: Any) -> None:
+    """Declare the command and its options."""
+    parser = commands.add_parser("report", help="write a page about results, to hand on", allow_abbrev=False)
+    add = parser.add_argument
+    add(
+        "results",
+        nargs="+",
+        type=Path,
+        metavar="RESULT",
+        help="a fit that greybox fit --out or greybox identify wrote, or the folder of a study; several side by side",
+    )
+    add("--out", type=Path, metavar="FILE", help="the page (default: the name of the first result, ending in .html)")
+    add("--model", type=Path, nargs="+", default=[], metavar="FILE", help="Python files with models of your own")
+    add("--title", default="", help="heading of the page (default: the name of the fit)")
+    add("--force", action="store_true", help="overwrite a file that exists")
+    add_common_options(parser)
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> Answer:
+    """Read the results and write the page."""
+    from greybox.html_report.report import write_page  # noqa: PLC0415  (figures need matplotlib, which takes long)
+
+    out = options.out or Path(f"{options.results[0].resolve().stem}.html")
+    require_writable(out, options.force)
+    if out.suffix.lower() not in PAGES:
+        raise UsageError(f"--out {out} is not a page: end it in .html.")
+    entries = _entries(options)
+    write_page(entries, out, title=options.title)
+    size = out.stat().st_size
+    answer = {"page": str(out), "bytes": size, "results": [entry.label for entry in entries]}
+    return answer, f"wrote {out} ({size / 1000:.0f} kB)", USABLE
+
+
+def _entries(options: argparse.Namespace) -> list[Any]:
+    from greybox.estimate.storage import load  # noqa: PLC0415  (needs h5py)
+    from greybox.html_report.report import Entry, study_entries  # noqa: PLC0415  (as above)
+
+    loaded = {path: load(path, models=options.model) for path in options.results if not path.is_dir()}
+    labels = dict(zip(loaded, labels_of(list(loaded.values())), strict=True))
+    entries: list[Any] = []
+    for path in options.results:
+        if path.is_dir():
+            entries += study_entries(read_study(path))
+        else:
+            entries.append(Entry(labels[path], loaded[path], file=str(path)))
+    return entries

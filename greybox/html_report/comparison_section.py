@@ -1,0 +1,136 @@
+"""Several results side by side: one table of all, how they compare, and their figures laid over one another."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from xml.etree.ElementTree import Element
+
+from greybox.data.text_table import with_error
+from greybox.estimate.result import Fit
+from greybox.html_report.elements import tag
+from greybox.html_report.figure import Figure
+from greybox.html_report.history_figures import history_figure
+from greybox.html_report.response_figures import response_figures
+from greybox.html_report.tables import Cell, number_cell, table
+from greybox.html_report.verdict import verdict
+from greybox.validation.compare import compare
+from greybox.validation.comparison import HELD_OUT, Comparison
+
+OVERLAID = 6  # fits in one figure: there are six colors
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One result on the page.
+
+    Attributes
+    ----------
+    label : str
+        What it is called on the page.
+    fit : Fit or None
+        None where there is none, for the reason in `error`.
+    file : str
+        Where it was read.
+    error : str
+    anchor : str
+        Of its section; empty where it has none.
+    """
+
+    label: str
+    fit: Fit | None
+    file: str = ""
+    error: str = ""
+    anchor: str = ""
+
+
+def comparison_section(entries: Sequence[Entry], comparison: Comparison | None, columns: int) -> list[Element]:
+    """Return what the results say beside one another: estimates, tests, and figures of all."""
+    fits = [(entry.label, entry.fit) for entry in entries if entry.fit is not None and entry.fit.converged]
+    content = list(_estimates(fits))
+    labels, converged = [label for label, _ in fits], [fit for _, fit in fits]
+    if comparison is None and 2 <= len(fits) <= OVERLAID:
+        try:
+            comparison = compare(*converged, labels=labels)
+        except (ValueError, LookupError) as error:
+            content.append(tag("p", f"They are not compared by a test: {error.args[0]}"))
+    if comparison is not None:
+        content += _comparison(comparison)
+    drawn = list(_figures(converged, labels, comparison, columns)) if 2 <= len(fits) <= OVERLAID else []
+    if drawn:
+        content.append(tag("div", *(figure.element for figure in drawn), class_="figures"))
+    return content
+
+
+def overview(entries: Sequence[Entry]) -> Element:
+    """Return the table of all results, with links to their sections."""
+    rows = []
+    for entry in entries:
+        name = Cell(tag("a", entry.label, href=f"#{entry.anchor}") if entry.anchor else entry.label)
+        if entry.fit is None:
+            rows.append([name, Cell(entry.error or "no result", mark="failed"), *[Cell("")] * 6])
+            continue
+        fit = entry.fit
+        judged = verdict(fit).grade
+        rows.append(
+            [
+                name,
+                Cell({"good": "good", "doubt": "in doubt", "failed": "failed"}[judged], mark=judged),
+                Cell(", ".join(dict.fromkeys(part.label for part in fit.parts))),
+                Cell(fit.criterion),
+                number_cell(fit.cost, 6),
+                Cell(f"{fit.agreeing} of {len(fit.runs)}" if fit.converged else "–", float(fit.agreeing)),
+                Cell(str(len(fit.warnings)), float(len(fit.warnings))),
+                Cell(", ".join(dict.fromkeys(part.data.name or part.name for part in fit.parts))),
+            ]
+        )
+    header = ["result", "verdict", "model", "criterion", "cost", "starts agreeing", "warnings", "data"]
+    return table(header, rows)
+
+
+def _estimates(fits: Sequence[tuple[str, Fit]]) -> Iterator[Element]:
+    """Yield the table of all estimates with their errors, one row a result."""
+    names = list(dict.fromkeys(q.name for _, fit in fits for q in fit.quantities))
+    if not names:
+        return
+    rows = []
+    for label, fit in fits:
+        known = {q.name: q for q in fit.quantities}
+        row = [Cell(label)]
+        for name in names:
+            q = known.get(name)
+            if q is None:
+                row.append(Cell(""))
+                continue
+            value, error = with_error(q.value, q.standard_error)
+            row.append(Cell(value if error == "-" else f"{value} ± {error}", q.value))
+        rows.append(row)
+    yield tag("h3", "Estimates with standard errors")
+    yield table(["result", *names], rows)
+
+
+def _comparison(comparison: Comparison) -> Iterator[Element]:
+    yield tag("h3", "Comparison")
+    yield tag("p", f"Data: {comparison.data}.")
+    for statement in comparison.statements:
+        yield tag("p", statement)
+    header = ["data", "output", "measure", "unit", *comparison.labels]
+    rows = [
+        [Cell(r.data), Cell(r.output), Cell(r.measure), Cell(r.unit), *(number_cell(value) for value in r.values)]
+        for r in comparison.rows
+    ]
+    yield table(header, rows)
+
+
+def _figures(
+    fits: Sequence[Fit], labels: Sequence[str], comparison: Comparison | None, columns: int
+) -> Iterator[Figure]:
+    """Yield responses and histories of all, and predictions of what none has seen."""
+    if all(fit.responses for fit in fits):
+        yield from response_figures(fits, labels)
+    for k in range(min(len(fit.records) for fit in fits)):
+        try:
+            yield history_figure(fits, k, labels, columns)
+        except ValueError:  # other records
+            break
+    predictions = comparison.predictions.get(HELD_OUT, ()) if comparison else ()
+    for of_record in zip(*predictions, strict=True):
+        yield history_figure(of_record, 0, comparison.labels if comparison else labels, columns)

@@ -1,0 +1,142 @@
+"""All that the page shows of one fit."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from xml.etree.ElementTree import Element
+
+from greybox.data.text_table import counted
+from greybox.estimate.result import Fit, FittedRecord
+from greybox.html_report.elements import tag
+from greybox.html_report.equation import equations
+from greybox.html_report.figure import Figure
+from greybox.html_report.history_figures import history_figure
+from greybox.html_report.provenance import data_summary, provenance
+from greybox.html_report.response_figures import response_figures
+from greybox.html_report.starts_figure import starts_figure
+from greybox.html_report.tables import parameter_table
+from greybox.html_report.verdict import verdict
+from greybox.modeling.model import Model
+from greybox.modeling.model_reference import resolve
+
+HISTORIES = 6  # records of a fit that are drawn: the worst fitted ones
+
+
+def fit_section(fit: Fit, columns: int, file: str = "") -> Iterator[tuple[str, list[Element]]]:
+    """Yield title and content of the sections of a fit; `columns` of long lines are drawn."""
+    yield "Verdict", [tag("p", data_summary(fit)), verdict_box(fit), *_warnings(fit)]
+    yield "Parameters", [parameter_table(fit), *_remarks(fit)]
+    yield "Equation", list(_equations(fit))
+    drawn = list(_responses(fit))
+    if drawn:
+        yield "Frequency response", [_figures(drawn)]
+    if fit.records:
+        yield "Time history", list(_histories(fit, columns))
+    yield "Starts", [_figures([starts_figure(fit)])]
+    yield "Data and provenance", provenance(fit, file)
+
+
+def verdict_box(fit: Fit) -> Element:
+    """Return the verdict in its frame."""
+    judged = verdict(fit)
+    return tag("div", *(tag("p", text) for text in judged.sentences), class_=f"verdict {judged.grade}")
+
+
+def _warnings(fit: Fit) -> list[Element]:
+    kinds = [*((text, "warning") for text in fit.warnings), *((text, "note") for text in fit.notes)]
+    return [tag("ul", *(tag("li", text, class_=kind) for text, kind in kinds), class_="warnings")] if kinds else []
+
+
+def _remarks(fit: Fit) -> list[Element]:
+    """Return what the columns mean, and correlations and combinations."""
+    if not fit.converged:
+        return []
+    told = [
+        "CR is the Cramér-Rao bound, the standard error in percent of the value (guideline: at most 20 %); "
+        "insensitivity is what it would be if all other parameters were known (at most 10 %). An exclamation mark is "
+        "beyond."
+    ]
+    try:
+        judged = fit.identifiability
+    except ValueError:
+        return []
+    if judged.correlated:
+        pairs = ", ".join(f"{a} and {b} ({value:.2f})".replace("-", "−") for a, b, value in judged.correlated)
+        told.append(f"Correlated beyond 0.9: {pairs}.")
+    if judged.combinations:
+        told.append(f"Determined in combination: {'; '.join(map(str, judged.combinations))}.")
+    return [tag("p", text, class_="soft") for text in told]
+
+
+def _equations(fit: Fit) -> Iterator[Element]:
+    """Yield the equation of every model, or why it cannot be written, and what its author says of it."""
+    told: set[str] = set()
+    for k, part in enumerate(fit.parts):
+        if part.label in told:
+            continue
+        told.add(part.label)
+        yield tag("h3", part.label)
+        is_written = True
+        try:
+            model = model_of(fit, k)
+            yield tag("div", equations(model), class_="equations")
+            if fit.converged:
+                yield tag("p", "With the estimate:", class_="soft")
+                yield tag("div", equations(model, _values(fit, k, model)), class_="equations")
+        except (LookupError, ValueError, TypeError, ArithmeticError) as error:
+            is_written = False
+            yield tag("p", f"The equation cannot be written from the formula: {_sentence(error)}")
+        if part.equation:
+            summary = tag("summary", "What the model's author says of it")
+            yield tag("details", summary, tag("pre", part.equation), open=not is_written)
+
+
+def model_of(fit: Fit, k: int) -> Model:
+    """Return the model of a part; of a loaded fit one that greybox includes or that was handed over.
+
+    Raises
+    ------
+    LookupError
+        If it is neither.
+    """
+    return fit.models[k] if fit.models else resolve(fit.parts[k].model, fit.given)
+
+
+def _values(fit: Fit, k: int, model: Model) -> Mapping[str, float]:
+    part = fit.parts[k]
+    values = {name: fit.estimate.get(part.rename.get(name, name)) for name in model.parameters}
+    return {name: float(f"{value:.4g}") for name, value in values.items() if value is not None}
+
+
+def _responses(fit: Fit) -> list[Figure]:
+    return response_figures([fit])
+
+
+def _histories(fit: Fit, columns: int) -> Iterator[Element]:
+    """Yield the histories of the records, of many of them those that are fitted worst."""
+
+    def worst(k: int) -> float:
+        part = fit.records[k]
+        return min(part.fit_percent(name) for name in part.outputs)
+
+    chosen: Sequence[int] = range(len(fit.records))
+    if len(chosen) > HISTORIES:
+        chosen = sorted(sorted(chosen, key=worst)[:HISTORIES])
+        yield tag("p", f"Of {counted(len(fit.records), 'record')} the {HISTORIES} that are fitted worst are drawn.")
+    drawn = [history_figure([fit], k, [f"fit of {_record(fit, k).label}"], columns) for k in chosen]
+    yield _figures(drawn, wide=True)
+
+
+def _record(fit: Fit, k: int) -> FittedRecord:
+    return fit.records[k]
+
+
+def _figures(figures: Sequence[Figure], *, wide: bool = False) -> Element:
+    elements = [figure.element for figure in figures]
+    for element in elements:
+        if wide or len(elements) == 1:
+            element.set("class", "wide")
+    return tag("div", elements, class_="figures")
+
+
+def _sentence(error: Exception) -> str:
+    text = str(error.args[0]) if error.args else type(error).__name__
+    return text if text.endswith(".") else f"{text}."

@@ -1,0 +1,107 @@
+"""The verdict on a fit in three sentences: was the minimum found, does the model follow the data, is it determined."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from greybox.data.text_table import counted, listed, number, some
+from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
+from greybox.estimate.result import Fit
+from greybox.solve.outcome import SCREENED
+from greybox.statistics.metrics import rms
+
+Grade = Literal["good", "doubt", "failed"]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What to think of a fit.
+
+    Attributes
+    ----------
+    grade : "good", "doubt" or "failed"
+        In doubt where there is a warning, a parameter that is not well determined, or a minimum that one start found.
+    sentences : tuple of str
+        Three, or what there is to say of a fit that failed.
+    """
+
+    grade: Grade
+    sentences: tuple[str, ...]
+
+
+def verdict(fit: Fit) -> Verdict:
+    """Judge a fit by what it holds."""
+    if not fit.converged:
+        ended = "" if fit.best_effort is None else "The values below are those at which the best run ended."
+        sentences = ("There is no estimate: " + fit.status + ".", *fit.warnings[:1], ended)
+        return Verdict("failed", tuple(text for text in sentences if text))
+    minimum, found_again = _minimum(fit)
+    determined, well = _determined(fit)
+    grade = "good" if found_again and well and not fit.warnings else "doubt"
+    return Verdict(grade, (minimum, _closeness(fit), determined))
+
+
+def _minimum(fit: Fit) -> tuple[str, bool]:
+    """Say how many starts agree on the best minimum, and whether it was found more than once."""
+    brought = [run for run in fit.runs if run.stage != SCREENED]
+    count = counted(len(brought), "start")
+    if len(brought) == 1:
+        return "The fit was made from one start, so another minimum may have a lower cost.", False
+    if fit.agreeing == 1:
+        return f"Only 1 of {count} reached the best minimum, so another one may have a lower cost.", False
+    others = len(fit.minima) - 1
+    rest = f"; {counted(others, 'other minimum has', 'other minima have')} a higher cost" if others else ""
+    return f"{fit.agreeing} of {count} agree on the best minimum{rest}.", True
+
+
+def _closeness(fit: Fit) -> str:
+    """Say how far the model is from the data, in the words that each kind of data has."""
+    texts = []
+    with np.errstate(divide="ignore", invalid="ignore"):  # measured zeros, which are left out
+        off = [np.abs(part.data.response - part.response) / np.abs(part.data.response) for part in fit.responses]
+    relative = np.concatenate([np.zeros(0), *off])
+    relative = relative[np.isfinite(relative)]
+    if relative.size:
+        texts.append(
+            f"it is {number(100 * rms(relative), 2)} % rms from the {counted(relative.size, 'measured point')} of "
+            f"frequency response, {number(100 * float(relative.max()), 2)} % at most"
+        )
+    for output in dict.fromkeys(name for part in fit.records for name in part.outputs):
+        shares = [100 - part.fit_percent(output) for part in fit.records if output in part.outputs]
+        known = [number(share, 2) for share in sorted(shares) if math.isfinite(share)]
+        if known:
+            span = " to ".join(dict.fromkeys((known[0], known[-1])))
+            texts.append(f"its residual of {output} is {span} % of the standard deviation of {output}")
+    return f"How closely the model follows the data: {'; '.join(texts)}." if texts else "Nothing was compared."
+
+
+def _determined(fit: Fit) -> tuple[str, bool]:
+    """Say how well the free parameters are determined, and whether all are."""
+    at_bound = [q.name for q in fit.quantities if q.at_bound]
+    if not fit.free:
+        return "No parameter was free.", True
+    try:
+        judged = fit.identifiability
+    except ValueError:
+        return "The data give no standard errors, so the estimate cannot be judged by itself.", False
+    texts = []
+    if at_bound:
+        texts.append(f"{_names(at_bound)} ended at a bound")
+    if judged.beyond:
+        guidelines = f"{100 * ERROR_GUIDELINE:.0f} % error, {100 * INSENSITIVITY_GUIDELINE:.0f} % insensitivity"
+        verb = "is" if len(judged.beyond) == 1 else "are"
+        texts.append(f"{_names(judged.beyond)} {verb} beyond the guidelines ({guidelines})")
+    if texts:
+        well = len(fit.free) - len({*at_bound, *judged.beyond})
+        return f"Of {counted(len(fit.free), 'free parameter')}, {well} are well determined: {'; '.join(texts)}.", False
+    worst = int(np.nanargmax(judged.error))
+    whole = "The free parameter is" if len(fit.free) == 1 else f"All {len(fit.free)} free parameters are"
+    most = f"{number(100 * float(judged.error[worst]), 2)} % ({judged.names[worst]})"
+    return f"{whole} well determined, with standard errors of at most {most}.", True
+
+
+def _names(names: Sequence[str]) -> str:
+    return some(names) if len(names) > 4 else listed(names)

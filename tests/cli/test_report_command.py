@@ -1,0 +1,62 @@
+"""`greybox report`: a page of saved results."""
+
+import json
+
+import pytest
+from command_line import OWN, refused, run
+
+import greybox as gb
+
+QUICK = "--starts", "4"
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """Two results, one of a model of the user's own, and a study of two members, one of which failed."""
+    from greybox.problems import roll_hover
+
+    folder = tmp_path_factory.mktemp("results")
+    gb.save(gb.fit(roll_hover.problem(), starts=4, progress=False), folder / "roll.h5")
+    bad = roll_hover.problem().with_(name="bad", constraints=[lambda p: p.a2 - 1e6])
+    members = [
+        gb.study.Member(roll_hover.problem(), starts=4, name="good one"),
+        gb.study.Member(bad, starts=1, name="bad one"),
+    ]
+    gb.batch(members, folder / "study", progress=False)
+    return folder
+
+
+def test_a_result_becomes_a_page(capsys, results, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    status, out, _ = run(capsys, "report", results / "roll.h5")
+    assert status == 0
+    assert out.startswith("wrote roll.html")
+    text = (tmp_path / "roll.html").read_text(encoding="utf-8")
+    assert "Tilt with 4 free parameters" in text
+    assert "roll.h5" in text
+    assert "exists" in refused(capsys, "report", results / "roll.h5")
+    assert "end it in .html" in refused(capsys, "report", results / "roll.h5", "--out", "page.pdf")
+    assert "no file" in refused(capsys, "report", "missing.h5", "--out", "missing.html")
+    assert not (tmp_path / "missing.html").exists()
+
+
+def test_results_and_studies_stand_side_by_side(capsys, results, tmp_path):
+    page = tmp_path / "all.html"
+    status, out, _ = run(capsys, "report", results / "roll.h5", results / "study", "--out", page, "--json")
+    assert status == 0
+    assert json.loads(out)["results"] == ["Tilt", "good one", "bad one"]
+    assert json.loads(out)["bytes"] == page.stat().st_size
+    text = page.read_text(encoding="utf-8")
+    assert "3 results side by side" in text
+    assert "no start converged" in text
+
+
+def test_a_model_of_ones_own_is_drawn_where_its_file_is_given(capsys, own, tmp_path):
+    file = own(OWN)
+    assert run(capsys, "fit", file, *QUICK, "--out", "own.h5")[0] == 0
+    run(capsys, "report", "own.h5", "--out", "without.html")
+    without = (tmp_path / "without.html").read_text(encoding="utf-8")
+    assert "The equation cannot be written from the formula: the model Lag" in without
+    assert "Bode diagram" in without
+    run(capsys, "report", "own.h5", "--model", file, "--out", "with.html")
+    assert "<mfrac>" in (tmp_path / "with.html").read_text(encoding="utf-8")

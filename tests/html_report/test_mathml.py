@@ -1,0 +1,63 @@
+"""Formulas in MathML: well formed, and in the order in which they are read."""
+
+import pytest
+
+import greybox as gb
+from greybox.html_report.elements import html, tag
+from greybox.html_report.equation import equations
+from greybox.html_report.mathml import symbol
+from greybox.models.drag import Drag
+from greybox.models.rate import DampedAngle
+from greybox.models.tilt import LinearTilt
+
+
+def read(element):
+    return "".join(element.itertext())
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("omega_p", "ωp"), ("a1", "a1"), ("T_rotor", "Trotor"), ("K_Omega", "KΩ"), ("tau", "τ"), ("_", "_")],
+)
+def test_names_are_symbols_with_indices(name, text):
+    assert read(symbol(name)) == text
+    assert (symbol(name).tag == "msub") == (len(text) > 1 and name != "tau")
+
+
+def test_a_transfer_function_is_a_fraction_with_its_delay():
+    (equation,) = equations(DampedAngle())
+    assert equation.tag == "math"
+    fraction, delay = equation.find("mrow").findall(".//mfrac")[1], equation.findall(".//msup")[-1]
+    assert [read(part) for part in fraction] == ["Kφ", "s(s+a)(Trotors+1)"]
+    assert read(delay) == "e−sTdelay"
+
+
+def test_an_ode_has_a_line_for_each_state_and_its_delayed_input():
+    lines = [read(equation) for equation in equations(LinearTilt())]
+    assert lines[0] == "v˙=9.8065θ−a5v"
+    assert lines[3] == "rotor˙=u(t−Tdelay)−rotorTrotor"
+    assert len(lines) == 4  # the outputs are states
+
+
+def test_with_values_numbers_stand_in_the_place_of_names():
+    (equation,) = equations(Drag(), {"a5": 0.25, "C_x": 1e-6})
+    assert read(equation) == "v˙=9.8065tan(θ)−0.25v−1·10−6|v|v"
+
+
+def test_a_formula_too_long_to_be_read_is_refused():
+    class Long(gb.TransferFunction):
+        K = gb.Parameter(1.0)
+
+        def response(self, s, p):
+            for _ in range(20):
+                s = s * gb.exp(s) + p.K
+            return s
+
+    with pytest.raises(ValueError, match="too long to be read"):
+        equations(Long())
+
+
+def test_elements_escape_what_they_hold():
+    made = tag("p", "<b>&", tag("i", "x"), "tail </p>", title='"><script>', hidden=True, lang=None)
+    assert html(made) == '<p title="&quot;&gt;<script&gt;" hidden="">&lt;b&gt;&amp;<i>x</i>tail &lt;/p&gt;</p>'
+    assert html(tag("p", "\x1b[2J\ud800")) == "<p>\\x1b[2J\\ud800</p>"

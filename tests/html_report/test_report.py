@@ -1,0 +1,201 @@
+"""The page in a browser: figures are there and can be read and zoomed, tables sorted, and names do no harm."""
+
+import math
+import os
+import shutil
+
+import pytest
+from page_results import MARKUP, crafted, lag
+
+import greybox as gb
+from greybox.html_report.page import page
+from greybox.html_report.report import Entry
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return lag()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    driver = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install playwright")
+    if CHROMIUM is None:
+        pytest.skip("no Chromium in the path: apt-get install chromium")
+    with driver.sync_playwright() as playwright:
+        arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
+        opened = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        yield opened
+        opened.close()
+
+
+@pytest.fixture(scope="module")
+def one(fit, tmp_path_factory):
+    path = tmp_path_factory.mktemp("page") / "lag.html"
+    gb.report(fit, path)
+    return path
+
+
+@pytest.fixture
+def show(browser):
+    """Open a page; what it complains of and what it asks the network for is gathered."""
+    opened = []
+
+    def open_page(path, **options):
+        shown = browser.new_page(**options)
+        opened.append(shown)
+        shown.trouble = []
+        shown.on("console", lambda message: shown.trouble.append(message.text))
+        shown.on("pageerror", lambda error: shown.trouble.append(str(error)))
+        shown.on("request", lambda request: None if request.url == path.as_uri() else shown.trouble.append(request.url))
+        shown.goto(path.as_uri())
+        shown.wait_for_selector(".area svg .panel")
+        return shown
+
+    yield open_page
+    for shown in opened:
+        assert shown.trouble == []
+        shown.close()
+
+
+def test_every_figure_is_drawn_and_shows_its_numbers(show, one, fit):
+    shown = show(one)
+    titles = shown.locator("figcaption strong").all_inner_texts()
+    assert titles == ["Bode diagram", "Nyquist diagram, y/u", "Time history, flight", "Starts"]
+    for plot in shown.locator(".plot").all():
+        assert plot.locator(".panel").count() >= 1
+        for path in plot.locator("path.line, path.marks").all():
+            box = path.bounding_box()
+            assert max(box["width"], box["height"]) > 3
+    # One subpath a measured point, inside the frame.
+    marks = shown.locator(".plot >> nth=0 >> .panel >> nth=0 >> path.marks")
+    assert marks.get_attribute("d").count("M") == len(fit.parts[0].data)
+    assert shown.locator("math").count() >= 2
+    assert shown.locator("tbody tr").count() >= len(fit.quantities) + len(fit.parts)
+
+
+def test_measured_points_are_read_by_mouse_and_keyboard(show, one, fit):
+    shown = show(one)
+    area = shown.locator(".area").first
+    omega = fit.parts[0].data.omega
+    area.focus()
+    shown.keyboard.press("Home")
+    for _ in range(3):
+        shown.keyboard.press("ArrowRight")
+    said = area.locator(".readout").inner_text()
+    assert said.startswith(f"ω = {omega[3]:.5g} rad/s")
+    decibel = 20 * math.log10(abs(fit.parts[0].data.response[3]))
+    assert f"{decibel:.3f}".replace("-", "−")[:5] in said
+
+    box = area.bounding_box()
+    shown.mouse.move(box["x"] + box["width"] / 2, box["y"] + 50)
+    assert "rad/s" in area.locator(".readout").inner_text()
+
+
+def ticks(area):
+    return area.locator("text[text-anchor=middle]").all_text_contents()
+
+
+def test_figures_are_zoomed_by_drag_keys_and_buttons_and_shown_whole_again(show, one):
+    shown = show(one)
+    area = shown.locator(".area").first
+    whole = ticks(area)
+    area.scroll_into_view_if_needed()
+    box = area.bounding_box()
+    shown.mouse.move(box["x"] + 0.4 * box["width"], box["y"] + 60)
+    shown.mouse.down()
+    shown.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 62, steps=3)
+    shown.mouse.up()
+    assert ticks(area) != whole
+    shown.get_by_role("button", name="Show all: Bode diagram").click()
+    assert ticks(area) == whole
+
+    area.focus()
+    shown.keyboard.press("+")
+    zoomed = ticks(area)
+    assert zoomed != whole
+    shown.keyboard.press("0")
+    assert ticks(area) == whole
+    shown.get_by_role("button", name="Zoom in: Bode diagram").click()
+    assert ticks(area) == zoomed
+
+    legend = shown.locator(".legend >> nth=0 >> button >> nth=0")
+    lines = area.locator("path.line").count()
+    legend.click()
+    assert legend.get_attribute("aria-pressed") == "false"
+    assert area.locator("path.line").count() < lines
+
+
+def test_tables_are_sorted_by_size_both_ways(show, one, fit):
+    shown = show(one)
+    table = shown.locator("table").first
+    header = table.get_by_role("button", name="estimate")
+    column = "tr => [...tr.closest('table').tBodies[0].rows].map(row => row.cells[0].textContent)"
+    expected = sorted((q for q in fit.quantities), key=lambda q: q.value)
+    header.press("Enter")
+    assert table.locator("tbody tr").first.evaluate(column) == [q.name for q in expected]
+    header.press("Enter")
+    assert table.locator("tbody tr").first.evaluate(column) == [q.name for q in expected][::-1]
+    assert table.locator("th[aria-sort=descending]").inner_text().startswith("estimate")
+
+
+def test_a_narrow_screen_a_dark_one_and_print(show, one):
+    narrow = show(one, viewport={"width": 360, "height": 700})
+    assert narrow.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert narrow.locator(".area svg").first.bounding_box()["width"] <= 360
+    assert narrow.locator(".area svg.narrow").count() > 0
+
+    background = "getComputedStyle(document.body).backgroundColor"
+    dark = show(one, color_scheme="dark")
+    assert dark.evaluate(background) == "rgb(20, 24, 28)"
+    button = dark.locator("#theme")
+    button.click()
+    assert button.inner_text() == "Colors: light"
+    assert dark.evaluate(background) == "rgb(255, 255, 255)"
+    button.click()
+    assert dark.evaluate(background) == "rgb(20, 24, 28)"
+
+    dark.emulate_media(media="print")
+    assert dark.evaluate(background) == "rgb(255, 255, 255)"
+    assert not dark.locator(".tools").first.is_visible()
+    assert len(dark.pdf()) > 10_000
+
+
+def test_names_of_strangers_are_text(show, fit, tmp_path):
+    gb.save(crafted(fit), tmp_path / "crafted.h5")
+    loaded = gb.load(tmp_path / "crafted.h5")
+    gb.report([loaded, fit], tmp_path / "crafted.html")
+    shown = show(tmp_path / "crafted.html")
+    assert shown.locator("img, iframe, object, embed, link").count() == 0
+    assert shown.locator("script").count() == 1
+    assert shown.evaluate("typeof pwned") == "undefined"
+    assert MARKUP in shown.locator("body").inner_text()
+    assert "is needed and was not found" in shown.locator("body").inner_text()
+    # The legend and the readout are made by the script.
+    assert shown.locator(".legend button", has_text="onerror").count() > 0
+    assert shown.locator(".plot").count() > 4
+
+
+def test_the_page_runs_no_script_but_its_own(show, one, tmp_path):
+    text = one.read_text(encoding="utf-8")
+    assert "http://" not in text.replace("http://www.w3.org/2000/svg", "")
+    assert "https://" not in text
+    assert one.stat().st_size < 200_000
+    # Even markup that came in unescaped would not run: the policy names the hash of the script.
+    planted = tmp_path / "planted.html"
+    planted.write_text(text.replace("<main>", "<main><script>pwned = 1</script>"), encoding="utf-8")
+    shown = show(planted)
+    assert shown.evaluate("typeof pwned") == "undefined"
+    assert any("Content Security Policy" in told for told in shown.trouble)
+    shown.trouble.clear()
+
+
+def test_what_does_not_fit_on_the_page_stands_in_its_table(fit, monkeypatch):
+    monkeypatch.setattr("greybox.html_report.page.LARGEST", 120_000)
+    text = page([Entry(f"fit {k}", fit) for k in range(9)], None, "many")
+    assert "left out to keep the page below 3 MB" in text
+    assert all(f">fit {k}<" in text for k in range(9))
+    assert 1 < text.count("<details") < 9
+    assert len(text) < 120_000 + 60_000  # style and script
