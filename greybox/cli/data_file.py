@@ -1,25 +1,31 @@
 """The file given with --data: a frequency response, or a table with the signals of a model."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from greybox.cli.columns import with_columns
 from greybox.data.delimited_text import read_delimited
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.heading import heading
 from greybox.data.record import Record, Recording
 from greybox.data.response_file import COLUMNS, HDF5, read_response
 from greybox.data.safe_files import require_file
 from greybox.data.units import to_si
 from greybox.formulation.signal_units import as_the_only_pair
 from greybox.logs.readers import read
-from greybox.logs.readers.table_columns import heading, seconds
+from greybox.logs.readers.table_columns import seconds
 from greybox.modeling.model import Model
 
 LONG = 200  # characters of a list in a sentence: more would hide the cure after it
 
 
-def read_data(path: str | Path, model: Model, input: str = "", output: str = "") -> FrequencyResponse | Record:
+def read_data(
+    path: str | Path, model: Model, input: str = "", output: str = "", columns: Mapping[str, str] | None = None
+) -> FrequencyResponse | Record:
     """Return a frequency response, or else the one record of the file that has the signals of the model.
+
+    `columns` are as `--columns` states them: those of a response if one is its frequency.
 
     Raises
     ------
@@ -28,8 +34,8 @@ def read_data(path: str | Path, model: Model, input: str = "", output: str = "")
     """
     path = Path(path)
     require_file(path)
-    if _is_response(path):
-        response = read_response(path, input=input, output=output)
+    if "frequency" in columns if columns else _is_response(path):
+        response = read_response(path, input=input, output=output, columns=columns)
         return response if input or output else as_the_only_pair(model, response)
     try:
         log = read(path)
@@ -37,7 +43,7 @@ def read_data(path: str | Path, model: Model, input: str = "", output: str = "")
         raise ValueError(
             f"{path} is neither a frequency response, with columns {', '.join(COLUMNS[:3])}, nor a record: {error}"
         ) from None
-    return _record_of(log, path, model)
+    return _record_of(with_columns(log, columns) if columns else log, path, model)
 
 
 def _is_response(path: Path) -> bool:
@@ -62,11 +68,12 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
         raise ValueError(
             f"{path} has {len(fitting) or 'no'} {'messages' if fitting else 'message'} with the signals of "
             f"{model.label} ({', '.join((*inputs, ' or '.join(outputs)))}); it has {there:.{LONG}}: "
-            f"{_preparation(path, (*inputs, *outputs))}."
+            f"{_naming(inputs, outputs) if len(log) == 1 else _preparation(path, (*inputs, *outputs))}."
         )
     (record,) = fitting
     findings = list(record.findings)
-    for name in (*inputs, *outputs):
+    names = (*inputs, *outputs)
+    for name in names:
         try:
             conversion = to_si(record.units.get(name, ""))
         except ValueError as error:
@@ -75,11 +82,23 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
         if conversion.changes:
             raise ValueError(
                 f"{path} has {name} in {record.units[name]}, but a fit needs {conversion.si}: "
-                f"{_preparation(path, (*inputs, *outputs))}."
+                + (f"{_converting(record, names)}." if len(log) == 1 else f"{_preparation(path, names)}.")
             )
     # What the log says of other messages is left out.
     findings += [text for text in log.findings if text not in findings and text.partition(":")[0] not in log.records]
     return replace(record, findings=tuple(findings))
+
+
+def _naming(inputs: Sequence[str], outputs: Sequence[str]) -> str:
+    signals = " ".join(f"{name}=COLUMN" for name in (*inputs, *outputs))
+    return (
+        f"say which columns they are, with units that become SI, --columns time=COLUMN:ms {signals}; of a frequency "
+        "response --columns frequency=COLUMN:Hz magnitude=COLUMN:dB phase=COLUMN:deg"
+    )
+
+
+def _converting(record: Record, names: Sequence[str]) -> str:
+    return f"--columns {' '.join(f'{name}={name}' for name in names if name in record.signals)} converts it"
 
 
 def _preparation(path: Path, names: Sequence[str]) -> str:

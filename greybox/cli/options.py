@@ -78,3 +78,24 @@ def assignments(words: Sequence[str], flag: str) -> dict[str, float]:
         except ValueError:
             raise UsageError(f"{flag} {word!r} is not understood: write NAME=VALUE, e.g. a5=0.16.") from None
     return result
+
+
+def intervals(words: Sequence[str], flag: str) -> dict[str, tuple[float, float]]:
+    """Return intervals by name from words such as ``a1=-10:10``; what is left out is infinite, ``T=0:``.
+
+    Raises
+    ------
+    UsageError
+        For a word of another form.
+    """
+    result = {}
+    for word in words:
+        name, equals, ends = word.partition("=")
+        low, colon, high = ends.partition(":")
+        try:
+            if not (name and equals and colon):
+                raise ValueError(word)
+            result[name] = (float(low or -math.inf), float(high or math.inf))
+        except ValueError:
+            raise UsageError(f"{flag} {word!r} is not understood: write NAME=LOW:HIGH, e.g. a1=-10:10.") from None
+    return result

@@ -2,15 +2,19 @@
 
 import argparse
 import re
-from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 from greybox.cli.catalog import find_model, find_problem, shipped
+from greybox.cli.columns import add_columns_option, stated_columns
 from greybox.cli.data_file import read_data
 from greybox.cli.options import UsageError, assignments
+from greybox.cli.parameter_options import add_parameter_options, with_parameter_options
 from greybox.compiled.compiled_problem import AnyProblem
+from greybox.compiled.transcription.collocation import Collocation
+from greybox.compiled.transcription.multiple_shooting import MultipleShooting
+from greybox.compiled.transcription.single_shooting import SingleShooting
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.text_table import alternatives
@@ -23,6 +27,11 @@ from greybox.logs.known_filters import from_text
 from greybox.modeling.model import Model
 from greybox.modeling.transfer_function import TransferFunction
 
+METHODS = {
+    "multiple-shooting": MultipleShooting,
+    "single-shooting": SingleShooting,
+    "collocation": Collocation,
+}
 FILTER_NAMES = ("-filter", "-notch")  # ends of the names by which responses state filters
 
 
@@ -54,10 +63,11 @@ def add_problem_options(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="with --model: operating point at which an ODE is linearized",
     )
-    add("--fix", nargs="+", default=[], metavar="NAME=VALUE", help="hold parameters at these values")
-    add("--free", nargs="+", default=[], metavar="NAME", help="estimate parameters that the model declares fixed")
+    add_columns_option(parser, "with --data: ")
+    add_parameter_options(parser)
     add("--delay", help="exact or pade:n (default: the problem's)")
     add("--criterion", help=f"{', '.join(_criteria())} (default: the problem's)")
+    add("--method", choices=METHODS, help="how records are transcribed and solved (default: the problem's)")
 
 
 def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, Any]]:
@@ -72,7 +82,7 @@ def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, A
         raise UsageError("give either a PROBLEM or --model with --data; `greybox list` shows the included problems.")
     settings: dict[str, Any] = {}
     if options.problem is not None:
-        for name in ("data", "through", "input", "output", "at"):
+        for name in ("data", "columns", "through", "input", "output", "at"):
             if getattr(options, name):
                 raise UsageError(f"--{name} goes with --model, not with a PROBLEM.")
         _require_problem(options.problem)
@@ -84,14 +94,18 @@ def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, A
         problem = problem.with_(delay=options.delay)
     if options.criterion is not None:
         problem = _with_criterion(problem, _criterion(options.criterion))
-    return _restated(problem, assignments(options.fix, "--fix"), options.free), settings
+    if options.method is not None:
+        if not any(isinstance(part.data, Record) for part in problem.parts):
+            raise UsageError(f"--method is for records and {problem.name} has none: leave it out.")
+        settings["method"] = METHODS[options.method]()
+    return with_parameter_options(problem, options), settings
 
 
 def _problem_of_model(options: argparse.Namespace) -> Problem:
     if options.data is None:
         raise UsageError("--model needs --data FILE, a frequency response or a record.")
     model = find_model(options.model)
-    data = read_data(options.data, model, options.input, options.output)
+    data = read_data(options.data, model, options.input, options.output, stated_columns(options))
     for word in options.through or ():
         for filtered in _filters(word, data):
             model = through(model, filtered)
@@ -139,27 +153,6 @@ def _require_problem(name: str) -> None:
     if place in shipped("models") and place not in shipped("problems"):
         cure = name if ":" in name else f"{name}:CLASS"
         raise UsageError(f"{name} names a model, not a problem: write --model {cure} --data FILE.")
-
-
-def _restated(problem: AnyProblem, fix: dict[str, float], free: Sequence[str]) -> AnyProblem:
-    """Fix and free parameters by their outside names in every part that has them."""
-    for name in (*fix, *free):
-        if name not in problem.parameters:
-            known = alternatives(name, problem.parameters)
-            raise ValueError(f"{problem.name} has no parameter {name!r}; it has {known}")
-    if not fix and not free:
-        return problem
-    parts = [_restated_part(part, fix, free) for part in problem.parts]
-    return problem.with_parts(parts)
-
-
-def _restated_part(part: Problem, fix: dict[str, float], free: Sequence[str]) -> Problem:
-    inside = {part.rename.get(name, name): name for name in part.declared if name not in part.tied}
-    new = {inside[name]: value for name, value in fix.items() if name in inside}
-    freed = [inside[name] for name in free if name in inside]
-    held = {name: value for name, value in part.fixed_values.items() if name not in freed}
-    kept = [name for name in part.free if name not in new]
-    return part.with_(fixed={**held, **new}, free=tuple(dict.fromkeys([*kept, *freed])))
 
 
 def _criteria() -> dict[str, Criterion | TimeCriterion]:

@@ -20,7 +20,7 @@ from greybox.study.batch import Member, require_distinct
 
 # What a [[member]] states: in a list, one value for each of several members.
 GRID = ("problem", "criterion", "delay", "fix", "seed", "search")
-SINGLE = ("name", "model", "through", "data", "input", "output", "at", "free", "starts")
+SINGLE = ("name", "model", "through", "data", "input", "output", "at", "free", "starts", "bounds")
 SETTINGS = ("starts", "seed")  # of the whole file
 
 
@@ -47,9 +47,9 @@ def read_study_file(path: Path, starts: int | None = None) -> list[Member]:
     """Return the members that a study file states; `starts`, if given, are those of every member.
 
     In TOML every ``[[member]]`` has a ``problem`` (an included one, or a file beside the study file, as of ``greybox
-    fit``) or a ``model`` with ``data``, and ``criterion, delay, fix, free, at, input, output, starts, seed, search,
-    name``. Lists of ``problem, criterion, delay, fix, seed, search`` make a grid. In Python ``members()`` returns a
-    list of `greybox.study.Member`.
+    fit``) or a ``model`` with ``data``, and ``criterion, delay, fix, free, bounds, at, input, output, starts, seed,
+    search, name``. Lists of ``problem, criterion, delay, fix, seed, search`` make a grid. In Python ``members()``
+    returns a list of `greybox.study.Member`.
 
     Raises
     ------
@@ -138,6 +138,11 @@ def _member(stated: Mapping[str, Any], varied: list[str], path: Path) -> tuple[s
         at=_assigned(stated, "at"),
         fix=_assigned(stated, "fix"),
         free=_list(stated, "free"),
+        bounds=_bounded(stated),
+        start=[],
+        starts_box=[],
+        columns=[],
+        method=None,
         delay=_text(stated, "delay"),
         criterion=_text(stated, "criterion"),
     )
@@ -194,3 +199,14 @@ def _assigned(stated: Mapping[str, Any], name: str) -> list[str]:
     if not isinstance(value, dict) or not all(type(number) in (int, float) for number in value.values()):
         raise UsageError(f"{name} = {value!r:.40} is not understood: give a table {{name = number}}.")
     return [f"{key}={number!r}" for key, number in value.items()]
+
+
+def _bounded(stated: Mapping[str, Any]) -> list[str]:
+    """Return what the command line would have after ``--bounds``."""
+    value = stated.get("bounds", {})
+    pairs = value.values() if isinstance(value, dict) else [None]
+    if not all(
+        isinstance(pair, list) and [type(end) in (int, float) for end in pair] == [True, True] for pair in pairs
+    ):
+        raise UsageError(f"bounds = {value!r:.40} is not understood: give a table {{name = [low, high]}}.")
+    return [f"{name}={low!r}:{high!r}" for name, (low, high) in value.items()]

@@ -2,6 +2,7 @@
 
 import contextlib
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,11 +11,12 @@ import numpy as np
 
 from greybox.data.delimited_text import DecimalMark, read_delimited
 from greybox.data.frequency_response import FrequencyResponse, Stretch
+from greybox.data.response_columns import EXTRAS, Column, assembled, stated_columns
 from greybox.data.safe_files import require_file, write_text
 from greybox.data.text_table import counted
 
-COLUMNS = ("omega_rad_s", "alpha", "beta", "coherence", "variance", "dof")
-EXTRAS = COLUMNS[3:]
+COLUMNS = ("omega_rad_s", "alpha", "beta", *EXTRAS)
+OWN_UNITS = {"frequency": "rad/s"}
 KIND = "frequency response"
 HDF5 = (".h5", ".hdf5")
 HEADER = re.compile(r"#\s*(?P<key>[^:]+?)\s*:\s*(?P<value>.*?)\s*")  # a comment line of a CSV file: a key and its value
@@ -25,13 +27,22 @@ Node = Any
 
 
 def read_response(
-    path: str | Path, prefix: str = "", input: str = "", output: str = "", name: str = ""
+    path: str | Path,
+    prefix: str = "",
+    input: str = "",
+    output: str = "",
+    name: str = "",
+    *,
+    columns: Mapping[str, str] | None = None,
 ) -> FrequencyResponse:
     """Read a `FrequencyResponse` from a CSV file, or from an HDF5 file that `write_response` wrote.
 
     The columns of a CSV file are ``omega_rad_s, alpha, beta`` and, if known, ``coherence, variance, dof``; their order
     and further columns do not matter. A table of several responses names them ``<prefix>alpha`` and so on, with one
-    common ``omega_rad_s``; rows in which the chosen response is blank are left out. Cells are separated by commas,
+    common ``omega_rad_s``; rows in which the chosen response is blank are left out. Tables with other columns are read
+    with ``columns={"frequency": "f:Hz", "magnitude": "mag:dB", "phase": "ph:deg", "coherence": "coh"}``: the name
+    of each in the header and, unless it stands there, its unit; ``alpha`` and ``beta`` may stand for magnitude and
+    phase, rad/s, rad and ``absolute`` for the units. Cells are separated by commas,
     semicolons or tabs, numbers may have decimal commas, and lines that start with ``#`` or ``%`` are comments.
 
     Raises
@@ -51,34 +62,46 @@ def read_response(
     stated = {} if prefix else _stated(raw)
     table = read_delimited(path, raw)
     header = table.header
-    wanted = {c: header.index(_column(c, prefix)) for c in COLUMNS if _column(c, prefix) in header}
-    missing = [_column(c, prefix) for c in COLUMNS[:3] if c not in wanted]
-    if missing:
-        raise ValueError(
-            f"{path} has no column {missing[0]!r}; it has {', '.join(header) or 'no header line'}: "
-            "the columns must be omega_rad_s, alpha, beta and, if known, coherence, variance, dof."
-        )
-    twice = [header[k] for k in wanted.values() if header.count(header[k]) > 1]
-    if twice:
-        raise ValueError(f"{path} has two columns {twice[0]!r}: rename or remove one.")
+    try:
+        found = stated_columns(columns, header) if columns else _own_columns(header, prefix)
+    except ValueError as error:
+        raise ValueError(f"{path} {error}") from None
+    wanted = {role: column.place for role, column in found.items()}
 
     rows = [(number, _wanted_cells(path, number, row, wanted, len(header))) for number, row in table.rows()]
-    rows = [(number, cells) for number, cells in rows if any(cells[c] for c in cells if c != "omega_rad_s")]
+    rows = [(number, cells) for number, cells in rows if any(cells[c] for c in cells if c != "frequency")]
     mark = DecimalMark(path, ((number, cells.values()) for number, cells in rows))
-    numbers = [_numbers(path, number, cells, mark) for number, cells in rows]
+    labels = {role: header[place] for role, place in wanted.items()}
+    numbers = [_numbers(path, number, cells, mark, labels) for number, cells in rows]
     kept = np.array(numbers, dtype=float).reshape(-1, len(wanted))
     values = dict(zip(wanted, kept.T, strict=True))
-    extras: dict[str, Any] = {c: values[c] for c in EXTRAS if c in values}
+    texts = _texts(stated, input=input, output=output, name=name or path.stem, source=path.name)
     try:
-        return FrequencyResponse(
-            values["omega_rad_s"],
-            values["alpha"] + 1j * values["beta"],
-            **_texts(stated, input=input, output=output, name=name or path.stem, source=path.name),
-            **extras,
-            stretches=_stretches_in(raw),
-        )
+        return assembled(values, found, **texts, stretches=_stretches_in(raw))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
+
+
+def _own_columns(header: Sequence[str], prefix: str) -> dict[str, Column]:
+    """Return the columns of a file as `write_response` writes it.
+
+    Raises
+    ------
+    ValueError
+        If one is missing or there twice.
+    """
+    names = {name: _column(name, prefix) for name in COLUMNS}
+    missing = [names[name] for name in COLUMNS[:3] if names[name] not in header]
+    if missing:
+        raise ValueError(
+            f"has no column {missing[0]!r}; it has {', '.join(header) or 'no header line'}: the columns must be "
+            "omega_rad_s, alpha, beta and, if known, coherence, variance, dof, or be named, columns={...}."
+        )
+    twice = [name for name in names.values() if header.count(name) > 1]
+    if twice:
+        raise ValueError(f"has two columns {twice[0]!r}: rename or remove one.")
+    roles = {"frequency": names["omega_rad_s"], **{name: names[name] for name in COLUMNS[1:]}}
+    return {role: Column(header.index(name), OWN_UNITS.get(role, "")) for role, name in roles.items() if name in header}
 
 
 def write_response(response: FrequencyResponse, path: str | Path) -> None:
@@ -202,12 +225,12 @@ def _wanted_cells(path: Path, line: int, row: list[str], wanted: dict[str, int],
     return {name: row[k] for name, k in wanted.items()}
 
 
-def _numbers(path: Path, line: int, cells: dict[str, str], mark: DecimalMark) -> list[float]:
-    """Return the cells of one line as numbers."""
+def _numbers(path: Path, line: int, cells: dict[str, str], mark: DecimalMark, labels: Mapping[str, str]) -> list[float]:
+    """Return the cells of one line as numbers; `labels` are the names of their columns in the file."""
     numbers = []
     for name, cell in cells.items():
         try:
             numbers.append(mark.number(cell))
         except ValueError:
-            raise ValueError(f"{path}, line {line}: {name} is {cell!r}, which is not a number.") from None
+            raise ValueError(f"{path}, line {line}: {labels[name]} is {cell!r}, which is not a number.") from None
     return numbers

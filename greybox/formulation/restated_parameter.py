@@ -17,7 +17,8 @@ def restated(
     """Return a parameter with what is given in place of what its model declares.
 
     A declared start that the new bounds or start box exclude moves to their nearest end. A declared start box is cut to
-    the new bounds; where nothing is left of it, starts are drawn within these.
+    the new bounds; where nothing is left of it, starts are drawn within these. Where the new bounds have an infinite
+    end, starts are drawn within the declared ones as before.
 
     Raises
     ------
@@ -28,7 +29,8 @@ def restated(
         return parameter
     try:
         limits = parameter.bounds if bounds is None else number_pair(bounds, "bounds")
-        box = _cut(parameter.starts, limits) if starts is None else number_pair(starts, "starts")
+        drawn = parameter.starts if all(map(math.isfinite, limits)) else parameter.box
+        box = _cut(drawn, limits) if starts is None else number_pair(starts, "starts")
         low, high = limits if starts is None or box is None else box
         begin = min(max(parameter.start, low), high) if start is None else start
         return replace(parameter, bounds=limits, start=begin, starts=box)

@@ -50,9 +50,9 @@ def test_a_table_of_a_record_is_fitted_with_a_model_alone(capsys):
         (
             "theta",
             "pitch",
-            "no message with the signals of Drag (theta, v); it has data: pitch, v: make the record with",
+            "no message with the signals of Drag (theta, v); it has data: pitch, v: say which columns they are",
         ),
-        ("[rad]", "[deg]", "theta in deg, but a fit needs rad: make the record with gb.prepare(gb.read("),
+        ("[rad]", "[deg]", "theta in deg, but a fit needs rad: --columns theta=theta v=v converts it."),
         ("time [s]", "when", "the dynamic model Drag needs samples in time, and data has rows without a time: give"),
     ],
 )

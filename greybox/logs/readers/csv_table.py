@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.delimited_text import MISSING, DecimalMark, DelimitedText, read_delimited
+from greybox.data.heading import Heading, heading
 from greybox.data.record import Recording
 from greybox.data.text_table import counted, is_number
 from greybox.logs.readers.messages import on_one_clock, records
-from greybox.logs.readers.table_columns import SECONDS, TIMES, Heading, heading, name_list, of_rows, seconds, table
+from greybox.logs.readers.table_columns import SECONDS, TIMES, name_list, of_rows, seconds, table
 
 Floats = NDArray[np.float64]
 

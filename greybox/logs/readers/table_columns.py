@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,23 +26,9 @@ SECONDS = {
 }
 TIMES = ("time", "t", "timestamp", "timestamps", "tout")  # names of a time column, in lower case and without unit
 ARDUPILOT = {"timeus": 1e-6, "timems": 1e-3}
-BRACKETS = re.compile(r"^([^\[\]()]+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))$")
 SUFFIX = re.compile(r"^(.+)_(s|sec|ms|us|ns)$")
 BETWEEN = {"held": HELD, "sampled": CONTINUOUS}
 WIDEST = 64  # columns of a matrix that become signals of their own: a convention, to keep images out
-
-
-class Heading(NamedTuple):
-    """One column's name and unit."""
-
-    name: str
-    unit: str
-
-
-def heading(cell: str) -> Heading:
-    """Split ``pitch [deg]`` or ``pitch (deg)`` into name and unit."""
-    found = BRACKETS.match(cell.strip())
-    return Heading(found[1].strip(), (found[2] or found[3] or "").strip()) if found else Heading(cell.strip(), "")
 
 
 def seconds(name: str, unit: str = "") -> float | None:

@@ -1,0 +1,71 @@
+"""What options say of single parameters: fixed, free, bounds and starts, by their names in the answer."""
+
+import argparse
+from collections.abc import Mapping
+from typing import Any
+
+from greybox.cli.options import assignments, intervals
+from greybox.compiled.compiled_problem import AnyProblem
+from greybox.data.text_table import alternatives
+from greybox.formulation.problem import Problem
+
+
+def add_parameter_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add = parser.add_argument
+    add("--fix", nargs="+", default=[], metavar="NAME=VALUE", help="hold parameters at these values")
+    add("--free", nargs="+", default=[], metavar="NAME", help="estimate parameters that the model declares fixed")
+    add(
+        "--bounds",
+        nargs="+",
+        default=[],
+        metavar="NAME=LOW:HIGH",
+        help="bounds in place of the declared ones, a1=-10:10; an end may be left open, T=0:",
+    )
+    add("--start", nargs="+", default=[], metavar="NAME=VALUE", help="declared values to begin at, in their place")
+    add(
+        "--starts-box",
+        nargs="+",
+        default=[],
+        metavar="NAME=LOW:HIGH",
+        help="where starts are drawn, instead of between the bounds",
+    )
+
+
+def with_parameter_options(problem: AnyProblem, options: argparse.Namespace) -> AnyProblem:
+    """Return the problem with its parameters as the options say, in every part that has them.
+
+    Raises
+    ------
+    UsageError, ValueError
+        For words that are not understood, and names that are not there.
+    """
+    stated: dict[str, Mapping[str, Any]] = {
+        "fixed": assignments(options.fix, "--fix"),
+        "free": dict.fromkeys(options.free),
+        "bounds": intervals(options.bounds, "--bounds"),
+        "start": assignments(options.start, "--start"),
+        "starts": intervals(options.starts_box, "--starts-box"),
+    }
+    for name in (name for names in stated.values() for name in names):
+        if name not in problem.parameters:
+            known = alternatives(name, problem.parameters)
+            raise ValueError(f"{problem.name} has no parameter {name!r}; it has {known}")
+    if not any(stated.values()):
+        return problem
+    return problem.with_parts([_restated(part, stated) for part in problem.parts])
+
+
+def _restated(part: Problem, stated: Mapping[str, Mapping[str, Any]]) -> Problem:
+    inside = {part.outside(name): name for name in part.declared if name not in part.tied}
+    own = {
+        what: {inside[name]: value for name, value in values.items() if name in inside}
+        for what, values in stated.items()
+    }
+    held = {name: value for name, value in part.fixed_values.items() if name not in own["free"]}
+    kept = [name for name in part.free if name not in own["fixed"]]
+    return part.with_(
+        fixed={**held, **own["fixed"]},
+        free=tuple(dict.fromkeys([*kept, *own["free"]])),
+        **{what: {**getattr(part, what), **own[what]} for what in ("bounds", "start", "starts")},
+    )
