@@ -34,7 +34,8 @@ NAMESPACES = {
     "logs": "find_segments horizontal_velocity negative prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response linearize rational",
-    "plotting": "bode nyquist plot profiles recording residuals starts time_history traces",
+    "plotting": "bode demodulated measurement nyquist plot profiles recording residuals spectrogram starts "
+    "time_history traces",
     "regression": "EquationError TransientFit equation_error fit_transients levy order_path",
     "simulation": "Prediction predict simulate",
     "solve": "LatinHypercube Listed Sobol Starts Strategies Uniform UntilFoundAgain WorkerPool",

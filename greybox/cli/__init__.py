@@ -1,8 +1,8 @@
 """The command line. Begin with `main`: it declares the commands, runs one, and turns errors into sentences.
 
 Each command is a file: `fit_command`, `profile_command`, `bootstrap_command`, `list_command`, `inspect_command`,
-`identify_command`, `response_command`, `batch_command`, `compare_command`, `report_command`. `study_file` reads the
-members of a batch.
+`identify_command`, `response_command`, `plot_command`, `batch_command`, `compare_command`, `report_command`.
+`study_file` reads the members of a batch.
 
 `stated_problem` makes the problem that the options of `greybox fit` state, `catalog` finds the included models and
 problems and those in a user's own file, `parameter_options` says which parameters are fixed and where the others may

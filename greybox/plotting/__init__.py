@@ -10,13 +10,16 @@ composes several diagrams and returns the Figure.
 `nyquist`, `bode` and `starts` are one diagram each, `profile` draws a panel for each profiled quantity;
 `response_series` collects the points and curves of the first two.
 `time_history` draws fitted and predicted records, `residuals` what is left of fitted ones, `flight_log` logs and their
-tests; `long_lines` draws no more points than can be seen. `overview` composes them into one figure, `style` holds
-colors, legends and the frame of a diagram.
+tests, `measured_test` what was measured from a log; `long_lines` draws no more points than can be seen. `overview`
+composes them into one figure, `style` holds colors, legends and the frame of a diagram.
 """
 
 from greybox.plotting.bode import bode as bode
 from greybox.plotting.flight_log import recording as recording
 from greybox.plotting.flight_log import traces as traces
+from greybox.plotting.measured_test import demodulated as demodulated
+from greybox.plotting.measured_test import measurement as measurement
+from greybox.plotting.measured_test import spectrogram as spectrogram
 from greybox.plotting.nyquist import nyquist as nyquist
 from greybox.plotting.overview import plot as plot
 from greybox.plotting.profile import profiles as profiles

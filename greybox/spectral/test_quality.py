@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import GAP, Record, require_time
@@ -212,16 +213,21 @@ def _excited(record: Record, segments: Sequence[Segment]) -> Record:
 
 def _saturation(record: Record, name: str, limits: tuple[float, float] | None) -> Iterator[Finding]:
     u = record[name][np.isfinite(record[name])]
-    low, high = limits or (u.min(), u.max())
-    margin = AT_LIMIT * (high - low)
-    at_limit = (u <= low + margin) | (u >= high - margin)
-    if limits is None:  # an extreme value is a limit only if the signal stays there
-        at_limit &= np.concatenate([[False], np.diff(u) == 0])
-    share = float(at_limit.mean()) if np.ptp(u) > 0 else 0.0
+    share = float(at_limit(u, limits).mean())
     if share > SATURATED[0]:
         severity: Severity = "refusal" if share > SATURATED[1] else "warning"
         text = f"the control {name} is at a limit for {100 * share:.0f} % of the time: a linear model is wrong there"
         yield Finding("saturation", severity, share, f"{text}; use a smaller amplitude.")
+
+
+def at_limit(values: NDArray[np.float64], limits: tuple[float, float] | None = None) -> NDArray[np.bool_]:
+    """Tell which of the values (n,) are at their limits, or in flat tops where these are not known."""
+    low, high = limits or (np.nanmin(values), np.nanmax(values))
+    margin = AT_LIMIT * (high - low)
+    there = (values <= low + margin) | (values >= high - margin)
+    if limits is None:  # an extreme value is a limit only if the signal stays there
+        there &= np.concatenate([[False], np.diff(values) == 0])
+    return there & (high > low)
 
 
 def _amplitude(record: Record, names: Sequence[str]) -> Iterator[Finding]:

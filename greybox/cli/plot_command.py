@@ -1,0 +1,50 @@
+"""The command `greybox plot`: the figures of a log."""
+
+import argparse
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from greybox.cli.log_tests import stated_fields
+from greybox.cli.options import add_common_options
+from greybox.cli.output import USABLE, Answer, require_figure, save_figure
+from greybox.cli.response_command import add_measurement_options, response_json, stated_band
+from greybox.identification.choices import choose
+from greybox.identification.measurement import Settings, measure
+from greybox.logs.readers import read
+
+
+def add_command(commands: Any) -> None:
+    """Declare the command and its options."""
+    parser = commands.add_parser("plot", help="draw the tests of a log and their response", allow_abbrev=False)
+    add = parser.add_argument
+    add("log", metavar="LOG", help="a flight log, or a table of signals")
+    add("--input", default="", metavar="[NAME=]SIGNAL", help="the control (default: that of the axis)")
+    add("--output", default="", metavar="[NAME=]SIGNAL", help="the output (default: the best-sampled angle)")
+    add_measurement_options(parser)
+    add("--out", type=Path, metavar="FILE", help="png, pdf or svg file (default: the name of the log, in this folder)")
+    add("--force", action="store_true", help="overwrite files that exist")
+    add_common_options(parser)
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> Answer:
+    """Measure the response, as `identify` does, and draw signals, tests and response."""
+    figure = options.out or Path(f"{Path(options.log).stem}_tests.png")
+    require_figure(figure, options.force)
+    names = {field.name for field in fields(Settings)}
+    stated = {name: value for name, value in vars(options).items() if name in names}
+    stated |= {"fields": stated_fields(options), "band": stated_band(options.band)}
+    recording = read(options.log)
+    settings, choices = choose(recording, **stated)
+    measured = measure(recording, settings)
+
+    def draw() -> Any:
+        from greybox.plotting import measurement  # noqa: PLC0415  (imports matplotlib)
+
+        return measurement(measured, recording)
+
+    notes = save_figure(figure, draw)
+    answer = {"chosen": [{"what": c.what, "why": c.why, "option": c.option} for c in choices]}
+    answer |= response_json(recording, measured) | {"files": [str(figure)]}
+    return answer, "\n".join([*map(str, choices), str(measured.quality), *notes]), USABLE
