@@ -24,6 +24,8 @@ from greybox.formulation.problem import Problem
 
 Array = NDArray[np.float64]
 
+TIME_BINS = 200  # parts of a record by which it is said what tells of a parameter: what a figure can show
+
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
@@ -150,6 +152,12 @@ class Information:
         For a record whose errors are taken as correlated in time: what that makes of it, for the directions of the root
         of the covariance of the free parameters for white errors times the weight of the part. `spread` takes them as
         white. Directions of unit variance keep their digits where parameters are hardly determined.
+    told : function of directions (p, q)
+        What each point of the data tells of these directions of the free parameters, for independent errors: its share
+        (q, m) of their squared lengths by the bread. The m points are frequencies, or outputs one after the other, each
+        over `TIME_BINS` equal parts of the record.
+    output_errors : function of the covariance (k, k) of all values, or None
+        Of a record, the standard errors (outputs, rows) of the fitted outputs; NaN where none was compared.
     """
 
     part: "Part"
@@ -160,6 +168,8 @@ class Information:
     reach: Array
     initial: Mapping[str, Array] = field(default_factory=dict)
     colored: Callable[[Array], ColoredErrors] | None = None
+    told: Callable[[Array], Array] | None = None
+    output_errors: Callable[[Array], Array] | None = None
 
 
 class Program(ABC):

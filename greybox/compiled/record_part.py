@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.condensing import solve_continuity
 from greybox.compiled.initial_states import InitialStates, at_samples
-from greybox.compiled.part import ColoredErrors, Condensed, Information, Part, Program, Trajectory
+from greybox.compiled.part import TIME_BINS, ColoredErrors, Condensed, Information, Part, Program, Trajectory
 from greybox.compiled.record_information import colored_errors, independent_numbers
 from greybox.compiled.residual_covariance import (
     ResidualCovariance,
@@ -47,6 +47,9 @@ Array = NDArray[np.float64]
 
 # Share of records whose white residuals are not taken as such.
 WHITE = 0.01
+
+# Relative variance of a direction of initial states below which it counts as known.
+DIRECTIONS = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -680,13 +683,19 @@ class RecordPart(Part):
             result[..., columns] = matrix * dz_dx
             return result
 
+        def in_columns(directions: Array) -> Array:
+            return np.pad(directions, ((0, len(columns) - len(directions)), (0, 0))) * dz_dx[:, None]
+
+        def scaled(covariance: Array) -> Array:
+            return covariance[np.ix_(columns, columns)] * dz_dx * dz_dx[:, None]
+
         meat = of_all_values(score * independent / (independent - initial))
 
         def spread(correction: float) -> tuple[float, Array]:
             return 1.0, meat * correction**2
 
         def colored(root: Array) -> ColoredErrors:
-            directions = np.pad(root, ((0, len(columns) - len(root)), (0, 0))) * dz_dx[:, None]
+            directions = in_columns(root)
             found = colored_errors(
                 [directions.T @ J for J in self.data.unpadded(weighted)],
                 self.data.unpadded(part.residuals(trajectory)),
@@ -702,6 +711,7 @@ class RecordPart(Part):
                 is_long_enough=found.is_long_enough,
             )
 
+        noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)
         longest = max(self.data.stretches, key=len)
         by_output = self.model.has_time and not self.model.errors_are_white
         return Information(
@@ -713,12 +723,57 @@ class RecordPart(Part):
             reach=np.abs(of_all_columns(told.reach)),
             initial={name: of_all_columns(rows) for name, rows in told.initial.items()},
             colored=colored if by_output else None,
+            told=lambda directions: self._told(weighted, noise, in_columns(directions)),
+            output_errors=lambda covariance: self._output_errors(
+                told, noise, scaled(covariance), part.residuals(trajectory) if by_output else None, weight
+            ),
         )
+
+    def _told(self, weighted: Array, noise: Array, directions: Array) -> Array:
+        """Return what every output tells in every part of the record of directions (columns, q), see `Information`."""
+        found = np.zeros((directions.shape[1], len(self.outputs), TIME_BINS))
+        rows = len(self.model.record)
+        for stretch, J in zip(self.data.stretches, self.data.unpadded(weighted), strict=True):
+            along = np.einsum("kpt,pq->kqt", J, directions)
+            share = along * np.einsum("kl,lqt->kqt", noise, along)
+            place = np.arange(rows)[stretch.rows] * TIME_BINS // rows
+            begins = np.flatnonzero(np.diff(place, prepend=-1))
+            found[:, :, place[begins]] += np.add.reduceat(np.moveaxis(share, 1, 0), begins, axis=-1)
+        return found.reshape(len(found), -1)
+
+    def _output_errors(
+        self, told: "_Sensitivity", noise: Array, covariance: Array, colored: Array | None, weight: Array
+    ) -> Array:
+        """Return the standard errors (k, rows) of the outputs at this covariance of the columns of the Jacobian.
+
+        `colored` are the residuals (k, samples) where their correlation in time counts.
+        """
+        J = np.einsum("kl,lpt->kpt", noise, told.weighted)
+        variance = np.einsum("kpt,pq,kqt->kt", J, covariance, J, optimize=True)
+        m = told.by_initial.shape[1]
+        if m:
+            meat = np.eye(m)
+            if colored is not None:
+                # Of directions of unit variance, the mean over the stretches.
+                pieces = self.data.unpadded(told.by_initial)
+                found = colored_errors(
+                    pieces, self.data.unpadded(colored), np.eye(m), weight, self.unknown_initial_states
+                )
+                meat = found.meat / len(pieces)
+            J = np.einsum("kl,lmt->kmt", noise, told.by_initial)
+            variance += np.einsum("kmt,mn,knt->kt", J, meat, J, optimize=True)
+
+        error = np.full((len(self.outputs), len(self.model.record)), np.nan)
+        values = self.data.unpadded(np.sqrt(np.maximum(variance, 0)))
+        for stretch, each in zip(self.data.stretches, values, strict=True):
+            error[:, stretch.rows] = np.where(np.isfinite(stretch.outputs), each, np.nan)
+        return error
 
     def _jacobian(self, trajectory: Trajectory, weight: Array) -> "_Sensitivity":
         """Return how the residuals times `weight` follow the parameters, the initial states fitted along."""
         linearization = self.linearize(trajectory, weight)
         sensitivity = self.condense(linearization, trajectory, np.zeros(self.states)).node_sensitivity.copy()
+        initial_directions = self._initial_directions(linearization)
         noticed = np.sqrt(np.maximum(linearization.node_hessian.diagonal(axis1=1, axis2=2), 0.0).sum(axis=0))
         del linearization  # of a long record, a tenth of what fits into memory
         placed = trajectory.detail.placed
@@ -727,6 +782,8 @@ class RecordPart(Part):
             sensitivity[np.ix_(self.data.begins_record, known)] = placed.initial_slope[known] @ placed.slope
 
         s, length, k, n = self.data.segments, self.data.segment_length, len(self.outputs), self.states
+        m = initial_directions.shape[2]
+        by_initial = np.empty((s, length, k, m))
         p = trajectory.z.size
         weighted = np.empty((s, length, k, p))
         triangle = np.zeros((0, p))
@@ -743,14 +800,38 @@ class RecordPart(Part):
             triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows]), mode="r"))
             white += rows.T @ rows
             weighted[batch] = weight.T @ root
+            by_initial[batch] = weight.T @ (weight @ (J[..., :n] @ initial_directions[batch, None]))
         first = sensitivity[self.data.begins_stretch] * noticed[:, None]
         return _Sensitivity(
             triangle=triangle,
             white=white,
             weighted=np.moveaxis(weighted.reshape(s * length, k, p), 0, -1),
+            by_initial=np.moveaxis(by_initial.reshape(s * length, k, m), 0, -1),
             reach=np.sqrt(squares),
             initial={name: first[:, i] for i, name in enumerate(self.system.states) if not known[i]},
         )
+
+    def _initial_directions(self, b: Linearization) -> Array:
+        """Return how the nodes (s, n, m) move in the m directions of the initial states of every stretch.
+
+        The directions are those of unit variance, for white errors and known parameters. The covariance K⁻¹ of the
+        nodes of a stretch has the rank of its initial states, so that a few columns X = K⁻¹ R say all of it: it is
+        X (Rᵀ X)⁻¹ Xᵀ. That holds for unstable models too, whose nodes do not follow from the first one.
+        """
+        s, n = self.data.segments, self.states
+        if not n:
+            return np.zeros((s, 0, 0))
+        R = np.random.default_rng(0).normal(size=(s, n, n))
+        R[np.ix_(self.data.begins_record, self.model.known_states)] = 0
+        X, _ = self._solve_continuity(b, R, np.zeros_like(R), np.zeros(n))
+        X[np.ix_(self.data.begins_record, self.model.known_states)] = 0
+        result = np.zeros_like(X)
+        starts = np.flatnonzero(self.data.begins_stretch)
+        for rows in np.split(np.arange(s), starts[1:]):
+            values, vectors = np.linalg.eigh(np.einsum("snm,snl->ml", R[rows], X[rows]))
+            kept = values > DIRECTIONS * values[-1]
+            result[rows, :, : kept.sum()] = X[rows] @ (vectors[:, kept] / np.sqrt(values[kept]))
+        return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -763,6 +844,8 @@ class _Sensitivity:
         A triangular factor of the Jacobian J, and JᵀJ.
     weighted : (k, p, samples) array
         WᵀJ.
+    by_initial : (k, m, samples) array
+        The same by m directions of unit variance of the initial states of every stretch, at known parameters.
     reach : (p,) array
         Lengths of the columns of J if what states and parameters contribute to it could not cancel.
     initial : mapping of state to (stretches, p) array
@@ -772,6 +855,7 @@ class _Sensitivity:
     triangle: Array
     white: Array
     weighted: Array
+    by_initial: Array
     reach: Array
     initial: Mapping[str, Array]
 

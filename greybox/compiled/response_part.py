@@ -195,7 +195,14 @@ class ResponsePart(Part):
         errors = np.abs(response[nonzero] / data.response[nonzero] - 1)
         # Of isotropic normal errors of deviation s in each component, the mean magnitude is s sqrt(π/2).
         noise = float(errors.mean()) * math.sqrt(2 / math.pi) if errors.size else math.nan
-        return Information(self, jacobian, len(jacobian), spread, noise, np.linalg.norm(jacobian, axis=0))
+        bread = spread(1.0)[0]
+
+        def told(directions: Array) -> Array:
+            along = jacobian[:, : len(directions)] @ directions
+            return bread * (along**2).reshape(2, -1, directions.shape[1]).sum(axis=0).T
+
+        reach = np.linalg.norm(jacobian, axis=0)
+        return Information(self, jacobian, len(jacobian), spread, noise, reach, told=told)
 
 
 class ResponseProgram(Program):

@@ -84,6 +84,8 @@ class Accuracy:
         The covariance of the free parameters if the cost were the likelihood of white errors: the inverse bread.
     correlation : (parts,) tuple of ColoredErrors or None
         What correlation in time makes of each record; None for responses, and where errors are taken as white.
+    informations : (parts,) tuple of Information
+        What every part says, for what else follows from the covariance.
     """
 
     names: tuple[str, ...]
@@ -98,6 +100,7 @@ class Accuracy:
     noise: Array
     white: Array | None = None
     correlation: tuple[ColoredErrors | None, ...] = ()
+    informations: tuple[Information, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +177,29 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
         noise=np.array([part.relative_noise for part in parts]),
         white=inverse,
         correlation=correlation,
+        informations=tuple(parts),
     )
+
+
+def told_by(nlp: Nlp, accuracy: Accuracy) -> list[tuple[Array, Array]]:
+    """Return for every part which share (p, m) each point of its data has in what all data tell of each parameter.
+
+    Of each free parameter with the others estimated along, and with the others known; see `Information.told` for the
+    points. For independent errors. NaN for what has no standard error, or ended at a bound.
+    """
+    p = len(nlp.free)
+    if accuracy.white is None:
+        return [(np.zeros((p, 0)), np.zeros((p, 0)))] * len(nlp.parts)
+    errors = propagate(accuracy, np.eye(p, len(nlp.names)))
+    inside = np.array([name not in accuracy.at_bound for name in nlp.free], dtype=bool) & ~np.isnan(errors)
+    size = np.sqrt(np.maximum(np.diag(accuracy.white), 1e-300))
+    found = []
+    for part in accuracy.informations:
+        assert part.told is not None
+        found.append([part.part.weight * part.told(each) for each in (accuracy.white / size, np.eye(p))])
+    totals = [np.maximum(sum(each[k].sum(axis=1) for each in found), 1e-300) for k in (0, 1)]
+    along, alone = ([np.where(inside[:, None], each[k] / totals[k][:, None], np.nan) for each in found] for k in (0, 1))
+    return list(zip(along, alone, strict=True))
 
 
 def known_directions(

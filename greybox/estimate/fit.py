@@ -24,7 +24,7 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.text_table import counted
-from greybox.estimate.covariance import Accuracy, assess, known_directions, known_of
+from greybox.estimate.covariance import Accuracy, assess, known_directions, known_of, told_by
 from greybox.estimate.diagnostics.delay_approximation import pade_error
 from greybox.estimate.diagnostics.determined_together import determined_together
 from greybox.estimate.diagnostics.discretization import discretization_warnings
@@ -305,6 +305,7 @@ def assemble(
         fitted_part(part, trajectory, nlp.all_values(best), dict(part.problem.local_values(estimate)))
         for part, trajectory in zip(nlp.parts, trajectories or (None,) * len(nlp.parts), strict=True)
     )
+    parts = tuple(_with_errors(nlp, parts, accuracy))
     pade_errors = [part.pade_error if isinstance(part, FittedResponse) else None for part in parts]
     answer = Fit(
         name=problem.name,
@@ -349,6 +350,18 @@ def assemble(
         known=known_of(nlp, accuracy, *slopes_of_parameters(nlp, estimate)) if found else None,
     )
     return replace(answer, notes=(*answer.notes, *determined_together(answer)))
+
+
+def _with_errors(nlp: Nlp, parts: Sequence[FittedPart], accuracy: Accuracy) -> Iterator[FittedPart]:
+    """Yield the parts with what their data tell of the parameters, and records with the errors of their outputs."""
+    if accuracy.white is None:
+        yield from parts
+        return
+    for part, (along, alone), told in zip(parts, told_by(nlp, accuracy), accuracy.informations, strict=True):
+        changes: dict[str, Any] = {"information": along, "information_alone": alone}
+        if isinstance(part, FittedRecord) and told.output_errors is not None:
+            changes["error"] = told.output_errors(accuracy.covariance)
+        yield replace(part, **changes)
 
 
 @singledispatch

@@ -96,6 +96,10 @@ class FittedPart:
         The model's reference (module, class, arguments), see `greybox.modeling.model_reference`.
     label, equation : str
         Name and docstring of the model.
+    information, information_alone : (p, m) array or None
+        Which share every point of the data has in what all data tell of each free parameter, with the others estimated
+        along or known, for independent errors; NaN for a parameter without a standard error. The points are the
+        frequencies of a response; of a record its outputs, one after the other, each over equal parts of its rows.
     """
 
     name: str
@@ -114,6 +118,8 @@ class FittedPart:
     model: Mapping[str, Any]
     label: str
     equation: str
+    information: NDArray[np.float64] | None = None
+    information_alone: NDArray[np.float64] | None = None
 
     def __repr__(self) -> str:
         return one_line(self, repr(self.name), self.label, self.criterion)
@@ -179,6 +185,9 @@ class FittedRecord(FittedPart):
         Initial states, and variances and covariances of the noise, that were estimated along.
     is_static : bool
         Whether the outputs depend on the inputs of the same moment alone.
+    error : (outputs, n) array or None
+        Standard errors of the fitted outputs, from those of the parameters and of the initial states that were
+        estimated along; without the noise of the sensors. NaN where nothing was compared; None where none is known.
     """
 
     data: Record
@@ -192,6 +201,7 @@ class FittedRecord(FittedPart):
     gains: tuple[tuple[str, str], ...] = ()
     nuisances: int = 0
     is_static: bool = False
+    error: NDArray[np.float64] | None = None
 
     @property
     def compared(self) -> int:
@@ -567,6 +577,39 @@ class Fit:
         )
         places = [self.names.index(name) for name in names]
         return band_of(response, slope, known, places, level, self._fewest_degrees(names))
+
+    def output_band(
+        self, level: float = 0.95, part: int | None = None
+    ) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """Return the lower and upper limit (n,) of the confidence band of every fitted output of a record, by its name.
+
+        To first order in the errors of the parameters and of the initial states: within lies, at each sample by itself,
+        what the output would be without noise, if the model structure is right. NaN where nothing was compared.
+
+        Parameters
+        ----------
+        level : float
+        part : int, optional
+            Which part of the fit, by default the first record.
+
+        Raises
+        ------
+        ValueError
+            If the fit has no estimate or no covariance, or the part is no record.
+        """
+        if part is None:
+            part = next((k for k, each in enumerate(self.parts) if isinstance(each, FittedRecord)), 0)
+        stated = self.parts[part]
+        if not isinstance(stated, FittedRecord):
+            raise ValueError(f"part {part} of the fit is a frequency response: use fit.response_band().")
+        self._known_errors()
+        if stated.error is None:
+            raise ValueError(f"the fit {self.name!r} was saved without the errors of its outputs: fit it again.")
+        half = t_quantile(level, self._fewest_degrees(self.names)) * stated.error
+        values = [stated.simulated[name] for name in stated.outputs]
+        return {
+            name: (value - each, value + each) for name, value, each in zip(stated.outputs, values, half, strict=True)
+        }
 
     def _known_errors(self) -> KnownDirections:
         """Return what is known of the errors of all parameters, if anything is."""

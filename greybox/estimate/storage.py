@@ -23,7 +23,8 @@ Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``
                  stretches``), the fitted ``response_alpha, response_beta`` at the data's frequencies.
                  Of a record: attributes ``method, inputs, nuisances``, as JSON ``outputs, biases, gains``; groups
                  ``data`` and ``simulated`` (``time`` and ``signals/...``, each with its ``unit`` and, if
-                 known, ``hold``), ``initial/...`` by state (stretches,) and ``noise`` (k, k).
+                 known, ``hold``), ``initial/...`` by state (stretches,), ``noise`` (k, k) and, if known, ``error``
+                 (k, n). Of both, if known, ``information`` and ``information_alone`` (p, m).
 
 The file is sealed, see `greybox.data.sealed_files`. NaN means "not known". A file may come from anyone: nothing in it
 is executed, nothing that it names is imported, and what is loaded fits together (SECURITY.md).
@@ -164,6 +165,9 @@ def _write_part(group: Node, part: FittedResponse | FittedRecord) -> None:
     for name in ("settings", "model", "rename", "tied"):
         _attributes(group, **{name: json.dumps(dict(getattr(part, name)))})
     _attributes(group, constraints=json.dumps(part.constraints))
+    for name in ("information", "information_alone"):
+        if (values := getattr(part, name)) is not None:
+            group[name] = values
     if isinstance(part, FittedRecord):
         _write_fitted_record(group, part)
     else:
@@ -188,6 +192,8 @@ def _write_fitted_record(group: Node, part: FittedRecord) -> None:
     write_record(group.create_group("data"), part.data)
     write_record(group.create_group("simulated"), part.simulated)
     group["noise"] = part.noise
+    if part.error is not None:
+        group["error"] = part.error
     initial = group.create_group("initial", track_order=True)
     for state, values in part.initial.items():
         initial[state] = values
@@ -343,6 +349,8 @@ def _read_part(group: Stored) -> FittedResponse | FittedRecord:
     _require(isinstance(stated["model"]["arguments"], list), "the arguments of its model are not a list")
     _require(isinstance(stated["model"]["keywords"], dict), "the keywords of its model have no names")
     stated["weight"] = float(attributes["weight"])
+    for name in ("information", "information_alone"):
+        stated[name] = group[name][()] if name in group else None
     stated |= _read_criterion(attributes) if "settings" in attributes else _read_criterion_text(attributes)
     part = _read_fitted_record(group, stated) if "simulated" in group else _read_fitted_response(group, stated)
     if part.data.checksum != attributes["checksum"]:
@@ -408,6 +416,7 @@ def _read_fitted_record(group: Stored, stated: dict[str, Any]) -> FittedRecord:
         gains=tuple((_text(state), _text(output)) for state, output in json.loads(attributes["gains"])),
         nuisances=int(attributes["nuisances"]),
         is_static=bool(attributes.get("is_static", False)),
+        error=_array(group["error"], (len(outputs), len(group["data/time"][()]))) if "error" in group else None,
     )
 
 

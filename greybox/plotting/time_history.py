@@ -68,7 +68,8 @@ def time_history(
     ----------
     *items : Fit or Prediction
         Several are laid over one another; they must have the same data. Predictions begin anew in every window, at a
-        dot; their band (95 %) holds the errors of parameters and initial state, not the noise of the sensors.
+        dot; the band (95 %) of fits and predictions holds the errors of parameters and initial state, not the noise of
+        the sensors.
     record : int
         Which record of a fit to several.
     labels : sequence of str, optional
@@ -187,10 +188,25 @@ def _of_fit(fit: Fit, record: int) -> History:
         outputs=part.outputs,
         inputs=tuple(name for name in part.data.signals if name not in part.outputs),
         values={name: part.simulated[name] for name in part.outputs},
-        half_width={},
+        half_width=_half_width(fit, part),
         pieces=gapless_rows(part.data),
         window_starts=np.zeros(0, dtype=int),
     )
+
+
+def _half_width(fit: Fit, part: FittedRecord) -> dict[str, Array]:
+    """Return half of the widths (n,) of the bands; between compared samples on the straight line."""
+    if part.error is None or fit.known is None:
+        return {}
+    band = fit.output_band(part=fit.parts.index(part))
+    rows = np.arange(len(part.data))
+    found = {}
+    for name, (low, high) in band.items():
+        half = (high - low) / 2
+        known = np.isfinite(half)
+        if known.any():
+            found[name] = np.interp(rows, rows[known], half[known], left=np.nan, right=np.nan)
+    return found
 
 
 def _of_prediction(prediction: Prediction) -> History:

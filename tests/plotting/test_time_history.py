@@ -54,10 +54,10 @@ def test_a_gap_is_left_open(fit):
 
 def test_several_fits_are_laid_over_one_another(fit, stiff):
     axes = gb.plotting.time_history(fit, stiff, labels=("free", "stiff"))
-    assert legend(axes[0]) == ["measured", "free", "stiff"]
+    assert legend(axes[0]) == ["measured", "free", "stiff", "95 % band without noise"]
     left = [np.nanstd(line(axes[1], color)[1]) for color in ("#0072B2", "#D55E00")]
     assert left[1] > 1.5 * left[0]
-    assert legend(gb.plotting.time_history(fit, stiff)[0])[1:] == ["fit of Spring 1", "fit of Spring 2"]
+    assert legend(gb.plotting.time_history(fit, stiff)[0])[1:3] == ["fit of Spring 1", "fit of Spring 2"]
 
 
 def test_predictions_begin_anew_in_every_window_and_have_a_band(fit):
