@@ -34,7 +34,7 @@ NAMESPACES = {
     "logs": "find_segments horizontal_velocity negative prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response linearize rational",
-    "plotting": "bode demodulated measurement nyquist plot profiles recording residuals spectrogram starts "
+    "plotting": "bode demodulated measurement nyquist plot profiles recording residuals sensitivity spectrogram starts "
     "time_history traces",
     "regression": "EquationError TransientFit equation_error fit_transients levy order_path",
     "simulation": "Prediction predict simulate",

@@ -18,6 +18,7 @@ from greybox.data.record import Record, share_samples
 from greybox.data.text_table import alternatives, counted, number, one_line, some, text_table, with_error
 from greybox.estimate.identifiability import Identifiability, KnownDirections, correlation, identifiability
 from greybox.estimate.response_band import ResponseBand, band_of, require_level, response_and_slope, t_quantile
+from greybox.estimate.sensitivity import Sensitivity, sensitivity
 from greybox.estimate.summary import summary
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.input_assumptions import Inputs, described_inputs
@@ -610,6 +611,27 @@ class Fit:
         return {
             name: (value - each, value + each) for name, value, each in zip(stated.outputs, values, half, strict=True)
         }
+
+    def sensitivity(self, part: int = 0) -> Sensitivity:
+        """Return which frequencies, or which times of a record, of a part tell of each free parameter.
+
+        Raises
+        ------
+        ValueError
+            If the fit has no estimate, no degrees of freedom, or was saved before files kept what this needs.
+        """
+        self._known_errors()
+        stated = self.parts[part]
+        if stated.information is None or stated.information_alone is None:
+            raise ValueError(f"the fit {self.name!r} was saved without what its data tell of parameters: fit it again.")
+        if isinstance(stated, FittedResponse):
+            unit, at, outputs = "rad/s", stated.data.omega, (stated.data.output or "response",)
+        else:
+            unit, outputs = "s" if stated.data.has_time else "row", stated.outputs
+            edges = np.linspace(0, len(stated.data), stated.information.shape[1] // len(outputs) + 1)
+            middle = (edges[1:] + edges[:-1] - 1) / 2
+            at = np.interp(middle, np.arange(len(stated.data)), stated.data.time)
+        return sensitivity(self.free, outputs, unit, at, stated.information, stated.information_alone)
 
     def _known_errors(self) -> KnownDirections:
         """Return what is known of the errors of all parameters, if anything is."""

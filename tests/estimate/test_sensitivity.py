@@ -1,0 +1,65 @@
+"""Which frequencies tell of a parameter, against least squares by hand and against leaving points out."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import greybox as gb
+
+OMEGA = np.geomspace(0.1, 100, 25)
+
+
+class LagAndDelay(gb.TransferFunction):
+    """A gain, a lag and a delay."""
+
+    K = gb.Parameter(2.0, bounds=(0.1, 10))
+    T = gb.Parameter(0.5, bounds=(0.01, 5), unit="s")
+    d = gb.Parameter(0.01, bounds=(0, 0.5), unit="s")
+
+    def response(self, s, p):
+        return p.K * gb.exp(-s * p.d) / (p.T * s + 1)
+
+
+def lag(omega):
+    return 2 * np.exp(-0.01j * omega) / (1 + 0.5j * omega)
+
+
+@pytest.fixture(scope="module")
+def answer():
+    size = 0.05 * np.abs(lag(OMEGA))
+    data = gb.FrequencyResponse(OMEGA, lag(OMEGA), "u", "y", variance=size**2)
+    return gb.fit(gb.Problem(LagAndDelay(), data, gb.MaximumLikelihood()), starts=[{}], progress=False)
+
+
+def test_shares_are_those_of_the_jacobian(answer):
+    s = 1j * OMEGA
+    jacobian = np.column_stack([np.full(25, 0.5), -s / (1 + 0.5 * s), -s])  # of log P
+    rows = np.vstack([jacobian.real, jacobian.imag])
+    along = rows @ np.linalg.inv(rows.T @ rows)
+    for found, each in ((answer.sensitivity().shares, along), (answer.sensitivity().alone, rows)):
+        squares = (each**2).reshape(2, 25, 3).sum(axis=0)
+        assert_allclose(found[:, 0], (squares / squares.sum(axis=0)).T, rtol=1e-5, atol=1e-12)
+
+
+def test_leaving_out_what_tells_of_a_parameter_costs_its_error(answer):
+    found = answer.sensitivity()
+    assert found.band("d")[0] > 10  # a delay shows at high frequencies
+    data = answer.responses[0].data
+
+    def error(name, kept):
+        few = gb.FrequencyResponse(data.omega[kept], data.response[kept], "u", "y", variance=data.variance[kept])
+        problem = gb.Problem(LagAndDelay(), few, gb.MaximumLikelihood())
+        return gb.fit(problem, starts=[{}], progress=False).standard_error[name]
+
+    for k, name in enumerate(found.names):
+        order = np.argsort(found.shares[k, 0])
+        assert error(name, order[:-8]) > 1.2 * error(name, order[8:])  # without the most, without the least telling
+    assert str(found).splitlines()[4].startswith("d ")
+
+
+def test_it_is_drawn_a_panel_for_each_parameter(answer):
+    axes = gb.plotting.sensitivity(answer)
+    assert [ax.get_ylabel() for ax in axes] == ["K, %", "T, %", "d, %"]
+    gray, color = axes[2].get_lines()
+    assert_allclose(color.get_ydata(), 100 * answer.sensitivity().shares[2, 0])
+    assert_allclose(gray.get_ydata(), 100 * answer.sensitivity().alone[2, 0])
