@@ -7,7 +7,7 @@ from xml.etree.ElementTree import Element
 from greybox.data.text_table import with_error
 from greybox.estimate.result import Fit
 from greybox.html_report.elements import tag
-from greybox.html_report.figure import Figure
+from greybox.html_report.figure import Figure, figure_grid
 from greybox.html_report.history_figures import history_figure
 from greybox.html_report.response_figures import response_figures
 from greybox.html_report.tables import Cell, number_cell, table
@@ -56,7 +56,7 @@ def comparison_section(entries: Sequence[Entry], comparison: Comparison | None, 
         content += _comparison(comparison)
     drawn = list(_figures(converged, labels, comparison, columns)) if 2 <= len(fits) <= OVERLAID else []
     if drawn:
-        content.append(tag("div", *(figure.element for figure in drawn), class_="figures"))
+        content.append(figure_grid(drawn))
     return content
 
 

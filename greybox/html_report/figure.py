@@ -113,6 +113,8 @@ class Figure:
         Whether both axes have one scale, as in the complex plane.
     is_whole : bool
         Whether the horizontal axis counts, so that there is nothing between its numbers.
+    is_wide : bool
+        Whether it takes the whole width of the page.
     limits : (float, float) or None
         Of the horizontal axis, by default all that is drawn.
     """
@@ -124,6 +126,7 @@ class Figure:
     is_logarithmic: bool = False
     is_plane: bool = False
     is_whole: bool = False
+    is_wide: bool = False
     limits: tuple[float, float] | None = None
 
     @property
@@ -142,6 +145,15 @@ class Figure:
         plot = tag("div", class_="plot", data_figure=data)
         caption = tag("figcaption", tag("strong", self.title), " " if self.caption else None, self.caption)
         return tag("figure", caption, plot)
+
+
+def figure_grid(figures: Sequence[Figure]) -> Element:
+    """Return figures as they stand on the page, beside one another where there is room."""
+    elements = [figure.element for figure in figures]
+    for figure, element in zip(figures, elements, strict=True):
+        if figure.is_wide or len(figures) == 1:
+            element.set("class", "wide")
+    return tag("div", elements, class_="figures")
 
 
 def _rounded(values: Array) -> list[float | None]:

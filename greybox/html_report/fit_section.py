@@ -4,13 +4,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from xml.etree.ElementTree import Element
 
 from greybox.data.text_table import counted
-from greybox.estimate.result import Fit, FittedRecord
+from greybox.estimate.result import Fit, FittedResponse
 from greybox.html_report.elements import tag
 from greybox.html_report.equation import equations
-from greybox.html_report.figure import Figure
+from greybox.html_report.figure import figure_grid
 from greybox.html_report.history_figures import history_figure
 from greybox.html_report.provenance import data_summary, provenance
+from greybox.html_report.residual_figures import residual_figures
 from greybox.html_report.response_figures import response_figures
+from greybox.html_report.sensitivity_figure import sensitivity_figure
 from greybox.html_report.starts_figure import starts_figure
 from greybox.html_report.tables import parameter_table
 from greybox.html_report.verdict import verdict
@@ -25,12 +27,12 @@ def fit_section(fit: Fit, columns: int, file: str = "") -> Iterator[tuple[str, l
     yield "Verdict", [tag("p", data_summary(fit)), verdict_box(fit), *_warnings(fit)]
     yield "Parameters", [parameter_table(fit), *_remarks(fit)]
     yield "Equation", list(_equations(fit))
-    drawn = list(_responses(fit))
+    drawn = response_figures([fit])
     if drawn:
-        yield "Frequency response", [_figures(drawn)]
+        yield "Frequency response", [figure_grid(drawn), *_sensitivities(fit)]
     if fit.records:
         yield "Time history", list(_histories(fit, columns))
-    yield "Starts", [_figures([starts_figure(fit)])]
+    yield "Starts", [figure_grid([starts_figure(fit)])]
     yield "Data and provenance", provenance(fit, file)
 
 
@@ -73,7 +75,7 @@ def _equations(fit: Fit) -> Iterator[Element]:
         if part.label in told:
             continue
         told.add(part.label)
-        yield tag("h3", part.label)
+        yield tag("h4", part.label)
         is_written = True
         try:
             model = model_of(fit, k)
@@ -106,8 +108,20 @@ def _values(fit: Fit, k: int, model: Model) -> Mapping[str, float]:
     return {name: float(f"{value:.4g}") for name, value in values.items() if value is not None}
 
 
-def _responses(fit: Fit) -> list[Figure]:
-    return response_figures([fit])
+def _sensitivities(fit: Fit) -> Iterator[Element]:
+    """Yield the sensitivity of every model's response, or why it cannot be drawn."""
+    told: set[str] = set()
+    for k, part in enumerate(fit.parts):
+        if not fit.converged or not isinstance(part, FittedResponse) or part.label in told:
+            continue
+        told.add(part.label)
+        try:
+            figure = sensitivity_figure(fit, part, model_of(fit, k))
+        except (LookupError, ValueError, TypeError, ArithmeticError) as error:
+            yield tag("p", f"Confidence band and sensitivity cannot be drawn: {_sentence(error)}")
+            continue
+        if figure is not None:
+            yield figure_grid([figure])
 
 
 def _histories(fit: Fit, columns: int) -> Iterator[Element]:
@@ -121,20 +135,10 @@ def _histories(fit: Fit, columns: int) -> Iterator[Element]:
     if len(chosen) > HISTORIES:
         chosen = sorted(sorted(chosen, key=worst)[:HISTORIES])
         yield tag("p", f"Of {counted(len(fit.records), 'record')} the {HISTORIES} that are fitted worst are drawn.")
-    drawn = [history_figure([fit], k, [f"fit of {_record(fit, k).label}"], columns) for k in chosen]
-    yield _figures(drawn, wide=True)
-
-
-def _record(fit: Fit, k: int) -> FittedRecord:
-    return fit.records[k]
-
-
-def _figures(figures: Sequence[Figure], *, wide: bool = False) -> Element:
-    elements = [figure.element for figure in figures]
-    for element in elements:
-        if wide or len(elements) == 1:
-            element.set("class", "wide")
-    return tag("div", elements, class_="figures")
+    labels = [f"fit of {part.label}" for part in fit.records]
+    yield figure_grid([history_figure([fit], k, labels[k : k + 1], columns) for k in chosen])
+    if fit.converged:
+        yield figure_grid([figure for k in chosen for figure in residual_figures(fit.records[k])])
 
 
 def _sentence(error: Exception) -> str:

@@ -33,7 +33,7 @@ def history_figure(items: Sequence[Fit | Prediction], record: int, labels: Seque
     names = ", ".join(dict.fromkeys(history.data.name for history in drawn if history.data.name))
     title = f"Time history{f', {names}' if names else ''}"
     label = "Time, s" if data.has_time else "Row"
-    return Figure(title, label, panels, _caption(drawn, columns))
+    return Figure(title, label, panels, _caption(drawn, columns), is_wide=True)
 
 
 def _caption(drawn: Sequence[History], columns: int) -> str | None:

@@ -9,6 +9,7 @@ from greybox.data.text_table import number, with_error
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
 from greybox.estimate.result import Fit, Quantity
 from greybox.html_report.elements import Child, tag
+from greybox.html_report.verdict import percent
 
 PROSE = 24  # characters from which a text is broken into lines
 
@@ -89,7 +90,7 @@ def _shares(fit: Fit) -> tuple[dict[str, float], dict[str, float]]:
 def _share(share: float | None, guideline: float) -> Cell:
     if share is None or math.isnan(share):
         return Cell("–")
-    text = "∞" if math.isinf(share) else f"{float(number(100 * share, 2)):g}"
+    text = "∞" if math.isinf(share) else percent(share)
     return Cell(f"{text} !" if share > guideline else text, min(share, 1e300), "doubt" if share > guideline else "")
 
 

@@ -66,12 +66,12 @@ def _closeness(fit: Fit) -> str:
     relative = relative[np.isfinite(relative)]
     if relative.size:
         texts.append(
-            f"it is {number(100 * rms(relative), 2)} % rms from the {counted(relative.size, 'measured point')} of "
-            f"frequency response, {number(100 * float(relative.max()), 2)} % at most"
+            f"it is {percent(rms(relative))} % rms from the {counted(relative.size, 'measured point')} of "
+            f"frequency response, {percent(float(relative.max()))} % at most"
         )
     for output in dict.fromkeys(name for part in fit.records for name in part.outputs):
-        shares = [100 - part.fit_percent(output) for part in fit.records if output in part.outputs]
-        known = [number(share, 2) for share in sorted(shares) if math.isfinite(share)]
+        shares = [1 - part.fit_percent(output) / 100 for part in fit.records if output in part.outputs]
+        known = [percent(share) for share in sorted(shares) if math.isfinite(share)]
         if known:
             span = " to ".join(dict.fromkeys((known[0], known[-1])))
             texts.append(f"its residual of {output} is {span} % of the standard deviation of {output}")
@@ -99,8 +99,13 @@ def _determined(fit: Fit) -> tuple[str, bool]:
         return f"Of {counted(len(fit.free), 'free parameter')}, {well} are well determined: {'; '.join(texts)}.", False
     worst = int(np.nanargmax(judged.error))
     whole = "The free parameter is" if len(fit.free) == 1 else f"All {len(fit.free)} free parameters are"
-    most = f"{number(100 * float(judged.error[worst]), 2)} % ({judged.names[worst]})"
+    most = f"{percent(float(judged.error[worst]))} % ({judged.names[worst]})"
     return f"{whole} well determined, with standard errors of at most {most}.", True
+
+
+def percent(share: float) -> str:
+    """Return a share in percent with two digits, without an exponent where that is readable."""
+    return f"{float(number(100 * share, 2)):g}"
 
 
 def _names(names: Sequence[str]) -> str:

@@ -32,7 +32,7 @@ MOST_INPUTS = 3  # that have a panel for each output: those that the residuals a
 
 
 @dataclass(frozen=True, eq=False)
-class _Panel:
+class ResidualPanel:
     """What one panel shows of the residuals of an output: their histogram, or correlations."""
 
     output: str
@@ -76,7 +76,7 @@ def residuals(fit: Fit, record: int = 0, *, axes: GivenAxes | None = None) -> Ax
     if not fit.converged:
         raise ValueError(f"the fit {fit.name!r} has no estimate: {fit.status}.")
     part = fit.records[record]
-    rows = [_panels(part, output) for output in part.outputs]
+    rows = [residual_panels(part, output) for output in part.outputs]
 
     if axes is not None:
         drawn = given_axes(axes, [f"{p.name} of {p.output}" for row in rows for p in row], "this figure of residuals")
@@ -98,13 +98,14 @@ def residuals(fit: Fit, record: int = 0, *, axes: GivenAxes | None = None) -> Ax
     return drawn
 
 
-def _panels(part: FittedRecord, output: str) -> list[_Panel]:
-    found = [_Panel(output, "histogram")]
+def residual_panels(part: FittedRecord, output: str) -> list[ResidualPanel]:
+    """Return what is shown of the residuals of an output."""
+    found = [ResidualPanel(output, "histogram")]
     if not part.data.has_time:
         return found
     pieces = _pieces(part.data, part.residual(output))
     gains = sum(o == output for _, o in part.gains)
-    found.append(_Panel(output, "autocorrelation", whiteness(pieces, fitted=gains)))
+    found.append(ResidualPanel(output, "autocorrelation", whiteness(pieces, fitted=gains)))
     inputs = {}
     for name in part.data.signals:
         values = part.data[name]
@@ -112,7 +113,7 @@ def _panels(part: FittedRecord, output: str) -> list[_Panel]:
             inputs[name] = input_correlation(pieces, _pieces(part.data, values))
     known = [name for name, test in inputs.items() if not math.isnan(test.p_value)]
     chosen = sorted(known, key=lambda name: inputs[name].p_value)[:MOST_INPUTS]
-    return found + [_Panel(output, name, inputs[name]) for name in known if name in chosen]
+    return found + [ResidualPanel(output, name, inputs[name]) for name in known if name in chosen]
 
 
 def _pieces(record: Record, values: Array) -> Sequence[Array]:
@@ -138,7 +139,7 @@ def _draw_histogram(ax: Axes, part: FittedRecord, output: str) -> None:
     ax.set_xlabel(f"Residual of {symbol(output)}{f', {plain(shown)}' if shown else ''}", fontsize=11)
 
 
-def _draw_correlations(ax: Axes, panel: _Panel, test: CorrelationTest) -> None:
+def _draw_correlations(ax: Axes, panel: ResidualPanel, test: CorrelationTest) -> None:
     lags = np.arange(1, len(test.correlations) + 1)
     ax.axhspan(-test.bound, test.bound, color="0.5", alpha=0.2, linewidth=0)
     ax.axhline(0, color="0.6", linewidth=0.8)

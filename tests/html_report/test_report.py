@@ -63,7 +63,14 @@ def show(browser):
 def test_every_figure_is_drawn_and_shows_its_numbers(show, one, fit):
     shown = show(one)
     titles = shown.locator("figcaption strong").all_inner_texts()
-    assert titles == ["Bode diagram", "Nyquist diagram, y/u", "Time history, flight", "Starts"]
+    assert titles == [
+        "Bode diagram",
+        "Nyquist diagram, y/u",
+        "Sensitivity",
+        "Time history, flight",
+        "Residuals of y, flight",
+        "Starts",
+    ]
     for plot in shown.locator(".plot").all():
         assert plot.locator(".panel").count() >= 1
         for path in plot.locator("path.line, path.marks").all():

@@ -1,6 +1,7 @@
 """Small results for the page, and one whose names a stranger wrote."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -11,7 +12,8 @@ from greybox.models.polynomial import Polynomial
 MARKUP = '<img src=x onerror="pwned=1"></script><script>pwned=1</script>&amp;\'"'
 
 
-def lag(name="lag", seed=0, starts=3, **stated):
+@cache
+def lag(name="lag", seed=0):
     """A lag fitted to a response with coherence and variance and to a record."""
     rng = np.random.default_rng(seed)
     omega = np.geomspace(1, 20, 12)
@@ -32,10 +34,8 @@ def lag(name="lag", seed=0, starts=3, **stated):
     y = gb.simulate(Polynomial(1, 0), {"b0": 2.0, "a0": 3.0}, Record(time, {"u": u}))["y"]
     record = Record(time, {"u": u, "y": y + 0.01 * rng.normal(size=200)}, {"y": "rad"}, name="flight")
     model = Polynomial(1, 0)
-    both = gb.Problem(model, response, gb.MaximumLikelihood(), name=name, **stated) + gb.Problem(
-        model, record, **stated
-    )
-    return gb.fit(both, starts=starts, seed=0, progress=False)
+    both = gb.Problem(model, response, gb.MaximumLikelihood(), name=name) + gb.Problem(model, record)
+    return gb.fit(both, starts=3, seed=0, progress=False)
 
 
 def crafted(fit):

@@ -1,0 +1,98 @@
+"""What the figures hold is what was measured and what the fitted model gives."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from page_results import lag
+
+from greybox.html_report.figure import Series
+from greybox.html_report.history_figures import history_figure
+from greybox.html_report.residual_figures import residual_figures
+from greybox.html_report.response_figures import response_figures
+from greybox.html_report.sensitivity_figure import sensitivity_figure
+from greybox.html_report.starts_figure import starts_figure
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return lag()
+
+
+def named(panel, name, kind):
+    (found,) = [s for s in panel.series if s.name.startswith(name) and s.kind == kind]
+    return found
+
+
+def test_the_bode_diagram_has_data_curve_band_and_errors(fit):
+    bode, nyquist = response_figures([fit])
+    part = fit.responses[0]
+    labels = [panel.label.partition(",")[0] for panel in bode.panels]
+    assert labels == ["Magnitude of y/u", "Phase of y/u", "Coherence γ²", "Error", "Error"]
+    magnitude, phase, coherence, error, _ = bode.panels
+    measured = named(magnitude, "lag", "points")
+    assert measured.y == pytest.approx(20 * np.log10(np.abs(part.data.response)))
+    one_sided = np.abs(part.data.response) + np.sqrt(part.data.variance / 2)
+    assert measured.high == pytest.approx(20 * np.log10(one_sided))
+    assert named(phase, "lag", "points").y == pytest.approx(np.degrees(np.angle(part.data.response)))
+    assert named(coherence, "lag", "points").y == pytest.approx(part.data.coherence)
+    assert named(error, "lag", "points").y == pytest.approx(20 * np.log10(np.abs(part.data.response / part.response)))
+
+    band = fit.response_band(part.data.omega, part=0)
+    low, high = (20 * np.log10(limit) for limit in band.magnitude)
+    drawn = named(magnitude, "fit of", "band")
+    assert np.interp(np.log(band.omega), np.log(drawn.x), drawn.low) == pytest.approx(low, abs=1e-3)
+    assert np.interp(np.log(band.omega), np.log(drawn.x), drawn.high) == pytest.approx(high, abs=1e-3)
+    assert nyquist.panels[0].series[-1].notes[0].endswith("at 1 rad/s")
+
+
+def test_sensitivities_are_differences_of_fits_that_differ_by_a_percent(fit):
+    figure = sensitivity_figure(fit, fit.responses[0], fit.models[0])
+    for k, name in enumerate(fit.free):
+        magnitude, phase = (panel.series[k] for panel in figure.panels)
+        assert magnitude.name == name
+        step = 1e-4
+        moved = tuple(replace(q, value=q.value * (1 + step)) if q.name == name else q for q in fit.quantities)
+        change = replace(fit, quantities=moved).response(magnitude.x).response / fit.response(magnitude.x).response
+        assert magnitude.y == pytest.approx(20 * np.log10(np.abs(change)) * 0.01 / step, rel=1e-3, abs=1e-6)
+        assert phase.y == pytest.approx(np.degrees(np.angle(change)) * 0.01 / step, rel=1e-3, abs=1e-6)
+
+
+def test_histories_show_degrees_and_extremes_of_what_is_too_long(fit):
+    output, residual, given = history_figure([fit], 0, ["fit"], 2000).panels
+    part = fit.records[0]
+    assert output.label == "y, °"
+    assert named(output, "measured", "points").y == pytest.approx(np.degrees(part.data["y"]))
+    assert named(residual, "fit", "line").y == pytest.approx(np.degrees(part.residual("y")))
+    assert given.series[0].y == pytest.approx(part.data["u"])
+    thinned = history_figure([fit], 0, ["fit"], 10)
+    line = named(thinned.panels[0], "fit", "line")
+    assert len(line.x) < 40
+    assert line.y.max() == pytest.approx(np.degrees(part.simulated["y"].max()))
+    assert "smallest and largest of each 20" in thinned.caption
+
+
+def test_residuals_are_correlated_as_numpy_says(fit):
+    (figure,) = residual_figures(fit.records[0])
+    e = fit.records[0].residual("y")
+    e = e[np.isfinite(e)] - np.nanmean(e)
+    expected = [float(e[k:] @ e[:-k] / (e @ e)) for k in range(1, 6)]
+    assert named(figure.panels[0], "", "points").y[:5] == pytest.approx(expected, abs=0.02)
+
+
+def test_starts_are_sorted_and_failed_ones_stand_at_the_right(fit):
+    first, second, third = fit.runs
+    runs = (first, replace(second, converged=False, status="restoration failed"), third)
+    minima = (replace(fit.minima[0], runs=(first.index, third.index)),)
+    figure = starts_figure(replace(fit, runs=runs, minima=minima))
+    minimum, failed = figure.panels[0].series
+    assert minimum.x.tolist() == [1, 2]
+    assert failed.x.tolist() == [3]
+    assert failed.notes == ["start 1, restoration failed"]
+
+
+def test_numbers_keep_the_digits_that_zooming_needs():
+    clock = 1.7e9 + 0.01 * np.arange(5)
+    plain = Series("a", "line", clock, np.array([1 / 3, np.nan, np.inf, 2.0, 1e-9])).plain
+    assert np.diff(plain["x"]) == pytest.approx(np.full(4, 0.01), rel=1e-3)
+    assert plain["y"] == [0.33333, None, None, 2, 1e-9]
