@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from greybox.cli.columns import with_columns
 from greybox.data.delimited_text import read_delimited
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.heading import heading
@@ -38,12 +37,14 @@ def read_data(
         response = read_response(path, input=input, output=output, columns=columns)
         return response if input or output else as_the_only_pair(model, response)
     try:
-        log = read(path)
+        log = read(path, columns=columns or None)
     except ValueError as error:
+        if columns:
+            raise
         raise ValueError(
             f"{path} is neither a frequency response, with columns {', '.join(COLUMNS[:3])}, nor a record: {error}"
         ) from None
-    return _record_of(with_columns(log, columns) if columns else log, path, model)
+    return _record_of(log, path, model)
 
 
 def _is_response(path: Path) -> bool:

@@ -1,11 +1,12 @@
 """The command `greybox identify`: from a log to a fitted model in one go."""
 
 import argparse
+import shlex
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.log_tests import stated_fields
+from greybox.cli.log_tests import read_log, stated_fields
 from greybox.cli.options import add_common_options, nonnegative, positive
 from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
 from greybox.cli.response_command import add_measurement_options, response_json, stated_band
@@ -54,9 +55,9 @@ def run(options: argparse.Namespace) -> Answer:
     names = {field.name for field in fields(Settings)}
     stated = {name: value for name, value in vars(options).items() if name in names}
     stated |= {"fields": stated_fields(options), "band": stated_band(options.band)}
-    found = identify(options.log, through=options.through, starts=options.starts, seed=options.seed, **stated)
+    found = identify(read_log(options), through=options.through, starts=options.starts, seed=options.seed, **stated)
 
-    commands = found.commands(options.log, prefix)
+    commands = tuple(_with_columns(line, options.columns) for line in found.commands(options.log, prefix))
     answer = _json(found, commands)
     text = "\n\n".join([str(found), "\n".join(["The same in single commands:", *(f"  {line}" for line in commands)])])
     measured, fit = found.measurement.response, found.fit
@@ -72,6 +73,12 @@ def run(options: argparse.Namespace) -> Answer:
     notes += [f"saved {result}", *save_figure(figure, lambda: _figure(found))]
     answer["files"] = [str(response), str(result), str(figure)]
     return answer, "\n".join([text, "", *notes]), USABLE
+
+
+def _with_columns(line: str, columns: list[str]) -> str:
+    """Return a command that reads the log with the columns that were stated."""
+    reads = line.split()[1] in ("inspect", "response")
+    return f"{line} --columns {shlex.join(columns)}" if columns and reads else line
 
 
 def _figure(found: Identification) -> Any:

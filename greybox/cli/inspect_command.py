@@ -5,7 +5,7 @@ import shlex
 from collections.abc import Sequence
 from typing import Any
 
-from greybox.cli.log_tests import add_test_options, segment_as_json, segments_of
+from greybox.cli.log_tests import add_test_options, read_log, segment_as_json, segments_of
 from greybox.cli.options import add_common_options
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
 from greybox.data.json_numbers import finite
@@ -13,7 +13,6 @@ from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.data.text_table import number, text_table
 from greybox.logs.flight_controllers import axis_of
-from greybox.logs.readers import read
 from greybox.logs.segment_detection import announcing
 
 
@@ -29,7 +28,7 @@ def add_command(commands: Any) -> None:
 def run(options: argparse.Namespace) -> Answer:
     """Return what a log holds, and draw it where asked to."""
     require_figure(options.plot, options.force)
-    recording = read(options.log)
+    recording = read_log(options)
     segments = segments_of(recording, options)
 
     in_time = any(record.has_time for record in recording.values())
@@ -67,6 +66,7 @@ def _following(recording: Recording, segments: Sequence[Segment], options: argpa
     for flag, value in (("--announced", options.announced), ("--setpoint", options.setpoint)):
         words += [flag, value] if value else []
     words += ["--fields", *options.fields] if options.fields else []
+    words += ["--columns", *options.columns] if options.columns else []
     usable = any(segment.usable for segment in segments) or announcing(recording)
     return shlex.join(words) if usable else ""
 

@@ -3,9 +3,11 @@
 import argparse
 from typing import Any
 
+from greybox.cli.columns import RECORD, add_columns_option, stated_columns
 from greybox.data.json_numbers import finite
 from greybox.data.record import Recording
 from greybox.data.test_segment import Segment
+from greybox.logs.readers import read
 from greybox.logs.segment_detection import find_segments
 
 
@@ -20,7 +22,13 @@ def add_test_options(parser: argparse.ArgumentParser) -> None:
         metavar="WHAT=FIELD",
         help="fields of that message, e.g. omega=W amplitude=Eta axis=Ax",
     )
+    add_columns_option(parser, RECORD)
     add("--setpoint", default="", metavar="SIGNAL", help="setpoint in which to look for tests, e.g. ATT.DesPitch")
+
+
+def read_log(options: argparse.Namespace) -> Recording:
+    """Return the log of a command, with its columns as `--columns` names them."""
+    return read(options.log, columns=stated_columns(options) or None)
 
 
 def segments_of(recording: Recording, options: argparse.Namespace) -> tuple[Segment, ...]:

@@ -5,13 +5,12 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.log_tests import stated_fields
+from greybox.cli.log_tests import read_log, stated_fields
 from greybox.cli.options import add_common_options
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
 from greybox.cli.response_command import add_measurement_options, response_json, stated_band
 from greybox.identification.choices import choose
 from greybox.identification.measurement import Settings, measure
-from greybox.logs.readers import read
 
 
 def add_command(commands: Any) -> None:
@@ -35,7 +34,7 @@ def run(options: argparse.Namespace) -> Answer:
     names = {field.name for field in fields(Settings)}
     stated = {name: value for name, value in vars(options).items() if name in names}
     stated |= {"fields": stated_fields(options), "band": stated_band(options.band)}
-    recording = read(options.log)
+    recording = read_log(options)
     settings, choices = choose(recording, **stated)
     measured = measure(recording, settings)
 

@@ -9,14 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from greybox.cli.log_tests import add_test_options, segment_as_json, stated_fields
+from greybox.cli.log_tests import add_test_options, read_log, segment_as_json, stated_fields
 from greybox.cli.options import UsageError, add_common_options
 from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
 from greybox.data.json_numbers import finite
 from greybox.data.record import Recording
 from greybox.data.response_file import HDF5, write_response
 from greybox.identification.measurement import INSTRUMENT, Measurement, Settings, measure
-from greybox.logs.readers import read
 
 
 def add_command(commands: Any) -> None:
@@ -107,7 +106,7 @@ def run(options: argparse.Namespace) -> Answer:
     require_response_file(options.out, options.force)
     require_figure(options.traces, options.force)
     settings = stated_settings(options, options.input, options.output)
-    recording = read(options.log)
+    recording = read_log(options)
     measured = measure(recording, settings)
 
     text = "\n\n".join(part for part in (str(measured), "\n".join(recording.findings)) if part)

@@ -63,7 +63,7 @@ def add_problem_options(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="with --model: operating point at which an ODE is linearized",
     )
-    add_columns_option(parser, "with --data: ")
+    add_columns_option(parser)
     add_parameter_options(parser)
     add("--delay", help="exact or pade:n (default: the problem's)")
     add("--criterion", help=f"{', '.join(_criteria())} (default: the problem's)")

@@ -3,7 +3,7 @@
 Begin with `readers` (`read`: one format a file), then `prepare` (signals of several messages on one time base).
 `segment_detection` finds the tests in a log, `sine_detection` sines and sweeps in one signal. What flight controllers
 do to signals and tests is in `ardupilot` and `px4`, and for both together in `flight_controllers`; `axis_signals` and
-`known_filters` are the values that they give.
+`known_filters` are the values that they give. `named_columns` says what the columns of somebody's table are.
 """
 
 from greybox.logs.prepare import horizontal_velocity as horizontal_velocity

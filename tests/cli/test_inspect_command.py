@@ -41,3 +41,13 @@ def test_the_next_command_for_a_table_names_what_it_needs(capsys, tmp_path):
     out = run(capsys, "inspect", tmp_path / "flight.csv")[1]
     expected = f"next: greybox response {tmp_path / 'flight.csv'} --input u=SIGNAL --output theta=SIGNAL"
     assert out.splitlines()[-1] == expected
+
+
+def test_columns_without_names_are_stated(capsys, tmp_path):
+    rows = "\n".join(f"{10 * k} {math.sin(0.03 * k):.6f} {k}" for k in range(3000))
+    (tmp_path / "flight.asc").write_text(f"{rows}\n")
+    words = ["inspect", tmp_path / "flight.asc", "--columns", "time=1:ms", "r=2", "y=3:deg"]
+    out = run(capsys, *words)[1]
+    assert "sine" in out
+    assert out.splitlines()[-1].endswith("--columns time=1:ms r=2 y=3:deg")
+    assert "write NAME=COLUMN:UNIT" in run(capsys, "inspect", tmp_path / "flight.asc", "--columns", "time")[2]

@@ -15,14 +15,16 @@ Shared by several
     groups in HDF5, MATLAB and PX4 files, which `greybox.data.subprocess_reader` reads in a subprocess).
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from importlib import import_module
+from inspect import signature
 from pathlib import Path
 from typing import NamedTuple
 
 from greybox.data.record import Recording
 from greybox.data.safe_files import require_file
 from greybox.data.text_table import printable
+from greybox.logs.named_columns import with_columns
 
 HEAD = 4096  # bytes by which a format is recognized
 HDF5 = b"\x89HDF\r\n\x1a\n"  # at byte 0, 512, 1024, 2048 ... (a MATLAB 7.3 file has it at 512)
@@ -83,11 +85,13 @@ FORMATS = (
     Format("matlab", "MATLAB", (".mat",), _is_matlab),
     Format("telemetry", "MAVLink telemetry", (".tlog",), _is_telemetry),
     Format("dataflash_text", "ArduPilot DataFlash, text", (".log",), _is_dataflash_text),
-    Format("csv_table", "a table with a header line", (".csv", ".txt", ".tsv", ".dat"), _is_csv),
+    Format("csv_table", "a table with a header line", (".csv", ".txt", ".tsv", ".dat", ".asc"), _is_csv),
 )
 
 
-def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
+def read(
+    path: str | Path, messages: Collection[str] | None = None, columns: Mapping[str, str] | None = None
+) -> Recording:
     """Read a flight log or a table of measured signals, whatever its format.
 
     Parameters
@@ -97,6 +101,10 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
         contents decide; the suffix only where they are ambiguous.
     messages : collection of str, optional
         Read only these, e.g. ``("ATT", "RATE")``; all by default.
+    columns : mapping of str to str, optional
+        Of a table whose own names do not say what is in it, by new name: the column and, behind a colon, its unit,
+        ``{"time": "t:ms", "theta": "pitch:deg"}``. Columns without names, in a file without a header line or in the one
+        matrix of a MATLAB file, go by their numbers: ``{"time": "1", "u": "2", "theta": "3:deg"}``.
 
     Returns
     -------
@@ -114,7 +122,10 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     wanted = (messages,) if isinstance(messages, str) else messages
     reader = import_module(f"greybox.logs.readers.{_format(path).module}")
     try:
-        return reader.read(path, wanted)
+        if columns is None:
+            return reader.read(path, wanted)
+        numbered = {"numbered": True} if "numbered" in signature(reader.read).parameters else {}
+        return with_columns(reader.read(path, wanted, **numbered), columns)
     except ValueError as refused:
         raise ValueError(printable(str(refused))) from None  # it may quote the file
 

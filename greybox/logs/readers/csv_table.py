@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 LONGEST = 30  # characters of a cell that is shown in a finding
 
 
-def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
+def read(path: str | Path, messages: Collection[str] | None = None, numbered: bool = False) -> Recording:
     """Read a table with a header line into one record named after the file.
 
     The cells are separated by semicolons, tabs or commas; the numbers may have decimal commas, see
@@ -40,6 +40,8 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     path : str or Path
     messages : collection of str, optional
         Not used: a table is one record, and all of it is read.
+    numbered : bool
+        Name the columns of a table without a header line by their numbers, from 1; blanks may separate them too.
 
     Returns
     -------
@@ -62,6 +64,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     if not text.lines:
         raise ValueError(f"{path} has no table: write a header line with names, then one line of numbers per sample.")
 
+    text = _numbered(text) if numbered else text
     headings = _headings(text)
     columns, findings = _columns(headings, text)
     units = {h.name: h.unit for h in headings}
@@ -80,12 +83,35 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     return Recording(found, path.name, checksum, {}, findings)
 
 
+def _numbered(text: DelimitedText) -> DelimitedText:
+    """Return a table without a header line with the numbers of its columns as names."""
+    line = text.separator.join(text.header)
+    lines = [line, *text.lines]
+    if len(text.header) == 1 and len(line.split()) > 1:
+        lines = ["\t".join(cells.split()) for cells in lines]
+        text = replace(text, separator="\t")
+    cells = lines[0].split(text.separator)
+    if not _are_numbers(cells):
+        return text
+    names = tuple(str(k) for k in range(1, len(cells) + 1))
+    numbers = [text.line_numbers[0] - 1 if text.line_numbers else 1, *text.line_numbers]
+    return replace(text, header=names, lines=lines, line_numbers=numbers)
+
+
+def _are_numbers(cells: Sequence[str]) -> bool:
+    return all(is_number(cell.strip().replace(",", ".")) for cell in cells)
+
+
 def _headings(text: DelimitedText) -> list[Heading]:
     headings = [heading(cell) for cell in text.header]
     names = [h.name for h in headings if h.name]
-    if not names or all(is_number(name.replace(",", ".")) for name in names):
+    by_number = names == [str(k) for k in range(1, len(names) + 1)]
+    if not names or (_are_numbers(" ".join(names).split()) and not by_number):
         line = text.separator.join(text.header)[:60]
-        raise ValueError(f"{text.path} has no header line: its first line, {line!r}, must name the columns.")
+        raise ValueError(
+            f"{text.path} has no header line: its first line, {line!r}, must name the columns, or --columns time=1 u=2 "
+            "theta=3:deg does by their numbers."
+        )
     twice = next((name for name, count in Counter(names).items() if count > 1), None)
     if twice:
         raise ValueError(f"{text.path} has two columns named {twice!r}: give each column a name of its own.")

@@ -1,0 +1,47 @@
+"""Tables that do not name their columns."""
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+import greybox as gb
+
+TIME = np.arange(0, 5, 0.01)
+TABLE = np.c_[1e3 * TIME, np.sin(TIME), np.cos(TIME)]
+COLUMNS = {"time": "1:ms", "u": "2", "theta": "3:deg"}
+
+
+@pytest.mark.parametrize("separator", [" ", "   ", "\t", ",", ";"])
+@pytest.mark.parametrize("comment", ["", "% made for a test\n"])
+def test_a_table_without_a_header_goes_by_numbers(tmp_path, separator, comment):
+    path = tmp_path / "flight.asc"
+    rows = "\n".join(separator.join(f"{x:.9f}" for x in row) for row in TABLE)
+    path.write_text(f"{comment}{rows}\n")
+    record = gb.read(path, columns=COLUMNS)["flight"]
+    np.testing.assert_allclose(record.time, TIME, atol=1e-9)
+    np.testing.assert_allclose(record["u"], np.sin(TIME), atol=1e-8)
+    np.testing.assert_allclose(record["theta"], np.radians(np.cos(TIME)), atol=1e-9)
+    assert record.units["theta"] == "rad"
+    with pytest.raises(ValueError, match=r"has no column '4'; it has 1, 2, 3"):
+        gb.read(path, columns={"time": "1", "u": "4"})
+    with pytest.raises(ValueError, match="has no header line"):
+        gb.read(path)
+
+
+def test_the_one_matrix_of_a_matlab_file_goes_by_numbers(tmp_path):
+    path = tmp_path / "flight.mat"
+    savemat(path, {"data": TABLE, "note": "made", "gain": 3.0})
+    record = gb.read(path, columns=COLUMNS)["flight"]
+    np.testing.assert_allclose(record.time, TIME)
+    np.testing.assert_array_equal(record["u"], np.sin(TIME))
+    savemat(path, {"data": TABLE, "other": TABLE})
+    with pytest.raises(ValueError, match=r"has 2 matrices \(data, other\): save the one to read alone"):
+        gb.read(path, columns=COLUMNS)
+
+
+def test_names_may_be_replaced(tmp_path):
+    path = tmp_path / "flight.csv"
+    np.savetxt(path, TABLE, delimiter=",", header="tick,stick,angle", comments="")
+    record = gb.read(path, columns={"time": "tick:ms", "theta": "angle:deg"})["flight"]
+    assert list(record.signals) == ["theta"]
+    assert record.rate == pytest.approx(100)
