@@ -42,6 +42,7 @@ from greybox.estimate.fit import fit as fit
 from greybox.estimate.profile import Profiles as Profiles
 from greybox.estimate.profile import profile as profile
 from greybox.estimate.result import Fit as Fit
+from greybox.estimate.structural_identifiability import structural_identifiability as structural_identifiability
 from greybox.experiment import Controller as Controller
 from greybox.experiment import virtual_flight as virtual_flight
 from greybox.formulation import Criterion as Criterion

@@ -15,7 +15,7 @@ Bootstrap Collocation Controller Criterion Fit FrequencyResponse Integrator Magn
 MultipleShooting OutputError Parameter PredictionError Problem Profiles Record RelativeError RelativeLikelihood
 Rosenbrock RungeKutta SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion Transcription
 TransferFunction batch bootstrap compare cost feedback fit frequency_response identify load plot predict prepare
-profile read read_response reduce report save several simulate virtual_flight
+profile read read_response reduce report save several simulate structural_identifiability virtual_flight
 """.split()
 
 FORMULAS = """

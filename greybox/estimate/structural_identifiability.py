@@ -1,0 +1,278 @@
+"""Which parameters of a structure any data at all could tell apart: the rank of its sensitivities at random points."""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.compiled.compiled_problem import AnyProblem, Nlp, compile_problem
+from greybox.compiled.part import Trajectory
+from greybox.compiled.record_part import RecordPart
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.record import Record
+from greybox.data.text_table import counted, listed, one_line
+from greybox.estimate.covariance import Accuracy, Combination, assess, known_directions
+from greybox.estimate.identifiability import identifiability
+from greybox.formulation.frequency_criteria import SquaredRelativeError
+from greybox.formulation.problem import Problem
+from greybox.formulation.sum import Sum
+from greybox.formulation.time_criteria import OutputError
+from greybox.modeling.model import Model, require_known
+from greybox.modeling.parameter import Parameter
+from greybox.modeling.realization import dynamics
+from greybox.modeling.transfer_function import TransferFunction
+
+Array = NDArray[np.float64]
+
+FREQUENCIES = 40  # random ones for each pair: more numbers than any structure has parameters
+BAND = (1e-2, 1e3)  # rad/s, in which they are drawn: what vehicles and their actuators do
+SAMPLES = 240  # of the record that is simulated
+STRETCHES = 4  # that it has, each from its own initial state
+FASTEST = 0.3  # |pole| times the step
+GROWTH = 5.0  # real part of the fastest growing pole times the length of a stretch, at most: e⁵ is 150
+# Sizes of inputs and initial states that are tried until nothing grows out of what formulas are made for.
+SIZES = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
+SMALL = 1e-12
+LARGEST = 30.0  # state, in sizes that are plausible for SI units
+
+
+@dataclass(frozen=True, eq=False)
+class StructuralIdentifiability:
+    """What the input and output of a structure can tell of its parameters. Printing it names what cannot be told apart.
+
+    Attributes
+    ----------
+    model : str
+    names : tuple of str
+        The free parameters.
+    groups : tuple of Combination
+        Parameters that move together, with initial states where these take part, without any effect; in each, as many
+        have to be fixed as it has `directions`.
+    combinations : tuple of str
+        What of such parameters is determined, as ``K1 K2``.
+    data : str
+        What was taken as measured, in words.
+    """
+
+    model: str
+    names: tuple[str, ...]
+    groups: tuple[Combination, ...]
+    combinations: tuple[str, ...]
+    data: str
+
+    @property
+    def identifiable(self) -> tuple[str, ...]:
+        """The parameters that the structure itself does not leave open."""
+        lost = {name for group in self.groups for name in group.names}
+        return tuple(name for name in self.names if name not in lost)
+
+    def __repr__(self) -> str:
+        return one_line(self, self.model, f"{len(self.identifiable)} of {counted(len(self.names), 'parameter')}")
+
+    def __str__(self) -> str:
+        return "\n".join(self._lines())
+
+    def _lines(self) -> Iterator[str]:
+        yield f"{self.model}, structural identifiability from {self.data}:"
+        if not self.groups:
+            yield f"  all of {listed(self.names)} can be told apart."
+            return
+        for group in self.groups:
+            members = [*group.names, *(f"the initial state of {name}" for name in group.states)]
+            if len(members) == 1:
+                yield f"  {members[0]} has no effect: fix it or remove it."
+            else:
+                cure = "one" if group.directions == 1 else str(group.directions)
+                yield f"  {listed(members)} cannot be told apart: fix {cure} of them."
+        if self.combinations:
+            yield f"  determined are {listed(self.combinations)}."
+        if self.identifiable:
+            yield f"  {listed(self.identifiable)} can be told."
+
+
+def structural_identifiability(  # noqa: PLR0913  (a problem, without its data)
+    model: Model,
+    outputs: Sequence[str] | None = None,
+    *,
+    at: Mapping[str, float] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    free: Sequence[str] = (),
+    tied: Mapping[str, Callable[[Any], Any]] | None = None,
+    initial: Mapping[str, Any] | None = None,
+    points: int = 3,
+    seed: int = 0,
+) -> StructuralIdentifiability:
+    """Tell before any data which parameters of a structure its inputs and outputs could determine.
+
+    At random points of the start boxes the sensitivities of what would be measured are computed, with their rank: for a
+    transfer function, or an ODE at an operating point `at`, of the frequency responses of all pairs at 40 frequencies;
+    for any other ODE, of the outputs over a record with random inputs, from unknown initial states. What moves without
+    an effect at the point of the largest rank is not identifiable, whatever is measured. It is local: two lags that can
+    be swapped are told apart, since no small change of them goes unseen.
+
+    Parameters
+    ----------
+    model : Model
+    outputs : sequence of str, optional
+        What is measured; by default all outputs.
+    at, fixed, free, tied : optional
+        As of a `Problem`; `at` asks for the linearized response.
+    initial : mapping, optional
+        Known initial states, as of `OutputError`.
+    points : int
+        At which the rank is computed.
+    seed : int
+
+    Raises
+    ------
+    ValueError
+        For a name that is not known, or if the model is finite at none of the points.
+
+    Sources: Bellman and Åström (1970), On structural identifiability, Mathematical Biosciences 7; Jacquez and Greif
+    (1985), Numerical parameter identifiability and estimability, Mathematical Biosciences 77.
+    """
+    if not isinstance(model, Model):
+        raise TypeError(f"model is {model!r:.60}: give an instance such as Tilt(), not the class.")
+    chosen = (outputs,) if isinstance(outputs, str) else tuple(model.output_names if outputs is None else outputs)
+    require_known(chosen, model.output_names, "output", model.label)
+    if isinstance(points, bool) or not isinstance(points, int) or points < 1:
+        raise ValueError(f"points is {points!r}: give a whole number of at least 1.")
+    stated = {"fixed": fixed or {}, "free": free, "tied": tied or {}}
+    in_frequency = isinstance(model, TransferFunction) or at is not None
+    if in_frequency and initial:
+        raise ValueError(
+            f"initial={dict(initial)} is for records; {model.label} is judged by its response: leave it out."
+        )
+
+    random = np.random.default_rng(seed)
+    best: tuple[int, Nlp, Array, Accuracy, Sequence[Trajectory | None]] | None = None
+    for _ in range(points):
+        values = {name: p.draw(random) for name, p in model.parameters.items()} | dict(fixed or {})
+        if in_frequency:
+            found = _of_responses(model, chosen, values, at or {}, stated, random)
+        else:
+            found = _of_record(model, chosen, values, initial or {}, stated, random)
+        if found is None:
+            continue
+        nlp, x, trajectories = found
+        accuracy = assess(nlp, x, trajectories)
+        lost = sum(c.directions for c in accuracy.combinations if math.isinf(c.index))
+        if best is None or lost < best[0]:
+            best = (lost, nlp, x, accuracy, trajectories)
+    if best is None:
+        raise ValueError(
+            f"{model.label} is finite at none of {counted(points, 'point')} of its start boxes: narrow `starts`."
+        )
+    _, nlp, x, accuracy, trajectories = best
+    return StructuralIdentifiability(
+        model=model.label,
+        names=nlp.free,
+        groups=tuple(c for c in accuracy.combinations if math.isinf(c.index)),
+        combinations=tuple(_determined(nlp, x, accuracy, trajectories)),
+        data=f"the {'response' if in_frequency else 'course'} of {listed(chosen)}",
+    )
+
+
+def _of_responses(
+    model: Model,
+    outputs: Sequence[str],
+    values: Mapping[str, float],
+    at: Mapping[str, float],
+    stated: Mapping[str, Any],
+    random: np.random.Generator,
+) -> tuple[Nlp, Array, tuple[None, ...]] | None:
+    """Return the compiled responses of all pairs, and the point; None where the model is not finite."""
+    problems = []
+    for input in model.input_names or ("",):
+        for output in outputs or ("",):
+            omega = np.sort(np.exp(random.uniform(*np.log(BAND), FREQUENCIES)))
+            response = FrequencyResponse(omega, np.ones(FREQUENCIES), input, output, name=f"{output}/{input}")
+            problems.append(Problem(model, response, SquaredRelativeError("model"), at=at, **stated))
+    problem: AnyProblem = problems[0] if len(problems) == 1 else Sum(tuple(problems))
+    nlp = compile_problem(problem)
+    x = _point(nlp, values)
+    seen = np.asarray(nlp.responses(nlp.all_values(x)))
+    return (nlp, x, (None,) * len(problems)) if np.all(np.isfinite(seen)) and np.any(seen) else None
+
+
+def _of_record(
+    model: Model,
+    outputs: Sequence[str],
+    values: Mapping[str, float],
+    initial: Mapping[str, Any],
+    stated: Mapping[str, Any],
+    random: np.random.Generator,
+) -> tuple[Nlp, Array, tuple[Trajectory, ...]] | None:
+    """Return a compiled record with random inputs, the point, and the trajectory; None where it is not finite."""
+    time, gaps = _times(model, values, random)
+    shape = random.normal(size=(len(model.input_names), len(time)))
+    measured = random.normal(size=(len(outputs), len(time)))
+    criterion = OutputError(noise=dict.fromkeys(outputs, 1.0), initial=initial, inputs="held")
+    for size in SIZES:
+        signals = dict(zip(model.input_names, size * shape, strict=True))
+        signals |= dict(zip(outputs, measured, strict=True))
+        signals = {name: np.where(gaps, np.nan, each) for name, each in signals.items()}
+        record = Record(time, signals, name="random inputs", has_time=not model.is_static)
+        nlp = compile_problem(Problem(model, record, criterion, **stated))
+        x = _point(nlp, values)
+        (part,) = nlp.parts
+        assert isinstance(part, RecordPart)
+        nodes = size * random.normal(size=(part.data.segments, part.states))
+        with np.errstate(all="ignore"):
+            trajectory = part.trajectory(nlp.scaling.to_solver(x), nodes, simulated=True)
+            states = trajectory.detail.states
+            if trajectory.finite and np.all(np.isfinite(states)) and np.all(np.abs(states) < LARGEST):
+                return nlp, x, (trajectory,)
+    return None
+
+
+def _times(model: Model, values: Mapping[str, float], random: np.random.Generator) -> tuple[Array, NDArray[np.bool_]]:
+    """Return uniform times that the poles of the model ask for, and which of them are gaps between stretches."""
+    system = dynamics(model)
+    n = len(system.states)
+    step = 1.0
+    length = SAMPLES // STRETCHES
+    if n:
+        x, u = ca.SX.sym("x", n), ca.SX.sym("u", len(system.inputs))
+        p = [values[name] for name in system.parameters]
+        slope = ca.Function("A", [x, u], [ca.densify(ca.jacobian(system.derivative(x, u, p), x))])
+        # Not at zero itself, where the slope of a kink such as |v| v vanishes.
+        poles = np.linalg.eigvals(np.nan_to_num(slope(0.1 * random.normal(size=n), np.zeros(u.numel())).full()))
+        fastest = max(float(np.abs(poles).max()), 1e-3)
+        step = FASTEST / fastest
+        growing = float(poles.real.max(initial=0.0))
+        if growing > 0:
+            length = int(np.clip(GROWTH / growing / step, 2 * n + 4, length))
+    gaps = np.arange(STRETCHES * (length + 1)) % (length + 1) == length
+    return step * np.arange(gaps.size), gaps
+
+
+def _point(nlp: Nlp, values: Mapping[str, float]) -> Array:
+    declared: Mapping[str, Parameter] = nlp.problem.parameters
+    return np.array([values.get(name, declared[name].start) for name in nlp.free])
+
+
+def _determined(nlp: Nlp, x: Array, accuracy: Accuracy, trajectories: Sequence[Trajectory | None]) -> Iterator[str]:
+    """Yield the combinations of what is not identifiable that are."""
+
+    def beside(point: Array) -> Sequence[Trajectory | None]:
+        return tuple(
+            None if old is None else part.trajectory(nlp.scaling.to_solver(point), old.nodes, simulated=True)
+            for part, old in zip(nlp.parts, trajectories, strict=True)
+        )
+
+    has_states = any(trajectory is not None for trajectory in trajectories)
+    told = known_directions(nlp, x, accuracy, beside if has_states else lambda _: ())
+    if told is None:
+        return
+    lost = {name for c in accuracy.combinations if math.isinf(c.index) for name in c.names}
+    # Whatever the size of the errors: what is seen at all is determined by enough data.
+    told = replace(told, covariance=SMALL * told.covariance)
+    units = [nlp.problem.parameters[name].unit for name in nlp.free]
+    for combination in identifiability(nlp.free, units, told, accuracy.at_bound).combinations:
+        if set(combination.names) <= lost:
+            yield combination.formula
