@@ -1,8 +1,9 @@
 """The command line. Begin with `main`: it declares the commands, runs one, and turns errors into sentences.
 
 Each command is a file: `fit_command`, `profile_command`, `bootstrap_command`, `list_command`, `inspect_command`,
-`identify_command`, `response_command`, `plot_command`, `batch_command`, `compare_command`, `report_command`.
-`study_file` reads the members of a batch.
+`identify_command`, `response_command`, `plot_command`, `batch_command`, `compare_command`, `report_command`,
+`new_command`, `completion_command`. `study_file` reads the members of a batch, `starting_files` has what `greybox new`
+writes.
 
 `stated_problem` makes the problem that the options of `greybox fit` state, `catalog` finds the included models and
 problems and those in a user's own file, `parameter_options` says which parameters are fixed and where the others may
@@ -11,5 +12,5 @@ finds the test segments of a log.
 
 `options` holds what the options of all commands share, `workers` those for runs in other processes, `output` what the
 commands give: answers, exit statuses, files and figures. `startup` takes care of Ctrl-C during imports, `terminal` of
-standard output that is not UTF-8, closed, or on a full disk.
+colors, and of standard output that is not UTF-8, closed, or on a full disk.
 """

@@ -21,6 +21,7 @@ from greybox.cli import (
     inspect_command,
     list_command,
     plot_command,
+    new_command,
     profile_command,
     report_command,
     response_command,
@@ -34,6 +35,7 @@ from greybox.solve.interruption import Response, listening, responding, take_int
 
 COMMANDS = (
     list_command,
+    new_command,
     inspect_command,
     identify_command,
     response_command,

@@ -1,0 +1,55 @@
+"""The command `greybox new`: a commented file to start from, of a model or of a problem."""
+
+import argparse
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+from greybox.cli.options import UsageError, add_common_options
+from greybox.cli.output import USABLE, Answer, require_writable
+from greybox.cli.starting_files import model_file, problem_file
+from greybox.data.safe_files import write_text
+
+# Packages that such a file, or who runs it, imports: one of the same name would stand in their place.
+TAKEN = frozenset(
+    ("casadi", "control", "greybox", "h5py", "matplotlib", "models", "numpy", "pandas", "problems", "scipy")
+)
+
+
+def add_command(commands: Any) -> None:
+    """Declare the command and its options."""
+    parser = commands.add_parser("new", help="write a commented file to start from", allow_abbrev=False)
+    parser.add_argument("kind", choices=("model", "problem"), help="a model alone, or a model with data and a problem")
+    parser.add_argument("name", metavar="NAME", help="of the file, NAME.py in this folder, and of the model in it")
+    parser.add_argument("--in-time", action="store_true", help="an ODE and a record, not a transfer function")
+    parser.add_argument("--force", action="store_true", help="overwrite files that exist")
+    add_common_options(parser)
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> Answer:
+    """Write the file, and say what to do with it."""
+    path = Path(options.name if options.name.endswith(".py") else f"{options.name}.py")
+    if not path.stem.isidentifier():
+        raise UsageError(f"{path.stem!r} cannot be the name of a Python file: use letters, digits and underscores.")
+    if path.stem in TAKEN | sys.stdlib_module_names:
+        raise UsageError(f"{path.stem} is the name of a Python package, which {path} would hide: choose another name.")
+    require_writable(path, options.force)
+    write = model_file if options.kind == "model" else problem_file
+    write_text(path, write(path.name, _class_name(path.stem), in_time=options.in_time))
+    following = [f"greybox list {path}", f"greybox fit --model {path} --data DATA.csv"]
+    if options.kind == "problem":
+        following = [f"greybox fit {path}"]
+    return (
+        {"file": str(path), "next": following},
+        "\n".join([f"wrote {path}", *(f"next: {f}" for f in following)]),
+        USABLE,
+    )
+
+
+def _class_name(stem: str) -> str:
+    """Return ``PitchRate`` of ``pitch_rate``; a name that has capitals stays."""
+    words = [word for word in stem.split("_") if word]
+    name = "".join(word if re.search(r"[A-Z]", word) else word.capitalize() for word in words) or "Model"
+    return name if name[:1].isalpha() else f"Model{name}"

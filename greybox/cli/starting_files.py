@@ -1,0 +1,155 @@
+"""The files that `greybox new` writes: commented, and running as they are, with made-up numbers."""
+
+TRANSFER_FUNCTION = '''\
+class {name}(gb.TransferFunction):
+    r"""Angle from the control: rotor lag, inertia, damping and delay. This line is what `greybox list` shows.
+
+    $$P(s) = \\frac{{K}}{{s (s + a) (T s + 1)}} e^{{-s T_{{delay}}}}$$
+
+    Source: where the equation comes from.
+    """
+
+    input, output = "u", "theta"  # the names by which model and data meet
+    units = {{"theta": "rad"}}  # data in other units are refused
+
+    # Start, bounds, unit, meaning. Starts are drawn between the bounds: make these as narrow as you are sure of.
+    K = gb.Parameter(50.0, bounds=(1, 500), unit="1/s²", about="angular acceleration per control")
+    a = gb.Parameter(1.0, bounds=(0, 5), unit="1/s", about="damping of the rate")
+    T = gb.Parameter(0.05, bounds=(0.005, 0.2), unit="s", about="time constant of the rotors")
+    T_delay = gb.Parameter(0.0, bounds=(0, 0.05), unit="s", about="delay", fixed=True)  # free=["T_delay"] estimates it
+
+    # What follows from the parameters, each with a standard error of its own.
+    derived = {{"bandwidth": lambda p: 1 / p.T}}
+
+    def response(self, s, p):
+        # As on paper: + - * / ** and gb.exp, gb.sqrt ... One formula serves numbers, CasADi and rational functions.
+        return p.K * gb.exp(-s * p.T_delay) / (s * (s + p.a) * (p.T * s + 1))
+'''
+
+STATE_SPACE = '''\
+class {name}(gb.StateSpace):
+    r"""Velocity from the tilt angle, with drag. This line is what `greybox list` shows.
+
+    $$\\dot v = g \\tan\\theta - c |v| v$$
+
+    Source: where the equation comes from.
+    """
+
+    states, inputs, outputs = ("v",), ("theta",), ("v",)  # the names by which model and data meet
+    units = {{"theta": "rad", "v": "m/s"}}  # data in other units are refused
+
+    # Start, bounds, unit, meaning. Starts are drawn between the bounds: make these as narrow as you are sure of.
+    c = gb.Parameter(0.1, bounds=(0.001, 2), unit="1/m", about="drag", scale="log")
+
+    def derivative(self, x, u, p):
+        # One entry for each state. abs, gb.tan, gb.where ... serve numbers and expressions alike; if and max do not.
+        return (gb.g * gb.tan(u.theta) - p.c * abs(x.v) * x.v,)
+
+    def output(self, x, u, p):
+        return (x.v,)
+'''
+
+MODEL = '''\
+"""Model structures of my own: what they are, and where they come from.
+
+    greybox list {file}
+    greybox fit --model {file} --data DATA.csv
+"""
+
+import greybox as gb
+
+
+{model}
+
+if __name__ == "__main__":  # python {file}
+{trial}
+'''
+
+TRANSFER_FUNCTION_TRIAL = """\
+    print(gb.modeling.rational({name}()))
+    for omega, value in zip([1.0, 10.0], gb.frequency_response({name}(), {{"K": 60.0}}, [1.0, 10.0]).response):
+        print(f"P(j {{omega:g}} rad/s) = {{value:.4g}}")"""
+
+STATE_SPACE_TRIAL = """\
+    print(gb.modeling.linearize({name}(), {{"c": 0.1}}, at={{"v": 5.0}}))"""
+
+PROBLEM = '''\
+"""What is fitted to what; this line is what `greybox fit` names.
+
+    greybox fit {file}
+    greybox fit {file} --out {stem}.h5 --plot {stem}.png
+"""
+
+import numpy as np
+
+import greybox as gb
+
+
+{model}
+
+def data():
+{data}
+
+def problem():
+    """Return what `greybox fit` fits; parameters can also be stated here instead of in the model."""
+    return gb.Problem(
+        {name}(),
+        data(),
+        # criterion={criterion},  # how the mismatch is measured; docs: "Choosing"
+        # fixed={{"{first}": {value}}},
+        # bounds={{"{first}": ({low}, {high})}},
+    )
+
+
+settings = {{"starts": {starts}, "seed": 0}}  # of the search; --starts and --seed go before them
+'''
+
+RESPONSE_DATA = '''\
+    """Return the measured frequency response: here a made-up one, with 2 % noise."""
+    # Yours, from a file with the columns omega_rad_s, alpha, beta, or from magnitude and phase:
+    #     return gb.read_response("response.csv")
+    #     columns = {{"frequency": "f:Hz", "magnitude": "mag:dB", "phase": "ph:deg"}}
+    #     return gb.read_response("response.csv", columns=columns)
+    # or from a flight log, on the command line: greybox response flight.BIN --input u=... --output theta=... --out ...
+    truth = {{"K": 60.0, "a": 2.0, "T": 0.06}}
+    exact = gb.frequency_response({name}(), truth, np.geomspace(1, 40, 20))  # rad/s
+    parts = np.random.default_rng(0).normal(size=(2, 20))
+    noisy = exact.response * (1 + 0.02 * (parts[0] + 1j * parts[1]))
+    return gb.FrequencyResponse(exact.omega, noisy, input="u", output="theta", name="made up")
+'''
+
+RECORD_DATA = '''\
+    """Return the measured record: here a made-up one, with noise of 0.05 m/s."""
+    # Yours, from a table with the columns time [s], theta [rad], v [m/s], or from a flight log:
+    #     return gb.read("flight.csv")["flight"]
+    #     return gb.prepare(gb.read("flight.BIN"), {{"theta": "ATT.Pitch", "v": "XKF1.VN"}}, rate=50)
+    time = np.arange(0, 20, 0.02)  # s
+    theta = 0.2 * np.sin(0.8 * time) + 0.1 * np.sin(2.5 * time)
+    between = {{"theta": 0.0}}  # samples of what is continuous; math.inf for what a controller holds until the next one
+    flown = gb.Record(time, {{"theta": theta}}, {{"theta": "rad"}}, hold=between, name="made up")
+    v = gb.simulate({name}(), {{"c": 0.25}}, flown)["v"]
+    noise = 0.05 * np.random.default_rng(0).normal(size=time.size)
+    return flown.with_signals(v=v + noise, units={{"v": "m/s"}})
+'''
+
+
+def model_file(file: str, name: str, *, in_time: bool) -> str:
+    """Return a file with a model, a transfer function or an ODE (`in_time`)."""
+    model, trial = (STATE_SPACE, STATE_SPACE_TRIAL) if in_time else (TRANSFER_FUNCTION, TRANSFER_FUNCTION_TRIAL)
+    return MODEL.format(file=file, model=model.format(name=name), trial=trial.format(name=name))
+
+
+def problem_file(file: str, name: str, *, in_time: bool) -> str:
+    """Return a file with a model, data and a problem, of a frequency response or of a record (`in_time`)."""
+    model, data = (STATE_SPACE, RECORD_DATA) if in_time else (TRANSFER_FUNCTION, RESPONSE_DATA)
+    stated = {"first": "c", "value": 0.1, "low": 0.01, "high": 1, "starts": 5, "criterion": "gb.OutputError()"}
+    if not in_time:
+        stated = {"first": "a", "value": 2.0, "low": 0, "high": 5, "starts": 50, "criterion": "gb.RelativeLikelihood()"}
+    return PROBLEM.format(
+        file=file,
+        stem=file.removesuffix(".py"),
+        name=name,
+        model=model.format(name=name),
+        data=data.format(name=name),
+        **stated,
+    )

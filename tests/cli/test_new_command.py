@@ -1,0 +1,60 @@
+"""Files to start from run as they are, and find the numbers that they were made with."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from command_line import refused, run
+
+TRUTH = {(): {"K": 60.0, "a": 2.0, "T": 0.06, "T_delay": 0.0}, ("--in-time",): {"c": 0.25}}
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    yield tmp_path
+    for name in ("fresh_problem_0", "fresh_problem_1", "fresh_model_0", "fresh_model_1"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize("kind", TRUTH)
+def test_a_problem_runs_as_it_is(capsys, kind):
+    name = f"fresh_problem_{len(kind)}"
+    status, out, _ = run(capsys, "new", "problem", name, *kind, "--json")
+    said = json.loads(out)
+    assert status == 0
+    assert said == {"file": f"{name}.py", "next": [f"greybox fit {name}.py"]}
+    status, out, _ = run(capsys, *said["next"][0].split()[1:], "--json")
+    found = json.loads(out)
+    assert status == 0
+    assert found["warnings"] == []
+    for parameter, value in TRUTH[kind].items():
+        error = found["standard_error"][parameter]
+        assert abs(found["estimate"][parameter] - value) <= 3 * error, parameter
+
+
+@pytest.mark.parametrize("kind", TRUTH)
+def test_a_model_runs_as_it_is(capsys, folder, kind):
+    name = f"fresh_model_{len(kind)}"
+    assert run(capsys, "new", "model", f"{name}.py", *kind)[0] == 0
+    status, out, _ = run(capsys, "list", f"{name}.py")
+    assert status == 0
+    assert f"FreshModel{len(kind)}: " in out
+    if not kind:  # starting Python takes a second
+        printed = subprocess.run([sys.executable, f"{name}.py"], capture_output=True, text=True, check=True).stdout
+        assert "P(j 10 rad/s) = " in printed
+    text = (folder / f"{name}.py").read_text()
+    assert max(map(len, text.splitlines())) <= 120
+    assert "{{" not in text
+
+
+def test_nothing_is_overwritten_or_hidden(capsys, folder):
+    (folder / "mine.py").write_text("precious")
+    assert "mine.py exists: give another name, or --force" in refused(capsys, "new", "model", "mine")
+    assert (folder / "mine.py").read_text() == "precious"
+    assert run(capsys, "new", "model", "mine", "--force")[0] == 0
+    for name in ("numpy", "json.py", "greybox"):
+        assert "is the name of a Python package" in refused(capsys, "new", "problem", name)
+    assert "'2 pitch' cannot be the name of a Python file" in refused(capsys, "new", "model", "2 pitch")
+    assert "the folder of missing" in refused(capsys, "new", "model", "missing/pitch")
