@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.options import UsageError, add_common_options, add_time_options, positive
+from greybox.cli.options import UsageError, add_common_options, add_parser, add_time_options, positive
 from greybox.cli.output import FAILED, USABLE, Answer
 from greybox.cli.startup import INTERRUPTED
 from greybox.cli.study_file import INCLUDED, find_study, read_study_file
@@ -17,9 +17,16 @@ from greybox.study.study_folder import is_study, read_json, write_json
 ORIGIN = "origin.json"  # of a study: the study file it was begun with
 
 
+EXAMPLES = (
+    "study.toml --out results --workers 2",
+    "--resume results --starts 400",
+    "paper --out paper",
+)
+
+
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = commands.add_parser("batch", help="fit many problems, and lose nothing when killed", allow_abbrev=False)
+    parser = add_parser(commands, "batch", "fit many problems, and lose nothing when killed", EXAMPLES)
     add = parser.add_argument
     add("study", nargs="?", metavar="STUDY", help="study.toml, study.py with a function members(), or included: paper")
     add("--out", type=Path, metavar="DIR", help="keep every run and the answers in this folder")

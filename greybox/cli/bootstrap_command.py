@@ -5,17 +5,22 @@ from pathlib import Path
 from typing import Any, get_args
 
 from greybox.cli.catalog import find_problem
-from greybox.cli.options import UsageError, add_common_options, nonnegative, positive
+from greybox.cli.options import UsageError, add_common_options, add_parser, nonnegative, positive
 from greybox.cli.output import FAILED, USABLE, Answer
 from greybox.cli.startup import INTERRUPTED
 from greybox.cli.workers import add_worker_options, stated_executor
 from greybox.solve.executors import ExecutorLostError
 from greybox.study.bootstrap import Resampling, bootstrap
 
+EXAMPLES = (
+    "pitch.h5",
+    "pitch.h5 --resampling parametric --replicates 400 --out replicates --workers 2",
+)
+
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = commands.add_parser("bootstrap", help="errors and intervals from data drawn anew", allow_abbrev=False)
+    parser = add_parser(commands, "bootstrap", "errors and intervals from data drawn anew", EXAMPLES)
     add = parser.add_argument
     add("result", type=Path, metavar="RESULT", help="a fit that greybox fit --out wrote")
     add("--problem", metavar="PROBLEM", help="what was fitted, where it has ties, constraints or a model of your own")

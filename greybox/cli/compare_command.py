@@ -6,16 +6,21 @@ from pathlib import Path
 from typing import Any
 
 from greybox.cli.batch_command import as_json
-from greybox.cli.options import UsageError, add_common_options
+from greybox.cli.options import UsageError, add_common_options, add_parser
 from greybox.cli.output import USABLE, Answer
 from greybox.study.study import read_study
 from greybox.validation.compare import compare
 from greybox.validation.comparison import PARTS, Comparison
 
+EXAMPLES = (
+    "linear.h5 nonlinear.h5",
+    "results",
+)
+
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = commands.add_parser("compare", help="compare saved fits, or the fits of a study", allow_abbrev=False)
+    parser = add_parser(commands, "compare", "compare saved fits, or the fits of a study", EXAMPLES)
     parser.add_argument(
         "results",
         nargs="+",

@@ -7,7 +7,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.options import UsageError, add_common_options, add_time_options, nonnegative, positive, probability
+from greybox.cli.options import (
+    UsageError,
+    add_common_options,
+    add_parser,
+    add_time_options,
+    nonnegative,
+    positive,
+    probability,
+)
 from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
 from greybox.cli.startup import INTERRUPTED
 from greybox.cli.stated_problem import add_problem_options, stated_problem
@@ -26,10 +34,18 @@ from greybox.solve.multistart import BATCHED, SEARCHES
 from greybox.solve.time_limits import TimeLimits, is_search_over, limited
 from greybox.study.unfinished_fit import RunsBesideFit, kept_beside, runs_beside
 
+EXAMPLES = (
+    "pitch_hover",
+    "my.py --starts 400 --out pitch.h5 --plot pitch.png",
+    "--model tilt:Tilt --data response.csv --fix a5=0.16 --bounds a1=-100:0",
+    "--model rate:DampedAngle --data bode.csv --columns frequency=f:Hz magnitude=mag:dB phase=ph:deg",
+    "--model my.py:Drag --data flight.csv --columns time=t:ms theta=pitch:deg v=speed --method collocation",
+)
+
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = commands.add_parser("fit", help="fit a problem from many starts", allow_abbrev=False)
+    parser = add_parser(commands, "fit", "fit a problem from many starts", EXAMPLES)
     add_problem_options(parser)
     number = parser.add_mutually_exclusive_group()
     number.add_argument(

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.cli.log_tests import read_log, stated_fields
-from greybox.cli.options import add_common_options, nonnegative, positive
+from greybox.cli.options import add_common_options, add_parser, nonnegative, positive
 from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
 from greybox.cli.response_command import add_measurement_options, response_json, stated_band
 from greybox.data.json_numbers import finite
@@ -17,10 +17,15 @@ from greybox.estimate.summary import summary
 from greybox.identification.identify import STARTS, Identification, identify
 from greybox.identification.measurement import Settings
 
+EXAMPLES = (
+    "flight.BIN",
+    "flight.BIN --axis pitch --band 0.5 12 Hz --out pitch",
+)
+
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = commands.add_parser("identify", help="go from a log to a fitted model in one go", allow_abbrev=False)
+    parser = add_parser(commands, "identify", "go from a log to a fitted model in one go", EXAMPLES)
     add = parser.add_argument
     add("log", metavar="LOG", help="a flight log, or a table of signals")
     add("--input", default="", metavar="[NAME=]SIGNAL", help="the control (default: that of the axis)")

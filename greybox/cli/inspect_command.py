@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from greybox.cli.log_tests import add_test_options, read_log, segment_as_json, segments_of
-from greybox.cli.options import add_common_options
+from greybox.cli.options import add_common_options, add_parser
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
 from greybox.data.json_numbers import finite
 from greybox.data.record import Record, Recording
@@ -15,10 +15,15 @@ from greybox.data.text_table import number, text_table
 from greybox.logs.flight_controllers import axis_of
 from greybox.logs.segment_detection import announcing
 
+EXAMPLES = (
+    "flight.BIN",
+    "flight.BIN --setpoint ATT.DesPitch --plot tests.png",
+)
+
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = commands.add_parser("inspect", help="show what a log holds, its test segments and its defects")
+    parser = add_parser(commands, "inspect", "show what a log holds, its test segments and its defects", EXAMPLES)
     parser.add_argument("log", metavar="LOG", help="a flight log, or a table of signals")
     add_test_options(parser)
     add_common_options(parser, "setpoints, angles and tests")

@@ -6,15 +6,22 @@ from types import ModuleType
 from typing import Any
 
 from greybox.cli.catalog import find_model, find_problem, models_of, shipped, shipped_module
-from greybox.cli.options import add_common_options
+from greybox.cli.options import add_common_options, add_parser
 from greybox.cli.output import USABLE, Answer
 from greybox.data.text_table import number, text_table
 from greybox.modeling.model import Model, equation
 
+EXAMPLES = (
+    "",
+    "pitch_hover",
+    "tilt:Tilt",
+    "my.py:Model",
+)
+
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = commands.add_parser("list", help="list the included models and problems, with equations and sources")
+    parser = add_parser(commands, "list", "list the included models and problems, with equations and sources", EXAMPLES)
     parser.add_argument(
         "name", nargs="?", metavar="NAME", help="show the details of one: a problem, or a model such as tilt:Tilt"
     )

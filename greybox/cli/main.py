@@ -16,20 +16,21 @@ from greybox.cli import (
     batch_command,
     bootstrap_command,
     compare_command,
+    completion_command,
     fit_command,
     identify_command,
     inspect_command,
     list_command,
-    plot_command,
     new_command,
+    plot_command,
     profile_command,
     report_command,
     response_command,
 )
-from greybox.cli.options import UsageError
+from greybox.cli.options import HelpFormatter, UsageError
 from greybox.cli.output import BAD_INPUT, FAILED, NO_WORKING_DIRECTORY, USABLE, Answer, has_working_directory
 from greybox.cli.startup import INTERRUPTED
-from greybox.cli.terminal import has_all_characters, write
+from greybox.cli.terminal import colored, has_all_characters, no_terminal, write
 from greybox.data.text_table import alternatives, nearest, printable
 from greybox.solve.interruption import Response, listening, responding, take_interrupt
 
@@ -46,7 +47,15 @@ COMMANDS = (
     batch_command,
     compare_command,
     report_command,
+    completion_command,
 )
+
+BEGIN = """\
+begin with:
+  greybox list
+  greybox fit pitch_hover
+  greybox new problem mine
+`greybox COMMAND --help` has examples of each."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -97,9 +106,13 @@ def _answer(arguments: Sequence[str], as_json: bool) -> Answer:
     except SystemExit:
         return {}, help_or_version.getvalue().rstrip("\n"), USABLE
     try:
-        # With --json, whatever a user's own file prints must not reach standard output.
-        with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
-            return options.command(options)
+        # With --json, whatever a user's own file prints must not reach standard output; what is quiet shows no bars.
+        with (
+            contextlib.redirect_stderr(no_terminal(sys.stderr)) if options.quiet else contextlib.nullcontext(),
+            contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext(),
+        ):
+            result, text, status = options.command(options)
+        return result, "" if options.quiet else text, status
     except SystemExit:
         return {"error": "a file of your own called sys.exit: remove that call."}, "", BAD_INPUT
     except Exception as error:
@@ -114,8 +127,8 @@ def _answer(arguments: Sequence[str], as_json: bool) -> Answer:
 def _tell(result: dict[str, Any], text: str, status: int, as_json: bool) -> int:
     """Write an answer, and return the exit status."""
     if "error" in result:
-        write(printable(f"greybox: {result['error']}", keep="\n"), sys.stderr)
-    text = printable(text, keep="\n\t")  # of names of files, which a user did not type but got
+        write(colored(printable(f"greybox: {result['error']}", keep="\n"), sys.stderr), sys.stderr)
+    text = colored(printable(text, keep="\n\t"), sys.stdout)  # of names of files, which a user did not type but got
     if as_json and result:
         text = json.dumps(result, allow_nan=False, ensure_ascii=not has_all_characters(sys.stdout))
     trouble = write(text, sys.stdout) if text else ""
@@ -125,7 +138,14 @@ def _tell(result: dict[str, Any], text: str, status: int, as_json: bool) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="greybox", description="Grey-box estimation of models from flight data.", allow_abbrev=False)
+    parser = _Parser(
+        prog="greybox",
+        description="Grey-box estimation of models from flight data.",
+        epilog=BEGIN,
+        formatter_class=HelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.set_defaults(whole_parser=parser)
     parser.add_argument("--version", action="version", version=f"greybox {version('greybox-id')}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for module in COMMANDS:
@@ -154,7 +174,7 @@ def _explain(error: Exception, arguments: Sequence[str]) -> tuple[str, int]:
 
     if isinstance(error, FileNotFoundError) and not has_working_directory():
         return NO_WORKING_DIRECTORY, BAD_INPUT
-    if isinstance(error, (ValueError, TypeError, LookupError, OSError)):
+    if isinstance(error, (ValueError, TypeError, LookupError, OSError, ModuleNotFoundError)):
         return sentence, BAD_INPUT
     return f"internal error, {type(error).__name__}: {sentence}; run again with --debug and report it.", FAILED
 

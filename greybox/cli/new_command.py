@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.options import UsageError, add_common_options
+from greybox.cli.options import UsageError, add_common_options, add_parser
 from greybox.cli.output import USABLE, Answer, require_writable
 from greybox.cli.starting_files import model_file, problem_file
 from greybox.data.safe_files import write_text
@@ -17,9 +17,16 @@ TAKEN = frozenset(
 )
 
 
+EXAMPLES = (
+    "model pitch",
+    "problem pitch",
+    "problem drag --in-time",
+)
+
+
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = commands.add_parser("new", help="write a commented file to start from", allow_abbrev=False)
+    parser = add_parser(commands, "new", "write a commented file to start from", EXAMPLES)
     parser.add_argument("kind", choices=("model", "problem"), help="a model alone, or a model with data and a problem")
     parser.add_argument("name", metavar="NAME", help="of the file, NAME.py in this folder, and of the model in it")
     parser.add_argument("--in-time", action="store_true", help="an ODE and a record, not a transfer function")

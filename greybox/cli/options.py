@@ -4,10 +4,35 @@ import argparse
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 
 class UsageError(Exception):
     """A mistake on the command line, in one sentence."""
+
+
+class HelpFormatter(argparse.RawDescriptionHelpFormatter):
+    """Help in which names of commands and most options stand beside their meaning, and examples as they are."""
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, max_help_position=26)
+
+    def format_help(self) -> str:
+        """Return the help."""
+        self._action_max_length += 2  # argparse does not count the indentation of commands
+        return super().format_help()
+
+
+def add_parser(commands: Any, name: str, about: str, examples: Sequence[str]) -> argparse.ArgumentParser:
+    """Add a command, whose help ends with examples: lines as a user would type them, after ``greybox``."""
+    return commands.add_parser(
+        name,
+        help=about,
+        description=f"{about[0].upper()}{about[1:]}.",
+        epilog="\n".join(["examples:", *(f"  greybox {name} {example}".rstrip() for example in examples)]),
+        formatter_class=HelpFormatter,
+        allow_abbrev=False,
+    )
 
 
 def add_common_options(parser: argparse.ArgumentParser, figure: str = "") -> None:
@@ -16,6 +41,7 @@ def add_common_options(parser: argparse.ArgumentParser, figure: str = "") -> Non
         parser.add_argument("--plot", type=Path, metavar="FILE", help=f"draw {figure} into this png, pdf or svg file")
         parser.add_argument("--force", action="store_true", help="overwrite files that exist")
     parser.add_argument("--json", action="store_true", help="print one JSON object on standard output and nothing else")
+    parser.add_argument("--quiet", action="store_true", help="print errors alone: no answer as text, no progress")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
 
 

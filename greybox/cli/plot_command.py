@@ -6,16 +6,21 @@ from pathlib import Path
 from typing import Any
 
 from greybox.cli.log_tests import read_log, stated_fields
-from greybox.cli.options import add_common_options
+from greybox.cli.options import add_common_options, add_parser
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
 from greybox.cli.response_command import add_measurement_options, response_json, stated_band
 from greybox.identification.choices import choose
 from greybox.identification.measurement import Settings, measure
 
+EXAMPLES = (
+    "flight.BIN",
+    "flight.BIN --axis pitch --out pitch.png",
+)
+
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = commands.add_parser("plot", help="draw the tests of a log and their response", allow_abbrev=False)
+    parser = add_parser(commands, "plot", "draw the tests of a log and their response", EXAMPLES)
     add = parser.add_argument
     add("log", metavar="LOG", help="a flight log, or a table of signals")
     add("--input", default="", metavar="[NAME=]SIGNAL", help="the control (default: that of the axis)")

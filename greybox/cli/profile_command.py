@@ -5,14 +5,19 @@ from pathlib import Path
 from typing import Any
 
 from greybox.cli.catalog import find_problem
-from greybox.cli.options import add_common_options, nonnegative
+from greybox.cli.options import add_common_options, add_parser, nonnegative
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
 from greybox.estimate.profile import Profiles, profile
+
+EXAMPLES = (
+    "pitch.h5",
+    "pitch.h5 a1 a2 --level 0.9 --plot profiles.png",
+)
 
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = commands.add_parser("profile", help="intervals that need not be symmetric", allow_abbrev=False)
+    parser = add_parser(commands, "profile", "intervals that need not be symmetric", EXAMPLES)
     parser.add_argument("result", type=Path, metavar="RESULT", help="a fit that greybox fit --out wrote")
     parser.add_argument("names", nargs="*", metavar="NAME", help="parameters and derived quantities; all by default")
     parser.add_argument(

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.options import UsageError, add_common_options
+from greybox.cli.options import UsageError, add_common_options, add_parser
 from greybox.cli.output import USABLE, Answer, require_writable
 from greybox.study.study import read_study
 from greybox.validation.same_data import labels_of
@@ -12,9 +12,16 @@ from greybox.validation.same_data import labels_of
 PAGES = (".html", ".htm")
 
 
+EXAMPLES = (
+    "pitch.h5",
+    "linear.h5 nonlinear.h5 --out comparison.html",
+    "results",
+)
+
+
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = commands.add_parser("report", help="write a page about results, to hand on", allow_abbrev=False)
+    parser = add_parser(commands, "report", "write a page about results, to hand on", EXAMPLES)
     add = parser.add_argument
     add(
         "results",

@@ -10,17 +10,22 @@ from typing import Any
 import numpy as np
 
 from greybox.cli.log_tests import add_test_options, read_log, segment_as_json, stated_fields
-from greybox.cli.options import UsageError, add_common_options
+from greybox.cli.options import UsageError, add_common_options, add_parser
 from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
 from greybox.data.json_numbers import finite
 from greybox.data.record import Recording
 from greybox.data.response_file import HDF5, write_response
 from greybox.identification.measurement import INSTRUMENT, Measurement, Settings, measure
 
+EXAMPLES = (
+    "flight.BIN --input u=RATE.POut --output theta=ATT.Pitch --out pitch.csv --plot bode.png",
+    "flight.csv --input u --output theta --whole --band 1 40",
+)
+
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
-    parser = commands.add_parser("response", help="measure a frequency response from a log", allow_abbrev=False)
+    parser = add_parser(commands, "response", "measure a frequency response from a log", EXAMPLES)
     add = parser.add_argument
     add("log", metavar="LOG", help="a flight log, or a table of signals")
     add("--input", required=True, metavar="[NAME=]SIGNAL", help="the control, e.g. u=RATE.POut")

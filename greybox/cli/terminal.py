@@ -3,9 +3,10 @@
 import codecs
 import contextlib
 import os
+import re
 import sys
 import unicodedata
-from typing import TextIO
+from typing import Any, TextIO
 
 # What is written for a character that the encoding of a terminal or file does not have. Letters with accents lose
 # them, Greek letters are named, and the rest is written as Python's escapes.
@@ -27,6 +28,40 @@ SPELLED = str.maketrans(
     | {superscript: f"^{digit}" for digit, superscript in enumerate("⁰¹²³⁴⁵⁶⁷⁸⁹")}
     | {"⁻": "^-", "ᵀ": "^T"}
 )
+
+
+# What stands out where there are colors: why there is no answer, and what to know before believing one.
+RED, YELLOW, PLAIN = "\033[1;31m", "\033[33m", "\033[0m"
+STANDS_OUT = re.compile(r"^(?P<red>greybox:|\s*FAILED:)|(?P<yellow>^\s*warning:|\bAT BOUND\b)", re.MULTILINE)
+
+
+def colored(text: str, stream: TextIO | None) -> str:
+    """Return the text with colors if the stream is a terminal that has them, and nobody set NO_COLOR.
+
+    See https://no-color.org.
+    """
+    plain = os.environ.get("NO_COLOR") or os.environ.get("TERM", "" if os.name == "nt" else "dumb") == "dumb"
+    if stream is None or plain or not stream.isatty():
+        return text
+    return STANDS_OUT.sub(lambda found: f"{RED if found['red'] else YELLOW}{found[0]}{PLAIN}", text)
+
+
+class _NoTerminal:
+    """A stream that is used as one to no terminal, so that nothing draws bars on it."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def isatty(self) -> bool:
+        return False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+def no_terminal(stream: TextIO | None) -> Any:
+    """Return a stream that says to be no terminal."""
+    return stream if stream is None else _NoTerminal(stream)
 
 
 def make_writable() -> None:

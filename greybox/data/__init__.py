@@ -7,11 +7,11 @@ which `magnitude_phase` makes of decibels and degrees); `transient_spectrum` has
 
 Files: `record_file` (HDF5) and `response_file` (CSV, HDF5) write and read them; `delimited_text` finds out how a table
 of numbers was written (separator, decimal mark, comments), `heading` has name and unit of a column, `response_columns`
-says which columns of a foreign table are a response, `text_table` formats those that are printed; `json_numbers`
-has them as JSON does, `html_text` as notebooks do, `pandas_frames` as data frames; `optional_package` imports what
-greybox works without; `safe_files` writes atomically and says what can be read, `sealed_files` adds a checksum.
-Libraries that a damaged or crafted file can lead astray run in a subprocess: `subprocess_reader` starts it, and its
-script `subprocess_main` is the only place where an HDF5 file is read.
+says which columns of a foreign table are a response, `text_table` formats those that are printed; `json_numbers` has
+them as JSON does, `html_text` as notebooks do, `pandas_frames` as data frames; `progress` shows how far long work is,
+`optional_package` imports what greybox works without; `safe_files` writes atomically and says what can be read,
+`sealed_files` adds a checksum. Libraries that a damaged or crafted file can lead astray run in a subprocess:
+`subprocess_reader` starts it, and its script `subprocess_main` is the only place where an HDF5 file is read.
 """
 
 from greybox.data.frequency_response import FrequencyResponse as FrequencyResponse

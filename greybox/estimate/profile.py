@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from greybox.compiled.compiled_problem import AnyProblem, Nlp, compile_problem
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
 from greybox.data.json_numbers import all_finite, finite
+from greybox.data.progress import counted_off
 from greybox.data.text_table import alternatives, number, one_line
 from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.fitted_problem import problem_of
@@ -459,7 +460,7 @@ def _profiles(nlp: Nlp, fit: Fit, lines: Sequence[Quantity], level: float, fresh
     by_name = {formula.name: formula for formula in formulas(nlp.problem)}
     shared = _Held(nlp, None, None)
     found, limits, lower = [], {}, math.inf
-    for line in lines:
+    for line in counted_off(lines, "profiles", "profile"):
         place = nlp.free.index(line.name) if line.name in nlp.free else None
         held = _Held(nlp, None, by_name[line.name]) if place is None else shared.of(place)
         slope = np.eye(len(x))[place] if place is not None else held.slope(x)

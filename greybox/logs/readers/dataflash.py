@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.data.progress import counted_off
 from greybox.data.record import Recording
 from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.controller_outputs import with_holds
@@ -119,7 +120,7 @@ def _decoded(
     stamps = np.empty(int(counts[is_timed].sum()))
     before = 0
     ends = np.searchsorted(found.offsets, np.arange(PIECE, len(data) + PIECE, PIECE)).tolist()
-    for piece, (first, last) in enumerate(pairwise([0, *ends])):
+    for piece, (first, last) in enumerate(counted_off([*pairwise([0, *ends])], "decoding", "piece")):
         which = found.which[first:last]
         offsets = found.offsets[first:last].astype(np.int64)
         numbers = before + np.cumsum(is_timed[which])

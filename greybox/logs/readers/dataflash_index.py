@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.DFReader import FORMAT_TO_STRUCT
 
+from greybox.data.progress import reading
+
 HEAD = b"\xa3\x95"  # before every message, then the type's number
 FMT, FMT_LENGTH = 0x80, 89  # the message that describes the others: type, length, name, format, columns
 STRIDE = 256  # messages that are first tried at once; doubled while all are sound, so that any value serves
@@ -124,10 +126,13 @@ class _Walk:
         """Go from message to message: many at once where every header is where it should be, one by one elsewhere."""
         at = 0
         last = len(self.data) - 3
-        while at <= last:
-            at = self._stride(at)
-            if at <= last:
-                at = self._step(at)
+        with reading(len(self.data), "finding messages") as bar:
+            while at <= last:
+                at = self._stride(at)
+                if at <= last:
+                    at = self._step(at)
+                if at - bar.n > PIECE:
+                    bar.update(at - bar.n)
         found = self.offsets.trimmed(), self.which.trimmed()
         return Index(tuple(self.layouts), *found, self.skipped, self.places, self.first, self.cut)
 

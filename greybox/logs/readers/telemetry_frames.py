@@ -15,6 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from greybox.data.progress import reading
+
+PIECE = 2**20  # bytes after which the bar moves on
 STAMP = 8  # bytes of time before a packet: µs since 1970, big-endian
 MARK = re.compile(b"[\xfd\xfe]")  # the first byte of a packet of MAVLink 2 or 1
 SIGNED = 1
@@ -62,7 +65,10 @@ def find_packets(data: mmap.mmap) -> Frames:
     skipped = 0
     places = 0
     unknown = 0
+    bar = reading(size, "finding packets")
     while at + STAMP < size:
+        if at - bar.n > PIECE:
+            bar.update(at - bar.n)
         frame = _frame(data, at + STAMP)
         if frame is None:
             next_packet = _next_sound(data, at + STAMP + 1) - STAMP
@@ -78,6 +84,7 @@ def find_packets(data: mmap.mmap) -> Frames:
             unknown += 1
         at = end
 
+    bar.close()
     kinds, senders, starts, lengths, stamps = np.array(fields, dtype=np.int64).reshape(-1, 5).T
     middle = np.int64(np.median(stamps)) if stamps.size else 0  # 53 bits would not hold µs since 1970 in s
     return Frames(kinds, senders, starts, lengths, (stamps - middle) / 1e6, skipped, places, unknown)

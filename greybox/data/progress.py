@@ -1,0 +1,20 @@
+"""How far a long piece of work is: a bar with the time left, on a terminal only and after two seconds."""
+
+from collections.abc import Iterable
+from typing import TypeVar
+
+from tqdm import tqdm
+
+DELAY = 2  # s, before which no bar is worth a look
+
+Item = TypeVar("Item")
+
+
+def reading(size: int, what: str) -> "tqdm[None]":
+    """Return the bar of a file of `size` bytes; ``bar.update(done - bar.n)`` says how far it is."""
+    return tqdm(total=size, desc=what, unit="B", unit_scale=True, disable=None, delay=DELAY, leave=False)
+
+
+def counted_off(items: Iterable[Item], what: str, unit: str) -> Iterable[Item]:
+    """Yield the items, with a bar of how many are done."""
+    return tqdm(items, desc=what, unit=unit, disable=None, delay=DELAY, leave=False)

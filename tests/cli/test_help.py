@@ -1,0 +1,95 @@
+"""What a new user types first: help, completion; and what is shown on a terminal only."""
+
+import argparse
+import io
+import json
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+
+import pytest
+from command_line import OWN, refused, run
+
+from greybox.cli.main import _parser
+from greybox.cli.terminal import colored, no_terminal
+
+(COMMANDS,) = (action.choices for action in _parser()._actions if isinstance(action, argparse._SubParsersAction))
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_examples_that_are_understood(capsys, name):
+    status, out, _ = run(capsys, name, "--help")
+    assert status == 0
+    examples = re.findall(rf"^  greybox ({name}\b.*)$", out.partition("examples:\n")[2], re.MULTILINE)
+    assert examples
+    for line in examples:
+        words = shlex.split(line.partition(" > ")[0])
+        assert _parser().parse_args(words).command  # a mistake would raise UsageError
+    assert max(map(len, out.splitlines())) < 130
+
+
+def test_the_help_says_where_to_begin(capsys):
+    status, out, _ = run(capsys, "--help")
+    assert status == 0
+    for name, parser in COMMANDS.items():
+        assert re.search(rf"^    {name} +\w", out, re.MULTILINE), name
+        assert {"--json", "--quiet", "--debug"} <= set(parser._option_string_actions), name
+    assert "greybox new problem mine" in out
+
+
+def test_quiet_prints_errors_alone(capsys, own):
+    name = own(OWN)
+    assert run(capsys, "fit", name, "--quiet", "--out", "fit.h5") == (0, "", "")
+    assert "exists" in refused(capsys, "fit", name, "--quiet", "--out", "fit.h5")
+    out = run(capsys, "fit", name, "--quiet", "--json")[1]
+    assert json.loads(out)["status"] == "converged"
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+TEXT = "greybox: no.\n  K  1.0  AT BOUND  gain\n  warning: beware of a warning: this\n  FAILED: no start\n"
+
+
+def test_colors_stand_on_terminals_only(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    shown = colored(TEXT, Terminal())
+    assert re.sub(r"\x1b\[[\d;]*m", "", shown) == TEXT
+    assert re.findall(r"\x1b\[[^0][\d;]*m(.*?)\x1b\[0m", shown) == ["greybox:", "AT BOUND", "  warning:", "  FAILED:"]
+    assert colored(TEXT, io.StringIO()) == TEXT
+    assert colored(TEXT, None) == TEXT
+    assert colored(TEXT, no_terminal(Terminal())) == TEXT
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert colored(TEXT, Terminal()) == TEXT
+    monkeypatch.delenv("NO_COLOR")
+    monkeypatch.setenv("TERM", "dumb")
+    assert colored(TEXT, Terminal()) == TEXT
+
+
+# --- completion
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
+def test_bash_completes_commands_options_and_problems(capsys, tmp_path):
+    pytest.importorskip("shtab")
+    status, script, _ = run(capsys, "completion", "bash")
+    assert status == 0
+    (tmp_path / "mine.py").touch()
+    (tmp_path / "fit.h5").touch()
+    ask = f"""{script}
+ask() {{ COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); COMPREPLY=(); _shtab_greybox; echo "${{COMPREPLY[@]}}"; }}
+ask greybox f; ask greybox fit --starts-b; ask greybox fit pitch_h; ask greybox fit mi; ask greybox profile fit
+"""
+    out = subprocess.run(["bash", "-c", ask], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    assert out.splitlines()[:4] == ["fit", "--starts-box", "pitch_hover pitch_hover_ls pitch_hover_sines", "mine.py"]
+    assert "fit.h5" in out.splitlines()[4]
+
+
+def test_without_shtab_the_sentence_names_the_extra(capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "shtab", None)
+    assert "needs shtab: pip install 'greybox-id[completion]'." in refused(capsys, "completion", "zsh")
