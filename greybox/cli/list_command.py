@@ -8,6 +8,7 @@ from typing import Any
 from greybox.cli.catalog import find_model, find_problem, models_of, shipped, shipped_module
 from greybox.cli.options import add_common_options, add_parser
 from greybox.cli.output import USABLE, Answer
+from greybox.data.json_numbers import finite
 from greybox.data.text_table import number, text_table
 from greybox.modeling.model import Model, equation
 
@@ -62,11 +63,16 @@ def _show(name: str) -> Answer:
     module = shipped_module("problems", name)
     problem, _ = find_problem(name)
     parts = "\n\n".join(dict.fromkeys(_model_text(part.model) for part in problem.parts))
-    return {"name": name, "about": _doc(module)}, f"{name}\n\n{_doc(module)}\n\n{parts}", USABLE
+    models = [{"name": part.model.label, **_parameters(part.model)} for part in problem.parts]
+    return {"name": name, "about": _doc(module), "models": models}, f"{name}\n\n{_doc(module)}\n\n{parts}", USABLE
 
 
 def _parameters(model: Model) -> dict[str, Any]:
-    rows = [{"name": n, "start": p.start, "unit": p.unit, "about": p.about} for n, p in model.parameters.items()]
+    rows = [
+        {"name": n, "start": p.start, "bounds": [finite(end) for end in p.bounds], "unit": p.unit, "about": p.about}
+        | {"fixed": p.fixed, "scale": p.scale}
+        for n, p in model.parameters.items()
+    ]
     return {"parameters": rows, "inputs": list(model.input_names), "outputs": list(model.output_names)}
 
 

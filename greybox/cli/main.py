@@ -36,7 +36,6 @@ from greybox.solve.interruption import Response, listening, responding, take_int
 
 COMMANDS = (
     list_command,
-    new_command,
     inspect_command,
     identify_command,
     response_command,
@@ -47,6 +46,7 @@ COMMANDS = (
     batch_command,
     compare_command,
     report_command,
+    new_command,
     completion_command,
 )
 

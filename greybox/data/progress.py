@@ -1,7 +1,7 @@
 """How far a long piece of work is: a bar with the time left, on a terminal only and after two seconds."""
 
 from collections.abc import Iterable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from tqdm import tqdm
 
@@ -10,7 +10,7 @@ DELAY = 2  # s, before which no bar is worth a look
 Item = TypeVar("Item")
 
 
-def reading(size: int, what: str) -> "tqdm[None]":
+def reading(size: int, what: str) -> Any:
     """Return the bar of a file of `size` bytes; ``bar.update(done - bar.n)`` says how far it is."""
     return tqdm(total=size, desc=what, unit="B", unit_scale=True, disable=None, delay=DELAY, leave=False)
 
