@@ -193,7 +193,7 @@ def _of_responses(
             response = FrequencyResponse(omega, np.ones(FREQUENCIES), input, output, name=f"{output}/{input}")
             problems.append(Problem(model, response, SquaredRelativeError("model"), at=at, **stated))
     problem: AnyProblem = problems[0] if len(problems) == 1 else Sum(tuple(problems))
-    nlp = compile_problem(problem)
+    nlp = _without_bounds(compile_problem(problem))
     x = _point(nlp, values)
     seen = np.asarray(nlp.responses(nlp.all_values(x)))
     return (nlp, x, (None,) * len(problems)) if np.all(np.isfinite(seen)) and np.any(seen) else None
@@ -217,7 +217,7 @@ def _of_record(
         signals |= dict(zip(outputs, measured, strict=True))
         signals = {name: np.where(gaps, np.nan, each) for name, each in signals.items()}
         record = Record(time, signals, name="random inputs", has_time=not model.is_static)
-        nlp = compile_problem(Problem(model, record, criterion, **stated))
+        nlp = _without_bounds(compile_problem(Problem(model, record, criterion, **stated)))
         x = _point(nlp, values)
         (part,) = nlp.parts
         assert isinstance(part, RecordPart)
@@ -249,6 +249,11 @@ def _times(model: Model, values: Mapping[str, float], random: np.random.Generato
             length = int(np.clip(GROWTH / growing / step, 2 * n + 4, length))
     gaps = np.arange(STRETCHES * (length + 1)) % (length + 1) == length
     return step * np.arange(gaps.size), gaps
+
+
+def _without_bounds(nlp: Nlp) -> Nlp:
+    """Return the problem without bounds: nothing is estimated, so that none can hold a parameter."""
+    return replace(nlp, lower=np.full(len(nlp.free), -np.inf), upper=np.full(len(nlp.free), np.inf))
 
 
 def _point(nlp: Nlp, values: Mapping[str, float]) -> Array:
