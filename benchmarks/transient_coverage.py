@@ -1,8 +1,9 @@
 """Coverage of the 95 % intervals from the Fourier integrals of short manoeuvres, with known truth.
 
-Three cases, each simulated by exact integration on a fine grid: one 8 s manoeuvre that ends while its input and its
-states are moving; two manoeuvres of 8 and 6 s; two inputs and two outputs of different noise. Trim values, which the
-fit does not know, are drawn anew each time. The band is 0.5 to 10 rad/s.
+Simulated by exact integration on a fine grid: one 8 s manoeuvre that ends while its input and its states are moving;
+two manoeuvres of 8 and 6 s; two inputs and two outputs of different noise, which may be correlated; and the first and
+the third with white noise in the differential equation instead, for equation error. Trim values, which the fit does not
+know, are drawn anew each time. The band is 0.5 to 10 rad/s.
 
     python benchmarks/transient_coverage.py [--runs 400]
 """
@@ -115,28 +116,77 @@ def measured(record, noise, random):
     return record.with_signals(**changed)
 
 
+def disturbed(record, a, noise, random):
+    """Return the record with white noise of a deviation a sample in x' = A x + e added, of outputs that are states."""
+    one = expm(a * STEP / FINE)
+    size = np.array([*noise.values()]) * np.sqrt(FINE)
+    x, rows = np.zeros(len(a)), []
+    for k, e in enumerate(random.standard_normal((len(record) * FINE, len(a))) * size):
+        if k % FINE == 0:
+            rows.append(x)
+        x = one @ (x + e * STEP / FINE)
+    shifted = {name: x + random.normal() for name, x in record.signals.items()}
+    outputs = {n: shifted[n] + y for n, y in zip(noise, np.array(rows).T, strict=True) if n in shifted}
+    return record.with_signals(**shifted | outputs)
+
+
+def short_period_in_turbulence(record, random):
+    """Return the record with white noise in the differential equation of second order, and a trim value."""
+    p = SHORT_PERIOD
+    a = np.array([[0.0, 1.0], [-(p["w"] ** 2), -2 * p["z"] * p["w"]]])
+    return disturbed(record, a, {"q": 0.0, "rate of q": 0.3}, random)
+
+
+def lateral_in_turbulence(record, random):
+    """Return the record with white noise in both equations, and trim values."""
+    p = LATERAL
+    a = np.array([[p["Lp"], p["Lr"]], [p["Np"], p["Nr"]]])
+    return disturbed(record, a, {"roll": 0.1, "yaw": 0.05}, random)
+
+
+def correlated(record, random):
+    """Return the record with correlated noise on its outputs, and trim values."""
+    shared = random.standard_normal(len(record))
+    return measured(
+        record.with_signals(roll=record["roll"] + 0.02 * shared, yaw=record["yaw"] + 0.005 * shared),
+        {"roll": 0.01, "yaw": 0.0025},
+        random,
+    )
+
+
 def cases():
-    """Return name -> (model, truth, clean records, noise, inputs, outputs)."""
+    """Return name -> (model, truth, clean records, how they are measured, inputs, outputs, criterion)."""
     first = short_period_record(8.0, (1.0, 2.0, 2.5, 3.0), [0.005, 0.01])
     second = short_period_record(6.0, (0.5, 1.2, 1.9), [0.0, 0.0])
-    q = {"q": 0.02}
-    rates = {"roll": 0.02, "yaw": 0.005}
+    lateral = lateral_record()
+    by_output, by_equation = gb.OutputError(), gb.EquationError()
+
+    def noisy(**noise):
+        return lambda record, random: measured(record, noise, random)
+
+    one, two = (ShortPeriod(), SHORT_PERIOD, [first]), (ShortPeriod(), SHORT_PERIOD, [first, second])
+    both = (Lateral(), LATERAL, [lateral])
+    pair = (["da", "dr"], ["roll", "yaw"])
     return {
-        "one 2-1-1 of 8 s": (ShortPeriod(), SHORT_PERIOD, [first], q, ["u"], ["q"]),
-        "2-1-1 and doublet": (ShortPeriod(), SHORT_PERIOD, [first, second], q, ["u"], ["q"]),
-        "two inputs, two outputs": (Lateral(), LATERAL, [lateral_record()], rates, ["da", "dr"], ["roll", "yaw"]),
+        "one 2-1-1 of 8 s": (*one, noisy(q=0.02), ["u"], ["q"], by_output),
+        "2-1-1 and doublet": (*two, noisy(q=0.02), ["u"], ["q"], by_output),
+        "two inputs, two outputs": (*both, noisy(roll=0.02, yaw=0.005), *pair, by_output),
+        "correlated noise": (*both, correlated, *pair, by_output),
+        "correlated noise, full covariance": (*both, correlated, *pair, gb.OutputError(noise="full")),
+        "turbulence, equation error": (*one, short_period_in_turbulence, ["u"], ["q"], by_equation),
+        "turbulence, equation error of two outputs": (*both, lateral_in_turbulence, *pair, by_equation),
     }
 
 
 def coverage(case, runs, seed):
     """Return the share of intervals that hold the truth, by parameter, and the rms of the standardized errors."""
-    model, truth, records, noise, inputs, outputs = case
+    model, truth, records, measure, inputs, outputs, criterion = case
     random = np.random.default_rng(seed)
     names = list(truth)
     inside, standardized = [], []
     for _ in range(runs):
-        spectra = [gb.spectral.transient_spectrum(measured(r, noise, random), inputs, outputs, BAND) for r in records]
-        fit = gb.regression.fit_transients(model, spectra, starts=1)
+        spectra = [gb.spectral.transient_spectrum(measure(r, random), inputs, outputs, BAND) for r in records]
+        fit = gb.fit(sum(gb.Problem(model, spectrum, criterion) for spectrum in spectra), starts=1, progress=False)
         interval = fit.interval()
         inside.append([interval[n][0] <= truth[n] <= interval[n][1] for n in names])
         standardized.append([(fit.estimate[n] - truth[n]) / fit.standard_error[n] for n in names])
@@ -147,8 +197,12 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=400)
-    runs = parser.parse_args().runs
+    parser.add_argument("--only", default="", help="cases with this in their name")
+    options = parser.parse_args()
+    runs = options.runs
     for name, case in cases().items():
+        if options.only not in name:
+            continue
         began = time.perf_counter()
         shares, rms = coverage(case, runs, seed=1)
         print(f"{name}: {runs} runs, {1e3 * (time.perf_counter() - began) / runs:.0f} ms each")

@@ -46,6 +46,7 @@ from greybox.estimate.structural_identifiability import structural_identifiabili
 from greybox.experiment import Controller as Controller
 from greybox.experiment import virtual_flight as virtual_flight
 from greybox.formulation import Criterion as Criterion
+from greybox.formulation import EquationError as EquationError
 from greybox.formulation import MagnitudePhase as MagnitudePhase
 from greybox.formulation import MaximumLikelihood as MaximumLikelihood
 from greybox.formulation import OutputError as OutputError

@@ -11,11 +11,11 @@ import pytest
 import greybox as gb
 
 NAMES = """
-Bootstrap Collocation Controller Criterion Fit FrequencyResponse Integrator MagnitudePhase MaximumLikelihood
-MultipleShooting OutputError Parameter PredictionError Problem Profiles Record RelativeError RelativeLikelihood
-Rosenbrock RungeKutta SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion Transcription
-TransferFunction batch bootstrap compare cost feedback fit frequency_response identify load plot predict prepare
-profile read read_response reduce report save several simulate structural_identifiability virtual_flight
+Bootstrap Collocation Controller Criterion EquationError Fit FrequencyResponse Integrator MagnitudePhase
+MaximumLikelihood MultipleShooting OutputError Parameter PredictionError Problem Profiles Record RelativeError
+RelativeLikelihood Rosenbrock RungeKutta SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion
+Transcription TransferFunction batch bootstrap compare cost feedback fit frequency_response identify load plot predict
+prepare profile read read_response reduce report save several simulate structural_identifiability virtual_flight
 """.split()
 
 FORMULAS = """
@@ -23,20 +23,20 @@ arccos arcsin arctan arctan2 cos exp g log maximum minimum sign sin sqrt tan tan
 """.split()
 
 NAMESPACES = {
-    "data": "FrequencyResponse Record Recording Segment Stretch TransientSpectrum read_response segment_table "
-    "write_response",
+    "data": "FrequencyResponse Record Recording Segment Stretch TransientSpectrum read_response read_spectrum "
+    "segment_table write_response write_spectrum",
     "experiment": "Controller Excitation ardupilot_script multisine sine_schedule sweep systemid_parameters "
     "virtual_flight write_excitation",
-    "formulation": "Criterion MagnitudePhase MaximumLikelihood OutputError PredictionError Problem RelativeError "
-    "RelativeLikelihood SquaredRelativeError Starts Sum TimeCriterion several",
+    "formulation": "Criterion EquationError MagnitudePhase MaximumLikelihood OutputError PredictionError Problem "
+    "RelativeError RelativeLikelihood SquaredRelativeError Starts Sum TimeCriterion several",
     "identification": "Identification Measurement Settings identify measure",
     "interop": "from_control from_scipy to_casadi to_control to_scipy write_c write_mat",
     "logs": "find_segments horizontal_velocity negative prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response linearize rational",
-    "plotting": "bode demodulated measurement nyquist plot profiles recording residuals sensitivity spectrogram starts "
-    "time_history traces",
-    "regression": "EquationError TransientFit equation_error fit_transients levy order_path",
+    "plotting": "bode demodulated measurement nyquist plot profiles recording residuals sensitivity spectrogram "
+    "spectrum starts time_history traces",
+    "regression": "EquationErrorEstimate equation_error levy order_path",
     "simulation": "Prediction predict simulate",
     "solve": "LatinHypercube Listed Sobol Starts Strategies Uniform UntilFoundAgain WorkerPool",
     "spectral": "FiniteFrequency Quality check demodulate finite_frequency periodic_response spectral_response "

@@ -21,7 +21,7 @@ SMALL, LARGE = fitted(LinearDrag(), RECORD), fitted(Drag(), RECORD)
 SCHEDULE = gb.experiment.multisine(0.5, 5.0, 20.0, 50.0)
 VALUES = {
     "Comparison": gb.compare(SMALL, LARGE),
-    "EquationError": gb.regression.equation_error(Drag(), RECORD),
+    "EquationErrorEstimate": gb.regression.equation_error(Drag(), RECORD),
     "Excitation": SCHEDULE,
     "FiniteFrequency": FiniteFrequency(RESPONSE, ()),
     "Fit": FIT,

@@ -1,4 +1,4 @@
-"""The file given with --data: a frequency response, or a table with the signals of a model."""
+"""A file given with --data: a frequency response, the spectrum of a manoeuvre, or a table with a model's signals."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,6 +10,8 @@ from greybox.data.heading import heading
 from greybox.data.record import Record, Recording
 from greybox.data.response_file import COLUMNS, HDF5, read_response
 from greybox.data.safe_files import require_file
+from greybox.data.transient_file import holds_spectrum, read_spectrum
+from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.data.units import to_si
 from greybox.formulation.signal_units import as_the_only_pair
 from greybox.logs.readers import read
@@ -21,8 +23,8 @@ LONG = 200  # characters of a list in a sentence: more would hide the cure after
 
 def read_data(
     path: str | Path, model: Model, input: str = "", output: str = "", columns: Mapping[str, str] | None = None
-) -> FrequencyResponse | Record:
-    """Return a frequency response, or else the one record of the file that has the signals of the model.
+) -> FrequencyResponse | Record | TransientSpectrum:
+    """Return a response, the spectrum of a manoeuvre, or else the one record of the file with the model's signals.
 
     `columns` are as `--columns` states them: those of a response if one is its frequency.
 
@@ -33,6 +35,8 @@ def read_data(
     """
     path = Path(path)
     require_file(path)
+    if not columns and holds_spectrum(path):
+        return read_spectrum(path)
     if "frequency" in columns if columns else _is_response(path):
         response = read_response(path, input=input, output=output, columns=columns)
         return response if input or output else as_the_only_pair(model, response)

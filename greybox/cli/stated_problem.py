@@ -18,9 +18,11 @@ from greybox.compiled.transcription.single_shooting import SingleShooting
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.text_table import alternatives
+from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.formulation.frequency_criteria import Criterion
-from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
+from greybox.formulation.included_criteria import CRITERIA, SPECTRUM_CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
+from greybox.formulation.sum import Sum
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.identification.identify import filter_model
 from greybox.logs.known_filters import from_text
@@ -42,10 +44,12 @@ def add_problem_options(parser: argparse.ArgumentParser) -> None:
     add("--model", help="instead of PROBLEM: tilt:Tilt, 'polynomial:Polynomial(4, 1)' or my.py:Class")
     add(
         "--data",
+        nargs="+",
         metavar="FILE",
-        help="with --model: a frequency response (columns omega_rad_s, alpha, beta [, coherence, variance, dof]), or a "
-        "record (columns time and, in SI units, the model's inputs and outputs; without a time, rows for a static "
-        "model); for a flight log write a problem file",
+        help="with --model: a frequency response (columns omega_rad_s, alpha, beta [, coherence, variance, dof]), the "
+        "spectrum of a manoeuvre (greybox response --manoeuvre), or a record (columns time and, in SI units, the "
+        "model's inputs and outputs; without a time, rows for a static model); several are fitted together; for a "
+        "flight log write a problem file",
     )
     add(
         "--through",
@@ -101,21 +105,30 @@ def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, A
     return with_parameter_options(problem, options), settings
 
 
-def _problem_of_model(options: argparse.Namespace) -> Problem:
+def _problem_of_model(options: argparse.Namespace) -> AnyProblem:
     if options.data is None:
         raise UsageError("--model needs --data FILE, a frequency response or a record.")
     model = find_model(options.model)
-    data = read_data(options.data, model, options.input, options.output, stated_columns(options))
+    columns = stated_columns(options)
+    data = [read_data(path, model, options.input, options.output, columns) for path in options.data]
     for word in options.through or ():
-        for filtered in _filters(word, data):
+        for filtered in _filters(word, data[0]):
             model = through(model, filtered)
-    for name in ("input", "output", "at"):
-        if isinstance(data, Record) and getattr(options, name):
-            raise UsageError(f"--{name} is for a frequency response, and {options.data} is a record: leave it out.")
-    return Problem(model, data, at=assignments(options.at, "--at"))
+    kinds = {FrequencyResponse: "a frequency response", TransientSpectrum: "the spectrum of a manoeuvre"}
+    for path, one in zip(options.data, data, strict=True):
+        for name, kind in (("input", FrequencyResponse), ("output", FrequencyResponse)):
+            if getattr(options, name) and not isinstance(one, kind):
+                what = kinds.get(type(one), "a record")
+                raise UsageError(f"--{name} is for a frequency response, and {path} is {what}: leave it out.")
+        if options.at and isinstance(one, Record):
+            raise UsageError(f"--at is for a frequency response, and {path} is a record: leave it out.")
+    at = assignments(options.at, "--at")
+    if len(data) == 1:
+        return Problem(model, data[0], at=at)
+    return Sum(tuple(Problem(model, one, at=at) for one in data))
 
 
-def _filters(word: str, data: FrequencyResponse | Record) -> list[Model]:
+def _filters(word: str, data: FrequencyResponse | Record | TransientSpectrum) -> list[Model]:
     """Return the filters that a word of --through names: a model, or what a response states of its vehicle."""
     if re.fullmatch(r"\w+(-\w+)+", word):
         stated = data.about if isinstance(data, FrequencyResponse) else {}
@@ -157,7 +170,7 @@ def _require_problem(name: str) -> None:
 
 def _criteria() -> dict[str, Criterion | TimeCriterion]:
     """Return the included criteria by name."""
-    return {criterion.name: criterion for criterion in (*CRITERIA, *TIME_CRITERIA)}
+    return {criterion.name: criterion for criterion in (*CRITERIA, *TIME_CRITERIA, *SPECTRUM_CRITERIA)}
 
 
 def _criterion(text: str) -> Criterion | TimeCriterion:
@@ -167,19 +180,35 @@ def _criterion(text: str) -> Criterion | TimeCriterion:
     return known[text]
 
 
+# What data are called, and the criteria that serve them.
+KINDS = {
+    "frequency responses": (FrequencyResponse, CRITERIA),
+    "records": (Record, TIME_CRITERIA),
+    "manoeuvres": (TransientSpectrum, SPECTRUM_CRITERIA),
+}
+
+
 def _with_criterion(problem: AnyProblem, criterion: Criterion | TimeCriterion) -> AnyProblem:
     """Give a criterion to the parts of a problem whose data are of its kind; of records, biases and the like remain."""
-    in_time = isinstance(criterion, TimeCriterion)
-    if not any(isinstance(part.data, Record) == in_time for part in problem.parts):
+    served = {noun: kind for noun, (kind, criteria) in KINDS.items() if criterion in criteria}
+    if not any(isinstance(part.data, tuple(served.values())) for part in problem.parts):
+        others = [
+            each.name
+            for kind, criteria in KINDS.values()
+            if any(isinstance(part.data, kind) for part in problem.parts)
+            for each in criteria
+        ]
         raise UsageError(
-            f"--criterion {criterion.name} is for {'records' if in_time else 'frequency responses'} and {problem.name} "
-            f"has none: use {', '.join(c.name for c in (CRITERIA if in_time else TIME_CRITERIA))}, or leave it out."
+            f"--criterion {criterion.name} is for {' and '.join(served)} and {problem.name} has none: use "
+            f"{', '.join(dict.fromkeys(others))}, or leave it out."
         )
     parts = []
     for part in problem.parts:
-        if isinstance(criterion, TimeCriterion) and isinstance(part.criterion, TimeCriterion):
+        if not isinstance(part.data, tuple(served.values())):
+            parts.append(part)
+        elif isinstance(criterion, TimeCriterion) and isinstance(part.criterion, TimeCriterion):
             shared = {field.name: getattr(part.criterion, field.name) for field in fields(TimeCriterion)}
             parts.append(part.with_(criterion=replace(criterion, **shared)))
         else:
-            parts.append(part if isinstance(part.data, Record) or in_time else part.with_(criterion=criterion))
+            parts.append(part.with_(criterion=criterion))
     return problem.with_parts(parts)

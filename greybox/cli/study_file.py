@@ -131,7 +131,7 @@ def _member(stated: Mapping[str, Any], varied: list[str], path: Path) -> tuple[s
     options = argparse.Namespace(
         problem=_beside(_text(stated, "problem"), folder),
         model=_beside(_text(stated, "model"), folder),
-        data=folder / stated["data"] if "data" in stated else None,
+        data=[folder / stated["data"]] if "data" in stated else None,
         through=[filtered] if (filtered := _text(stated, "through")) else [],
         input=_text(stated, "input") or "",
         output=_text(stated, "output") or "",

@@ -17,7 +17,10 @@ from greybox.compiled.scaling import Scaling, scaling_of
 from greybox.compiled.strategies import Strategies
 from greybox.compiled.transcription.method import Transcription
 from greybox.compiled.transcription.multiple_shooting import MultipleShooting
+from greybox.compiled.transient_part import compile_spectrum
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.record import Record
+from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -197,8 +200,10 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         for part, cost, response, scaled_response in zip(responding, own_cost, responses, scaled, strict=True)
     }
     method = method or MultipleShooting()
-    recorded = [part for part in problem.parts if part not in compiled_responses]
-    compiled = compiled_responses | dict(zip(recorded, compile_records(recorded, named, point, method), strict=True))
+    compiled: dict[Problem, Part] = {**compiled_responses}
+    compiled |= {p: compile_spectrum(p, named, point) for p in problem.parts if isinstance(p.data, TransientSpectrum)}
+    recorded = [part for part in problem.parts if isinstance(part.data, Record)]
+    compiled |= dict(zip(recorded, compile_records(recorded, named, point, method), strict=True))
     return Nlp(
         problem=problem,
         free=free,

@@ -1,9 +1,10 @@
-"""The interface that every part of a compiled problem answers: a frequency response, or a record.
+"""The interface that every part of a compiled problem answers: a frequency response, a record, or a spectrum.
 
 A solver sees the unknowns of all parts as one vector z (p,), scaled. A record has hidden unknowns besides: the states
 at the beginning of its segments, its *nodes*. They belong to the part, which eliminates them from its linearization
-(condensing), so that a solver adds up Hessians and gradients in z whatever the data are. A frequency response has none:
-all its arrays over nodes are empty.
+(condensing), so that a solver adds up Hessians and gradients in z whatever the data are. A frequency response has none,
+and what is hidden in a spectrum is eliminated within its cost: their arrays over nodes are empty, see
+`greybox.compiled.part_without_nodes`.
 
 What asks: the Gauss-Newton driver (`initial_trajectory` to `close_gaps`), the grouping of minima (`signature`), the
 check of the discretization (`refined`), IPOPT (`program`, where there are nodes), the covariance of the estimate
@@ -154,8 +155,8 @@ class Information:
         white. Directions of unit variance keep their digits where parameters are hardly determined.
     told : function of directions (p, q)
         What each point of the data tells of these directions of the free parameters, for independent errors: its share
-        (q, m) of their squared lengths by the bread. The m points are frequencies, or outputs one after the other, each
-        over `TIME_BINS` equal parts of the record.
+        (q, m) of their squared lengths by the bread. The m points are frequencies, of a manoeuvre those of one output
+        after the other, or outputs one after the other, each over `TIME_BINS` equal parts of the record.
     output_errors : function of the covariance (k, k) of all values, or None
         Of a record, the standard errors (outputs, rows) of the fitted outputs; NaN where none was compared.
     """
@@ -257,6 +258,11 @@ class Part(ABC):
     @abstractmethod
     def has_states(self) -> bool:
         """True when there are hidden unknowns, which IPOPT sees only after transcription."""
+
+    @property
+    def has_nodes(self) -> bool:
+        """True when there are nodes of segments, whose gaps a homotopy closes."""
+        return False
 
     @property
     def travels_whole(self) -> bool:

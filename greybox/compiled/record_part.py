@@ -250,6 +250,11 @@ class RecordPart(Part):
     # --- facts --------------------------------------------------------------------------------------------------------
 
     @property
+    def has_nodes(self) -> bool:
+        """The states at the beginning of segments."""
+        return True
+
+    @property
     def has_states(self) -> bool:
         """A record has nodes."""
         return True

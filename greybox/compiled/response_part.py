@@ -8,14 +8,14 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.part import Condensed, Information, Part, Program, Trajectory
+from greybox.compiled.part import Information, Program, Trajectory
+from greybox.compiled.part_without_nodes import NO_NODES, PartWithoutNodes
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-NO_NODES = np.zeros((0, 0))
 
 # Under the root of |e|² while a solver is at work, see `Criterion.cost`: 1e-14 takes about twice the time, and 1e-8
 # moves the cost by 6e-5 at most.
@@ -25,7 +25,7 @@ SMOOTHING = 1e-8
 LEAST_MAGNITUDE = 1e-12
 
 
-class ResponsePart(Part):
+class ResponsePart(PartWithoutNodes):
     """One frequency response of a problem.
 
     Attributes
@@ -109,10 +109,6 @@ class ResponsePart(Part):
         hessian, gradient = ca.hessian(self.objective(z, smoothing), z)
         return ca.Function("derivatives", [z, smoothing], [gradient, hessian])
 
-    def initial_trajectory(self, z: Array) -> Trajectory:
-        """Return the point z, without nodes."""
-        return self.trajectory(z, NO_NODES)
-
     def trajectory(self, z: Array, nodes: Array, *, simulated: bool = False) -> Trajectory:
         """Return the point z, without nodes; not finite where the cost is not."""
         cost = np.array([[float(self.objective(z, SMOOTHING))]])
@@ -124,18 +120,6 @@ class ResponsePart(Part):
             return float(trajectory.products[0, 0])
         return float(self.objective(trajectory.z, smoothing))
 
-    def squared_cost(self, trajectory: Trajectory, weight: Array, smoothing: float) -> float:
-        """Return the cost: there is no residual covariance that could change."""
-        return self.cost(trajectory, smoothing)
-
-    def residual_weight(self, trajectory: Trajectory) -> Array:
-        """Return nothing: the criterion weighs the residuals."""
-        return NO_NODES
-
-    def initial_weight(self, share: float) -> Array:
-        """Return nothing: the criterion weighs the residuals."""
-        return NO_NODES
-
     def linearize(
         self, trajectory: Trajectory, weight: Array, *, covariance_curvature: bool = False
     ) -> tuple[Array, Array]:
@@ -143,26 +127,6 @@ class ResponsePart(Part):
         gradient, hessian = (value.full() for value in self._derivatives(trajectory.z, SMOOTHING))
         values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
         return gradient.ravel(), (vectors * np.abs(values)) @ vectors.T
-
-    def continuity_variance(self, linearization: Any, spread: float) -> Array:
-        """Return nothing: there are no states."""
-        return np.zeros(0)
-
-    def condense(
-        self, linearization: Any, trajectory: Trajectory, continuity_variance: Array, damping: float = 0.0
-    ) -> Condensed:
-        """Return the quadratic model: there is nothing to eliminate."""
-        gradient, hessian = linearization
-        nothing = np.zeros((0, 0, len(gradient)))
-        return Condensed(hessian, gradient, NO_NODES, nothing, NO_NODES, nothing, NO_NODES, 0.0)
-
-    def close_gaps(self, linearization: Any, trajectory: Trajectory) -> Array:
-        """Return no nodes."""
-        return NO_NODES
-
-    def is_near_data(self, trajectory: Trajectory, factor: float) -> bool:
-        """Return True: a frequency response cannot diverge along the way."""
-        return True
 
     def signature(self, trajectory: Trajectory) -> Array:
         """Return real and imaginary parts of the model's response over the magnitude of the measured one, (2 n,)."""

@@ -22,7 +22,7 @@ def write_record(group: Node, record: Record) -> None:
         group.attrs["has_time"] = False
     signals = group.create_group("signals", track_order=True)
     for name, values in record.signals.items():
-        dataset = signals.create_dataset(_escaped(name), data=values)
+        dataset = signals.create_dataset(escaped(name), data=values)
         dataset.attrs["unit"] = record.units.get(name, "")
         if name in record.hold:
             dataset.attrs["hold"] = record.hold[name]
@@ -34,7 +34,7 @@ def read_record(group: Node) -> Record:
     units = {}
     hold = {}
     for key, dataset in group["signals"].items():
-        name = _plain(key)
+        name = unescaped(key)
         signals[name] = np.asarray(dataset[()], dtype=float)
         if dataset.attrs["unit"]:
             units[name] = str(dataset.attrs["unit"])
@@ -45,10 +45,11 @@ def read_record(group: Node) -> Record:
     return Record(group["time"][()], signals, units, hold=hold, has_time=has_time, **texts)
 
 
-def _escaped(name: str) -> str:
+def escaped(name: str) -> str:
     """Return a name without the slash, which HDF5 reads as a path."""
     return name.replace("%", "%25").replace("/", "%2F")
 
 
-def _plain(key: str) -> str:
+def unescaped(key: str) -> str:
+    """Return the name that was escaped."""
     return key.replace("%2F", "/").replace("%25", "%")

@@ -59,7 +59,7 @@ def read_response(
         return _read_hdf5(path, input, output, name)
 
     raw = path.read_bytes()
-    stated = {} if prefix else _stated(raw)
+    stated = {} if prefix else comments(raw)
     table = read_delimited(path, raw)
     header = table.header
     try:
@@ -77,7 +77,7 @@ def read_response(
     values = dict(zip(wanted, kept.T, strict=True))
     texts = _texts(stated, input=input, output=output, name=name or path.stem, source=path.name)
     try:
-        return assembled(values, found, **texts, stretches=_stretches_in(raw))
+        return assembled(values, found, **texts, stretches=stretches_in(raw))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
@@ -125,7 +125,7 @@ def write_response(response: FrequencyResponse, path: str | Path) -> None:
     stated = {name: text for name in ("input", "output") if (text := getattr(response, name))} | _described(response)
     lines = [f"# {key}: {text}" for key, text in stated.items()]
     lines += [",".join(columns), *(",".join(repr(float(v)) for v in row) for row in rows)]
-    lines += [f"{STRETCH} {_stretch_line(s)}" for s in response.stretches]
+    lines += [f"{STRETCH} {stretch_line(s)}" for s in response.stretches]
     write_text(path, "\n".join(lines) + "\n")
 
 
@@ -134,7 +134,7 @@ def write_group(group: Node, response: FrequencyResponse) -> None:
     for name in NAMES:
         group.attrs[name] = getattr(response, name)
     lines = {
-        "stretches": [_stretch_line(s) for s in response.stretches],
+        "stretches": [stretch_line(s) for s in response.stretches],
         "about": [f"{key}: {text}" for key, text in _described(response).items()],
     }
     for name, texts in lines.items():
@@ -153,7 +153,7 @@ def read_group(group: Node) -> FrequencyResponse:
     lines = list(group["about"][()]) if "about" in group else []
     stated = {match["key"]: match["value"] for line in lines if (match := HEADER.fullmatch(f"# {line}"))}
     texts = _texts(stated, **{name: str(group.attrs[name]) for name in NAMES})
-    stretches = [_stretch(line) for line in group["stretches"][()]] if "stretches" in group else []
+    stretches = [stretch_from(line) for line in group["stretches"][()]] if "stretches" in group else []
     response = group["alpha"][()] + 1j * group["beta"][()]
     return FrequencyResponse(group["omega"][()], response, **texts, **extras, stretches=stretches)
 
@@ -177,7 +177,7 @@ def _described(response: FrequencyResponse) -> dict[str, str]:
     return units | {key: text for key, text in response.about.items() if key not in NAMES}
 
 
-def _stated(raw: bytes) -> dict[str, str]:
+def comments(raw: bytes) -> dict[str, str]:
     """Return the comments ``# key: value`` that stand before the numbers of a CSV file."""
     stated = {}
     for line in raw.decode("utf-8-sig", "replace").splitlines():
@@ -196,22 +196,24 @@ def _texts(stated: dict[str, str], **names: str) -> dict[str, Any]:
     return {name: given or stated.get(name, "") for name, given in names.items()} | {"units": units, "about": about}
 
 
-def _stretch_line(stretch: Stretch) -> str:
+def stretch_line(stretch: Stretch) -> str:
+    """Return a stretch as files have it."""
     return f"{stretch.checksum} {stretch.start!r} {stretch.end!r}"
 
 
-def _stretch(line: str) -> Stretch:
+def stretch_from(line: str) -> Stretch:
+    """Return the stretch that stands in a line."""
     checksum, start, end = line.rsplit(maxsplit=2)
     return Stretch(checksum.strip(), float(start), float(end))
 
 
-def _stretches_in(raw: bytes) -> list[Stretch]:
+def stretches_in(raw: bytes) -> list[Stretch]:
     """Return the stretches that comments of a CSV file state; comments that only begin like them state none."""
     found = []
     for line in raw.decode("utf-8", "replace").splitlines():
         if line.startswith(f"{STRETCH} "):
             with contextlib.suppress(ValueError):
-                found.append(_stretch(line.removeprefix(STRETCH)))
+                found.append(stretch_from(line.removeprefix(STRETCH)))
     return found
 
 

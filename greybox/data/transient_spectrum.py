@@ -1,5 +1,6 @@
 """Fourier integrals of inputs and outputs over one manoeuvre: the transforms themselves, not their ratio."""
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -7,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import Stretch
-from greybox.data.text_table import one_line
+from greybox.data.numerical_range import out_of_range
+from greybox.data.text_table import one_line, printable
 
 # Share of a line of the grid by which a frequency may be off it: rounding.
 OFF_GRID = 1e-6
@@ -56,6 +58,11 @@ class TransientSpectrum:
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check them."""
+        for name in ("name", "source"):
+            object.__setattr__(self, name, printable(str(getattr(self, name))))
+        for kind in ("units", "input_change"):
+            kept = {printable(str(name)): value for name, value in getattr(self, kind).items()}
+            object.__setattr__(self, kind, kept)
         if not (np.isfinite(self.duration) and 0 < self.step < self.duration):
             raise ValueError(
                 f"duration {self.duration!r} s and step {self.step!r} s must be finite, and the step the shorter one."
@@ -73,10 +80,13 @@ class TransientSpectrum:
             given = getattr(self, kind)
             if not given:
                 raise ValueError(f"the spectrum has no {kind}: give at least one signal.")
-            object.__setattr__(self, kind, {name: _read_only(x, complex, name) for name, x in given.items()})
+            arrays = {printable(str(name)): _read_only(x, complex, name) for name, x in given.items()}
+            object.__setattr__(self, kind, arrays)
         for name, values in {**self.inputs, **self.outputs}.items():
             if values.shape != omega.shape:
                 raise ValueError(f"omega has {omega.size} frequencies but {name} has {values.size}: they must match.")
+        if not all(np.isfinite(float(change)) for change in self.input_change.values()):
+            raise ValueError(f"input_change is {dict(self.input_change)!r:.60}: give finite numbers.")
 
     def __len__(self) -> int:
         return self.omega.size
@@ -86,6 +96,24 @@ class TransientSpectrum:
         signals = f"{', '.join(self.inputs)} to {', '.join(self.outputs)}"
         return one_line(self, repr(self.name), f"{len(self)} frequencies", band, f"{self.duration:.4g} s", signals)
 
+    @property
+    def signals(self) -> Mapping[str, NDArray[np.complex128]]:
+        """Inputs, then outputs."""
+        return {**self.inputs, **self.outputs}
+
+    @property
+    def checksum(self) -> str:
+        """SHA-256 of the numbers and the signal names: the same data have the same checksum wherever they came from."""
+        digest = hashlib.sha256(f"{', '.join(self.inputs)}->{', '.join(self.outputs)}".encode())
+        ends = [self.duration, self.step, *map(self.change, self.inputs)]
+        for values in (self.omega, *self.inputs.values(), *self.outputs.values(), np.array(ends)):
+            digest.update(np.ascontiguousarray(values).tobytes())
+        return digest.hexdigest()
+
+    def change(self, name: str) -> float:
+        """Return the last less the first value of an input."""
+        return float(self.input_change.get(name, 0.0))
+
     def delayed_input(self, name: str, delay: float) -> NDArray[np.complex128]:
         """Return the integral of an input that acts `delay` seconds later, (n,).
 
@@ -94,12 +122,14 @@ class TransientSpectrum:
             ∫ u(t - τ) exp(-jωt) dt = exp(-jωτ) U - (u(T) - u(0)) (1 - exp(-jωτ)) / jω.
         """
         shift = np.exp(-1j * self.omega * delay)
-        return shift * self.inputs[name] - self.input_change.get(name, 0.0) * (1 - shift) / (1j * self.omega)
+        return shift * self.inputs[name] - self.change(name) * (1 - shift) / (1j * self.omega)
 
 
 def _read_only(values: ArrayLike, kind: type, name: str) -> NDArray:
     array = np.array(values, dtype=kind)
     if array.ndim != 1 or not np.all(np.isfinite(array)):
         raise ValueError(f"{name} must be a one-dimensional array of finite numbers, but is {array!r:.60}.")
+    if np.any(out_of_range(array)):
+        raise ValueError(f"{name} has numbers whose squares are beyond floating-point arithmetic: choose another unit.")
     array.setflags(write=False)
     return array

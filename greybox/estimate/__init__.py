@@ -1,13 +1,13 @@
 """The answer and how far it can be believed.
 
 Begin with `fit`, then `result`, which holds `Fit` and what it prints. `quantities` makes the lines of the answer,
-`fitted_record` the plain values that it keeps of a record, `harmonic_numbers` chooses the harmonics of sine tests.
-`covariance` computes the standard errors from the sandwich. Its bread and meat differ from criterion to criterion: for
-responses they are the `spread` of each one in `greybox.formulation.frequency_criteria`, for records they come from
-`greybox.compiled.record_information`. `identifiability` says how well each parameter is determined, and which
-combinations are although their members are not. `response_band` has the confidence band of a fitted response,
-`structural_identifiability` asks the same before any data, `sensitivity` which frequencies or times tell of each
-parameter. `profile` follows the lowest cost along one quantity, for intervals that need not be symmetric;
-`fitted_problem` is the problem again from its answer. The folder `diagnostics` holds the warnings, `storage` writes and
-reads fits, and `summary` gives their numbers as plain values.
+`fitted_record` and `fitted_spectrum` the plain values that it keeps of a record and of a manoeuvre, `harmonic_numbers`
+chooses the harmonics of sine tests. `covariance` computes the standard errors from the sandwich. Its bread and meat
+differ from criterion to criterion: for responses they are the `spread` of each one in
+`greybox.formulation.frequency_criteria`, for records they come from `greybox.compiled.record_information`.
+`identifiability` says how well each parameter is determined, and which combinations are although their members are not.
+`response_band` has the confidence band of a fitted response, `structural_identifiability` asks the same before any
+data, `sensitivity` which frequencies or times tell of each parameter. `profile` follows the lowest cost along one
+quantity, for intervals that need not be symmetric; `fitted_problem` is the problem again from its answer. The folder
+`diagnostics` holds the warnings, `storage` writes and reads fits, and `summary` gives their numbers as plain values.
 """

@@ -22,6 +22,7 @@ from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transcription.method import Transcription
+from greybox.compiled.transient_part import TransientPart
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.text_table import counted
 from greybox.estimate.covariance import Accuracy, assess, known_directions, known_of, told_by
@@ -37,9 +38,10 @@ from greybox.estimate.diagnostics.outlying_points import outlying_points
 from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
 from greybox.estimate.diagnostics.unused_noise import unused_noise
 from greybox.estimate.fitted_record import fitted_record, stated
+from greybox.estimate.fitted_spectrum import fitted_spectrum
 from greybox.estimate.harmonic_numbers import are_open, with_enough_harmonics, with_more_harmonics
 from greybox.estimate.quantities import quantities, slopes_of_parameters
-from greybox.estimate.result import Fit, FittedRecord, FittedResponse
+from greybox.estimate.result import Fit, FittedRecord, FittedResponse, FittedSpectrum
 from greybox.formulation.frequency_criteria import evaluate
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
@@ -62,7 +64,7 @@ from greybox.solve.waves import AllAtOnce, FoundAgain, PromisingFirst, Waves
 
 Array = NDArray[np.float64]
 
-FittedPart = FittedRecord | FittedResponse
+FittedPart = FittedRecord | FittedResponse | FittedSpectrum
 
 CURVE = 2000  # points from which a curve for figures is not refined further
 
@@ -379,6 +381,11 @@ def _(part: RecordPart, trajectory: Trajectory | None, x: Array, values: dict[st
 
 
 @fitted_part.register
+def _(part: TransientPart, trajectory: Trajectory | None, x: Array, values: dict[str, float]) -> FittedSpectrum:
+    return fitted_spectrum(part, trajectory)
+
+
+@fitted_part.register
 def _(part: ResponsePart, trajectory: Trajectory | None, x: Array, values: dict[str, float]) -> FittedResponse:
     return _response(part.problem, values, part.response(x))
 
@@ -465,7 +472,7 @@ def _curve(
     return curve
 
 
-def _all_costs(parts: Sequence[FittedRecord | FittedResponse]) -> dict[str, float]:
+def _all_costs(parts: Sequence[FittedPart]) -> dict[str, float]:
     """Return the value of every criterion for responses at the estimate, where all data are such."""
     responses = [part for part in parts if isinstance(part, FittedResponse)]
     if len(responses) < len(parts):

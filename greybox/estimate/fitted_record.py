@@ -78,7 +78,8 @@ def fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedReco
         inputs=model.criterion.inputs,
         biases=tuple(model.criterion.biases),
         gains=part.gains,
-        nuisances=part.unknown_initial_states + _covariance_unknowns(part),
+        nuisances=part.unknown_initial_states
+        + covariance_unknowns(count, known=part.covariance.known is not None, full=part.covariance.full),
         is_static=part.is_static,
     )
 
@@ -96,9 +97,8 @@ def _simulated(part: RecordPart, trajectory: Trajectory) -> dict[str, NDArray[np
     return signals
 
 
-def _covariance_unknowns(part: RecordPart) -> int:
+def covariance_unknowns(outputs: int, *, known: bool, full: bool) -> int:
     """Return how many numbers of the residual covariance are estimated."""
-    count = len(part.outputs)
-    if part.covariance.known is not None:
+    if known:
         return 0
-    return count * (count + 1) // 2 if part.covariance.full else count
+    return outputs * (outputs + 1) // 2 if full else outputs

@@ -238,9 +238,10 @@ def profile(
         raise ValueError(f"the fit {fit.name!r} has no estimate to profile around: {fit.status}.")
     if not 0 < level < 1:
         raise ValueError(f"level {level} must lie between 0 and 1, e.g. 0.95.")
-    if fit.records:
+    if len(fit.responses) < len(fit.parts):
         raise ValueError(
-            f"the fit {fit.name!r} has records, of which no profiles are made yet: use fit.interval(), which is Wald's."
+            f"the fit {fit.name!r} has {'records' if fit.records else 'manoeuvres'}, of which no profiles are made "
+            "yet: use fit.interval(), which is Wald's."
         )
     problem = with_enough_harmonics(problem_of(fit) if problem is None else problem)
     nlp = compile_problem(problem)

@@ -16,6 +16,7 @@ from greybox.data.html_text import html_list, html_table, html_text
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.record import Record, share_samples
 from greybox.data.text_table import alternatives, counted, number, one_line, some, text_table, with_error
+from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.estimate.identifiability import Identifiability, KnownDirections, correlation, identifiability
 from greybox.estimate.response_band import ResponseBand, band_of, require_level, response_and_slope, t_quantile
 from greybox.estimate.sensitivity import Sensitivity, sensitivity
@@ -23,6 +24,7 @@ from greybox.estimate.summary import summary
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.input_assumptions import Inputs, described_inputs
 from greybox.formulation.restated_parameter import restated
+from greybox.formulation.spectrum_criteria import EquationError
 from greybox.modeling.model import Model
 from greybox.modeling.model_reference import reference, resolve
 from greybox.modeling.pade_delay import delay_order
@@ -74,7 +76,7 @@ class Quantity:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FittedPart:
-    """One problem of the sum with its data, in plain values: a `FittedResponse` or a `FittedRecord`.
+    """One problem of the sum with its data, in plain values: `FittedResponse`, `FittedRecord` or `FittedSpectrum`.
 
     Attributes
     ----------
@@ -111,7 +113,7 @@ class FittedPart:
     rule: str
     condition: str
     delay: str
-    data: FrequencyResponse | Record
+    data: FrequencyResponse | Record | TransientSpectrum
     weight: float
     rename: Mapping[str, str]
     tied: Mapping[str, str]
@@ -226,6 +228,43 @@ class FittedRecord(FittedPart):
         return fit_percent(self.data[output], self.simulated[output])
 
 
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class FittedSpectrum(FittedPart):
+    """The spectrum of a manoeuvre with the fitted outputs.
+
+    Attributes
+    ----------
+    fitted : mapping of output to (n,) complex array
+        The modelled outputs with their end terms; NaN when no start converged.
+    outputs : tuple of str
+    noise : (k, k) array
+        Covariance of the errors of one sample, given or estimated, as far as they lie in the band: of the outputs, or,
+        of equation error, of the equations.
+    ends : mapping of state to float
+        First less last value, which was estimated along.
+    at : mapping of name to float
+    nuisances : int
+        Values at the ends, and variances and covariances of the noise, that were estimated along.
+    """
+
+    data: TransientSpectrum
+    fitted: Mapping[str, NDArray[np.complex128]]
+    outputs: tuple[str, ...]
+    noise: NDArray[np.float64]
+    ends: Mapping[str, float]
+    at: Mapping[str, float]
+    nuisances: int = 0
+
+    def residual(self, output: str) -> NDArray[np.complex128]:
+        """Return the measured less the fitted transform of an output, (n,)."""
+        return self.data.outputs[output] - self.fitted[output]
+
+    def fit_percent(self, output: str) -> float:
+        """Return 100 (1 - |residual| / |measured|) over the band, without the mean value, as in time."""
+        size = float(np.linalg.norm(self.data.outputs[output]))
+        return 100 * (1 - float(np.linalg.norm(self.residual(output))) / size) if size else math.nan
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """The outcome of all starts of a problem. Printing it answers the reader's questions in order.
@@ -264,7 +303,7 @@ class Fit:
     """
 
     name: str
-    parts: tuple[FittedResponse | FittedRecord, ...]
+    parts: tuple[FittedResponse | FittedRecord | FittedSpectrum, ...]
     quantities: tuple[Quantity, ...]
     free: tuple[str, ...]
     names: tuple[str, ...]
@@ -295,6 +334,11 @@ class Fit:
     def records(self) -> tuple[FittedRecord, ...]:
         """The parts whose data are records."""
         return tuple(part for part in self.parts if isinstance(part, FittedRecord))
+
+    @property
+    def spectra(self) -> tuple[FittedSpectrum, ...]:
+        """The parts whose data are spectra of manoeuvres."""
+        return tuple(part for part in self.parts if isinstance(part, FittedSpectrum))
 
     @property
     def converged(self) -> bool:
@@ -524,7 +568,7 @@ class Fit:
         stated = self.parts[part]
         if not isinstance(stated, FittedResponse):
             raise ValueError(
-                f"part {part} of the fit is a record: use gb.frequency_response(model, fit.estimate, omega), or "
+                f"part {part} of the fit is no response: use gb.frequency_response(model, fit.estimate, omega), or "
                 "gb.simulate for time histories."
             )
         if model is None:
@@ -533,9 +577,10 @@ class Fit:
 
     @property
     def residuals(self) -> tuple[NDArray[Any], ...]:
-        """Measured less fitted values of every part: of a response (n,) complex, of a record (outputs, n).
+        """Measured less fitted values of every part.
 
-        Those of a record are NaN where nothing was compared; `plotting.residuals` draws them.
+        Of a response (n,) complex, of a record (outputs, n), of a manoeuvre (outputs, n) complex. Those of a record are
+        NaN where nothing was compared; `plotting.residuals` draws them.
         """
         return tuple(
             part.data.response - part.response
@@ -626,6 +671,8 @@ class Fit:
             raise ValueError(f"the fit {self.name!r} was saved without what its data tell of parameters: fit it again.")
         if isinstance(stated, FittedResponse):
             unit, at, outputs = "rad/s", stated.data.omega, (stated.data.output or "response",)
+        elif isinstance(stated, FittedSpectrum):
+            unit, at, outputs = "rad/s", stated.data.omega, stated.outputs
         else:
             unit, outputs = "s" if stated.data.has_time else "row", stated.outputs
             edges = np.linspace(0, len(stated.data), stated.information.shape[1] // len(outputs) + 1)
@@ -720,6 +767,7 @@ def _overview(fit: Fit) -> list[str]:
         *(f"  inputs     {text}" for text in _inputs_texts(fit.records)),
         *(f"  output     {text}" for text in _output_texts(fit.records)),
         *(f"  response   {text}" for text in _response_texts(fit.responses)),
+        *(f"  output     {text}" for text in _spectrum_texts(fit.spectra)),
     ]
 
 
@@ -743,6 +791,9 @@ def _data_text(fit: Fit) -> str:
     if fit.responses:
         points = sum(len(part.data) for part in fit.responses)
         texts.append(f"{counted(points, 'point')} in {counted(len(fit.responses), 'response')}")
+    if fit.spectra:
+        lines = sum(len(part.data) for part in fit.spectra)
+        texts.append(f"{counted(lines, 'line')} in {counted(len(fit.spectra), 'manoeuvre')}")
     for has_time, noun, remark in ((True, "sample", ""), (False, "row", " without a time")):
         records = [part for part in fit.records if part.data.has_time == has_time]
         if records:
@@ -787,6 +838,21 @@ def _response_texts(responses: Sequence[FittedResponse]) -> list[str]:
             f"residual {number(100 * rms(values), 2)} % rms, largest {number(100 * float(values[worst]), 2)} % at "
             f"{part.data.omega[worst]:.4g} rad/s{where}"
         )
+    return texts
+
+
+def _spectrum_texts(spectra: Sequence[FittedSpectrum]) -> list[str]:
+    """Say how well every output of every manoeuvre is reproduced, and the noise that this leaves in a sample."""
+    texts = []
+    for part in spectra:
+        where = f" ({part.name})" if part.name and len(spectra) > 1 else ""
+        by_equation = part.criterion == EquationError().name
+        for k, output in enumerate(part.outputs):
+            unit = "" if by_equation else f" {part.data.units.get(output, '')}".rstrip()
+            noise = (
+                f"{'error of its equation' if by_equation else 'noise of a sample'} {number(part.noise[k, k] ** 0.5)}"
+            )
+            texts.append(f"{output}{where}: {noise}{unit}, fit {part.fit_percent(output):.1f} %")
     return texts
 
 
@@ -895,7 +961,7 @@ def _other_criteria(fit: Fit) -> list[str]:
     return ["  other criteria at this estimate:", *lines]
 
 
-def _at_estimate(fit: Fit, model: Model, part: FittedResponse | FittedRecord, inputs: Inputs | None) -> ModelAtEstimate:
+def _at_estimate(fit: Fit, model: Model, part: FittedPart, inputs: Inputs | None) -> ModelAtEstimate:
     """Return a model at the values, covariance and assumptions that a fit has for a part."""
     record = part if isinstance(part, FittedRecord) else None
     biases = record.biases if record else ()

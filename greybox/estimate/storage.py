@@ -24,7 +24,10 @@ Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``
                  Of a record: attributes ``method, inputs, nuisances``, as JSON ``outputs, biases, gains``; groups
                  ``data`` and ``simulated`` (``time`` and ``signals/...``, each with its ``unit`` and, if
                  known, ``hold``), ``initial/...`` by state (stretches,), ``noise`` (k, k) and, if known, ``error``
-                 (k, n). Of both, if known, ``information`` and ``information_alone`` (p, m).
+                 (k, n). Of all, if known, ``information`` and ``information_alone`` (p, m).
+                 Of a manoeuvre: as JSON ``at, ends, outputs``, attribute ``nuisances``; group ``data``, see
+                 `greybox.data.transient_file`, ``fitted/...`` by output (2, n), real and imaginary parts, and
+                 ``noise`` (k, k).
 
 The file is sealed, see `greybox.data.sealed_files`. NaN means "not known". A file may come from anyone: nothing in it
 is executed, nothing that it names is imported, and what is loaded fits together (SECURITY.md).
@@ -41,13 +44,15 @@ from typing import Any, get_args
 
 import numpy as np
 
-from greybox.data.record_file import read_record, write_record
+from greybox.data.record_file import escaped, read_record, unescaped, write_record
 from greybox.data.response_file import read_group, write_group
 from greybox.data.sealed_files import Node, Stored, open_sealed, write_sealed
 from greybox.data.text_table import printable
+from greybox.data.transient_file import read_group as read_spectrum_group
+from greybox.data.transient_file import write_group as write_spectrum_group
 from greybox.estimate.fitted_record import criterion_values
 from greybox.estimate.identifiability import KnownDirections
-from greybox.estimate.result import Fit, FittedRecord, FittedResponse, Quantity
+from greybox.estimate.result import Fit, FittedPart, FittedRecord, FittedResponse, FittedSpectrum, Quantity
 from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
 from greybox.formulation.input_assumptions import Inputs
 from greybox.modeling.model import Model
@@ -158,7 +163,7 @@ def _write_runs(file: Node, fit: Fit) -> None:
     minima["estimate"] = np.array([m.estimate for m in fit.minima]).reshape(len(fit.minima), len(fit.free))
 
 
-def _write_part(group: Node, part: FittedResponse | FittedRecord) -> None:
+def _write_part(group: Node, part: FittedPart) -> None:
     texts = {name: getattr(part, name) for name in _PART_TEXTS}
     criterion = {name: getattr(part, name) for name in _CRITERION}
     _attributes(group, checksum=part.data.checksum, weight=part.weight, **criterion, **texts)
@@ -170,7 +175,9 @@ def _write_part(group: Node, part: FittedResponse | FittedRecord) -> None:
             group[name] = values
     if isinstance(part, FittedRecord):
         _write_fitted_record(group, part)
-    else:
+    elif isinstance(part, FittedSpectrum):
+        _write_fitted_spectrum(group, part)
+    elif isinstance(part, FittedResponse):
         _write_fitted_response(group, part)
 
 
@@ -197,6 +204,16 @@ def _write_fitted_record(group: Node, part: FittedRecord) -> None:
     initial = group.create_group("initial", track_order=True)
     for state, values in part.initial.items():
         initial[state] = values
+
+
+def _write_fitted_spectrum(group: Node, part: FittedSpectrum) -> None:
+    _attributes(group, nuisances=part.nuisances, at=json.dumps(dict(part.at)), outputs=json.dumps(part.outputs))
+    _attributes(group, ends=json.dumps(_finite(part.ends)))
+    write_spectrum_group(group.create_group("data"), part.data)
+    fitted = group.create_group("fitted", track_order=True)
+    for name in part.outputs:
+        fitted[escaped(name)] = np.array([part.fitted[name].real, part.fitted[name].imag])
+    group["noise"] = part.noise
 
 
 def _read(file: Stored) -> Fit:
@@ -260,6 +277,8 @@ def _checked(fit: Fit) -> Fit:
             size = len(part.data)
             _require(part.response.shape == (size,), "the fitted response and the data differ in length")
             _require(part.sine is None or np.size(part.sine.amplitude) in (1, size), "an amplitude is missing")
+        elif isinstance(part, FittedSpectrum):
+            _require({*part.outputs} <= {*part.data.outputs} & {*part.fitted}, "an output is not in the spectrum")
         else:
             _require(
                 np.array_equal(part.data.time, part.simulated.time),
@@ -337,7 +356,7 @@ def _read_minima(file: Stored, runs: tuple[Run, ...], parameters: int) -> tuple[
     )
 
 
-def _read_part(group: Stored) -> FittedResponse | FittedRecord:
+def _read_part(group: Stored) -> FittedResponse | FittedRecord | FittedSpectrum:
     attributes = group.attrs
     stated: dict[str, Any] = {name: _text(attributes[name]) for name in _PART_TEXTS}
     stated["equation"] = _text(attributes["equation"], keep=LINES)
@@ -352,7 +371,10 @@ def _read_part(group: Stored) -> FittedResponse | FittedRecord:
     for name in ("information", "information_alone"):
         stated[name] = group[name][()] if name in group else None
     stated |= _read_criterion(attributes) if "settings" in attributes else _read_criterion_text(attributes)
-    part = _read_fitted_record(group, stated) if "simulated" in group else _read_fitted_response(group, stated)
+    if "fitted" in group:
+        part = _read_fitted_spectrum(group, stated)
+    else:
+        part = _read_fitted_record(group, stated) if "simulated" in group else _read_fitted_response(group, stated)
     if part.data.checksum != attributes["checksum"]:
         raise KeyError(f"the data of part {attributes['name']!r:.60} do not match their checksum")
     return part
@@ -391,6 +413,26 @@ def _read_fitted_response(group: Stored, stated: dict[str, Any]) -> FittedRespon
         response=group["response_alpha"][()] + 1j * group["response_beta"][()],
         curve=read_group(group["curve"]) if "curve" in group else None,
         nuisances=int(attributes["nuisances"]) if "nuisances" in attributes else _usual_nuisances(stated["criterion"]),
+    )
+
+
+def _read_fitted_spectrum(group: Stored, stated: dict[str, Any]) -> FittedSpectrum:
+    attributes = group.attrs
+    data = read_spectrum_group(group["data"])
+    outputs = _json_names(attributes["outputs"])
+    fitted = {_text(unescaped(key)): _array(values, (2, len(data))) for key, values in group["fitted"].items()}
+    return FittedSpectrum(
+        **stated,
+        data=data,
+        fitted={name: real + 1j * imaginary for name, (real, imaginary) in fitted.items()},
+        outputs=outputs,
+        noise=_array(group["noise"], (len(outputs), len(outputs))),
+        ends={
+            _text(name): math.nan if value is None else float(value)
+            for name, value in _json_object(attributes["ends"]).items()
+        },
+        at={name: float(value) for name, value in _json_object(attributes["at"]).items()},
+        nuisances=int(attributes["nuisances"]),
     )
 
 

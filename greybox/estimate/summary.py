@@ -40,7 +40,7 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
         "fixed": all_finite({q.name: q.value for q in parameters if q.kind == "fixed"}),
         "tied": [q.name for q in parameters if q.kind == "tied"],
         "derived": all_finite(result.derived),
-        "outputs": [_output(part, name) for part in result.records for name in part.outputs],
+        "outputs": [_output(part, name) for part in (*result.records, *result.spectra) for name in part.outputs],
         "at_bound": [q.name for q in result.quantities if q.at_bound],
         "warnings": list(result.warnings),
         "notes": list(result.notes),
@@ -59,7 +59,7 @@ def _rows(matrix: Any) -> list[list[float | None]]:
 
 
 def _output(part: Any, name: str) -> dict[str, Any]:
-    """Return how well an output of a record is fitted."""
+    """Return how well an output of a record or a manoeuvre is fitted."""
     # The standard deviation of the residuals, given or estimated.
     noise = float(part.noise[part.outputs.index(name), part.outputs.index(name)])
     answer = {"part": part.name, "output": name, "unit": part.data.units.get(name, "")}

@@ -1,4 +1,4 @@
-"""The same measurement must not enter a sum twice: as a record, and as a response estimated from it."""
+"""The same measurement must not enter a sum twice: as a record, and as what was estimated from it."""
 
 from collections.abc import Sequence
 
@@ -6,11 +6,12 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.record import Record
+from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.formulation.summand import Summand
 
 
 def require_data_once(parts: Sequence[Summand]) -> None:
-    """Refuse a record together with a response that was estimated from a stretch of it.
+    """Refuse a record together with a response or a spectrum that was estimated from a stretch of it.
 
     Their errors are the same, and adding their likelihoods would count what they tell twice.
 
@@ -21,13 +22,17 @@ def require_data_once(parts: Sequence[Summand]) -> None:
     """
     records = [part for part in parts if isinstance(part.data, Record)]
     for part in parts:
-        if not isinstance(part.data, FrequencyResponse):
+        if isinstance(part.data, FrequencyResponse):
+            noun, stretches = "response", tuple(part.data.stretches)
+        elif isinstance(part.data, TransientSpectrum):
+            noun, stretches = "spectrum", () if part.data.stretch is None else (part.data.stretch,)
+        else:
             continue
-        for stretch in part.data.stretches:
+        for stretch in stretches:
             used = next((record for record in records if _holds(record.data, stretch)), None)
             if used is not None:
                 raise ValueError(
-                    f"the response {part.name!r} was estimated from {stretch.start:g} to {stretch.end:g} s of the "
+                    f"the {noun} {part.name!r} was estimated from {stretch.start:g} to {stretch.end:g} s of the "
                     f"record {used.name!r}, which would count the same data twice: leave one of them out, or fit the "
                     "record between other times, record.between(start, end)."
                 )

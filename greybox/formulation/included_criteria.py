@@ -8,6 +8,7 @@ from greybox.formulation.frequency_criteria import (
     RelativeLikelihood,
     SquaredRelativeError,
 )
+from greybox.formulation.spectrum_criteria import EquationError
 from greybox.formulation.time_criteria import OutputError, PredictionError, TimeCriterion
 
 CRITERIA: tuple[Criterion, ...] = (
@@ -22,3 +23,6 @@ CRITERIA: tuple[Criterion, ...] = (
 
 TIME_CRITERIA: tuple[TimeCriterion, ...] = (OutputError(), PredictionError())
 """For records."""
+
+SPECTRUM_CRITERIA: tuple[TimeCriterion, ...] = (OutputError(), EquationError())
+"""For the Fourier integrals of manoeuvres."""

@@ -12,10 +12,12 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.text_table import one_line
+from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.formulation.restated_parameter import restated
 from greybox.formulation.signal_units import check_response_units, check_units
+from greybox.formulation.spectrum_criteria import outputs_in_spectrum
 from greybox.formulation.sum import Sum
 from greybox.formulation.time_criteria import OutputError, TimeCriterion
 from greybox.modeling.harmonic_balance import check_sine
@@ -34,14 +36,16 @@ class Problem:
     Parameters
     ----------
     model : Model
-        The structure; for a frequency response an ODE is linearized at its operating point, for a record a transfer
-        function is realized as states.
-    data : FrequencyResponse or Record
-        Meets the model by the names of its inputs and outputs. Outputs that a record does not hold are not compared.
+        The structure; for a frequency response and a spectrum an ODE is linearized at its operating point, for a record
+        a transfer function is realized as states.
+    data : FrequencyResponse, Record or TransientSpectrum
+        Meets the model by the names of its inputs and outputs. Outputs that a record or a spectrum does not hold are
+        not compared.
         Files are read first, by `gb.read_response` or `gb.read`; see `several` for more than one record.
     criterion : Criterion or TimeCriterion, optional
-        `RelativeError` (4.26) by default for a response, `OutputError` for a record. In a sum with a record the default
-        for a response is `RelativeLikelihood`, see `Sum`.
+        `RelativeError` (4.26) by default for a response, `OutputError` for a record and for a spectrum, which takes
+        `EquationError` as well. In a sum with one of these the default for a response is `RelativeLikelihood`, see
+        `Sum`.
     fixed : mapping of name to value, or a Fit
         Parameters held constant. A `Fit`, whole or as the value of a name, gives its estimate and its covariance, which
         then widens the standard errors here.
@@ -54,8 +58,8 @@ class Problem:
     delay : "exact" or "pade:n"
         How delays are evaluated.
     at : mapping of name to value
-        The operating point of an ODE, for a frequency response: some states and inputs, the rest follows from
-        ``derivative = 0``.
+        The operating point of an ODE, for a frequency response or a spectrum: some states and inputs, the rest follows
+        from ``derivative = 0``.
     rename : mapping of name to name
         Names under which parameters are known outside, so that added problems share or do not share them.
     weight : float
@@ -79,7 +83,7 @@ class Problem:
     """
 
     model: Model
-    data: FrequencyResponse | Record
+    data: FrequencyResponse | Record | TransientSpectrum
     criterion: Criterion | TimeCriterion = None  # type: ignore[assignment]
     fixed: Mapping[str, float | HeldEstimate] | HeldEstimate = field(default_factory=dict)
     free: Sequence[str] = ()
@@ -98,13 +102,14 @@ class Problem:
     def __post_init__(self) -> None:
         """Fill in the defaults and check that everything fits together."""
         _require(self.model, Model, "model", "an instance such as Tilt(), not the class")
-        if not isinstance(self.data, FrequencyResponse | Record):
+        if not isinstance(self.data, FrequencyResponse | Record | TransientSpectrum):
             raise TypeError(f"data is {_wrong_data(self.data)}.")
         self._fill_in_defaults()
 
-        in_time = isinstance(self.data, Record)
-        kind = TimeCriterion if in_time else Criterion
-        cure = "OutputError(), for a record" if in_time else "RelativeError(), for a frequency response"
+        of_response = isinstance(self.data, FrequencyResponse)
+        kind = Criterion if of_response else TimeCriterion
+        noun = "record" if isinstance(self.data, Record) else "TransientSpectrum"
+        cure = "RelativeError(), for a frequency response" if of_response else f"OutputError(), for a {noun}"
         _require(self.criterion, kind, "criterion", f"a criterion such as {cure}")
         if not isinstance(self.weight, (int, float, np.number)) or not (math.isfinite(self.weight) and self.weight > 0):
             raise ValueError(f"weight {self.weight!r} must be a finite number above 0.")
@@ -124,7 +129,8 @@ class Problem:
     def _fill_in_defaults(self) -> None:
         object.__setattr__(self, "_has_default_criterion", self.criterion is None)
         if self.criterion is None:
-            object.__setattr__(self, "criterion", OutputError() if isinstance(self.data, Record) else RelativeError())
+            usual = RelativeError() if isinstance(self.data, FrequencyResponse) else OutputError()
+            object.__setattr__(self, "criterion", usual)
         if isinstance(self.free, str):
             object.__setattr__(self, "free", (self.free,))
         if not self.name:
@@ -137,8 +143,13 @@ class Problem:
             check_response_units(self.model, self.data)
             return {}
 
-        assert isinstance(self.data, Record)
         assert isinstance(self.criterion, TimeCriterion)
+        if isinstance(self.data, TransientSpectrum):
+            outputs_in_spectrum(self.criterion, self.model, self.data)
+            check_units(self.model, self.data)
+            return {}
+
+        assert isinstance(self.data, Record)
         self.criterion.compared(self.model, self.data)
         check_units(self.model, self.data)
         added = self.criterion.parameters(self.model, self.data)
@@ -302,6 +313,8 @@ class Problem:
         if isinstance(self.data, Record):
             outputs = [name for name in self.model.output_names if name in self.data.signals]
             return sum(int(np.isfinite(self.data[name]).sum()) for name in outputs)
+        if isinstance(self.data, TransientSpectrum):
+            return 2 * len(self.data) * sum(name in self.data.outputs for name in self.model.output_names)
         return 2 * len(self.data)
 
     @property
@@ -364,10 +377,14 @@ def _wrong_data(given: Any) -> str:
             f"the path {path!r}: read the file first, gb.read_response({path!r}) for a frequency response or "
             f"gb.read({path!r}) for records"
         )
-    if isinstance(given, Sequence) and given and all(isinstance(item, Record | FrequencyResponse) for item in given):
-        cure = "use gb.several(model, records)" if len(given) > 1 else "take it out of the list"
+    if (
+        isinstance(given, Sequence)
+        and given
+        and all(isinstance(item, Record | FrequencyResponse | TransientSpectrum) for item in given)
+    ):
+        cure = "use gb.several(model, [...])" if len(given) > 1 else "take it out of the list"
         return f"a list with {len(given)} in it: {cure}"
-    return f"{given!r:.80}: give a FrequencyResponse or a Record"
+    return f"{given!r:.80}: give a FrequencyResponse, a Record or a TransientSpectrum"
 
 
 def _require(value: Any, kind: Any, what: str, cure: str) -> None:

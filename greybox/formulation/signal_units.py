@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
+from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.data.units import Conversion, are_of_one_kind, to_si
 from greybox.modeling.model import Model, pick_signals, require_known
 
@@ -12,8 +13,8 @@ from greybox.modeling.model import Model, pick_signals, require_known
 ROUNDING = 1e-9
 
 
-def check_units(model: Model, record: Record) -> None:
-    """Check that the signals of a record are in the units that the model declares, as far as both are known.
+def check_units(model: Model, data: Record | TransientSpectrum) -> None:
+    """Check that the signals of a record or a spectrum are in the units of the model, as far as both are known.
 
     Raises
     ------
@@ -23,19 +24,22 @@ def check_units(model: Model, record: Record) -> None:
     signals = (*model.input_names, *model.output_names)
     require_known(model.units, dict.fromkeys((*signals, *getattr(model, "states", ()))), "signal", model.label)
     for name in dict.fromkeys(signals):
-        declared, given = model.units.get(name, "").strip(), record.units.get(name, "").strip()
-        if not declared or not given or name not in record.signals:
+        declared, given = model.units.get(name, "").strip(), data.units.get(name, "").strip()
+        if not declared or not given or name not in data.signals:
             continue
         wanted, found = _known(declared), _known(given)
         if wanted is None or found is None:
             continue
-        where = f"{name} is in {given} in the record {record.name!r} and in {declared} in {model.label}"
+        noun = "record" if isinstance(data, Record) else "spectrum"
+        where = f"{name} is in {given} in the {noun} {data.name!r} and in {declared} in {model.label}"
         if not are_of_one_kind(wanted, found):
             raise ValueError(f"{where}: these are different quantities, correct the unit or give the right signal.")
         factor = found.factor / wanted.factor
         zero = (found.zero - wanted.zero) / wanted.factor
         if not math.isclose(factor, 1.0, rel_tol=ROUNDING) or abs(zero) > ROUNDING:
             converted = f"{factor:.10g} * record[{name!r}]" + (f" + {zero:.10g}" if zero else "")
+            if not isinstance(data, Record):
+                raise ValueError(f"{where}: convert the record that the spectrum was made of.")
             raise ValueError(
                 f"{where}: convert it, record.with_signals(units={{{name!r}: {declared!r}}}, {name}={converted})."
             )

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from greybox.data.record import Record, require_time
+from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.input_assumptions import Inputs, require_inputs
 from greybox.modeling.model import Model, require_known
@@ -15,6 +16,7 @@ from greybox.modeling.parameter import Parameter
 from greybox.modeling.state_space import StateSpace
 
 ROWS_CONDITION = "independent errors of equal variance in each output"
+SPECTRUM_CONDITION = "white errors of the outputs over the band, and known inputs"
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +100,8 @@ class TimeCriterion(AnyCriterion):
 
     def condition_on(self, data: Any) -> str:
         """Return the condition; rows without a time have no order along which their errors could be correlated."""
+        if isinstance(data, TransientSpectrum):
+            return SPECTRUM_CONDITION
         return self.condition if data.has_time else ROWS_CONDITION
 
     def compared(self, model: Model, record: Record) -> tuple[str, ...]:
@@ -155,6 +159,9 @@ class TimeCriterion(AnyCriterion):
 @dataclass(frozen=True, eq=False)
 class OutputError(TimeCriterion):
     """Maximum likelihood with all errors in the measured outputs: the model is simulated from its initial state.
+
+    Of a `TransientSpectrum` it compares the transforms, with the states at both ends estimated along; `inputs`,
+    `biases` and `initial` are for records.
 
     Outputs at the beginning of a record that depend on a delayed input from before it are left out, unless that input
     is at rest there, see `TimeCriterion`.

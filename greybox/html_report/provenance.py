@@ -4,9 +4,12 @@ import math
 from xml.etree.ElementTree import Element
 
 from greybox.data.text_table import counted, number
-from greybox.estimate.result import Fit, FittedRecord, FittedResponse
+from greybox.estimate.result import Fit, FittedRecord, FittedResponse, FittedSpectrum
 from greybox.html_report.elements import Child, tag
 from greybox.html_report.tables import Cell, number_cell, table
+
+# What the numbers of each kind of data are called.
+_NOUNS = {FittedResponse: "point", FittedRecord: "sample", FittedSpectrum: "line"}
 
 
 def data_summary(fit: Fit) -> str:
@@ -19,6 +22,9 @@ def data_summary(fit: Fit) -> str:
     if fit.records:
         samples = counted(sum(part.compared for part in fit.records), "sample")
         pieces.append(f"{samples} in {counted(len(fit.records), 'record')}")
+    if fit.spectra:
+        lines = counted(sum(len(part.data) for part in fit.spectra), "line")
+        pieces.append(f"{lines} in {counted(len(fit.spectra), 'manoeuvre')}")
     free = counted(len(fit.free), "free parameter")
     return f"{models} with {free}, fitted to {' and '.join(pieces)} by {fit.rule}."
 
@@ -65,7 +71,7 @@ def _data_table(fit: Fit) -> Element:
     rows = []
     for part in fit.parts:
         data = part.data
-        size = counted(len(data), "point") if isinstance(part, FittedResponse) else counted(len(data), "sample")
+        size = counted(len(data), _NOUNS[type(part)])
         rows.append(
             [
                 Cell(part.name or data.name or "–"),
@@ -83,7 +89,9 @@ def _data_table(fit: Fit) -> Element:
     return table(header, rows)
 
 
-def _signals(part: FittedResponse | FittedRecord) -> str:
+def _signals(part: FittedResponse | FittedRecord | FittedSpectrum) -> str:
+    if isinstance(part, FittedSpectrum):
+        return f"{', '.join(part.data.inputs)} → {', '.join(part.outputs)}"
     if isinstance(part, FittedRecord):
         inputs = [name for name in part.data.signals if name not in part.outputs]
         return f"{', '.join(inputs) or 'no input'} → {', '.join(part.outputs)}"
@@ -91,8 +99,8 @@ def _signals(part: FittedResponse | FittedRecord) -> str:
     return f"{known.input or 'input'} → {known.output or 'output'}"
 
 
-def _span(part: FittedResponse | FittedRecord) -> str:
-    if isinstance(part, FittedResponse):
+def _span(part: FittedResponse | FittedRecord | FittedSpectrum) -> str:
+    if not isinstance(part, FittedRecord):
         return f"{part.data.omega.min():.3g} to {part.data.omega.max():.3g} rad/s"
     return f"{part.data.duration:.4g} s at {part.data.rate:.4g} Hz" if part.data.has_time else "rows without a time"
 
@@ -107,7 +115,7 @@ def _restrictions(fit: Fit) -> list[Element]:
         if part.rename:
             names = ", ".join(f"{inside} is {outside}" for inside, outside in part.rename.items())
             facts.append((f"names{where}", names))
-        if isinstance(part, FittedResponse) and part.at:
+        if not isinstance(part, FittedRecord) and part.at:
             facts.append((f"operating point{where}", ", ".join(f"{name} = {v:.5g}" for name, v in part.at.items())))
         if isinstance(part, FittedRecord):
             facts.append((f"solved by{where}", part.method))

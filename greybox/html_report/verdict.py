@@ -69,8 +69,9 @@ def _closeness(fit: Fit) -> str:
             f"it is {percent(rms(relative))} % rms from the {counted(relative.size, 'measured point')} of "
             f"frequency response, {percent(float(relative.max()))} % at most"
         )
-    for output in dict.fromkeys(name for part in fit.records for name in part.outputs):
-        shares = [1 - part.fit_percent(output) / 100 for part in fit.records if output in part.outputs]
+    in_time = (*fit.records, *fit.spectra)
+    for output in dict.fromkeys(name for part in in_time for name in part.outputs):
+        shares = [1 - part.fit_percent(output) / 100 for part in in_time if output in part.outputs]
         known = [percent(share) for share in sorted(shares) if math.isfinite(share)]
         if known:
             span = " to ".join(dict.fromkeys((known[0], known[-1])))

@@ -6,6 +6,7 @@ from greybox.estimate.result import Fit
 from greybox.plotting.bode import bode_axes, bode_panels, draw_bode
 from greybox.plotting.nyquist import add_title, draw_nyquist, grid, number_points, panel_axes, panels
 from greybox.plotting.response_series import ResponseSeries, error_series, legend_entries, response_series, title
+from greybox.plotting.spectrum import as_drawn, draw_spectrum, spectrum_axes, spectrum_height, spectrum_legend
 from greybox.plotting.starts import draw_starts
 from greybox.plotting.style import TITLE_SIZE, legend_below, new_figure, plain
 from greybox.plotting.time_history import WIDTH, draw_history, histories, history_axes, history_height, history_legend
@@ -18,7 +19,8 @@ LEVEL = 0.95  # of the bands, as in the diagrams alone
 def plot(fit: Fit) -> Figure:
     """Draw an overview of a fit: of responses the Nyquist diagram, the Bode diagram and the starts.
 
-    Of records their time histories and the starts; where the data are both, the Bode diagram beside them.
+    Of records their time histories and the starts, of manoeuvres their spectra and the starts; where the data are
+    several of these, side by side.
 
     Returns
     -------
@@ -26,19 +28,25 @@ def plot(fit: Fit) -> Figure:
         Not axes, as from the other functions, since it arranges several diagrams. It is not known to pyplot: show it
         as the last line of a notebook cell, or save it with ``savefig``.
     """
-    return _plot_records(fit) if fit.records else _plot_responses(fit)
+    return _plot_records(fit) if fit.records or fit.spectra else _plot_responses(fit)
 
 
 def _plot_records(fit: Fit) -> Figure:
-    """Draw the time history of every record and the starts below one another, and Bode diagrams to their right."""
+    """Draw records and manoeuvres and the starts below one another, and Bode diagrams to their right."""
     drawn = [histories((fit,), k) for k in range(len(fit.records))]
-    heights = [*map(history_height, drawn), STARTS_HEIGHT]
+    spectra = [as_drawn(fit, k) for k in range(len(fit.spectra))]
+    heights = [*map(history_height, drawn), *map(spectrum_height, spectra), STARTS_HEIGHT]
     widths = (WIDTH, BODE_WIDTH) if fit.responses else (WIDTH,)
     figure = new_figure(sum(widths), sum(heights) + 0.4)
     figure.suptitle(title((fit,)), fontsize=13)
 
     columns = figure.subfigures(1, len(widths), width_ratios=widths, squeeze=False)[0]
     rows = columns[0].subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+    for row, spectrum in zip(rows[len(drawn) :], spectra, strict=False):
+        axes = spectrum_axes(row, spectrum)
+        draw_spectrum(axes, spectrum)
+        row.align_ylabels(axes)
+        legend_below(row, spectrum_legend(spectrum))
     for row, part, history in zip(rows, fit.records, drawn, strict=False):
         axes = history_axes(row, history)
         draw_history(axes, history)

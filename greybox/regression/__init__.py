@@ -1,16 +1,13 @@
-"""Estimates by least squares that need no compiled problem: linear ones, which need no start, and of manoeuvres.
+"""Estimates by linear least squares: they need no compiled problem, and no start.
 
 Begin with `levy`, which fits the coefficients of a transfer function, (3.17); `order_selection` chooses its orders by
 `poles_and_zeros` that nearly cancel. Or begin with `equation_error`, which fits differential equations to smoothed
 derivatives: `linear_in_parameters` splits the equations into terms, `smoothing` filters the signals, `regressors`
 evaluates the terms along the record, `least_squares` solves for the parameters that enter linearly, and
-`variable_projection` searches the others. `transient_fit` estimates the parameters of linear models from the Fourier
-integrals of manoeuvres.
+`variable_projection` searches the others.
 """
 
-from greybox.regression.equation_error import EquationError as EquationError
+from greybox.regression.equation_error import EquationErrorEstimate as EquationErrorEstimate
 from greybox.regression.equation_error import equation_error as equation_error
 from greybox.regression.levy import levy as levy
 from greybox.regression.order_selection import order_path as order_path
-from greybox.regression.transient_fit import TransientFit as TransientFit
-from greybox.regression.transient_fit import fit_transients as fit_transients

@@ -66,7 +66,7 @@ class UsedEquation:
 
 
 @dataclass(frozen=True, eq=False)
-class EquationError:
+class EquationErrorEstimate:
     """The result of `equation_error`. Printing it says what was estimated from what, and what was not, and why.
 
     It is a start, ``gb.fit(problem, starts=[result.estimate])``, and can be given as `fixed` to a problem.
@@ -177,7 +177,7 @@ def equation_error(
     cutoff: float | None = None,
     biases: Sequence[str] = (),
     inputs: Inputs = "record",
-) -> EquationError:
+) -> EquationErrorEstimate:
     """Estimate the parameters of an ODE from its measured states, equation by equation, by least squares.
 
     A state is known when the record has a signal of its name or an output that equals it (up to constants), when it is
@@ -186,9 +186,9 @@ def equation_error(
     pass the same low-pass filter, so that smoothing takes the same from both sides. Inputs that are not held are
     interpolated between samples by cubic splines. A transfer function can be used only when it has one pole.
 
-    Noise in the states biases the estimate; `EquationError.bias` says how far, but not what a controller adds that
-    feeds the noise back to an input. An equation with a state that is simulated from its own target (`nu` from `r` in
-    `greybox.models.yaw.YawStates`) may at high noise explain the target by itself: its parameters then run to their
+    Noise in the states biases the estimate; `EquationErrorEstimate.bias` says how far, but not what a controller adds
+    that feeds the noise back to an input. An equation with a state that is simulated from its own target (`nu` from `r`
+    in `greybox.models.yaw.YawStates`) may at high noise explain the target by itself: its parameters then run to their
     bounds.
 
     Parameters
@@ -415,7 +415,7 @@ def _result(
     parameters: Mapping[str, Parameter],
     warnings: Sequence[str],
     inputs: Mapping[str, str],
-) -> EquationError:
+) -> EquationErrorEstimate:
     unknown = [n for n, p in parameters.items() if not p.fixed]
     missing = {n: _why(n, data.equations, projection) for n in unknown if n not in projection.names}
     errors = dict(zip(projection.names, np.sqrt(np.maximum(np.diag(projection.covariance), 0)), strict=True))
@@ -426,7 +426,7 @@ def _result(
             data.equations.equations, projection.r_squared, projection.rows, data.bands, projection.spread, strict=True
         )
     )
-    return EquationError(
+    return EquationErrorEstimate(
         name=name,
         estimate=dict(zip(projection.names, projection.values.tolist(), strict=True)),
         standard_error={n: float(e) for n, e in errors.items()},

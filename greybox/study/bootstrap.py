@@ -376,6 +376,8 @@ def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)
 
 def _resampling(fit: Fit, asked: str | None) -> Any:
     """Return what is drawn, if these data allow it."""
+    if fit.spectra:
+        raise ValueError(f"the fit {fit.name!r} has manoeuvres, which are not drawn yet: use fit.interval().")
     if fit.records and fit.responses:
         raise ValueError(f"the fit {fit.name!r} has records and responses, which are drawn in no common way: use one.")
     in_time = bool(fit.records)

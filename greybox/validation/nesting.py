@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.text_table import counted, listed
-from greybox.estimate.result import Fit, FittedRecord, FittedResponse, Quantity
+from greybox.estimate.result import Fit, FittedPart, FittedRecord, FittedResponse, FittedSpectrum, Quantity
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.model_reference import resolve
 from greybox.modeling.pade_delay import delay_order
@@ -176,7 +176,7 @@ def _models(fit: Fit) -> tuple[Model, ...] | None:
         return None
 
 
-def _outside(part: FittedResponse | FittedRecord, model: Model) -> dict[str, str]:
+def _outside(part: FittedPart, model: Model) -> dict[str, str]:
     """Return the names outside of the parameters of the model and of the criterion, by their names inside."""
     names = list(model.parameters)
     if isinstance(part, FittedRecord):
@@ -201,6 +201,8 @@ def _require_same_assumptions(small: Fit, large: Fit, labels: tuple[str, str]) -
             and isinstance(b, FittedResponse)
             and (dict(a.at), a.sine) != (dict(b.at), b.sine)
         ):
+            raise NotNestedError(f"{both} have different operating points")
+        if isinstance(a, FittedSpectrum) and isinstance(b, FittedSpectrum) and dict(a.at) != dict(b.at):
             raise NotNestedError(f"{both} have different operating points")
         if isinstance(a, FittedRecord) and isinstance(b, FittedRecord):
             if a.inputs != b.inputs:

@@ -6,7 +6,7 @@ import numpy as np
 
 from greybox.data.record import Record
 from greybox.data.text_table import number
-from greybox.estimate.result import Fit, FittedRecord, FittedResponse
+from greybox.estimate.result import Fit, FittedPart, FittedRecord, FittedResponse, FittedSpectrum
 
 LIKELIHOOD = "negative log-likelihood"
 
@@ -45,14 +45,18 @@ def data_difference(fits: Sequence[Fit], names: Sequence[str]) -> str:
                     f"{name} was fitted to other data than {names[0]} ({b.data.name or b.name!r}, checksum "
                     f"{b.data.checksum[:8]}, and {a.data.name or a.name!r}, {a.data.checksum[:8]})"
                 )
-            if isinstance(a, FittedRecord) and isinstance(b, FittedRecord) and a.outputs != b.outputs:
+            if (
+                isinstance(a, FittedRecord | FittedSpectrum)
+                and isinstance(b, FittedRecord | FittedSpectrum)
+                and a.outputs != b.outputs
+            ):
                 return (
                     f"{name} was fitted to the outputs {', '.join(b.outputs)} and {names[0]} to {', '.join(a.outputs)}"
                 )
     return ""
 
 
-def _same(a: FittedResponse | FittedRecord, b: FittedResponse | FittedRecord) -> bool:
+def _same(a: FittedPart, b: FittedPart) -> bool:
     """Tell whether two parts have the same data: a stretch of a log has the checksum of the whole log."""
     if a.data.checksum != b.data.checksum:
         return False
@@ -70,8 +74,10 @@ def shared_data(fits: Sequence[Fit]) -> str:
     return f"the same for all: {', '.join(parts)}, {count} numbers"
 
 
-def count_numbers(part: FittedResponse | FittedRecord) -> int:
+def count_numbers(part: FittedResponse | FittedRecord | FittedSpectrum) -> int:
     """Return how many real numbers of its data a part compares with the model."""
+    if isinstance(part, FittedSpectrum):
+        return 2 * len(part.data) * len(part.outputs)
     if isinstance(part, FittedResponse):
         return 2 * len(part.data)
     return sum(int(np.isfinite(part.residual(name)).sum()) for name in part.outputs)

@@ -1,4 +1,4 @@
-"""Whether the errors of a response are correlated along frequency.
+"""Whether the errors of a response or of a manoeuvre are correlated along frequency.
 
 Standard errors take the errors of the points as independent. They are not where points are closer than the resolution
 of the transform that they come from, nor where the model leaves a part of the response out. The residuals show both: of
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.response_part import ResponsePart
+from greybox.compiled.transient_part import TransientPart
 
 Array = NDArray[np.float64]
 
@@ -37,10 +38,14 @@ def correlated_frequencies(nlp: Nlp, x: Array) -> Iterator[str]:
     from scipy.special import betaincc  # noqa: PLC0415 - scipy takes longer to import than this package
 
     values = nlp.all_values(x)
-    for part in nlp.parts:
-        if not isinstance(part, ResponsePart):
-            continue
-        found = neighbor_correlation(*_residuals(part, values, len(nlp.free)))
+    of_responses = [
+        (f"residuals of {part.problem.name!r}", _residuals(part, values, len(nlp.free)))
+        for part in nlp.parts
+        if isinstance(part, ResponsePart)
+    ]
+    of_spectra = [pair for part in nlp.parts if isinstance(part, TransientPart) for pair in _of_spectrum(nlp, part, x)]
+    for what, pair in (*of_responses, *of_spectra):
+        found = neighbor_correlation(*pair)
         if found is None:
             continue
         r, mean, variance = found
@@ -49,7 +54,7 @@ def correlated_frequencies(nlp: Nlp, x: Array) -> Iterator[str]:
         total = middle * (1 - middle) / (variance / 4) - 1
         if betaincc(middle * total, (1 - middle) * total, (1 + r) / 2) < SIZE:
             yield (
-                f"the residuals of {part.problem.name!r} are correlated along frequency ({r - mean:.2f} from one point "
+                f"the {what} are correlated along frequency ({r - mean:.2f} from one point "
                 "to the next): its points are closer than their resolution, or the model leaves something out; "
                 "the standard errors, which take them as independent, are too small."
             )
@@ -93,6 +98,13 @@ def neighbor_correlation(residuals: NDArray[np.complex128], jacobian: Array) -> 
     trace_of_square = (n - 1) - 2 * np.sum(turned**2) + np.sum(inner**2)  # tr W² = 4 (n - 1) / 4
     r = float(np.sum(residuals[1:] * residuals[:-1].conj()).real / total)
     return r, float(trace / k), float(2 * (trace_of_square - trace**2 / k) / (k * (k + 2)))
+
+
+def _of_spectrum(nlp: Nlp, part: TransientPart, x: Array) -> Iterator[tuple[str, tuple[NDArray[np.complex128], Array]]]:
+    """Return the errors of every output of a manoeuvre, (n,), and their derivatives by what was fitted, (2n, ...)."""
+    for name, errors, jacobian in part.errors_by_output(nlp.scaling.to_solver(x)):
+        where = f" of {part.problem.name!r}" if len(nlp.parts) > 1 else ""
+        yield f"errors of {name}{where}", (errors, np.vstack([jacobian.real, jacobian.imag]))
 
 
 def _residuals(part: ResponsePart, values: Array, free: int) -> tuple[NDArray[np.complex128], Array]:

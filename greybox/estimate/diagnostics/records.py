@@ -18,7 +18,7 @@ from greybox.data.record import Record
 from greybox.data.text_table import counted, some
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.repeated import Found, once
-from greybox.estimate.result import FittedRecord, FittedResponse
+from greybox.estimate.result import FittedPart, FittedRecord
 from greybox.statistics.metrics import feedback_correlation, whiteness
 from greybox.statistics.noise_ratio import noise_ratio
 
@@ -47,7 +47,7 @@ def finding_warnings(nlp: Nlp) -> tuple[str, ...]:
 
 def record_warnings(
     nlp: Nlp,
-    fitted: Sequence[FittedRecord | FittedResponse],
+    fitted: Sequence[FittedPart],
     trajectories: Sequence[Trajectory],
     accuracy: Accuracy,
 ) -> tuple[str, ...]:

@@ -113,7 +113,7 @@ class GaussNewton(LocalSolver):
             if first.status in CUT_SHORT:  # its cost is that of the excerpts
                 return replace(first, cost=math.inf, signature=None, nodes=None)
             z, before = self._nlp.scaling.to_solver(first.estimate), first.iterations
-        progress = Progress(self._settings, near_solution=self._coarse is not None)
+        progress = self._progress(near_solution=self._coarse is not None)
         outcome = self._solve(self._parts.from_data(z), progress, iterations)
         return replace(outcome, iterations=before + outcome.iterations, seconds=time.perf_counter() - began)
 
@@ -279,7 +279,7 @@ class GaussNewton(LocalSolver):
             iterate = self._parts.from_data(self._nlp.scaling.to_solver(x))
             try:
                 iterate, status, _ = self._descend(
-                    iterate, Progress(self._settings), self._settings.max_iterations, states_only=True
+                    iterate, self._progress(), self._settings.max_iterations, states_only=True
                 )
             except np.linalg.LinAlgError:
                 status = "singular"
@@ -354,6 +354,12 @@ class GaussNewton(LocalSolver):
             return None
         return self._parts.split(iterate) if iterate.finite else None
 
+    def _progress(self, *, near_solution: bool = False) -> Progress:
+        """Return the progress of an iteration that begins with nodes from the data, exact where there are none."""
+        if not any(part.has_nodes for part in self._parts.parts):
+            return Progress.exact(self._settings)
+        return Progress(self._settings, near_solution=near_solution)
+
     # --- the iteration ------------------------------------------------------------------------------------------------
 
     def _descend(
@@ -373,7 +379,7 @@ class GaussNewton(LocalSolver):
 
         again = self._parts.from_data(end.z)
         later, status, more = self._descend(
-            again, Progress(self._settings), iterations - count, states_only=False, restarted=True
+            again, self._progress(), iterations - count, states_only=False, restarted=True
         )
         return (later, status, count + more) if status == "converged" else (end, "stalled", count + more)
 

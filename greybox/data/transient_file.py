@@ -1,0 +1,157 @@
+"""Spectra of manoeuvres in CSV and HDF5 files."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greybox.data.delimited_text import DecimalMark, read_delimited
+from greybox.data.record_file import escaped, unescaped
+from greybox.data.response_file import HDF5, STRETCH, UNIT, comments, stretch_from, stretch_line, stretches_in
+from greybox.data.safe_files import require_file, write_text
+from greybox.data.transient_spectrum import TransientSpectrum
+
+KIND = "transient spectrum"
+CHANGE = "change of "  # begins the key of the last less the first value of an input
+OMEGA = "omega_rad_s"
+PARTS = ("alpha", "beta")  # real and imaginary part, as in the file of a response
+Node = Any
+
+
+def write_spectrum(spectrum: TransientSpectrum, path: str | Path) -> None:
+    """Write a spectrum to a CSV or, by the suffix .h5 or .hdf5, an HDF5 file that `read_spectrum` reads back exactly.
+
+    CSV has the column ``omega_rad_s`` and for every signal ``<signal>_alpha, <signal>_beta``, the real and imaginary
+    parts of its integral; before them, in comments ``# key: value``, what else the spectrum knows.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() in HDF5:
+        from greybox.data.sealed_files import write_sealed  # noqa: PLC0415  (h5py is imported when it is needed)
+
+        write_sealed(path, KIND, lambda file: write_group(file, spectrum))
+        return
+    stated: dict[str, Any] = {
+        "kind": KIND,
+        "name": spectrum.name,
+        "source": spectrum.source,
+        "duration": repr(float(spectrum.duration)),
+        "step": repr(float(spectrum.step)),
+        "inputs": json.dumps(list(spectrum.inputs), ensure_ascii=False),
+        "outputs": json.dumps(list(spectrum.outputs), ensure_ascii=False),
+        **{f"{CHANGE}{name}": repr(spectrum.change(name)) for name in spectrum.inputs},
+        **{f"{UNIT}{name}": unit for name, unit in spectrum.units.items() if unit},
+    }
+    columns = {OMEGA: spectrum.omega}
+    for name, values in spectrum.signals.items():
+        columns |= {f"{name}_{part}": x for part, x in zip(PARTS, (values.real, values.imag), strict=True)}
+    header = [f'"{name.replace(chr(34), chr(34) * 2)}"' if set(name) & set(',;"\t') else name for name in columns]
+    lines = [f"# {key}: {text}" for key, text in stated.items()]
+    lines += [",".join(header), *(",".join(repr(float(v)) for v in row) for row in zip(*columns.values(), strict=True))]
+    lines += [] if spectrum.stretch is None else [f"{STRETCH} {stretch_line(spectrum.stretch)}"]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def read_spectrum(path: str | Path) -> TransientSpectrum:
+    """Read a `TransientSpectrum` from a file that `write_spectrum` wrote.
+
+    Raises
+    ------
+    ValueError
+        If the file is damaged or something else; the sentence names it.
+    FileNotFoundError
+        If there is no such file.
+    """
+    path = Path(path)
+    require_file(path)
+    if path.suffix.lower() in HDF5:
+        from greybox.data.sealed_files import open_sealed  # noqa: PLC0415  (h5py is imported when it is needed)
+
+        with open_sealed(path, KIND) as file:
+            return read_group(file)
+    raw = path.read_bytes()
+    stated = comments(raw)
+    if stated.get("kind") != KIND:
+        raise ValueError(f"{path} is no {KIND}: give a file that gb.data.write_spectrum wrote.")
+    try:
+        return _from_text(path, raw, stated)
+    except (LookupError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is damaged: {error}") from None
+
+
+def holds_spectrum(path: Path) -> bool:
+    """Tell whether a file claims to hold a spectrum."""
+    with path.open("rb") as file:
+        head = file.read(4096)
+    return head.startswith(f"greybox {KIND},".encode()) or comments(head).get("kind") == KIND
+
+
+def write_group(group: Node, spectrum: TransientSpectrum) -> None:
+    """Write a spectrum into an HDF5 group: every signal as two rows, its real and its imaginary parts."""
+    for name in ("name", "source", "duration", "step"):
+        group.attrs[name] = getattr(spectrum, name)
+    if spectrum.stretch is not None:
+        group.attrs["stretch"] = stretch_line(spectrum.stretch)
+    group["omega"] = spectrum.omega
+    for kind in ("inputs", "outputs"):
+        signals = group.create_group(kind, track_order=True)
+        for name, values in getattr(spectrum, kind).items():
+            dataset = signals.create_dataset(escaped(name), data=np.array([values.real, values.imag]))
+            dataset.attrs["unit"] = spectrum.units.get(name, "")
+            dataset.attrs["change"] = spectrum.change(name)
+
+
+def read_group(group: Node) -> TransientSpectrum:
+    """Read what `write_group` wrote."""
+    signals: dict[str, dict[str, Any]] = {"inputs": {}, "outputs": {}}
+    units, change = {}, {}
+    for kind, found in signals.items():
+        for key, dataset in group[kind].items():
+            name = unescaped(key)
+            real, imaginary = dataset[()]
+            found[name] = real + 1j * imaginary
+            if dataset.attrs["unit"]:
+                units[name] = str(dataset.attrs["unit"])
+            if kind == "inputs":
+                change[name] = float(dataset.attrs["change"])
+    return TransientSpectrum(
+        group["omega"][()],
+        **signals,
+        duration=float(group.attrs["duration"]),
+        step=float(group.attrs["step"]),
+        input_change=change,
+        units=units,
+        name=str(group.attrs["name"]),
+        source=str(group.attrs["source"]),
+        stretch=stretch_from(str(group.attrs["stretch"])) if "stretch" in group.attrs else None,
+    )
+
+
+def _from_text(path: Path, raw: bytes, stated: dict[str, str]) -> TransientSpectrum:
+    table = read_delimited(path, raw)
+    rows = list(table.rows())
+    mark = DecimalMark(path, rows)
+    numbers = np.array([[mark.number(cell) for cell in row] for _, row in rows])
+    columns = dict(zip(table.header, numbers.T, strict=True))
+    names = {kind: json.loads(stated[kind]) for kind in ("inputs", "outputs")}
+    signals = {
+        kind: {name: columns[f"{name}_{PARTS[0]}"] + 1j * columns[f"{name}_{PARTS[1]}"] for name in names[kind]}
+        for kind in names
+    }
+    stretches = stretches_in(raw)
+    return TransientSpectrum(
+        columns[OMEGA],
+        **signals,
+        duration=float(stated["duration"]),
+        step=float(stated["step"]),
+        input_change={n: float(stated[f"{CHANGE}{n}"]) for n in names["inputs"]},
+        units={key.removeprefix(UNIT): text for key, text in stated.items() if key.startswith(UNIT)},
+        name=stated.get("name", ""),
+        source=stated.get("source", ""),
+        stretch=stretches[0] if stretches else None,
+    )

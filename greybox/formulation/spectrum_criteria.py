@@ -1,0 +1,93 @@
+"""Rules that measure the mismatch between a model and the Fourier integrals of a manoeuvre.
+
+`OutputError` serves them as it serves records; `EquationError` is theirs alone.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from greybox.data.record import Record
+from greybox.data.transient_spectrum import TransientSpectrum
+from greybox.formulation.time_criteria import OutputError, TimeCriterion
+from greybox.modeling.model import Model
+from greybox.modeling.realization import dynamics
+
+
+@dataclass(frozen=True, eq=False)
+class EquationError(TimeCriterion):
+    """Maximum likelihood with all errors in the differential equation, as of turbulence: of a `TransientSpectrum`.
+
+    With one output y the errors are those of det(jωI - A) Y, with as many outputs as states, from which all states
+    follow, those of jωX - A X - B U. The likelihood is that of the outputs, whose variance then depends on the
+    parameters: the plain least squares of these errors are biased where the band leaves out a part of them. Noise that
+    is in the outputs biases the estimate; `OutputError` is for that.
+
+    Source: Klein and Morelli, Aircraft System Identification, 2nd ed., chapter 7; the likelihood: Pintelon and
+    Schoukens, System Identification, 2nd ed., section 9.11, with plant and noise of one denominator.
+    """
+
+    rule: ClassVar[str] = "equation error"
+    condition: ClassVar[str] = "white errors of the differential equation over the band, and known inputs"
+
+    def __post_init__(self) -> None:
+        """Check the options."""
+        super().__post_init__()
+        if isinstance(self.noise, Mapping):
+            raise ValueError("EquationError estimates the size of the errors of the equation: leave out noise.")
+
+    def compared(self, model: Model, record: Record) -> tuple[str, ...]:
+        """Refuse a record."""
+        raise ValueError(
+            "EquationError is for the Fourier integrals of a manoeuvre and the data are a record: give "
+            "gb.spectral.transient_spectrum(record, ...), or use gb.regression.equation_error."
+        )
+
+    def condition_on(self, data: Any) -> str:
+        """Return the condition."""
+        return self.condition
+
+
+def outputs_in_spectrum(criterion: TimeCriterion, model: Model, spectrum: TransientSpectrum) -> tuple[str, ...]:
+    """Return the outputs of the model that the spectrum holds.
+
+    Raises
+    ------
+    ValueError
+        If the criterion, the model and the spectrum do not fit together.
+    """
+    label, kind = model.label, type(criterion).__name__
+    if not isinstance(criterion, OutputError | EquationError):
+        raise ValueError(f"{kind} is for records and the data are a TransientSpectrum: use OutputError().")
+    for option, stands in (
+        ("inputs", criterion.inputs != "record"),
+        ("biases", criterion.biases),
+        ("initial", criterion.initial),
+    ):
+        if stands:
+            raise ValueError(
+                f"{option} of {kind} is for records and the data are a TransientSpectrum, which knows how its inputs "
+                "ran and in which constants vanish: leave it out."
+            )
+    for name in model.input_names:
+        if name not in spectrum.inputs:
+            raise ValueError(
+                f"{label} needs the input {name!r}, which the spectrum does not have; its inputs are "
+                f"{', '.join(spectrum.inputs)}."
+            )
+    outputs = tuple(name for name in model.output_names if name in spectrum.outputs)
+    if not outputs:
+        raise ValueError(
+            f"the spectrum has none of the outputs of {label} ({', '.join(model.output_names)}); its outputs are "
+            f"{', '.join(spectrum.outputs)}."
+        )
+    if isinstance(criterion.noise, Mapping):
+        missing = [name for name in outputs if name not in criterion.noise]
+        if missing:
+            raise ValueError(f"noise gives no standard deviation for {missing[0]!r}: add it, or use noise='diagonal'.")
+    if isinstance(criterion, EquationError) and len(outputs) not in (1, len(dynamics(model).states)):
+        raise ValueError(
+            f"EquationError compares one output, or as many as {label} has states ({len(dynamics(model).states)}), "
+            f"and the spectrum has {', '.join(outputs)}: use OutputError(), or leave outputs out of the spectrum."
+        )
+    return outputs

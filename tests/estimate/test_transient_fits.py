@@ -1,0 +1,209 @@
+"""Fits of manoeuvres against truths, output error in time, and direct evaluation."""
+
+import numpy as np
+import pytest
+from benchmark_module import benchmark
+
+import greybox as gb
+from greybox.spectral import transient_spectrum
+
+study = benchmark("transient_coverage")
+BAND, LATERAL, SHORT_PERIOD = study.BAND, study.LATERAL, study.SHORT_PERIOD
+Lateral, ShortPeriod = study.Lateral, study.ShortPeriod
+MOVING = (8.0, (1.0, 2.0, 2.5, 3.0), [0.005, 0.01])
+
+
+def fitted(problem, starts=1):
+    return gb.fit(problem, starts=starts, progress=False)
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return study.short_period_record(*MOVING)
+
+
+@pytest.fixture(scope="module")
+def spectrum(clean):
+    return transient_spectrum(study.measured(clean, {"q": 0.02}, np.random.default_rng(1)), "u", "q", BAND)
+
+
+@pytest.fixture(scope="module")
+def fit(spectrum):
+    return fitted(gb.Problem(ShortPeriod(), spectrum))
+
+
+@pytest.mark.parametrize("criterion", [gb.OutputError(), gb.EquationError()])
+def test_the_truth_of_a_manoeuvre_that_ends_moving(clean, criterion):
+    """Without noise: states and input move at both ends, and trim values are unknown."""
+    spectrum = transient_spectrum(study.measured(clean, {}, np.random.default_rng(0)), "u", "q", BAND)
+    fit = fitted(gb.Problem(ShortPeriod(), spectrum, criterion), starts=2)
+    assert fit.converged
+    assert fit.agreeing == 2
+    for name, value in SHORT_PERIOD.items():
+        assert fit.estimate[name] == pytest.approx(value, rel=5e-3), name
+    # Their ratio is no response: the end term is what makes it one.
+    response = gb.frequency_response(ShortPeriod(), SHORT_PERIOD, spectrum.omega).response
+    ratio = spectrum.outputs["q"] / spectrum.inputs["u"]
+    assert np.median(np.abs(ratio / response - 1)) > 0.05
+
+
+def test_coupled_inputs_and_outputs():
+    """Two inputs and two outputs in one spectrum; an output that is not there is left out."""
+    record = study.lateral_record()
+    both = fitted(gb.Problem(Lateral(), transient_spectrum(record, ["da", "dr"], ["roll", "yaw"], BAND)))
+    for name, value in LATERAL.items():
+        assert both.estimate[name] == pytest.approx(value, rel=5e-3, abs=2e-3), name
+    known = {"Nr": LATERAL["Nr"], "Nd": LATERAL["Nd"]}
+    alone = fitted(gb.Problem(Lateral(), transient_spectrum(record, ["da", "dr"], "roll", BAND), fixed=known))
+    assert alone.spectra[0].outputs == ("roll",)
+    assert alone.estimate["Lr"] == pytest.approx(LATERAL["Lr"], rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["one 2-1-1 of 8 s", "turbulence, equation error"])
+def test_intervals_hold_the_truth(name):
+    """One manoeuvre of 8 s, from 0.5 to 10 rad/s; the whole table is in benchmarks/results."""
+    shares, rms = study.coverage(study.cases()[name], 12, seed=3)
+    assert np.mean(list(shares.values())) >= 0.85
+    assert 0.6 < np.sqrt(np.mean(rms**2)) < 1.4
+
+
+def test_agreement_with_output_error_in_the_time_domain(clean):
+    """The same record: they differ by no more than the errors, and are as accurate but for what the band leaves out."""
+    # Without trim values, which output error in time would have to estimate.
+    noisy = clean["q"] + 0.02 * np.random.default_rng(5).standard_normal(len(clean))
+    record = clean.with_signals(q=noisy)
+    # The delay is known: the cost in time has a kink where the delay of a held input is a multiple of the step.
+    known = {"T": SHORT_PERIOD["T"]}
+    ours = fitted(gb.Problem(ShortPeriod(), transient_spectrum(record, "u", "q", (0.5, 60)), fixed=known))
+    theirs = fitted(gb.Problem(ShortPeriod(), record, fixed=known))
+    for name in ours.free:
+        assert abs(ours.estimate[name] - theirs.estimate[name]) < 1.5 * ours.standard_error[name], name
+        assert 0.7 < ours.standard_error[name] / theirs.standard_error[name] < 2, name
+    assert np.sqrt(ours.spectra[0].noise[0, 0]) == pytest.approx(0.02, rel=0.25)
+
+
+def test_the_cost_is_the_likelihood_of_the_outputs(spectrum):
+    """By brute force: a linear regression of the outputs on the model at the estimate and on its end terms."""
+    fit = fitted(gb.Problem(ShortPeriod(), spectrum, gb.EquationError()))
+    p = fit.estimate
+    s = 1j * spectrum.omega
+    pole = s**2 + 2 * p["z"] * p["w"] * s + p["w"] ** 2
+    modelled = p["K"] * (p["T_z"] * s + 1) / pole * spectrum.delayed_input("u", p["T"])
+    errors, basis = pole * (spectrum.outputs["q"] - modelled), np.array([np.ones_like(s), s]).T
+    parts = [np.concatenate([x.real, x.imag]) for x in (errors, *basis.T)]
+    left = parts[0] - np.array(parts[1:]).T @ np.linalg.lstsq(np.array(parts[1:]).T, parts[0], rcond=None)[0]
+    variance = np.mean(left**2) / (spectrum.step * spectrum.duration / 2)
+    n = len(left)
+    assert fit.cost == pytest.approx(n / 2 * (np.log(2 * np.pi * variance) + 1) - 2 * np.log(np.abs(pole)).sum())
+
+
+def test_trim_values_do_not_matter(clean, fit):
+    """Constants of any size are nothing at the frequencies of a spectrum."""
+    noisy = study.measured(clean, {"q": 0.02}, np.random.default_rng(1))
+    shifted = noisy.with_signals(u=noisy["u"] + 10, q=noisy["q"] - 100)
+    other = fitted(gb.Problem(ShortPeriod(), transient_spectrum(shifted, "u", "q", BAND)))
+    assert other.estimate == pytest.approx(fit.estimate, rel=1e-4)
+
+
+def test_several_manoeuvres_say_more(clean, spectrum, fit):
+    """Two of one aircraft share the parameters, each has its own end term and noise."""
+    second = study.measured(study.short_period_record(6.0, (0.5, 1.2, 1.9), [0.0, 0.0]), {"q": 0.02},
+                            np.random.default_rng(2))  # fmt: skip
+    two = fitted(gb.several(ShortPeriod(), [spectrum, transient_spectrum(second, "u", "q", BAND)]))
+    assert two.dof == pytest.approx(fit.dof + 2 * len(two.spectra[1].data) - 2)
+    assert [set(part.ends) for part in two.spectra] == [{"q_0", "q_1"}] * 2
+    assert all(two.standard_error[name] < 1.1 * fit.standard_error[name] for name in SHORT_PERIOD)
+
+
+def test_sums_with_records_and_responses(clean, spectrum, fit):
+    """A likelihood each: what is known twice is known to less than 1/sqrt(2) of its error."""
+    omega = np.geomspace(1, 10, 12)
+    true = gb.frequency_response(ShortPeriod(), SHORT_PERIOD, omega)
+    response = gb.FrequencyResponse(omega, true.response * 1.001, variance=1e-4 * np.abs(true.response) ** 2)
+    noisy = clean.with_signals(q=clean["q"] + 0.02 * np.random.default_rng(8).standard_normal(len(clean)))
+    parts = [
+        gb.Problem(ShortPeriod(), spectrum),
+        gb.Problem(ShortPeriod(), response, gb.MaximumLikelihood()),
+        gb.Problem(ShortPeriod(), noisy),
+    ]
+    both = fitted(sum(parts))
+    assert both.converged
+    for name, value in SHORT_PERIOD.items():
+        assert abs(both.estimate[name] - value) < 4 * both.standard_error[name] + 1e-3 * value, name
+        assert both.standard_error[name] < fit.standard_error[name] / np.sqrt(2), name
+    with pytest.raises(ValueError, match="would count the same data twice"):
+        gb.Problem(ShortPeriod(), clean) + gb.Problem(ShortPeriod(), transient_spectrum(clean, "u", "q", BAND))
+
+
+def test_an_answer_survives_its_file(fit, tmp_path):
+    """Everything that it says, and the measured and fitted transforms."""
+    gb.save(fit, tmp_path / "fit.h5")
+    loaded = gb.load(tmp_path / "fit.h5", models=[ShortPeriod])
+    assert str(loaded) == str(fit)
+    part, same = fit.spectra[0], loaded.spectra[0]
+    assert same.data.checksum == part.data.checksum
+    np.testing.assert_array_equal(same.fitted["q"], part.fitted["q"])
+    assert same.ends == part.ends
+    assert same.data.stretch == part.data.stretch
+
+
+class Twice(gb.TransferFunction):
+    """A gain that is a product of two."""
+
+    input, output = "u", "q"
+    a = gb.Parameter(2.0, bounds=(0.1, 10))
+    b = gb.Parameter(3.0, bounds=(0.1, 10))
+    c = gb.Parameter(2.0, bounds=(0.1, 10))
+
+    def response(self, s, p):
+        """Return the response."""
+        return p.a * p.b / (s + p.c)
+
+
+def test_what_is_not_determined_is_said(spectrum):
+    """No standard error, and a sentence that names the values; and that the model leaves something out."""
+    fit = fitted(gb.Problem(Twice(), spectrum))
+    assert np.isnan([fit.standard_error["a"], fit.standard_error["b"]]).all()
+    assert np.isfinite(fit.standard_error["c"])
+    assert "a and b" in " ".join(fit.warnings)
+    assert "errors of q are correlated along frequency" in " ".join(fit.warnings)
+
+
+def test_nested_and_other_models_are_compared(spectrum, fit):
+    """AIC prefers the true structure, and the test finds the term that the smaller one lacks."""
+    known = fitted(gb.Problem(ShortPeriod(), spectrum, fixed={"T": 0.0}))
+    test = gb.validation.nested_test(known, fit)
+    assert test.p_value < 1e-3
+    assert "T is needed" in str(gb.compare(known, fit))
+
+
+def test_refusals(clean, spectrum):
+    """In one sentence with the value and the cure."""
+    with pytest.raises(ValueError, match="needs the input 'da'"):
+        gb.Problem(Lateral(), spectrum)
+    with pytest.raises(TypeError, match=r"give a criterion such as OutputError\(\), for a TransientSpectrum"):
+        gb.Problem(ShortPeriod(), spectrum, gb.RelativeError())
+    with pytest.raises(ValueError, match="PredictionError is for records"):
+        gb.Problem(Lateral(), spectrum, gb.PredictionError())
+    with pytest.raises(ValueError, match="biases of OutputError is for records"):
+        gb.Problem(ShortPeriod(), spectrum, gb.OutputError(biases=["q"]))
+    with pytest.raises(ValueError, match="EquationError is for the Fourier integrals"):
+        gb.Problem(ShortPeriod(), clean, gb.EquationError())
+    problem = gb.Problem(ShortPeriod(), spectrum)
+    with pytest.raises(ValueError, match="leave out method"):
+        gb.fit(problem, starts=1, method=gb.Collocation(), progress=False)
+    few = fitted(gb.Problem(ShortPeriod(), transient_spectrum(clean, "u", "q", (0.5, 2.5))))
+    assert "no degrees of freedom" in " ".join(few.warnings) or not few.converged
+
+
+def test_a_report_of_a_manoeuvre(fit, tmp_path):
+    """It is written, and says what was fitted."""
+    gb.report(fit, tmp_path / "report.html")
+    assert "12 lines in 1 manoeuvre" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_what_each_line_tells_is_a_share(fit):
+    """They add up to one."""
+    told = fit.spectra[0].information
+    np.testing.assert_allclose(told.sum(axis=1), 1.0)
+    assert fit.sensitivity().unit == "rad/s"
