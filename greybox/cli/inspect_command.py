@@ -3,6 +3,7 @@
 import argparse
 import shlex
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 from greybox.cli.log_tests import add_test_options, read_log, segment_as_json, segments_of
@@ -14,6 +15,7 @@ from greybox.data.test_segment import Segment, segment_table
 from greybox.data.text_table import number, text_table
 from greybox.logs.flight_controllers import axis_of
 from greybox.logs.segment_detection import announcing
+from greybox.spectral.vibration import vibration, vibration_table
 
 EXAMPLES = (
     "flight.BIN",
@@ -41,7 +43,9 @@ def run(options: argparse.Namespace) -> Answer:
     found = segment_table(segments) if segments else none
     findings = [f"  {finding}" for finding in recording.findings]
     notes = save_figure(options.plot, lambda: _figure(recording, segments))
-    text = "\n\n".join([_about(recording), _contents(recording), found]) + "\n" + "\n".join([*findings])
+    shaking = [one for name, record in recording.items() if name.startswith("ISBD[") for one in vibration(name, record)]
+    parts = [_about(recording), _contents(recording), *([vibration_table(shaking)] if shaking else []), found]
+    text = "\n\n".join(parts) + "\n" + "\n".join([*findings])
 
     answer = {
         "log": recording.source,
@@ -51,6 +55,7 @@ def run(options: argparse.Namespace) -> Answer:
         "armed": [list(span) for span in recording.metadata.get("armed", ())],
         "messages": [_message(name, record) for name, record in recording.items()],
         "segments": [segment_as_json(segment) for segment in segments],
+        "vibration": [asdict(one) for one in shaking],
         "findings": list(recording.findings),
     }
     following = _following(recording, segments, options)

@@ -10,6 +10,8 @@ Sweeps, noise and multisines
     length, its variance and coherence; `multisine_lines` uses whole periods; `uniform_stretches` cuts records at gaps.
 Manoeuvres (doublet, 2-1-1, step, manual inputs)
     `transients` has their Fourier integrals, for `greybox.regression.fit_transients`.
+Vibration
+    `vibration` finds its size and its frequencies in raw samples of an IMU.
 Before the fit
     `test_quality` tells whether a test is worth one.
 """

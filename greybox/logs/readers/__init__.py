@@ -5,7 +5,8 @@ imported when a file of its format is read, so that `greybox.logs.readers` itsel
 scipy.
 
 Formats
-    `dataflash` (ArduPilot, binary), with `dataflash_index` (finds the messages in a file) and `dataflash_units`;
+    `dataflash` (ArduPilot, binary), with `dataflash_index` (finds the messages in a file), `dataflash_units` and
+    `imu_batches` (raw samples of the IMU);
     `dataflash_text` (ArduPilot, text); `telemetry` (MAVLink), with `telemetry_frames` (finds the packets in a file) and
     `telemetry_metadata`; `ulog` (PX4); `csv_table`; `hdf5`; `matlab`.
 Shared by several

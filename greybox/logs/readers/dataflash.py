@@ -19,10 +19,11 @@ from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.dataflash_index import PIECE, Index, Layout, index, release, text
 from greybox.logs.readers.dataflash_units import Units, UnitTables, with_usual_units
+from greybox.logs.readers.imu_batches import DATA, HEADER, SAMPLES, with_batches
 from greybox.logs.readers.messages import Clocked, Messages, bare, merged, on_one_clock, records
 
 ABOUT = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE")  # about the log or the vehicle: no time histories
-ALWAYS = ("PARM", "MSG", "MODE", "VER", "ARM", "EV")  # metadata, read whatever is requested
+ALWAYS = ("PARM", "MSG", "MODE", "VER", "ARM", "EV", HEADER)  # metadata, read whatever is requested
 TABLES = ("FMT", "FMTU", "UNIT", "MULT")
 CLOCKS = {"TimeUS": 1e6, "TimeMS": 1e3}  # ticks per second
 
@@ -68,6 +69,7 @@ def recording(
     groups, assumed = with_usual_units(log.groups)
     log.groups.clear()
     groups, conflicts = merged(groups)
+    groups, incomplete = with_batches(groups)
     wanted = [g for g in groups if g.name not in ABOUT and (messages is None or g.name in messages)]
     metadata = ardupilot_metadata.metadata(groups, span)
     missing = _missing({g.name for g in groups}, messages)
@@ -76,7 +78,7 @@ def recording(
     found, problems = records(wanted, path.name, checksum)
     if not found and not metadata:
         raise ValueError(f"{path} holds no ArduPilot message that can be read; copy it from the vehicle again.")
-    findings = (*findings, *conflicts, *restarts, *missing, *problems, *assumed)
+    findings = (*findings, *conflicts, *incomplete, *restarts, *missing, *problems, *assumed)
     return Recording(found, path.name, checksum, metadata, findings)
 
 
@@ -156,6 +158,8 @@ class _Columns:
         self._texts: dict[str, list[str]] = {
             name: [] for name, letter in letters.items() if whole and letter in "nNZ" and layout.name != "FILE"
         }
+        arrays = [name for name, letter in letters.items() if letter == "a" and layout.name == DATA]
+        self._arrays = {name: np.empty((kept, SAMPLES), dtype=np.int16) for name in arrays}
         self._columns = {name: np.empty(kept) for name, letter in letters.items() if whole and letter not in "anNZ"}
 
     def take(self, offsets: NDArray[np.int64], numbers: NDArray[np.intp], stamps: NDArray[np.float64]) -> None:
@@ -167,6 +171,8 @@ class _Columns:
                 stamps[numbers] = field[offsets] / CLOCKS.get(name, 1e3)
             elif name in self._texts:
                 self._texts[name] += [text(value) for value in field[offsets].tolist()]
+            elif name in self._arrays and self._whole:
+                self._arrays[name][here] = field[offsets].view("<i2").reshape(-1, SAMPLES)
             elif name in self._columns:
                 self._columns[name][here] = _numbers(field[offsets], self.layout.scale(i))
         if self._whole:
@@ -179,7 +185,11 @@ class _Columns:
             nothing = np.broadcast_to(np.intp(0), (self.count,))
             return Messages(self.layout.name, nothing, None, {}, {}, units.columns)
         time = stamps[self._order] if self.is_timed else None
-        return Messages(self.layout.name, self._order, time, self._columns, self._texts, units.columns, units.instance)
+        parts = {
+            f"{name}[{k}]": values[:, k].astype(float) for name, values in self._arrays.items() for k in range(SAMPLES)
+        }
+        columns = {**self._columns, **parts}
+        return Messages(self.layout.name, self._order, time, columns, self._texts, units.columns, units.instance)
 
 
 def _numbers(values: NDArray[np.generic], scale: float | None) -> NDArray[np.float64]:

@@ -1,0 +1,70 @@
+"""Vibration in records of raw IMU samples: its size and the frequencies of its peaks.
+
+What a flight controller's notches have to take away lies above the rates at which it logs attitudes, and is folded into
+them where no filter stands before.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.data.record import Record
+from greybox.data.text_table import number, text_table
+
+WINDOW = 1024  # samples, or less where the batches are shorter or few: 1 Hz at 1 kHz
+AVERAGES = 12  # windows, half overlapping, at least: the spectrum of noise then scatters by ±1.5 dB
+LEAST = 64  # samples of a stretch that a spectrum is made of
+PROMINENT = 10.0  # dB above its surroundings, of a peak: more than six times that scatter
+MOST = 3  # peaks of a signal
+LOWEST = 10.0  # Hz, below which the motion of the vehicle lies
+
+
+@dataclass(frozen=True)
+class Vibration:
+    """One signal of one sensor: sampling rate in Hz, rms above `LOWEST` in its unit, peaks in Hz, the highest first."""
+
+    message: str
+    signal: str
+    rate: float
+    rms: float
+    unit: str
+    peaks: tuple[float, ...]
+
+
+def vibration(message: str, record: Record) -> list[Vibration]:
+    """Return the vibration in every signal of a record of fast samples; none if its stretches are too short."""
+    from scipy.signal import find_peaks, welch  # noqa: PLC0415  (takes a third of a second to import)
+
+    pieces = [piece for piece in record.pieces if len(piece) >= LEAST]
+    if not pieces:
+        return []
+    count = min(WINDOW, 2 * sum(len(piece) for piece in pieces) // AVERAGES, *(len(piece) for piece in pieces))
+    found = []
+    for name in record.signals:
+        spectra = [welch(piece[name], record.rate, nperseg=count, detrend="linear") for piece in pieces]
+        hz = spectra[0][0]
+        density = np.average([power for _, power in spectra], axis=0, weights=[len(piece) for piece in pieces])
+        above = hz >= LOWEST
+        rms = float(np.sqrt(np.sum(density[above]) * (hz[1] - hz[0])))
+        level = 10 * np.log10(np.maximum(density, 1e-300))
+        places, _ = find_peaks(np.where(above, level, level[above].min(initial=0)), prominence=PROMINENT)
+        highest = places[np.argsort(-level[places])][:MOST]
+        peaks = tuple(float(hz[place]) for place in highest)
+        found.append(Vibration(message, name, record.rate, rms, record.units.get(name, ""), peaks))
+    return found
+
+
+def vibration_table(found: Sequence[Vibration]) -> str:
+    """Return a table for a terminal."""
+    rows = [
+        (
+            v.message,
+            v.signal,
+            number(v.rate, 4),
+            f"{number(v.rms, 3)} {v.unit}",
+            ", ".join(f"{p:.4g}" for p in v.peaks) or "-",
+        )
+        for v in found
+    ]
+    return text_table(("vibration", "", "Hz", "rms", "peaks, Hz"), rows, left=(0, 1, 4))
