@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -136,7 +137,7 @@ def _answer(options: argparse.Namespace, kept: RunsBesideFit | None, result: Fit
     try:
         if kept is not None:
             with responding(Response.FINISH):
-                save(result, options.out)
+                save(replace(result, command=options.arguments), options.out)
                 if interrupted or is_search_over():
                     kept.write()
                 else:

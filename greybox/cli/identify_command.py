@@ -2,7 +2,7 @@
 
 import argparse
 import shlex
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> Answer:
     if fit is None:
         answer["error"] = "no structure of the ladder converged."
         return answer, "\n".join([text, "", *notes]), FAILED
-    save(fit, result)
+    save(replace(fit, command=options.arguments), result)
     notes += [f"saved {result}", *save_figure(figure, lambda: _figure(found))]
     answer["files"] = [str(response), str(result), str(figure)]
     return answer, "\n".join([text, "", *notes]), USABLE

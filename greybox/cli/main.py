@@ -100,7 +100,7 @@ def _answer(arguments: Sequence[str], as_json: bool) -> Answer:
     help_or_version = io.StringIO()
     try:
         with contextlib.redirect_stdout(help_or_version):
-            options = _parser().parse_args(arguments)
+            options = _parser().parse_args(arguments, argparse.Namespace(arguments=tuple(arguments)))
     except UsageError as error:
         return {"error": str(error)}, "", BAD_INPUT
     except SystemExit:

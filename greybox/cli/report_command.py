@@ -1,12 +1,15 @@
 """The command `greybox report`: a page about saved results."""
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from greybox.cli.batch_command import ORIGIN
 from greybox.cli.options import UsageError, add_common_options, add_parser
 from greybox.cli.output import USABLE, Answer, require_writable
 from greybox.study.study import read_study
+from greybox.study.study_folder import read_json
 from greybox.validation.same_data import labels_of
 
 PAGES = (".html", ".htm")
@@ -62,7 +65,18 @@ def _entries(options: argparse.Namespace) -> list[Any]:
     entries: list[Any] = []
     for path in options.results:
         if path.is_dir():
-            entries += study_entries(read_study(path))
+            command = _batch_command(path)
+            entries += [replace(entry, command=command) for entry in study_entries(read_study(path))]
         else:
             entries.append(Entry(labels[path], loaded[path], file=str(path)))
     return entries
+
+
+def _batch_command(study: Path) -> tuple[str, ...]:
+    """Return what made a study, as far as its folder knows."""
+    if not (study / ORIGIN).is_file():
+        return ()
+    source, starts = (read_json(study / ORIGIN).get(name) for name in ("study", "starts"))
+    if not isinstance(source, str):
+        return ()
+    return ("batch", source, "--out", str(study), *(("--starts", str(starts)) if isinstance(starts, int) else ()))

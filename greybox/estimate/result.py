@@ -298,6 +298,8 @@ class Fit:
         The same of all `names`, with what ended at a bound as known: the errors of whatever depends on them follow.
     warnings, notes : tuple of str
         What to know before believing the estimate; and what may be worth a look.
+    command : tuple of str
+        The arguments of the command ``greybox`` that made it; empty where it was made from Python.
     models, given : tuple of Model or None, tuple of Model or class
         The models that were fitted; None for a loaded fit, whose models are those of greybox and those given to `load`.
     """
@@ -324,6 +326,7 @@ class Fit:
     notes: tuple[str, ...] = ()
     directions: KnownDirections | None = field(default=None, repr=False)
     known: KnownDirections | None = field(default=None, repr=False)
+    command: tuple[str, ...] = field(default=(), repr=False)
 
     @property
     def responses(self) -> tuple[FittedResponse, ...]:

@@ -4,7 +4,8 @@ Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``
 -----------------------------------------------------------------------------------------
 ``/``            attributes ``format`` ("greybox fit"), ``layout``, ``name``, ``criterion``, ``delay``, ``status``,
                  ``cost``, ``dof``, ``seed``, ``starts``, ``seconds``, ``checksum`` (SHA-256 of the data, part by part);
-                 JSON attributes ``costs`` and ``versions``; datasets ``warnings`` and, if any, ``notes``.
+                 JSON attributes ``costs``, ``versions`` and, of a fit from the command line, ``command``; datasets
+                 ``warnings`` and, if any, ``notes``.
 ``/quantities``  one row per parameter and derived quantity: ``name, value, standard_error, kind, unit, about, bounds,
                  at_bound, dof``.
 ``/covariance``  ``names`` (k,) and ``values`` (k, k); if known, ``white`` (p, p) of the free ones for white errors.
@@ -123,6 +124,7 @@ def _write(file: Node, fit: Fit) -> None:
     scalars = ("name", "criterion", "delay", "status", "cost", "dof", "seed", "starts", "seconds", "checksum")
     _attributes(file, format="greybox fit", layout=LAYOUT, **{name: getattr(fit, name) for name in scalars})
     _attributes(file, costs=json.dumps(_finite(fit.costs)), versions=json.dumps(dict(fit.versions)))
+    _attributes(file, command=json.dumps(fit.command) if fit.command else None)
     _texts(file, "warnings", fit.warnings)
     if fit.notes:
         _texts(file, "notes", fit.notes)
@@ -238,6 +240,7 @@ def _read(file: Stored) -> Fit:
         seed=int(attributes["seed"]) if "seed" in attributes else None,
         starts=_text(attributes["starts"]),
         seconds=float(attributes["seconds"]),
+        command=_json_names(attributes["command"]) if "command" in attributes else (),
         versions=_json_texts(attributes["versions"]),
         white=_array(file["covariance/white"], (len(free), len(free))) if "white" in file["covariance"] else None,
         directions=_read_directions(file["directions"], len(free)) if "directions" in file else None,

@@ -1,12 +1,12 @@
 """Several results side by side: one table of all, how they compare, and their figures laid over one another."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
 from greybox.data.text_table import with_error
 from greybox.estimate.result import Fit
 from greybox.html_report.elements import tag
+from greybox.html_report.entry import Entry
 from greybox.html_report.figure import Figure, figure_grid
 from greybox.html_report.history_figures import history_figure
 from greybox.html_report.response_figures import response_figures
@@ -16,30 +16,6 @@ from greybox.validation.compare import compare
 from greybox.validation.comparison import HELD_OUT, Comparison
 
 OVERLAID = 6  # fits in one figure: there are six colors
-
-
-@dataclass(frozen=True, eq=False)
-class Entry:
-    """One result on the page.
-
-    Attributes
-    ----------
-    label : str
-        What it is called on the page.
-    fit : Fit or None
-        None where there is none, for the reason in `error`.
-    file : str
-        Where it was read.
-    error : str
-    anchor : str
-        Of its section; empty where it has none.
-    """
-
-    label: str
-    fit: Fit | None
-    file: str = ""
-    error: str = ""
-    anchor: str = ""
 
 
 def comparison_section(entries: Sequence[Entry], comparison: Comparison | None, columns: int) -> list[Element]:

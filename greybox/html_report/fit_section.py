@@ -6,13 +6,14 @@ from xml.etree.ElementTree import Element
 from greybox.data.text_table import counted
 from greybox.estimate.result import Fit, FittedResponse
 from greybox.html_report.elements import tag
+from greybox.html_report.entry import Entry
 from greybox.html_report.equation import equations
 from greybox.html_report.figure import figure_grid
 from greybox.html_report.history_figures import history_figure
 from greybox.html_report.provenance import data_summary, provenance
 from greybox.html_report.residual_figures import residual_figures
 from greybox.html_report.response_figures import response_figures
-from greybox.html_report.sensitivity_figure import sensitivity_figure
+from greybox.html_report.sensitivity_figure import information_figure, sensitivity_figure
 from greybox.html_report.starts_figure import starts_figure
 from greybox.html_report.tables import parameter_table
 from greybox.html_report.verdict import verdict
@@ -22,8 +23,10 @@ from greybox.modeling.model_reference import resolve
 HISTORIES = 6  # records of a fit that are drawn: the worst fitted ones
 
 
-def fit_section(fit: Fit, columns: int, file: str = "") -> Iterator[tuple[str, list[Element]]]:
-    """Yield title and content of the sections of a fit; `columns` of long lines are drawn."""
+def fit_section(entry: Entry, columns: int) -> Iterator[tuple[str, list[Element]]]:
+    """Yield title and content of the sections of a result with a fit; `columns` of long lines are drawn."""
+    fit = entry.fit
+    assert fit is not None
     yield "Verdict", [tag("p", data_summary(fit)), verdict_box(fit), *_warnings(fit)]
     yield "Parameters", [parameter_table(fit), *_remarks(fit)]
     yield "Equation", list(_equations(fit))
@@ -32,8 +35,11 @@ def fit_section(fit: Fit, columns: int, file: str = "") -> Iterator[tuple[str, l
         yield "Frequency response", [figure_grid(drawn), *_sensitivities(fit)]
     if fit.records:
         yield "Time history", list(_histories(fit, columns))
+    drawn = [figure for k in range(len(fit.parts)) if (figure := information_figure(fit, k)) is not None]
+    if drawn:
+        yield "What the data tell", [figure_grid(drawn[:HISTORIES])]
     yield "Starts", [figure_grid([starts_figure(fit)])]
-    yield "Data and provenance", provenance(fit, file)
+    yield "Data and provenance", provenance(fit, entry.file, entry.command)
 
 
 def verdict_box(fit: Fit) -> Element:

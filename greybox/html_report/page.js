@@ -425,7 +425,9 @@
           }
         }
       }
-      return found;
+      const order = { points: 0, line: 1, band: 2 }; // what was measured is said first
+      const place = (one) => 3 * this.figure.panels.indexOf(one.panel) + order[one.series.kind];
+      return found.sort((a, b) => place(a) - place(b));
     }
 
     mark() {

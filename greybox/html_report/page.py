@@ -11,8 +11,9 @@ from xml.etree.ElementTree import Element
 
 from greybox.data.text_table import counted
 from greybox.estimate.result import Fit
-from greybox.html_report.comparison_section import Entry, comparison_section, overview
+from greybox.html_report.comparison_section import comparison_section, overview
 from greybox.html_report.elements import Child, html, tag
+from greybox.html_report.entry import Entry
 from greybox.html_report.fit_section import fit_section
 from greybox.plotting.long_lines import COLUMNS
 from greybox.validation.comparison import Comparison
@@ -31,8 +32,7 @@ def page(entries: Sequence[Entry], comparison: Comparison | None, title: str) ->
     columns = _columns([entry.fit for entry in entries if entry.fit is not None])
     if len(entries) == 1 and entries[0].fit is not None and comparison is None:
         (entry,) = entries
-        assert entry.fit is not None
-        sections = [_section(name, content) for name, content in fit_section(entry.fit, columns, entry.file)]
+        sections = [_section(name, content) for name, content in fit_section(entry, columns)]
         return _document(title, sections)
 
     compared = comparison_section(entries, comparison, columns)
@@ -56,9 +56,7 @@ def _details(entries: Sequence[Entry], columns: int, size: int) -> tuple[list[El
         anchor = ""
         if entry.fit is not None and size < LARGEST:
             anchor = f"result-{k + 1}"
-            section = _details_of(
-                entry.label, fit_section(entry.fit, columns, entry.file), anchor, len(entries) <= OPEN
-            )
+            section = _details_of(entry.label, fit_section(entry, columns), anchor, len(entries) <= OPEN)
             size += len(html(section).encode())
             if size < LARGEST:
                 sections.append(section)

@@ -1,6 +1,8 @@
 """What was fitted to what, and how: sources, checksums, seed, versions, in the words that the result holds."""
 
 import math
+import shlex
+from collections.abc import Sequence
 from xml.etree.ElementTree import Element
 
 from greybox.data.text_table import counted, number
@@ -29,12 +31,14 @@ def data_summary(fit: Fit) -> str:
     return f"{models} with {free}, fitted to {' and '.join(pieces)} by {fit.rule}."
 
 
-def provenance(fit: Fit, file: str = "") -> list[Element]:
-    """Return how a fit came about, and where its data come from."""
+def provenance(fit: Fit, file: str = "", command: Sequence[str] = ()) -> list[Element]:
+    """Return how a fit came about, and where its data come from; `command` made more than this fit."""
+    made_by = command or fit.command
     facts: list[tuple[str, Child]] = []
     if file:
         facts.append(("result file", file))
     facts += [
+        ("made by", tag("code", shlex.join(["greybox", *made_by])) if made_by else "gb.fit, from Python"),
         ("cost", f"{number(fit.cost, 6)} ({fit.rule})"),
         ("delay", fit.delay),
         ("starts", f"{fit.starts}; {len(fit.runs)} runs, {sum(run.converged for run in fit.runs)} converged"),

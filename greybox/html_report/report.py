@@ -6,7 +6,7 @@ from pathlib import Path
 from greybox.data.safe_files import write_text
 from greybox.data.text_table import counted
 from greybox.estimate.result import Fit
-from greybox.html_report.comparison_section import Entry
+from greybox.html_report.entry import Entry
 from greybox.html_report.page import page
 from greybox.study.study import Study
 from greybox.validation.comparison import Comparison
@@ -80,5 +80,5 @@ def study_entries(study: Study) -> list[Entry]:
         fit, error = None, member.error or "unfinished"
         if member.status == "done":
             fit, error = member.fit, ""
-        entries.append(Entry(member.name, fit, error=error))
+        entries.append(Entry(member.name, fit, str(member.folder), error))
     return entries

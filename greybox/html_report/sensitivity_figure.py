@@ -1,4 +1,4 @@
-"""How much each parameter moves the fitted response, over frequency."""
+"""Where the data tell of a parameter, and where a parameter moves the fitted response."""
 
 import numpy as np
 
@@ -39,3 +39,34 @@ def sensitivity_figure(fit: Fit, part: FittedResponse, model: Model) -> Figure |
     panels = [Panel("Change of magnitude, dB", magnitude), Panel("Change of phase, °", phase)]
     caption = "Change of the fitted response where one parameter grows by 1 % and the others stay."
     return Figure("Sensitivity", "ω, rad/s", panels, caption, is_logarithmic=True)
+
+
+def information_figure(fit: Fit, part: int) -> Figure | None:
+    """Return what each frequency, or each time of a record, tells of every free parameter; None where it is not known.
+
+    With the other parameters estimated along, and with the others known: where the second is high and the first is low,
+    another parameter has the same effect.
+    """
+    try:
+        found = fit.sensitivity(part)
+    except ValueError:
+        return None
+    panels = []
+    for label, shares in (("Others estimated, %", found.shares), ("Others known, %", found.alone)):
+        series = []
+        for k, name in enumerate(found.names):
+            told = 100 * shares[k].sum(axis=0)
+            if np.isfinite(told).any():
+                style, color = divmod(len(series), COLORS)
+                series.append(Series(name, "line", found.at, told, color, style))
+        if series:
+            panels.append(Panel(label, series, height=0.8))
+    if not panels:
+        return None
+    data = fit.parts[part].data.name or fit.parts[part].name
+    label = {"rad/s": "ω, rad/s", "s": "Time, s", "row": "Row"}[found.unit]
+    caption = (
+        "Share of all that the data of the fit tell of a parameter, by the point or the part of the record it is in."
+    )
+    title = f"What tells of each parameter{f', {data}' if data else ''}"
+    return Figure(title, label, panels, caption, is_logarithmic=found.unit == "rad/s", is_wide=found.unit != "rad/s")

@@ -8,8 +8,8 @@ import pytest
 from page_results import MARKUP, crafted, lag
 
 import greybox as gb
+from greybox.html_report.entry import Entry
 from greybox.html_report.page import page
-from greybox.html_report.report import Entry
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
@@ -69,6 +69,8 @@ def test_every_figure_is_drawn_and_shows_its_numbers(show, one, fit):
         "Sensitivity",
         "Time history, flight",
         "Residuals of y, flight",
+        "What tells of each parameter, sweep",
+        "What tells of each parameter, flight",
         "Starts",
     ]
     for plot in shown.locator(".plot").all():
@@ -180,6 +182,7 @@ def test_names_of_strangers_are_text(show, fit, tmp_path):
     assert shown.evaluate("typeof pwned") == "undefined"
     assert MARKUP in shown.locator("body").inner_text()
     assert "is needed and was not found" in shown.locator("body").inner_text()
+    assert "greybox fit '; rm -rf ~'" in shown.locator("body").inner_text()  # one word for a shell
     # The legend and the readout are made by the script.
     assert shown.locator(".legend button", has_text="onerror").count() > 0
     assert shown.locator(".plot").count() > 4

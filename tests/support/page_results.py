@@ -56,5 +56,6 @@ def crafted(fit):
         notes=(MARKUP,),
         starts=MARKUP,
         versions={MARKUP: MARKUP},
+        command=("fit", "; rm -rf ~"),
         models=None,
     )
