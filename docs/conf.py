@@ -13,10 +13,10 @@ from pathlib import Path
 import greybox as gb
 
 HERE = Path(__file__).parent
-FOLDERS = (
-    "data logs spectral modeling experiment formulation regression solve simulation validation interop identification"
-)
-FOLDERS += " study plotting"
+FOLDERS = """
+data logs spectral modeling experiment formulation regression solve simulation validation planning interop
+identification study plotting
+"""
 
 project = "greybox"
 copyright = "the greybox authors"

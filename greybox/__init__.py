@@ -6,9 +6,9 @@ Declare a model as a `TransferFunction` or a `StateSpace` with `Parameter`s, sta
 `greybox.data` records, responses and their files; `greybox.logs` flight logs; `greybox.spectral` from records to
 frequency responses; `greybox.modeling` what a model is and how it is read; `greybox.experiment` test signals,
 controllers and virtual flights; `greybox.simulation` models run at given values; `greybox.regression` estimates by
-linear least squares; `greybox.solve` starts and solvers; `greybox.validation` tests between models; `greybox.interop`
-other libraries and languages; `greybox.identification` from a log to a model in one go; `greybox.study` batches of
-fits; `greybox.plotting` figures.
+linear least squares; `greybox.solve` starts and solvers; `greybox.validation` tests between models; `greybox.planning`
+flight tests before they are flown; `greybox.interop` other libraries and languages; `greybox.identification` from a log
+to a model in one go; `greybox.study` batches of fits; `greybox.plotting` figures.
 """
 
 from greybox.cli.startup import guard_imports as _guard_imports
@@ -25,6 +25,7 @@ from greybox import identification as identification
 from greybox import interop as interop
 from greybox import logs as logs
 from greybox import modeling as modeling
+from greybox import planning as planning
 from greybox import regression as regression
 from greybox import simulation as simulation
 from greybox import solve as solve

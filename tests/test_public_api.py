@@ -34,6 +34,7 @@ NAMESPACES = {
     "logs": "find_segments horizontal_velocity negative prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response linearize rational",
+    "planning": "ExpectedErrors SinePlan expected_errors plan_sines",
     "plotting": "bode demodulated measurement nyquist plot profiles recording residuals sensitivity spectrogram "
     "spectrum starts time_history traces",
     "regression": "EquationErrorEstimate equation_error levy order_path",

@@ -13,7 +13,7 @@ def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
     amplitude: float | Sequence[float],
     *,
     offset: float = 0.0,
-    periods: int = 10,
+    periods: int | Sequence[int] = 10,
     least: float = 15.0,
     lead_in: float = 2.0,
     pause: float = 2.0,
@@ -31,7 +31,7 @@ def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
         η_i, in the signal's unit.
     offset : float
         The operating point.
-    periods, least : int and float, s
+    periods, least : int or (n,) sequence, and float, s
         A sine lasts `periods` periods or `least` seconds, whichever is longer, rounded up to whole periods.
     lead_in, pause : float, s
         Of the same sine before that, in whole periods, to settle; and at the operating point before and after each.
@@ -50,13 +50,17 @@ def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
             f"there are {frequencies.size} frequencies but {amplitudes.size} amplitudes: give one for each."
         )
     amplitudes = np.broadcast_to(amplitudes, frequencies.shape)
+    counts = np.atleast_1d(np.asarray(periods, dtype=int))
+    if counts.size not in (1, frequencies.size):
+        raise ValueError(f"there are {frequencies.size} frequencies but {counts.size} numbers of periods.")
+    counts = np.broadcast_to(counts, frequencies.shape)
 
     schedule = []
     clock = pause
-    for w, eta in zip(frequencies.tolist(), amplitudes.tolist(), strict=True):
+    for w, eta, count in zip(frequencies.tolist(), amplitudes.tolist(), counts.tolist(), strict=True):
         period = 2 * math.pi / w
         lead = round_up(lead_in / period) * period
-        length = max(periods, round_up(least / period)) * period
+        length = max(count, round_up(least / period)) * period
         schedule.append(Maneuver(signal, "sine", clock, clock + lead, clock + lead + length, w, w, eta, offset))
         clock += lead + length + pause
 

@@ -1,0 +1,11 @@
+"""Planning a flight test: what a test would tell, and which test tells most for its time.
+
+Begin with `expected_errors`, the standard errors that a planned test would give, for any problem with its data from a
+virtual flight. `sine_plan` chooses the frequencies, amplitudes and durations of sines that reach wanted errors in the
+shortest flight; the shares of time are an `optimal_design`, the amplitudes follow from the `closed_loop`.
+"""
+
+from greybox.planning.expected_errors import ExpectedErrors as ExpectedErrors
+from greybox.planning.expected_errors import expected_errors as expected_errors
+from greybox.planning.sine_plan import SinePlan as SinePlan
+from greybox.planning.sine_plan import plan_sines as plan_sines

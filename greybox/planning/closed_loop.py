@@ -1,0 +1,65 @@
+"""How large the signals of a loop are when a sine is added to one of them."""
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from greybox.experiment import Controller, multisine, virtual_flight
+from greybox.modeling import Model
+
+Complex = NDArray[np.complex128]
+
+# Of the lowest frequency: so many of its periods make neighboring candidates distinct lines.
+PERIODS = 4
+SMALL = 1e-3  # of the amplitude to be flown: the loop is linear there, and rounding is far below
+SETTLING = 2  # repetitions before the one that is read
+
+
+def loop_gains(
+    model: Model,
+    values: Mapping[str, float],
+    omega: ArrayLike,
+    signals: Collection[str],
+    *,
+    excitation: str,
+    controller: Controller | Sequence[Controller] | None,
+    amplitude: float,
+    rate: float,
+) -> tuple[NDArray[np.float64], dict[str, Complex]]:
+    """Return frequencies (n,) next to `omega`, and the gains (n,) from the excitation to the signals.
+
+    They are read from a virtual flight with a small sum of sines, so they are those of the sampled controller as it
+    will fly.
+
+    Raises
+    ------
+    ValueError
+        When a signal is not in the loop, or the loop diverges.
+    """
+    wanted = np.sort(np.atleast_1d(np.asarray(omega, dtype=float)))
+    samples = round(PERIODS * 2 * math.pi / wanted[0] * rate)
+    line = 2 * math.pi * rate / samples
+    harmonics = np.unique(np.maximum(np.rint(wanted / line).astype(int), 1))
+    sines = multisine(
+        harmonics[0] * line * 0.999,
+        harmonics[-1] * line * 1.001,
+        samples / rate,
+        rate,
+        amplitude=SMALL * amplitude,
+        signals=[excitation],
+        points=None if len(harmonics) < 2 else max(len(harmonics), 2),
+        periods=SETTLING + 1,
+    )
+    chosen = np.asarray(sines.settings["harmonics"][excitation])
+    measured = {name: 0.0 for name in signals if name not in _known(model, controller, excitation)}
+    flown = virtual_flight(model, values, sines, controller=controller, noise=measured)
+    last = {name: np.fft.rfft(np.asarray(flown[name])[-samples:]) for name in {*signals, excitation}}
+    return chosen * line, {name: last[name][chosen] / last[excitation][chosen] for name in signals}
+
+
+def _known(model: Model, controller: Controller | Sequence[Controller] | None, excitation: str) -> set[str]:
+    """Return what a virtual flight logs without being asked."""
+    several = [controller] if isinstance(controller, Controller) else list(controller or ())
+    return {*model.input_names, *model.output_names, excitation, *(name for c in several for name in c.outputs)}

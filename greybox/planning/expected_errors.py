@@ -1,0 +1,95 @@
+"""The standard errors that a test would give, before it is flown."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.compiled.compiled_problem import compile_problem
+from greybox.compiled.transcription import Transcription
+from greybox.data.text_table import text_table
+from greybox.estimate.covariance import assess
+from greybox.formulation.problem import Problem
+from greybox.formulation.sum import Sum
+from greybox.solve.multistart import solver_for
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedErrors:
+    """What a test would tell; prints itself.
+
+    Attributes
+    ----------
+    values : mapping of name to float
+        At which it was evaluated.
+    standard_error : mapping of name to float
+        Of every free parameter; NaN where the test would not determine it.
+    covariance : (p, p) array
+        In the order of `standard_error`.
+    undetermined : tuple of str
+        Parameters that take part in a combination which the test would not, or hardly, determine.
+    units : mapping of name to str
+    """
+
+    values: Mapping[str, float]
+    standard_error: Mapping[str, float]
+    covariance: Array
+    undetermined: tuple[str, ...]
+    units: Mapping[str, str]
+
+    def __str__(self) -> str:
+        rows = [
+            (name, f"{self.values[name]:.4g}", f"± {error:.2g}", self.units[name], _percent(error, self.values[name]))
+            for name, error in self.standard_error.items()
+        ]
+        table = text_table(("", "value", "", "unit", "percent"), rows)
+        lines = ["Standard errors that this test would give", "", table]
+        if self.undetermined:
+            lines += ["", f"It would hardly tell {', '.join(self.undetermined)} apart."]
+        return "\n".join(lines)
+
+
+def expected_errors(
+    problem: Problem | Sum, values: Mapping[str, float], method: Transcription | None = None
+) -> ExpectedErrors:
+    """Return the standard errors that a fit of this problem would have if these were its estimates.
+
+    They come from the Fisher information, in the way of a fit's own standard errors (of the criterion, with the noise
+    that the residuals at `values` have), but nothing is solved. Fly the test by `greybox.virtual_flight`, with the
+    vehicle's controller, noise and wind, and state the problem as for a flown record.
+
+    Parameters
+    ----------
+    problem : Problem or sum of problems
+        Its data may be records of virtual flights, or responses with the variances that are expected.
+    values : mapping of name to float
+        Rough estimates of the parameters; those that are left out have their declared starts.
+    method : Transcription, optional
+        As for `greybox.fit`.
+
+    Raises
+    ------
+    ValueError
+        For a name that is no parameter of the problem.
+    """
+    unknown = sorted(set(values) - set(problem.parameters))
+    if unknown:
+        raise ValueError(f"{unknown[0]} is no parameter of {problem.name}: it has {', '.join(problem.parameters)}.")
+    nlp = compile_problem(problem, method)
+    at = {name: float(values.get(name, nlp.problem.parameters[name].start)) for name in nlp.free}
+    x = np.array(list(at.values()))
+    accuracy = assess(nlp, x, solver_for(nlp, {}).profile(x).trajectories)
+    count = len(nlp.free)
+    covariance = accuracy.covariance[:count, :count]
+    errors = np.sqrt(np.diag(covariance))
+    errors[np.linalg.norm(accuracy.blind[:count], axis=1) > 0] = np.nan
+    named = tuple(dict.fromkeys(name for c in accuracy.combinations for name in c.names))
+    units = {name: nlp.problem.parameters[name].unit for name in nlp.free}
+    return ExpectedErrors(at, dict(zip(nlp.free, errors.tolist(), strict=True)), covariance, named, units)
+
+
+def _percent(error: float, value: float) -> str:
+    return f"{100 * error / abs(value):.2g} %" if value and np.isfinite(error) else ""

@@ -1,0 +1,152 @@
+"""Planned tests keep what they promise when they are flown: errors, limits, time."""
+
+import numpy as np
+import pytest
+from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay
+
+import greybox as gb
+from greybox.models.controller import AttitudeController
+from greybox.models.tilt import NonlinearTilt
+from greybox.planning import expected_errors, plan_sines
+
+TILT = {"a1": -14.6, "a2": 3.0, "a3": 8.5, "a4": 295.0}
+RATE = 100  # Hz
+NOISE = 0.002  # rad
+
+
+class Lag(gb.TransferFunction):
+    """A lag."""
+
+    input, output = "u", "y"
+    K = gb.Parameter(2.0, bounds=(0.1, 20), unit="1/s")
+    tau = gb.Parameter(0.3, bounds=(0.01, 3), unit="s")
+
+    def response(self, s, p):
+        return p.K / (p.tau * s + 1)
+
+
+LAG = {"K": 2.0, "tau": 0.3}
+OPEN_LOOP = {"input": "u", "output": "y", "excitation": "u", "unit": "1", "rate": 50.0, "band": (0.5, 15)}
+
+
+@pytest.fixture(scope="module")
+def lag():
+    return plan_sines(Lag(), LAG, {"K": 0.003, "tau": 0.001}, amplitude=0.5, noise=0.05, **OPEN_LOOP)
+
+
+@pytest.fixture(scope="module")
+def tilt():
+    return plan_sines(
+        NonlinearTilt(),
+        TILT,
+        {"a2": 0.05, "a4": 2.0},
+        band=(0.8, 30),
+        amplitude=0.03,
+        noise=NOISE,
+        controller=AttitudeController(rate=RATE),
+        limits={"theta": 0.02, "theta_dot": 0.1},
+        travel={"v": 0.1},
+        fixed={"C_x": 0.05},
+    )
+
+
+def test_repeated_flights_scatter_by_the_expected_errors(lag):
+    assert all(lag.standard_error[name] <= error * 1.0001 for name, error in lag.wanted.items())
+    time = np.arange(round(lag.flight_time * 50) + 50) / 50
+    excitation = lag.excitation()
+    u = np.interp(time, excitation.time, excitation.signals["u"])
+    clean = gb.simulate(Lag(), LAG, gb.Record(time, {"u": u}))["y"]
+    random = np.random.default_rng(1)
+    scores = []
+    for _ in range(20):
+        record = gb.Record(time, {"u": u, "y": clean + 0.05 * random.normal(size=time.size)})
+        found = gb.fit(gb.Problem(Lag(), record), [LAG], progress=False)
+        scores.append([(found.estimate[k] - LAG[k]) / lag.standard_error[k] for k in LAG])
+    # 40 numbers: their rms is known to 11 %. The record has the sines while they settle, too.
+    assert 0.7 < np.sqrt(np.mean(np.square(scores))) < 1.2
+
+
+def test_the_flight_time_is_that_of_the_schedule_and_shorter_than_that_of_equal_spacing(lag):
+    excitation = lag.excitation()
+    assert excitation.time[-1] == pytest.approx(lag.flight_time, abs=0.05)
+    assert lag.equally_spaced > 1.1 * lag.flight_time
+    assert [m.end - m.settled for m in excitation.schedule] == pytest.approx(lag.duration)
+    assert len(lag.omega) == 3  # six numbers, two parameters
+    assert "equally spaced sines would take" in str(lag)
+
+
+def test_half_of_the_errors_take_four_times_as_long(lag):
+    half = {name: error / 2 for name, error in lag.standard_error.items()}
+    found = plan_sines(Lag(), LAG, half, amplitude=0.5, noise=0.05, **OPEN_LOOP)
+    assert found.duration.sum() == pytest.approx(4 * lag.duration.sum(), rel=0.15)
+
+
+def test_the_limits_are_kept_in_flight(tilt):
+    excitation = tilt.excitation()
+    flown = gb.virtual_flight(
+        NonlinearTilt(), TILT, excitation, controller=AttitudeController(rate=RATE), noise={"theta_dot": 0.0, "v": 0.0}
+    )
+    reached = {"reference": 0.0, "theta": 0.0, "theta_dot": 0.0, "v": 0.0}
+    for sine in excitation.schedule:
+        inside = (flown.time > sine.settled) & (flown.time < sine.end)
+        for name, before in reached.items():
+            size = np.ptp(flown[name][inside]) / 2 / (sine.low if name == "v" else 1)
+            reached[name] = max(before, size)
+    most = {"reference": 0.03, "theta": 0.02, "theta_dot": 0.1, "v": 0.1}
+    assert all(reached[name] < 1.05 * most[name] for name in most)
+    assert any(reached[name] > 0.9 * most[name] for name in most)
+    assert set(tilt.limited_by) <= set(most)
+
+
+def test_a_quiet_flight_says_how_large_the_noise_is(tilt):
+    time = np.arange(6000) / RATE
+    quiet = gb.virtual_flight(
+        NonlinearTilt(),
+        TILT,
+        gb.Record(time, {"reference": np.zeros(6000)}),
+        controller=AttitudeController(rate=RATE),
+        noise={"theta": NOISE},
+        seed=3,
+    )
+    found = plan_sines(
+        NonlinearTilt(),
+        TILT,
+        tilt.wanted,
+        band=(0.8, 30),
+        amplitude=0.03,
+        noise=quiet,
+        controller=AttitudeController(rate=RATE),
+        limits={"theta": 0.02, "theta_dot": 0.1},
+        travel={"v": 0.1},
+        fixed={"C_x": 0.05},
+    )
+    assert found.flight_time == pytest.approx(tilt.flight_time, rel=0.35)
+
+
+def test_expected_errors_are_those_of_a_fit_that_ends_there():
+    omega, model, values = TWO_LAGS_OMEGA, LagLagDelay(), TWO_LAGS
+    exact = gb.frequency_response(model, values, omega).response
+    data = gb.FrequencyResponse(omega, exact, input="u", output="y", variance=(0.02 * np.abs(exact)) ** 2)
+    problem = gb.Problem(model, data, gb.MaximumLikelihood())
+    expected = expected_errors(problem, values)
+    found = gb.fit(problem, [values], progress=False)
+    for name, error in expected.standard_error.items():
+        assert error == pytest.approx(found.standard_error[name], rel=1e-3)
+    assert "percent" in str(expected)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"band": (5, 2)}, "the lower one first"),
+        ({"wanted": {}}, "wanted is empty"),
+        ({"wanted": {"Q": 1.0}}, "Q is not estimated"),
+        ({"noise": 0.0}, "give a positive standard deviation"),
+        ({"limits": {"y": 0.0}}, "give a positive number"),
+        ({"fixed": {"K": 2.0}}, "K is not estimated"),
+    ],
+)
+def test_bad_requests_are_named(change, sentence):
+    settings = {"wanted": {"K": 0.01}, "amplitude": 0.5, "noise": 0.05, **OPEN_LOOP, **change}
+    with pytest.raises(ValueError, match=sentence):
+        plan_sines(Lag(), LAG, settings.pop("wanted"), **settings)
