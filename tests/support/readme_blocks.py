@@ -53,7 +53,7 @@ def draw_picture(path):
     problem, settings = find_problem("pitch_hover")
     figure = gb.plot(gb.fit(problem, **settings, progress=False))
     texts = [text for ax in figure.axes for text in (ax.get_title(), ax.get_xlabel(), ax.get_ylabel()) if text]
-    figure.savefig(path, dpi=120, metadata={"Description": "; ".join(texts)})
+    figure.savefig(path, dpi=100, metadata={"Description": "; ".join(texts)})
 
 
 def written(text):
