@@ -8,7 +8,7 @@ writes.
 `stated_problem` makes the problem that the options of `greybox fit` state, `catalog` finds the included models and
 problems and those in a user's own file, `parameter_options` says which parameters are fixed and where the others may
 lie, `data_file` reads what `--data` names, `columns` says what the columns of somebody's table are, and `log_tests`
-finds the test segments of a log.
+finds the test segments of a log, `saved_fits` reads results.
 
 `options` holds what the options of all commands share, `workers` those for runs in other processes, `output` what the
 commands give: answers, exit statuses, files and figures. `startup` takes care of Ctrl-C during imports, `terminal` of

@@ -8,6 +8,7 @@ from typing import Any
 from greybox.cli.batch_command import as_json
 from greybox.cli.options import UsageError, add_common_options, add_parser
 from greybox.cli.output import USABLE, Answer
+from greybox.cli.saved_fits import add_model_option, saved_fit
 from greybox.study.study import read_study
 from greybox.validation.compare import compare
 from greybox.validation.comparison import PARTS, Comparison
@@ -34,6 +35,7 @@ def add_command(commands: Any) -> None:
         metavar="N",
         help=f"fit again without every N-th frequency, or with '{PARTS}' without one response, and predict it",
     )
+    add_model_option(parser)
     add_common_options(parser)
     parser.set_defaults(command=run)
 
@@ -41,7 +43,7 @@ def add_command(commands: Any) -> None:
 def run(options: argparse.Namespace) -> Answer:
     """Read the fits, or the study, and compare."""
     if len(options.results) > 1:
-        found = _compared(options.results, options.folds)
+        found = _compared(options)
         return _summary(found), str(found), USABLE
     if options.results[0].is_file():
         raise UsageError(f"there is one fit, {options.results[0]}: give at least two to compare.")
@@ -49,14 +51,13 @@ def run(options: argparse.Namespace) -> Answer:
     return as_json(study), str(study), USABLE
 
 
-def _compared(paths: Sequence[Path], folds: int | str | None) -> Comparison:
-    from greybox.estimate.storage import load  # noqa: PLC0415  (needs h5py)
-
+def _compared(options: argparse.Namespace) -> Comparison:
+    paths: Sequence[Path] = options.results
     names = [path.stem for path in paths]
     labels = names if len(set(names)) == len(names) else list(map(str, paths))
     if len(set(labels)) < len(labels):
         raise UsageError(f"{max(labels, key=labels.count)} is given twice: give different fits.")
-    return compare(*(load(path) for path in paths), labels=labels, folds=folds)
+    return compare(*(saved_fit(path, options) for path in paths), labels=labels, folds=options.folds)
 
 
 def _summary(found: Comparison) -> dict[str, Any]:

@@ -32,6 +32,7 @@ from greybox.cli.output import BAD_INPUT, FAILED, NO_WORKING_DIRECTORY, USABLE, 
 from greybox.cli.startup import INTERRUPTED
 from greybox.cli.terminal import colored, has_all_characters, no_terminal, write
 from greybox.data.text_table import alternatives, nearest, printable
+from greybox.modeling.model_reference import UnknownModelError
 from greybox.solve.interruption import Response, listening, responding, take_interrupt
 
 COMMANDS = (
@@ -157,6 +158,8 @@ def _explain(error: Exception, arguments: Sequence[str]) -> tuple[str, int]:
     """Turn an exception into one sentence and an exit status; an error in a user's own file names file and line."""
     message = error.args[0] if isinstance(error, KeyError) and error.args else error  # str() of it would add quotes
     sentence = " ".join(str(message).split()) or type(error).__name__
+    if isinstance(error, UnknownModelError):
+        sentence = f"{error.missing}: give its file, --model my.py."
     if isinstance(error, UsageError):
         return sentence, BAD_INPUT
 

@@ -7,6 +7,7 @@ from typing import Any
 from greybox.cli.catalog import find_problem
 from greybox.cli.options import add_common_options, add_parser, nonnegative
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
+from greybox.cli.saved_fits import add_model_option, saved_fit
 from greybox.estimate.profile import Profiles, profile
 
 EXAMPLES = (
@@ -20,9 +21,8 @@ def add_command(commands: Any) -> None:
     parser = add_parser(commands, "profile", "intervals that need not be symmetric", EXAMPLES)
     parser.add_argument("result", type=Path, metavar="RESULT", help="a fit that greybox fit --out wrote")
     parser.add_argument("names", nargs="*", metavar="NAME", help="parameters and derived quantities; all by default")
-    parser.add_argument(
-        "--problem", metavar="PROBLEM", help="what was fitted, where it has ties, constraints or a model of your own"
-    )
+    parser.add_argument("--problem", metavar="PROBLEM", help="what was fitted, where it has ties or constraints")
+    add_model_option(parser)
     parser.add_argument("--level", type=float, default=0.95, help="of the intervals, 0.95 by default")
     parser.add_argument(
         "--fresh-starts",
@@ -37,11 +37,9 @@ def add_command(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> Answer:
     """Read the fit and profile it."""
-    from greybox.estimate.storage import load  # noqa: PLC0415  (needs h5py)
-
     require_figure(options.plot, options.force)
     problem = None if options.problem is None else find_problem(options.problem)[0]
-    fit = load(options.result)
+    fit = saved_fit(options.result, options)
     found = profile(fit, options.names or None, problem=problem, level=options.level, fresh_starts=options.fresh_starts)
     lines = save_figure(options.plot, lambda: _figure(found))
     return found.summary(), "\n".join([str(found), *lines]), USABLE

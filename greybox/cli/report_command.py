@@ -8,6 +8,7 @@ from typing import Any
 from greybox.cli.batch_command import ORIGIN
 from greybox.cli.options import UsageError, add_common_options, add_parser
 from greybox.cli.output import USABLE, Answer, require_writable
+from greybox.cli.saved_fits import add_model_option, saved_fit
 from greybox.study.study import read_study
 from greybox.study.study_folder import read_json
 from greybox.validation.same_data import labels_of
@@ -34,7 +35,7 @@ def add_command(commands: Any) -> None:
         help="a fit that greybox fit --out or greybox identify wrote, or the folder of a study; several side by side",
     )
     add("--out", type=Path, metavar="FILE", help="the page (default: the name of the first result, ending in .html)")
-    add("--model", type=Path, nargs="+", default=[], metavar="FILE", help="Python files with models of your own")
+    add_model_option(parser)
     add("--title", default="", help="heading of the page (default: the name of the fit)")
     add("--force", action="store_true", help="overwrite a file that exists")
     add_common_options(parser)
@@ -57,10 +58,9 @@ def run(options: argparse.Namespace) -> Answer:
 
 
 def _entries(options: argparse.Namespace) -> list[Any]:
-    from greybox.estimate.storage import load  # noqa: PLC0415  (needs h5py)
     from greybox.html_report.report import Entry, study_entries  # noqa: PLC0415  (as above)
 
-    loaded = {path: load(path, models=options.model) for path in options.results if not path.is_dir()}
+    loaded = {path: saved_fit(path, options) for path in options.results if not path.is_dir()}
     labels = dict(zip(loaded, labels_of(list(loaded.values())), strict=True))
     entries: list[Any] = []
     for path in options.results:

@@ -14,6 +14,20 @@ from greybox.modeling.model_file import models_of
 from greybox.modeling.transfer_function import FeedbackLoop, SeriesConnection
 
 
+class UnknownModelError(LookupError):
+    """A model that a stored result names, and that is neither included nor given.
+
+    Attributes
+    ----------
+    missing : str
+        What is missing, without the cure, which is another one on the command line.
+    """
+
+    def __init__(self, missing: str, cure: str) -> None:
+        super().__init__(f"{missing}: {cure}.")
+        self.missing = missing
+
+
 def reference(model: Model) -> dict[str, Any]:
     """Return ``{"class": "module:Class", "arguments": [...], "keywords": {...}}``, with models inside it likewise."""
     positional, named = model.arguments
@@ -32,15 +46,15 @@ def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()
 
     Raises
     ------
-    LookupError
+    UnknownModelError, LookupError
         When it is neither, or does not take the stored arguments; the sentence has the cure.
     """
     module_name, _, class_name = stored["class"].partition(":")
     missing = f"the model {printable(class_name)} of the module {module_name!r} is needed and was not found"
-    cure = "give its class or file, gb.load(path, models=[...]), or the model itself, model=..."
+    cure = "give its class or file, gb.load(path, models=[...]), or the model itself, model=Mine()"
     known = _given(stored["class"], given) or _included(module_name, class_name)
     if known is None:
-        raise LookupError(f"{missing} among those that greybox includes or that were given: {cure}.")
+        raise UnknownModelError(f"{missing} among those that greybox includes or that were given", cure)
     if isinstance(known, Model):
         return known
     try:
