@@ -15,7 +15,8 @@ Bootstrap Collocation Controller Criterion EquationError Fit FrequencyResponse I
 MaximumLikelihood MultipleShooting OutputError Parameter PredictionError Problem Profiles Record RelativeError
 RelativeLikelihood Rosenbrock RungeKutta SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion
 Transcription TransferFunction batch bootstrap compare cost feedback fit frequency_response identify load plot predict
-prepare profile read read_response reduce report save several simulate structural_identifiability virtual_flight
+prepare profile read read_response reduce report save several simulate stepwise
+structural_identifiability virtual_flight
 """.split()
 
 FORMULAS = """
@@ -43,7 +44,7 @@ NAMESPACES = {
     "spectral": "FiniteFrequency Quality check demodulate finite_frequency periodic_response spectral_response "
     "transient_spectrum",
     "study": "Bootstrap Member Study StudyMember batch bootstrap read_study",
-    "validation": "Comparison NestedTest Reduction compare nested_test reduce",
+    "validation": "Comparison NestedTest Reduction StepwiseSelection compare nested_test reduce stepwise",
 }
 EVERYTHING = [(gb, name) for name in (*NAMES, *FORMULAS)]
 EVERYTHING += [(getattr(gb, space), name) for space, names in NAMESPACES.items() for name in names.split()]

@@ -6,7 +6,8 @@ on records that none has seen, `measures` makes the rows of the table, and `sign
 models is closer to the data and which terms the data determine. `nested_models` tests terms that one model has more
 than another, and `nesting` shows that it is the other with terms removed. Fits of responses by different criteria meet
 in a `common_likelihood`, `cross_validation` predicts what a fit was not given, and `parsimony` names the smallest
-structure that the data support. `reduction` fits the smaller structure that a fit suggests.
+structure that the data support. `reduction` fits the smaller structure that a fit suggests,
+and `stepwise` chooses terms from a list.
 """
 
 from greybox.validation.compare import compare as compare
@@ -15,3 +16,5 @@ from greybox.validation.nested_models import NestedTest as NestedTest
 from greybox.validation.nested_models import nested_test as nested_test
 from greybox.validation.reduction import Reduction as Reduction
 from greybox.validation.reduction import reduce as reduce
+from greybox.validation.stepwise import StepwiseSelection as StepwiseSelection
+from greybox.validation.stepwise import stepwise as stepwise

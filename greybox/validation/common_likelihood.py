@@ -36,11 +36,12 @@ class Likelihoods:
 
 
 def common_likelihood(fits: Sequence[Fit]) -> Likelihoods | None:
-    """Return the fits, which have the same responses, on the scale of one likelihood; None for records and weights.
+    """Return the fits, which have the same responses, on the scale of one likelihood; else None.
 
-    That of the given variances where all data have them, otherwise that of errors of one relative variance.
+    That of the given variances where all data have them, otherwise that of errors of one relative variance. There is none
+    for other data and for weights.
     """
-    if any(part.weight != 1 for fit in fits for part in fit.parts) or any(fit.records for fit in fits):
+    if any(part.weight != 1 for fit in fits for part in fit.parts) or not all(map(has_responses_alone, fits)):
         return None
     has_variances = all(part.data.variance is not None for part in fits[0].responses)
     criterion: Criterion = MaximumLikelihood() if has_variances else RelativeLikelihood()
@@ -55,6 +56,11 @@ def common_likelihood(fits: Sequence[Fit]) -> Likelihoods | None:
         nuisances=tuple(criterion.nuisances * len(fit.parts) for fit in fits),
         at_maximum=tuple(found is not None for found in restated),
     )
+
+
+def has_responses_alone(fit: Fit) -> bool:
+    """Tell whether all data of a fit are frequency responses."""
+    return len(fit.responses) == len(fit.parts)
 
 
 def _at_maximum(fit: Fit, criterion: Criterion) -> Fit | None:

@@ -21,6 +21,7 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.periodic_motions import response_of_test
 from greybox.statistics.metrics import rms
+from greybox.validation.common_likelihood import has_responses_alone
 from greybox.validation.comparison import FREQUENCIES, PARTS, SIGNIFICANT, Row, p_text
 
 Array = NDArray[np.float64]
@@ -37,7 +38,7 @@ def cross_validation(fits: Sequence[Fit], labels: Sequence[str], folds: int | st
     ValueError
         For records, folds out of range, and a fit whose problem cannot be stated again.
     """
-    if any(fit.records for fit in fits):
+    if not all(map(has_responses_alone, fits)):
         raise ValueError("folds are for frequency responses alone: hold records out by records=[...].")
     problems = [problem_of(fit) for fit in fits]
     if folds == PARTS:

@@ -171,7 +171,7 @@ def nested_test_at(place: Nesting, small: Fit, large: Fit, labels: tuple[str, st
 
     scale = 1.0
     reason = _scaled_for(large)
-    has_ratio = not large.records or (is_likelihood(small) and is_likelihood(large))
+    has_ratio = len(large.responses) == len(large.parts) or (is_likelihood(small) and is_likelihood(large))
     if has_ratio and large.white is not None:
         ratio = _likelihood_ratio(small, large, labels)
         estimated = reason == BEYOND and not any(isinstance(p.settings.get("noise"), Mapping) for p in large.parts)
@@ -197,16 +197,27 @@ def ratio_test(small: Fit, large: Fit, terms: tuple[str, ...], labels: tuple[str
     There the larger one has no direction that leaves the smaller, so the scale is the mean over all that it determines.
     """
     removed = len(large.free) - len(small.free)
-    known = large.directions
-    if known is None or large.white is None or not large.dof > 0:
+    scale = cost_scale(large)
+    if not (large.dof > 0 and scale > 0):
         raise ValueError(f"the data leave {labels[1]} no degrees of freedom: nothing can be tested.")
-    inverse = np.linalg.pinv(large.white / np.outer(known.size, known.size), rcond=RANK, hermitian=True)
-    product = inverse @ (known.covariance / np.outer(known.size, known.size))
-    scale = float(np.trace(product)) / max(np.linalg.matrix_rank(inverse, tol=0.0), 1)
     ratio = 2 * (small.cost - large.cost)
     statistic = max(ratio, 0.0) / (scale * removed)
     p_value = _p_value(statistic, removed, large.dof, on_bound=False)
     return NestedTest(*labels, terms, ratio, scale, statistic, (removed, large.dof), p_value, SIZE)
+
+
+def cost_scale(fit: Fit) -> float:
+    """Return by what twice a difference of costs is divided to be one of log-likelihoods; NaN where it is not known.
+
+    The mean, over the directions that the data determine, of the variance that the standard errors say over the one
+    that the curvature of the cost says.
+    """
+    if fit.white is None or fit.directions is None:
+        return math.nan
+    size = np.outer(fit.directions.size, fit.directions.size)
+    inverse = np.linalg.pinv(fit.white / size, rcond=RANK, hermitian=True)
+    rank = int(np.linalg.matrix_rank(inverse, tol=0.0))
+    return float(np.trace(inverse @ (fit.directions.covariance / size))) / max(rank, 1)
 
 
 def _scaled_for(fit: Fit) -> str:

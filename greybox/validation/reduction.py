@@ -29,6 +29,7 @@ from greybox.formulation.starts import Sobol
 from greybox.modeling.limit import Limit, invariant_name
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.transfer_function import TransferFunction
+from greybox.validation.common_likelihood import has_responses_alone
 from greybox.validation.compare import compare
 from greybox.validation.comparison import SIGNIFICANT, Comparison, p_text
 from greybox.validation.nested_models import NestedTest, ratio_test
@@ -162,8 +163,11 @@ def reduce(fit: Fit, *, problem: AnyProblem | None = None, starts: int = 8) -> R
     """
     if not fit.converged:
         raise ValueError(f"the fit {fit.name!r} has no estimate to reduce: {fit.status}.")
-    if fit.records:
-        raise ValueError(f"the fit {fit.name!r} has records, whose structure is not reduced: fix parameters instead.")
+    if not has_responses_alone(fit):
+        raise ValueError(
+            f"the fit {fit.name!r} has other data than frequency responses, for which no structure is reduced: fix "
+            "parameters instead."
+        )
     stated = problem_of(fit) if problem is None else problem
     if set(_free(stated)) != set(fit.free):
         raise ValueError(f"problem {stated.name!r} has other unknowns than the fit: give the one fitted.")

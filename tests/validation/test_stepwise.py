@@ -1,0 +1,116 @@
+"""Terms are chosen as by textbook regression, none from noise, and what cannot be told apart is said."""
+
+import numpy as np
+import pytest
+from declared_models import measured
+from drag_flights import QUADRATIC, Drag, flight
+from scipy.stats import f
+
+import greybox as gb
+
+POLES = {"c1": 1.0, "c3": 3.0, "c3b": 3.05, "c9": 9.0}
+OMEGA = np.geomspace(0.3, 30, 20)
+
+
+class Terms(gb.TransferFunction):
+    """A gain and lags of known poles: linear in its parameters."""
+
+    K = gb.Parameter(1.0, bounds=(-1e4, 1e4), starts=(-20, 20))
+    c1 = gb.Parameter(0.0, bounds=(-1e4, 1e4), starts=(-20, 20), fixed=True)
+    c3 = gb.Parameter(0.0, bounds=(-1e4, 1e4), starts=(-20, 20))
+    c3b = gb.Parameter(0.0, bounds=(-1e4, 1e4), starts=(-20, 20), fixed=True)
+    c9 = gb.Parameter(0.0, bounds=(-1e4, 1e4), starts=(-20, 20))
+
+    def response(self, s, p):
+        return p.K + sum(p[name] / (s + pole) for name, pole in POLES.items())
+
+
+def problem(values, noise=0.03, seed=0):
+    data = measured(Terms(), OMEGA, {"K": 2.0, **values}, noise=noise, seed=seed)
+    return gb.Problem(Terms(), data, gb.SquaredRelativeError())
+
+
+def squares(data, names):
+    """The least sum of squared relative errors over the gain and some terms, by linear algebra."""
+    s = 1j * data.omega
+    columns = [np.ones(len(s)), *(1 / (s + POLES[name]) for name in names)]
+    A = np.array(columns).T / np.abs(data.response)[:, None]
+    b = data.response / np.abs(data.response)
+    A, b = np.vstack([A.real, A.imag]), np.concatenate([b.real, b.imag])
+    return float(np.sum((A @ np.linalg.lstsq(A, b, rcond=None)[0] - b) ** 2))
+
+
+def removed(found, step):
+    return [t.term for t in found.trials if (t.step, t.change, t.done) == (step, "remove", True)]
+
+
+@pytest.fixture(scope="module")
+def selection():
+    stated = problem({"c3": 4.0, "c9": 12.0})
+    return stated.data, gb.stepwise(stated, list(POLES), starts=1)
+
+
+def test_the_terms_of_the_truth_are_chosen_and_tested_as_in_regression(selection):
+    data, found = selection
+    assert len(found.terms) == 2
+    assert found.terms[1] == "c9"
+    chosen = []
+    for step in dict.fromkeys(t.step for t in found.trials):
+        added = [t for t in found.trials if t.step == step and t.change == "add"]
+        for trial in added:
+            small, large = squares(data, chosen), squares(data, [*chosen, trial.term])
+            dof = 2 * len(data) - len(chosen) - 2
+            assert trial.cost == pytest.approx(large, rel=1e-6)
+            if not trial.why_not:
+                p = f.sf((small - large) / (large / dof), 1, dof)
+                assert trial.p_value == pytest.approx(p, rel=1e-4, abs=1e-12)
+            assert trial.limit == pytest.approx(0.05 / (len(POLES) - len(chosen)))
+        chosen += [t.term for t in added if t.done]
+        chosen = [name for name in chosen if name not in removed(found, step)]
+    assert found.without.cost == pytest.approx(squares(data, []), rel=1e-6)
+    assert found.fit.cost == pytest.approx(squares(data, found.terms), rel=1e-6)
+
+
+def test_what_the_data_cannot_tell_apart_is_said(selection):
+    data, found = selection
+    one, other = ("c3", "c3b") if "c3" in found.terms else ("c3b", "c3")
+    assert list(found.alike) == [one]
+    assert list(found.alike[one]) == [other]
+    noise = found.fit.cost / found.fit.dof
+    more = (squares(data, [other, "c9"]) - found.fit.cost) / noise
+    assert found.alike[one][other] == pytest.approx(more, rel=1e-3, abs=1e-6)
+    assert f"These data cannot tell {one} from {other}" in str(found)
+    assert "shared by the terms that it tries (Bonferroni)" in str(found)
+
+
+def test_a_term_that_another_one_replaces_is_removed():
+    """One term alone is nearly the sum of two others: it comes first, and goes when both are there."""
+    found = gb.stepwise(problem({"c1": 6.0, "c9": 30.0}, noise=0.01), ["c1", "c3", "c9"], starts=1)
+    assert found.trials[[t.done for t in found.trials].index(True)].term == "c3"
+    assert [t.term for t in found.trials if t.done and t.change == "remove"] == ["c3"]
+    assert found.terms == ("c1", "c9")
+
+
+def test_noise_brings_in_no_term():
+    assert [gb.stepwise(problem({}, seed=seed), ["c1", "c9"], starts=1).terms for seed in range(1, 5)] == [()] * 4
+    found = gb.stepwise(problem({}, seed=1), ["c9"], starts=1)
+    assert found.verdict.startswith("None of 1 candidate is supported")
+    assert found.fit is found.without
+
+
+def test_parts_of_a_sum_and_records_have_terms_too():
+    one, two = problem({"c9": 12.0}), problem({"c9": 6.0}, seed=1)
+    both = one + two.with_(rename={"c9": "c9_two", "K": "K_two"})
+    assert gb.stepwise(both, ["c1", "c9", "c9_two"], starts=1).terms == ("c9", "c9_two")
+    record = flight(QUADRATIC, 1, duration=10.0)
+    found = gb.stepwise(gb.Problem(Drag(), record, fixed={"a5": 0.0}), ["a5"], starts=1)
+    assert found.terms == ()
+
+
+def test_mistakes_are_told():
+    with pytest.raises(ValueError, match="has no parameter 'c7'"):
+        gb.stepwise(problem({}), ["c7"])
+    with pytest.raises(ValueError, match="size is 5: give a probability"):
+        gb.stepwise(problem({}), ["c1"], size=5)
+    with pytest.raises(ValueError, match=r"fixed gives 'K' the value 100000 outside its bounds"):
+        gb.stepwise(problem({}), {"K": 1e5})
