@@ -29,7 +29,7 @@ def add_command(commands: Any) -> None:
     add(
         "--resampling",
         choices=get_args(Resampling),
-        help="what is drawn: residuals (default), points, or parametric errors of responses; blocks of residuals "
+        help="what is drawn: parametric errors (default), residuals or points of responses; blocks of residuals "
         "(default) or parametric errors of records; parts: whole records or responses",
     )
     add("--replicates", type=positive, default=1000, metavar="N", help="1000 by default")

@@ -69,6 +69,9 @@ def add_command(commands: Any) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="FILE", help="save the result to this HDF5 file; killed, the same command goes on"
     )
+    parser.add_argument(
+        "--no-profiles", action="store_true", help="no profiles of parameters whose standard error misleads"
+    )
     add_time_options(parser, "fit")
     add_worker_options(parser)
     add_common_options(parser, "responses, time histories and starts")
@@ -101,7 +104,7 @@ def _stated_fit(options: argparse.Namespace) -> Callable[..., Fit]:
     if options.until_found_again is not None:
         settings["starts"] = UntilFoundAgain(error=options.until_found_again, seed=settings.pop("seed", None) or 0)
     by = SolverChoice(settings.pop("method", None), options.search)
-    return partial(fit_keeping, problem=problem, by=by, **settings)
+    return partial(fit_keeping, problem=problem, by=by, profiles=not options.no_profiles, **settings)
 
 
 def _kept(options: argparse.Namespace) -> AbstractContextManager[RunsBesideFit | None]:

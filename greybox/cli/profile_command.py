@@ -8,7 +8,8 @@ from greybox.cli.catalog import find_problem
 from greybox.cli.options import add_common_options, add_parser, nonnegative
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
 from greybox.cli.saved_fits import add_model_option, saved_fit
-from greybox.estimate.profile import Profiles, profile
+from greybox.estimate.profile import profile
+from greybox.estimate.profiles import Profiles
 
 EXAMPLES = (
     "pitch.h5",

@@ -40,6 +40,7 @@ from greybox.estimate.diagnostics.unused_noise import unused_noise
 from greybox.estimate.fitted_record import fitted_record, stated
 from greybox.estimate.fitted_spectrum import fitted_spectrum
 from greybox.estimate.harmonic_numbers import are_open, with_enough_harmonics, with_more_harmonics
+from greybox.estimate.profile import profiled_where_misleading
 from greybox.estimate.quantities import quantities, slopes_of_parameters
 from greybox.estimate.result import Fit, FittedRecord, FittedResponse, FittedSpectrum
 from greybox.formulation.frequency_criteria import evaluate
@@ -99,6 +100,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     executor: Executor | None = None,
     seconds: float | None = None,
     start_seconds: float | None = None,
+    profiles: bool = True,
     progress: bool | Callable[[int, int], None] = True,
 ) -> Fit:
     """Fit a problem from many starts: by IPOPT, or, where data are records, by Gauss-Newton steps.
@@ -136,6 +138,9 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
         of the machine, and says so.
     start_seconds : float, optional
         The same for the runs from each start.
+    profiles : bool
+        Profile the likelihood of responses, as `greybox.profile` does, along parameters whose interval by the standard
+        error leaves the bounds, or whose error exceeds half the value: `Fit.profiles`.
     progress : bool or function
         A bar on a terminal for anything longer than two seconds; or a function of finished and all runs.
 
@@ -156,7 +161,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     """
     by = SolverChoice(method, search, solver_options)
     with limited(TimeLimits.from_now(seconds, start_seconds)):
-        return fit_keeping(None, problem, starts, seed, by=by, executor=executor, progress=progress)
+        return fit_keeping(None, problem, starts, seed, by=by, executor=executor, profiles=profiles, progress=progress)
 
 
 @dataclass(frozen=True)
@@ -195,6 +200,7 @@ def fit_keeping(
     *,
     by: SolverChoice | None = None,
     executor: Executor | None = None,
+    profiles: bool = True,
     progress: bool | Callable[[int, int], None] = True,
 ) -> Fit:
     """Fit as `fit` does, and keep every run as soon as it is done; runs that were kept before are not made again."""
@@ -205,7 +211,9 @@ def fit_keeping(
     try:
         with listening():
             choice = by or SolverChoice()
-            answer = _fitted_from(problem, starts, seed, choice, progress=progress, executor=executor, kept=kept)
+            answer = _fitted_from(
+                problem, starts, seed, choice, profiles=profiles, progress=progress, executor=executor, kept=kept
+            )
             if answer is None or take_interrupt():
                 raise Interrupted(answer)
             return answer
@@ -227,6 +235,7 @@ def _fitted_from(
     seed: int | None,
     by: SolverChoice,
     *,
+    profiles: bool,
     progress: bool | Callable[[int, int], None],
     executor: Executor | None,
     kept: KeptRuns | None,
@@ -266,6 +275,9 @@ def _fitted_from(
     with responding(Response.FINISH):
         answer = assemble(nlp, search, solver, seed=rule.seed, starts=str(rule), began=began, error=error)
         said = tuple(_cut_short(search, len(points), interrupted=interrupted))
+        found = profiled_where_misleading(nlp, answer) if profiles and answer.converged and not said else None
+        if found is not None:
+            said, answer = found.warnings, replace(answer, profiles=found, seconds=time.perf_counter() - began)
         return replace(answer, warnings=(*said, *answer.warnings)) if said else answer
 
 

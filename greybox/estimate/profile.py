@@ -16,7 +16,7 @@ import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import AnyProblem, Nlp, compile_problem
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
-from greybox.data.json_numbers import all_finite, finite
 from greybox.data.progress import counted_off
-from greybox.data.text_table import alternatives, number, one_line
+from greybox.data.text_table import alternatives, number
 from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.harmonic_numbers import with_enough_harmonics
+from greybox.estimate.profiles import End, ProfileOf, Profiles
 from greybox.estimate.quantities import Formula, formulas
 from greybox.estimate.result import Fit, Quantity
 from greybox.formulation.starts import Sobol
@@ -37,160 +37,17 @@ from greybox.solve.ipopt import CONVERGED, WARM, StopCheck, checked_nlpsol
 
 Array = NDArray[np.float64]
 
-End = Literal["crossed", "bound", "flat", "failed"]
-
 STEP = 0.35  # of the limit of |r|, from one point to the next: three points to a crossing, as few as show a curve
 BEYOND = 1.2  # of the limit, to where a profile goes on: the crossing lies between two points
 MOST_POINTS = 40  # a side; a step may triple, so that the last lies beyond any crossing
 GROWTH = 3.0
+LEVEL = 0.95  # of the profiles that a fit makes by itself
+LARGE_ERROR = 0.5  # of a value: its interval by the standard error reaches to zero and beyond
 FAR = 1e6  # in sizes of the quantity: what does not change the cost up to there is not limited
 EVEN = 1e-6  # relative, up to which errors of the points count as equal in size
 SWEEPS = 3  # over the points, while neighbors improve one another
 CLOSE = 1e-4  # relative, within which IPOPT's barrier leaves what a bound holds
 LOWER = 1e-4  # relative: the smoothing moves costs by up to 6e-5
-
-
-@dataclass(frozen=True, eq=False)
-class ProfileOf:
-    """The profile of one parameter or derived quantity.
-
-    Attributes
-    ----------
-    name, unit : str
-    estimate, standard_error : float
-        Of the fit; the error is NaN where there is none.
-    values, costs, roots : (n,) arrays
-        Where the quantity was held, in rising order; the lowest cost there, and the signed root of the likelihood
-        ratio.
-    others : (n, p) array
-        All free parameters at these values.
-    interval : (float, float)
-        Infinite on a side that the data leave open.
-    ends : (End, End)
-        How the profile ended below and above: it "crossed" the limit; reached the "bound" of the parameter, where the
-        search ends, below it; is "flat" however far it goes; or "failed" to converge.
-    bounds : (float, float)
-    at_bound : (tuple of str, tuple of str)
-        Other parameters that a bound holds where the profile crosses the limit below and above: that end follows from
-        the bound too, not from the data alone.
-    connected : bool
-        False when values inside the interval have a cost above the limit.
-    """
-
-    name: str
-    unit: str
-    estimate: float
-    standard_error: float
-    values: Array
-    costs: Array
-    roots: Array
-    others: Array
-    interval: tuple[float, float]
-    ends: tuple[End, End]
-    bounds: tuple[float, float]
-    at_bound: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
-    connected: bool = True
-
-    def __str__(self) -> str:
-        low, high = (number(value, 4) for value in self.interval)
-        unit = f" {self.unit}" if self.unit else ""
-        is_open = [math.isinf(value) for value in self.interval]
-        if all(is_open):
-            said = "not limited by the data on either side"
-        elif is_open[1]:
-            said = f"above {low}{unit}, no upper limit{self._why(1)}"
-        elif is_open[0]:
-            said = f"below {high}{unit}, no lower limit{self._why(0)}"
-        else:
-            said = f"{low} to {high}{unit}"
-        held = [
-            f", the {end} limit with {', '.join(names)} at {'its bound' if len(names) == 1 else 'their bounds'}"
-            for end, names in zip(("lower", "upper"), self.at_bound, strict=True)
-            if names
-        ]
-        return f"{said}{''.join(held)}{'' if self.connected else ', in separate pieces'}"
-
-    def _why(self, side: int) -> str:
-        if self.ends[side] == "bound":
-            return f" up to the bound {self.bounds[side]:g}" if side else f" down to the bound {self.bounds[side]:g}"
-        return " that could be found: solves failed beyond" if self.ends[side] == "failed" else ""
-
-    def __repr__(self) -> str:
-        return one_line(self, self.name, str(self))
-
-
-@dataclass(frozen=True, eq=False)
-class Profiles:
-    """Profiles of one fit. Printing them gives a line for each.
-
-    Attributes
-    ----------
-    name : str
-        Of the problem.
-    level : float
-        Of the intervals.
-    limit : mapping of name to float
-        Of |r|: the quantile of Student's t.
-    free : tuple of str
-        The columns of `ProfileOf.others`.
-    profiles : tuple of ProfileOf
-    warnings : tuple of str
-    """
-
-    name: str
-    level: float
-    limit: dict[str, float]
-    free: tuple[str, ...]
-    profiles: tuple[ProfileOf, ...]
-    warnings: tuple[str, ...] = ()
-
-    def __getitem__(self, name: str) -> ProfileOf:
-        for profile in self.profiles:
-            if profile.name == name:
-                return profile
-        raise KeyError(f"{name!r} was not profiled; there are {alternatives(name, [p.name for p in self.profiles])}")
-
-    @property
-    def intervals(self) -> dict[str, tuple[float, float]]:
-        """The intervals by name; infinite on an open side."""
-        return {profile.name: profile.interval for profile in self.profiles}
-
-    def __repr__(self) -> str:
-        return one_line(self, self.name, ", ".join(profile.name for profile in self.profiles))
-
-    def __str__(self) -> str:
-        width = max((len(profile.name) for profile in self.profiles), default=0)
-        lines = [f"  {p.name:<{width}}  {number(p.estimate):>10}   {p}" for p in self.profiles]
-        warnings = [f"  warning: {text}" for text in self.warnings]
-        return "\n".join(
-            [f"{self.name}: {100 * self.level:g} % intervals by profile likelihood", "", *lines, *warnings]
-        )
-
-    def summary(self) -> dict[str, Any]:
-        """Return everything as plain values, for JSON; None for an open side."""
-        return {
-            "problem": self.name,
-            "level": self.level,
-            "profiles": {
-                p.name: {
-                    "estimate": finite(p.estimate),
-                    "standard_error": finite(p.standard_error),
-                    "low": finite(p.interval[0]),
-                    "high": finite(p.interval[1]),
-                    "ends": list(p.ends),
-                    "at_bound": [list(names) for names in p.at_bound],
-                    "connected": p.connected,
-                    "text": str(p),
-                    "values": p.values.tolist(),
-                    "costs": p.costs.tolist(),
-                    "roots": p.roots.tolist(),
-                    "others": {name: p.others[:, k].tolist() for k, name in enumerate(self.free)},
-                }
-                for p in self.profiles
-            },
-            "limit": all_finite(self.limit),
-            "warnings": list(self.warnings),
-        }
 
 
 def profile(
@@ -258,6 +115,25 @@ def profile(
         if name not in known:
             raise ValueError(f"there is no {name!r} to profile; there are {alternatives(name, list(known))}.")
     return _profiles(nlp, fit, [known[name] for name in wanted], level, fresh_starts)
+
+
+def profiled_where_misleading(nlp: Nlp, fit: Fit) -> Profiles | None:
+    """Return profiles of the parameters whose standard error says little; None where none does, or none can be made.
+
+    That is where the interval of the standard error leaves the bounds, or the error exceeds half the value.
+    """
+    if len(fit.responses) < len(fit.parts) or fit.white is None:
+        return None
+    intervals = fit.interval(LEVEL)
+    lines = [q for q in fit.quantities if q.kind == "free" and not q.at_bound and _misleads(q, intervals[q.name])]
+    if not lines or ratio_refusal(nlp, np.array([fit.estimate[name] for name in nlp.free])):
+        return None
+    return _profiles(nlp, fit, lines, LEVEL, fresh=0)
+
+
+def _misleads(line: Quantity, interval: tuple[float, float]) -> bool:
+    leaves = interval[0] < line.bounds[0] or interval[1] > line.bounds[1]
+    return leaves or line.standard_error > LARGE_ERROR * abs(line.value)
 
 
 # --- what the cost says as a likelihood -------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from greybox.data.record import Record, share_samples
 from greybox.data.text_table import alternatives, counted, number, one_line, some, text_table, with_error
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.estimate.identifiability import Identifiability, KnownDirections, correlation, identifiability
+from greybox.estimate.profiles import Profiles
 from greybox.estimate.response_band import ResponseBand, band_of, require_level, response_and_slope, t_quantile
 from greybox.estimate.sensitivity import Sensitivity, sensitivity
 from greybox.estimate.summary import summary
@@ -296,6 +297,8 @@ class Fit:
         The covariance of the free parameters within the directions that the data determine, and the other directions.
     known : KnownDirections or None
         The same of all `names`, with what ended at a bound as known: the errors of whatever depends on them follow.
+    profiles : Profiles or None
+        Of the parameters whose standard error misleads; None where there are none, or they were not asked for.
     warnings, notes : tuple of str
         What to know before believing the estimate; and what may be worth a look.
     command : tuple of str
@@ -325,6 +328,7 @@ class Fit:
     white: NDArray[np.float64] | None = field(default=None, repr=False)
     notes: tuple[str, ...] = ()
     directions: KnownDirections | None = field(default=None, repr=False)
+    profiles: Profiles | None = field(default=None, repr=False)
     known: KnownDirections | None = field(default=None, repr=False)
     command: tuple[str, ...] = field(default=(), repr=False)
 
@@ -724,10 +728,22 @@ def _text(fit: Fit) -> str:
         [title],
         _overview(fit),
         [*_table(fit), *(["", f"  ± is the standard error for {_error_condition(fit)}."] if fit.dof > 0 else [])],
+        _profile_lines(fit),
         _other_criteria(fit),
         [*warnings, *(f"  note: {text}" for text in fit.notes), f"  {fit.seconds:.2f} s; starts: {fit.starts}"],
     )
     return "\n\n".join("\n".join(lines) for lines in sections if lines)
+
+
+def _profile_lines(fit: Fit) -> list[str]:
+    """Return the intervals by profile of the parameters whose standard error misleads."""
+    if fit.profiles is None:
+        return []
+    width = max(len(profile.name) for profile in fit.profiles.profiles)
+    return [
+        f"  {100 * fit.profiles.level:g} % intervals by profile likelihood, where the standard error misleads:",
+        *(f"    {profile.name:<{width}}  {profile}" for profile in fit.profiles.profiles),
+    ]
 
 
 def _title(fit: Fit) -> str:

@@ -13,6 +13,9 @@ Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``
                  and the other directions ``unseen`` (p, b) in multiples of ``size`` (p,), ``at`` the estimate (p,); if
                  some are not determined, the same beside the estimate in ``elsewhere``.
 ``/known``       the same, if known, of all the names of the covariance.
+``/profiles``    if any, attributes ``name, level`` and, as JSON, ``limit, free, warnings``; a group of each profile by
+                 its number: attributes ``name, unit, estimate, standard_error, connected`` and, as JSON, ``ends,
+                 at_bound``; ``values, costs, roots`` (n,), ``others`` (n, p), ``interval`` and ``bounds`` (2,).
 ``/runs``        one row per start: ``start`` and ``estimate`` (r, p), ``cost, status, reason, converged, iterations,
                  seconds``, ``minimum`` (the row of ``/minima``, -1 for none); attribute ``free`` names the p columns.
 ``/minima``      ``cost`` (m,), ``estimate`` (m, p), ``variants`` (m,), best first.
@@ -53,6 +56,7 @@ from greybox.data.transient_file import read_group as read_spectrum_group
 from greybox.data.transient_file import write_group as write_spectrum_group
 from greybox.estimate.fitted_record import criterion_values
 from greybox.estimate.identifiability import KnownDirections
+from greybox.estimate.profiles import End, ProfileOf, Profiles
 from greybox.estimate.result import Fit, FittedPart, FittedRecord, FittedResponse, FittedSpectrum, Quantity
 from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
 from greybox.formulation.input_assumptions import Inputs
@@ -65,6 +69,8 @@ from greybox.solve.outcome import POLISHED, Run
 KIND = "fit"
 LAYOUT = 3
 _PART_TEXTS = ("name", "rule", "condition", "delay", "label", "equation")
+_PROFILE_NUMBERS = ("estimate", "standard_error")
+_PROFILE_COLUMNS = ("values", "costs", "roots")
 _CRITERION = ("criterion", "criterion_class", "is_likelihood")
 LINES = "\n\t"  # what texts of several lines hold: docstrings, source, warnings
 
@@ -141,9 +147,57 @@ def _write(file: Node, fit: Fit) -> None:
         _write_directions(file.create_group("directions"), fit.directions)
     if fit.known is not None:
         _write_directions(file.create_group("known"), fit.known)
+    if fit.profiles is not None:
+        _write_profiles(file.create_group("profiles"), fit.profiles)
     _write_runs(file, fit)
     for k, part in enumerate(fit.parts):
         _write_part(file.create_group(f"parts/{k}"), part)
+
+
+def _write_profiles(group: Node, profiles: Profiles) -> None:
+    _attributes(group, name=profiles.name, level=profiles.level)
+    _attributes(group, **{name: json.dumps(getattr(profiles, name)) for name in ("limit", "free", "warnings")})
+    for k, profile in enumerate(profiles.profiles):
+        own = group.create_group(str(k))
+        _attributes(own, **{name: getattr(profile, name) for name in ("name", "unit", *_PROFILE_NUMBERS)})
+        _attributes(own, connected=profile.connected)
+        _attributes(own, **{name: json.dumps(getattr(profile, name)) for name in ("ends", "at_bound")})
+        for name in ("interval", "bounds", *_PROFILE_COLUMNS, "others"):
+            own[name] = np.asarray(getattr(profile, name), dtype=float)
+
+
+def _read_profiles(group: Stored) -> Profiles:
+    attributes = group.attrs
+    free = _json_names(attributes["free"])
+    return Profiles(
+        name=_text(attributes["name"]),
+        level=float(attributes["level"]),
+        limit={name: float(value) for name, value in _json_object(attributes["limit"]).items()},
+        free=free,
+        profiles=tuple(_read_profile(group[str(k)], len(free)) for k in range(len(group))),
+        warnings=_json_names(attributes["warnings"], keep=LINES),
+    )
+
+
+def _read_profile(group: Stored, p: int) -> ProfileOf:
+    attributes = group.attrs
+    count = np.size(group["values"][()])
+    ends, at_bound = json.loads(attributes["ends"]), json.loads(attributes["at_bound"])
+    _require(len(ends) == 2 and {*ends} <= {*get_args(End)}, "how a profile ended is not known")
+    _require(len(at_bound) == 2, "a profile has no two sides")
+    interval, bounds = (_array(group[name], (2,)).tolist() for name in ("interval", "bounds"))
+    return ProfileOf(
+        name=_text(attributes["name"]),
+        unit=_text(attributes["unit"]),
+        **{name: float(attributes[name]) for name in _PROFILE_NUMBERS},
+        **{name: _array(group[name], (count,)) for name in _PROFILE_COLUMNS},
+        others=_array(group["others"], (count, p)),
+        interval=(interval[0], interval[1]),
+        ends=(ends[0], ends[1]),
+        bounds=(bounds[0], bounds[1]),
+        at_bound=(tuple(_text(name) for name in at_bound[0]), tuple(_text(name) for name in at_bound[1])),
+        connected=bool(attributes["connected"]),
+    )
 
 
 def _write_runs(file: Node, fit: Fit) -> None:
@@ -243,6 +297,7 @@ def _read(file: Stored) -> Fit:
         command=_json_names(attributes["command"]) if "command" in attributes else (),
         versions=_json_texts(attributes["versions"]),
         white=_array(file["covariance/white"], (len(free), len(free))) if "white" in file["covariance"] else None,
+        profiles=_read_profiles(file["profiles"]) if "profiles" in file else None,
         directions=_read_directions(file["directions"], len(free)) if "directions" in file else None,
         known=_read_directions(file["known"], len(names)) if "known" in file else None,
     )

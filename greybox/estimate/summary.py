@@ -33,6 +33,7 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
         "standard_error": all_finite(result.standard_error),
         "level": level,
         "interval": _pairs(result.interval(level)),
+        "profiles": {} if result.profiles is None else result.profiles.intervals_in_words(),
         "dof": finite(result.dof),
         "covariance": {"names": list(result.names), "values": _rows(result.covariance)},
         "bounds": _pairs({q.name: q.bounds for q in parameters if q.kind == "free"}),

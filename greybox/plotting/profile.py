@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from greybox.estimate.profile import ProfileOf, Profiles
+from greybox.estimate.profiles import ProfileOf, Profiles
 from greybox.plotting.style import COLORS, DARK, GRAYS, new_figure
 
 COLUMNS = 3

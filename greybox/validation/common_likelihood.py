@@ -71,5 +71,5 @@ def _at_maximum(fit: Fit, criterion: Criterion) -> Fit | None:
         problem = problem_of(fit).with_(criterion=criterion)
     except (LookupError, ValueError):
         return None
-    found = fit_problem(problem, [{name: fit.estimate[name] for name in fit.free}], progress=False)
+    found = fit_problem(problem, [{name: fit.estimate[name] for name in fit.free}], profiles=False, progress=False)
     return found if found.converged and found.cost <= fit.costs[criterion.name] else None

@@ -130,7 +130,7 @@ def _parts_left_out(fit: Fit, problem: AnyProblem, label: str) -> tuple[list[NDA
 def _refitted(problem: AnyProblem, fit: Fit) -> Fit | None:
     """Return the fit from the estimate of another one, which is near; None where it fails."""
     start = {name: fit.estimate[name] for name, p in problem.parameters.items() if not p.fixed}
-    found = fit_problem(problem, [start], progress=False)
+    found = fit_problem(problem, [start], profiles=False, progress=False)
     return found if found.converged else None
 
 

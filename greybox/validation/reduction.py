@@ -201,7 +201,7 @@ def _step(fit: Fit, problem: AnyProblem, starts: int) -> list[Tried]:
         if smaller is None or not _has_limit(smaller, fit):
             continue
         known = {name: value for name, value in fit.estimate.items() if name in _free(smaller)}
-        reduced = fit_problem(smaller, [known, Sobol(starts, 0)], progress=False)
+        reduced = fit_problem(smaller, [known, Sobol(starts, 0)], profiles=False, progress=False)
         if not reduced.converged:
             found.append(Tried(candidate, None, None))
             continue

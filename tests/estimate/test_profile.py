@@ -123,6 +123,27 @@ def test_a_saved_fit_is_profiled_too(tmp_path):
     assert gb.profile(again, "a1")["a1"].interval == gb.profile(fit, "a1")["a1"].interval
 
 
+def test_a_fit_profiles_what_its_standard_error_misleads_about(tmp_path):
+    fit = gb.fit(yaw_hover.problem(), starts=10, progress=False)
+    assert [profile.name for profile in fit.profiles.profiles] == ["a1_tilde", "a2", "a3_tilde"]  # a4: 5.6 ± 0.3
+    asked = gb.profile(fit, "a2", fresh_starts=0)["a2"]
+    assert fit.profiles["a2"].interval == asked.interval
+    said = str(fit)
+    assert f"a2        above {asked.interval[0]:.4g} 1/s, no upper limit up to the bound 2000" in said
+    gb.save(fit, tmp_path / "yaw.h5")
+    again = gb.load(tmp_path / "yaw.h5")
+    assert str(again) == said
+    assert again.profiles.summary() == fit.profiles.summary()
+    assert again.to_dict()["profiles"]["a2"]["high"] is None
+
+
+def test_nothing_is_profiled_where_standard_errors_serve_or_it_is_not_asked_for():
+    assert gb.fit(pitch_hover.problem(), starts=8, progress=False).profiles is None
+    assert gb.fit(yaw_hover.problem(), starts=8, profiles=False, progress=False).profiles is None
+    data = noisy(OneSided(), {"b": 10000.0, "a": 5000.0}, 0.05, 1)
+    assert fitted(OneSided(), data, gb.MagnitudePhase()).profiles is None
+
+
 def test_what_has_no_likelihood_ratio_is_refused():
     data = noisy(Lag(), {"K": 2.0, "T": 0.3}, 0.02, 0)
     with pytest.raises(ValueError, match="MagnitudePhase weighs the points"):

@@ -108,7 +108,7 @@ def test_what_was_interrupted_goes_on(lag, tmp_path):
 
 def test_a_parameter_that_the_data_leave_open_has_no_upper_end():
     fit = gb.fit(yaw_hover.problem(), starts=12, progress=False)
-    found = gb.bootstrap(fit, replicates=200, progress=False)
+    found = gb.bootstrap(fit, "residuals", 200, progress=False)
     low, high = found.interval(method="percentile")["a2"]
     assert low > 50
     assert high == np.inf

@@ -1,0 +1,164 @@
+"""Profiles of a fit as values that print themselves; `profile` makes them."""
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.data.json_numbers import all_finite, finite
+from greybox.data.text_table import alternatives, number, one_line
+
+Array = NDArray[np.float64]
+
+End = Literal["crossed", "bound", "flat", "failed"]
+
+
+@dataclass(frozen=True, eq=False)
+class ProfileOf:
+    """The profile of one parameter or derived quantity.
+
+    Attributes
+    ----------
+    name, unit : str
+    estimate, standard_error : float
+        Of the fit; the error is NaN where there is none.
+    values, costs, roots : (n,) arrays
+        Where the quantity was held, in rising order; the lowest cost there, and the signed root of the likelihood
+        ratio.
+    others : (n, p) array
+        All free parameters at these values.
+    interval : (float, float)
+        Infinite on a side that the data leave open.
+    ends : (End, End)
+        How the profile ended below and above: it "crossed" the limit; reached the "bound" of the parameter, where the
+        search ends, below it; is "flat" however far it goes; or "failed" to converge.
+    bounds : (float, float)
+    at_bound : (tuple of str, tuple of str)
+        Other parameters that a bound holds where the profile crosses the limit below and above: that end follows from
+        the bound too, not from the data alone.
+    connected : bool
+        False when values inside the interval have a cost above the limit.
+    """
+
+    name: str
+    unit: str
+    estimate: float
+    standard_error: float
+    values: Array
+    costs: Array
+    roots: Array
+    others: Array
+    interval: tuple[float, float]
+    ends: tuple[End, End]
+    bounds: tuple[float, float]
+    at_bound: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
+    connected: bool = True
+
+    def __str__(self) -> str:
+        low, high = (number(value, 4) for value in self.interval)
+        unit = f" {self.unit}" if self.unit else ""
+        is_open = [math.isinf(value) for value in self.interval]
+        if all(is_open):
+            said = "not limited by the data on either side"
+        elif is_open[1]:
+            said = f"above {low}{unit}, no upper limit{self._why(1)}"
+        elif is_open[0]:
+            said = f"below {high}{unit}, no lower limit{self._why(0)}"
+        else:
+            said = f"{low} to {high}{unit}"
+        held = [
+            f", the {end} limit with {', '.join(names)} at {'its bound' if len(names) == 1 else 'their bounds'}"
+            for end, names in zip(("lower", "upper"), self.at_bound, strict=True)
+            if names
+        ]
+        return f"{said}{''.join(held)}{'' if self.connected else ', in separate pieces'}"
+
+    def _why(self, side: int) -> str:
+        if self.ends[side] == "bound":
+            return f" up to the bound {self.bounds[side]:g}" if side else f" down to the bound {self.bounds[side]:g}"
+        return " that could be found: solves failed beyond" if self.ends[side] == "failed" else ""
+
+    def __repr__(self) -> str:
+        return one_line(self, self.name, str(self))
+
+
+@dataclass(frozen=True, eq=False)
+class Profiles:
+    """Profiles of one fit. Printing them gives a line for each.
+
+    Attributes
+    ----------
+    name : str
+        Of the problem.
+    level : float
+        Of the intervals.
+    limit : mapping of name to float
+        Of |r|: the quantile of Student's t.
+    free : tuple of str
+        The columns of `ProfileOf.others`.
+    profiles : tuple of ProfileOf
+    warnings : tuple of str
+    """
+
+    name: str
+    level: float
+    limit: dict[str, float]
+    free: tuple[str, ...]
+    profiles: tuple[ProfileOf, ...]
+    warnings: tuple[str, ...] = ()
+
+    def __getitem__(self, name: str) -> ProfileOf:
+        for profile in self.profiles:
+            if profile.name == name:
+                return profile
+        raise KeyError(f"{name!r} was not profiled; there are {alternatives(name, [p.name for p in self.profiles])}")
+
+    @property
+    def intervals(self) -> dict[str, tuple[float, float]]:
+        """The intervals by name; infinite on an open side."""
+        return {profile.name: profile.interval for profile in self.profiles}
+
+    def __repr__(self) -> str:
+        return one_line(self, self.name, ", ".join(profile.name for profile in self.profiles))
+
+    def __str__(self) -> str:
+        width = max((len(profile.name) for profile in self.profiles), default=0)
+        lines = [f"  {p.name:<{width}}  {number(p.estimate):>10}   {p}" for p in self.profiles]
+        warnings = [f"  warning: {text}" for text in self.warnings]
+        return "\n".join(
+            [f"{self.name}: {100 * self.level:g} % intervals by profile likelihood", "", *lines, *warnings]
+        )
+
+    def intervals_in_words(self) -> dict[str, Any]:
+        """Return interval and text of every profile as plain values, for JSON; None for an open side."""
+        return {
+            p.name: {"low": finite(p.interval[0]), "high": finite(p.interval[1]), "text": str(p)} for p in self.profiles
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """Return everything as plain values, for JSON; None for an open side."""
+        return {
+            "problem": self.name,
+            "level": self.level,
+            "profiles": {
+                p.name: {
+                    "estimate": finite(p.estimate),
+                    "standard_error": finite(p.standard_error),
+                    "low": finite(p.interval[0]),
+                    "high": finite(p.interval[1]),
+                    "ends": list(p.ends),
+                    "at_bound": [list(names) for names in p.at_bound],
+                    "connected": p.connected,
+                    "text": str(p),
+                    "values": p.values.tolist(),
+                    "costs": p.costs.tolist(),
+                    "roots": p.roots.tolist(),
+                    "others": {name: p.others[:, k].tolist() for k, name in enumerate(self.free)},
+                }
+                for p in self.profiles
+            },
+            "limit": all_finite(self.limit),
+            "warnings": list(self.warnings),
+        }
