@@ -5,13 +5,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class AxisSignals:
-    """The signals of one axis, the best first: controls, angles, rates, setpoints, and terms of its controllers."""
+    """The signals of one axis, the best first: controls, angles, rates, setpoints, terms of its controllers, sticks."""
 
     controls: tuple[str, ...]
     angles: tuple[str, ...]
     rates: tuple[str, ...]
     setpoints: tuple[str, ...]
     terms: tuple[str, ...]
+    sticks: tuple[str, ...] = ()
 
 
 NAMES = {"roll": ("phi", "p"), "pitch": ("theta", "q"), "yaw": ("psi", "r")}  # of angle and rate in models

@@ -25,6 +25,7 @@ AXES = {
             f"vehicle_rates_setpoint.{axis}",
         ),
         terms=(f"rate_ctrl_status.{axis}speed_integ",),
+        sticks=(f"manual_control_setpoint.{axis}", f"manual_control_setpoint.{'yxr'[k]}"),
     )
     for k, axis in enumerate(("roll", "pitch", "yaw"))
 }

@@ -11,6 +11,7 @@ from greybox.data.record import Record, Recording, require_time
 from greybox.data.test_segment import Segment
 from greybox.data.units import to_si
 from greybox.logs.ardupilot import ATTITUDE_SETPOINTS, SYSTEMID_AXES, SYSTEMID_DELAY
+from greybox.logs.flight_controllers import AXES, axis_of
 from greybox.logs.px4 import AXES as PX4_AXES
 from greybox.logs.sine_detection import sines_and_sweeps
 
@@ -29,6 +30,11 @@ EDGE = 0.1  # s: times of start and end, from messages and modes, are logged no 
 # duration: sines of low frequency have fewer periods, those of high frequency less time.
 EARLY_PERIODS = 0.5
 EARLY_DURATION = 0.75
+
+# Of the travel of a stick, in the unit of its message, peak to peak: a stick at rest wanders by 1 to 5 µs, a dead zone
+# is of 20 to 30 µs, and a stick that flies a sine that can be told from gusts moves by more than that.
+STICK_MOVES = 0.05
+STICK_TRAVEL = {"RCIN": 1000.0, "manual_control_setpoint": 2.0}
 
 BARELY_EXCITED = 0.01  # of the largest amplitude in the same unit
 
@@ -175,10 +181,30 @@ def _checked(segment: Segment, data: Recording | Record) -> Segment:
         texts.append(f"shorter than one period ({segment.periods:.2f} of one)")
     if segment.amplitude == 0:
         texts.append("barely excited: the amplitude is 0")
+    stick = _moving_stick(segment, data) if segment.source.startswith("setpoint ") else ""
+    if stick:
+        texts.append(f"flown by hand: the stick {stick} moves with it, and a hand has no one frequency")
     for moment, mode in data.metadata.get("modes", ()):
         if segment.start + EDGE < moment < segment.end - EDGE and segment.source != "SIDS":
             texts.append(f"the mode changed to {mode} at {moment:.1f} s, during the test")
     return segment.refused(*texts) if texts else segment
+
+
+def _moving_stick(segment: Segment, data: Recording | Record) -> str:
+    """Return the stick of the segment's axis if it moved at its frequencies; empty if it rested, or was not logged."""
+    axis = axis_of(segment.axis)
+    sticks = AXES[axis].sticks if axis and isinstance(data, Recording) else ()
+    for stick in sticks:
+        message, _, field = stick.rpartition(".")
+        if not isinstance(data, Recording) or message not in data or field not in data[message].signals:
+            continue
+        record = data[message]
+        during = (record.time >= segment.start) & (record.time <= segment.end)
+        reach = np.ptp(record[field][np.isfinite(record[field])]) if np.isfinite(record[field]).any() else 0.0
+        values = record[field][during & np.isfinite(record[field])]
+        if values.size > 2 and np.ptp(values) > STICK_MOVES * max(float(reach), STICK_TRAVEL.get(message, 1.0)):
+            return stick
+    return ""
 
 
 def _compared(segments: list[Segment]) -> list[Segment]:

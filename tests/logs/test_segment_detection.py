@@ -157,3 +157,21 @@ def test_messages_that_announce_tests_are_named():
     sine = Record(time, dict.fromkeys(("Seg", "Ax", "W", "Eta"), np.ones(100)))
     log = Recording({"ATT": Record(time, {"Pitch": time}), "SINE": sine})
     assert announcing(log) == ("SINE",)
+
+
+def flown_by(stick):
+    """A sine in the setpoint of the roll angle, and the stick of the pilot."""
+    time = np.arange(0, 40, 0.02)
+    setpoint = np.where((time > 5) & (time < 35), 5 * np.sin(2 * time), 0)
+    rcin = Record(
+        time[::2], {"C1": 1500 + stick * setpoint[::2] + np.round(np.sin(9 * time[::2])), "C2": 1500 + 0 * time[::2]}
+    )
+    return Recording({"ATT": Record(time, {"DesRoll": setpoint, "Roll": setpoint}), "RCIN": rcin})
+
+
+def test_a_sine_of_the_stick_is_no_usable_sine():
+    (flown,) = find_segments(flown_by(stick=20.0))
+    assert not flown.usable
+    assert "flown by hand: the stick RCIN.C1 moves with it" in flown.findings[0]
+    (commanded,) = find_segments(flown_by(stick=0.0))
+    assert commanded.usable

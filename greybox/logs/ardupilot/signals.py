@@ -21,10 +21,11 @@ AXES = {
         rates=(f"RATE.{short}", f"PID{short}.Act", f"IMU.Gyr{gyro}"),
         setpoints=(f"ATT.Des{word}", f"ANG.Des{word}", f"RATE.{short}Des"),
         terms=(f"PID{short}.Tar", f"PID{short}.P"),
+        sticks=(f"RCIN.C{channel}",),  # as RCMAP_ROLL and the like have it by default
     )
-    for axis, short, word, gyro in (
-        ("roll", "R", "Roll", "X"),
-        ("pitch", "P", "Pitch", "Y"),
-        ("yaw", "Y", "Yaw", "Z"),
+    for axis, short, word, gyro, channel in (
+        ("roll", "R", "Roll", "X", 1),
+        ("pitch", "P", "Pitch", "Y", 2),
+        ("yaw", "Y", "Yaw", "Z", 4),
     )
 }

@@ -8,7 +8,7 @@ Formats
     `dataflash` (ArduPilot, binary), with `dataflash_index` (finds the messages in a file), `dataflash_units` and
     `imu_batches` (raw samples of the IMU);
     `dataflash_text` (ArduPilot, text); `telemetry` (MAVLink), with `telemetry_frames` (finds the packets in a file) and
-    `telemetry_metadata`; `ulog` (PX4); `csv_table`; `hdf5`; `matlab`.
+    `telemetry_metadata`; `ulog` (PX4); `csv_table`, with `betaflight` (of its blackbox); `hdf5`; `matlab`.
 Shared by several
     `messages` (messages of one type, and the records made of them), `time_stamps` (clock restarts, impossible and
     repeated stamps), `table_columns` (units in headings, the time column), `ardupilot_metadata` (vehicle, firmware,

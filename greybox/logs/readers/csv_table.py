@@ -13,6 +13,7 @@ from greybox.data.delimited_text import MISSING, DecimalMark, DelimitedText, rea
 from greybox.data.heading import Heading, heading
 from greybox.data.record import Recording
 from greybox.data.text_table import counted, is_number
+from greybox.logs.readers.betaflight import with_units, without_settings
 from greybox.logs.readers.messages import on_one_clock, records
 from greybox.logs.readers.table_columns import SECONDS, TIMES, name_list, of_rows, seconds, table
 
@@ -60,12 +61,12 @@ def read(path: str | Path, messages: Collection[str] | None = None, numbered: bo
     path = Path(path)
     raw = path.read_bytes()
     checksum = hashlib.sha256(raw).hexdigest()
-    text = read_delimited(path, raw)
+    text = read_delimited(path, without_settings(raw))
     if not text.lines:
         raise ValueError(f"{path} has no table: write a header line with names, then one line of numbers per sample.")
 
     text = _numbered(text) if numbered else text
-    headings = _headings(text)
+    headings = with_units(_headings(text))
     columns, findings = _columns(headings, text)
     units = {h.name: h.unit for h in headings}
     columns = _time_first(headings, columns, path)

@@ -103,7 +103,7 @@ def _contents(data: mmap.mmap, messages: Collection[str] | None) -> tuple[Clocke
     used = [one for one in each if one.count and one.layout.name not in TABLES]
     groups = [one.messages(tables.of(one.layout), stamps) for one in used]
     del each, used
-    return on_one_clock(groups, stamps), damage
+    return on_one_clock(groups, stamps), (*damage, *tables.findings)
 
 
 def _decoded(

@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from greybox.logs.readers.dataflash import CLOCKS, TABLES, clock_column, recordi
 from greybox.logs.readers.dataflash_index import Layout
 from greybox.logs.readers.dataflash_units import Units, UnitTables
 from greybox.logs.readers.messages import Messages, bare, on_one_clock
+from greybox.logs.readers.time_stamps import increasing
 
 FMT_FIELDS = 5  # type, length, name, format, columns
 
@@ -79,8 +81,31 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
         if name not in TABLES and name in lines.bodies
     ]
     unknown = sum(len(bodies) for name, bodies in lines.bodies.items() if name not in lines.layouts and name != "FMT")
-    findings = _damage(damaged, unknown)
+    groups, interpolated = _with_times(groups)
+    findings = [*_damage(damaged, unknown), *tables.findings, *interpolated]
     return recording(on_one_clock(groups + _banner(lines)), path, hashlib.sha256(raw).hexdigest(), messages, findings)
+
+
+def _with_times(groups: list[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
+    """Give the messages of a log of before 2014 times, where only GPS has them: by the lines between its messages."""
+    timed = [group for group in groups if group.time is not None and len(group) > 1]
+    if not timed or any(group.name not in ("GPS", "GPS2") for group in timed):
+        return groups, ()
+    clock = max(timed, key=len)
+    assert clock.time is not None
+    rows = increasing(clock.time)
+    if rows.size < 2:
+        return groups, ()
+    order, time = clock.order[rows], clock.time[rows]
+    made = [
+        group if group.time is not None else replace(group, time=np.interp(group.order, order, time, np.nan, np.nan))
+        for group in groups
+    ]
+    interval = float(np.median(np.diff(time)))
+    return made, (
+        f"only {clock.name} has times, every {interval:.2g} s: those of the other messages lie between by their lines, "
+        "and may be off by as much; do not identify what is faster from this log.",
+    )
 
 
 def _messages(lines: Lines, name: str, units: Units, damaged: dict[str, int]) -> Messages:

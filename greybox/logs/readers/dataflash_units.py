@@ -37,11 +37,14 @@ class UnitTables:
 
     def __init__(self, groups: Iterable[Messages]) -> None:
         self.labels: dict[str, str] = {}
+        self._several: dict[str, set[str]] = {}
         self.multipliers: dict[str, float] = {}
         self.letters: dict[int, tuple[str, str]] = {}
         for group in groups:
             if group.name == "UNIT" and "Id" in group.columns and "Label" in group.texts:
-                self.labels.update(zip(map(_letter, group.columns["Id"]), group.texts["Label"], strict=True))
+                for letter, label in zip(map(_letter, group.columns["Id"]), group.texts["Label"], strict=True):
+                    self.labels[letter] = label
+                    self._several.setdefault(letter, set()).add(label)
             elif group.name == "MULT" and {"Id", "Mult"} <= group.columns.keys():
                 # Single precision on board: pymavlink rounds to 7 digits to look the prefixes up.
                 rounded = (float(f"{value:.7g}") for value in group.columns["Mult"])
@@ -51,12 +54,23 @@ class UnitTables:
                 pairs = zip(units, group.texts.get("MultIds", [""] * len(units)), strict=True)
                 self.letters.update(zip(map(_integer, group.columns["FmtType"]), pairs, strict=True))
 
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """Letters that the table gives several units, in words."""
+        return tuple(
+            f"the table of units has the letter {letter!r} for {' and for '.join(sorted(labels))}: what has it is "
+            "taken without a unit."
+            for letter, labels in self._several.items()
+            if len(labels) > 1
+        )
+
     def of(self, layout: Layout) -> Units:
         """Units of one type, as pymavlink gives them: a multiplier of the table is part of the unit (cm/s²)."""
         units, scales = self.letters.get(layout.kind, ("", ""))
         columns = {}
         for i, (name, letter) in enumerate(zip(layout.columns, units, strict=False)):
-            label = unit(self.labels.get(letter, ""))
+            known = len(self._several.get(letter, ())) == 1
+            label = unit(self.labels[letter]) if known else ""
             scaled = label and i < len(scales) and layout.scale(i) is None
             columns[name] = _prefixed(label, self.multipliers.get(scales[i], 1.0)) if scaled else label
         return Units(columns, _instance(layout, units))

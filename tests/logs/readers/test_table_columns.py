@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from greybox.logs.readers.table_columns import WIDEST, Heading, heading, seconds, table
+from greybox.data.heading import Heading, heading
+from greybox.logs.readers.table_columns import WIDEST, seconds, table
 
 TIME = np.arange(5) * 20.0  # ms
 
@@ -14,7 +15,7 @@ TIME = np.arange(5) * 20.0  # ms
         ("pitch [deg]", Heading("pitch", "deg")),
         (" pitch (deg/s) ", Heading("pitch", "deg/s")),
         ("pitch", Heading("pitch", "")),
-        ("q[0]", Heading("q", "0")),
+        ("q[0]", Heading("q[0]", "")),
         ("a []", Heading("a", "")),
         ("[deg]", Heading("[deg]", "")),
     ],

@@ -1,0 +1,35 @@
+"""Tables of Betaflight's blackbox, as `blackbox_decode` and Blackbox Explorer write them.
+
+The first column is loopIteration, the time is in µs. Explorer writes the settings of the vehicle before the header.
+
+Source: https://github.com/betaflight/blackbox-tools, src/blackbox_decode.c; the fields in blackbox.c of the firmware.
+"""
+
+import re
+from collections.abc import Sequence
+
+from greybox.data.heading import Heading
+
+HEADER = re.compile(rb'^"?loopIteration"?\s*,', re.MULTILINE)
+TIME = "time"
+UNITS = {r"gyro(ADC|Unfilt)\[\d\]": "deg/s", r"setpoint\[[0-2]\]": "deg/s"}  # of fields that are written without one
+
+
+def without_settings(raw: bytes) -> bytes:
+    """Return a table with all lines before its header as comments, so that the others keep their numbers."""
+    found = HEADER.search(raw)
+    if found is None or not found.start():
+        return raw
+    before = raw[: found.start()].split(b"\n")
+    return b"\n".join(b"#" + line for line in before[:-1]) + b"\n" + raw[found.start() :]
+
+
+def with_units(headings: Sequence[Heading]) -> list[Heading]:
+    """Return the headings with the units that Betaflight does not write."""
+    if not headings or headings[0].name != "loopIteration":
+        return list(headings)
+    return [h if h.unit else Heading(h.name, _unit(h.name)) for h in headings]
+
+
+def _unit(name: str) -> str:
+    return "us" if name == TIME else next((unit for key, unit in UNITS.items() if re.fullmatch(key, name)), "")
