@@ -30,9 +30,9 @@ NAMESPACES = {
     "virtual_flight write_excitation",
     "formulation": "Criterion EquationError MagnitudePhase MaximumLikelihood OutputError PredictionError Problem "
     "RelativeError RelativeLikelihood SquaredRelativeError Starts Sum TimeCriterion several",
-    "identification": "Identification Measurement Settings identify measure",
+    "identification": "Identification ManoeuvreMeasurement Measurement Settings identify measure measure_manoeuvre",
     "interop": "from_control from_scipy to_casadi to_control to_scipy write_c write_mat",
-    "logs": "find_segments horizontal_velocity negative prepare read",
+    "logs": "find_manoeuvres find_segments horizontal_velocity negative prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response linearize rational",
     "planning": "ExpectedErrors SinePlan expected_errors plan_sines",

@@ -14,6 +14,7 @@ from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.data.text_table import number, text_table
 from greybox.logs.flight_controllers import axis_of
+from greybox.logs.manoeuvre_detection import find_manoeuvres
 from greybox.logs.segment_detection import announcing
 from greybox.spectral.vibration import vibration, vibration_table
 
@@ -42,11 +43,14 @@ def run(options: argparse.Namespace) -> Answer:
     recording = read_log(options)
     segments = segments_of(recording, options)
 
+    # Controllers that make tests make setpoints that are no manoeuvres.
+    manoeuvres = () if segments and not options.setpoint else find_manoeuvres(recording, options.setpoint)
     in_time = any(record.has_time for record in recording.values())
     none = "no test segments found: give --announced or --setpoint." if in_time else "no time column: rows in no order."
     found = segment_table(segments) if segments else none
+    found += f"\n\nmanoeuvres\n{segment_table(manoeuvres)}" if manoeuvres else ""
     findings = [f"  {finding}" for finding in recording.findings]
-    notes = save_figure(options.plot, lambda: _figure(recording, segments))
+    notes = save_figure(options.plot, lambda: _figure(recording, (*segments, *manoeuvres)))
     shaking = [one for name, record in recording.items() if name.startswith("ISBD[") for one in vibration(name, record)]
     parts = [_about(recording), _contents(recording), *([vibration_table(shaking)] if shaking else []), found]
     text = "\n\n".join(parts) + "\n" + "\n".join([*findings])
@@ -60,18 +64,26 @@ def run(options: argparse.Namespace) -> Answer:
         "messages": [_message(name, record) for name, record in recording.items()],
         "segments": [segment_as_json(segment) for segment in segments],
         "vibration": [asdict(one) for one in shaking],
+        "manoeuvres": [segment_as_json(segment) for segment in manoeuvres],
         "findings": list(recording.findings),
     }
-    following = _following(recording, segments, options)
+    following = _following(recording, segments, manoeuvres, options)
     answer["next"] = following
     return answer, "\n".join([text, *notes, *([f"next: {following}"] if following else [])]), USABLE
 
 
-def _following(recording: Recording, segments: Sequence[Segment], options: argparse.Namespace) -> str:
+def _following(
+    recording: Recording, segments: Sequence[Segment], manoeuvres: Sequence[Segment], options: argparse.Namespace
+) -> str:
     """Return the command to type next, where there is something to identify.
 
     A table does not say which of its columns is what.
     """
+    if manoeuvres and not segments:
+        first = next((k for k, s in enumerate(manoeuvres, start=1) if s.kind != "stick input"), 1)
+        words = ["greybox", "response", options.log, "--manoeuvre", str(first)]
+        words += ["--setpoint", options.setpoint] if options.setpoint else []
+        return f"{shlex.join(words)} --input {manoeuvres[first - 1].axis} --output SIGNAL --out manoeuvre.csv"
     signals = [f"{name}.{field}" for name, record in recording.items() for field in record.signals]
     if any(axis_of(signal) for signal in signals):
         words = ["greybox", "identify", options.log]

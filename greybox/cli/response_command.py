@@ -1,4 +1,4 @@
-"""The command `greybox response`: from a log to a measured frequency response."""
+"""The command `greybox response`: from a log to a measured frequency response, or the spectrum of a manoeuvre."""
 
 import argparse
 import math
@@ -15,11 +15,14 @@ from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_w
 from greybox.data.json_numbers import finite
 from greybox.data.record import Recording
 from greybox.data.response_file import HDF5, write_response
+from greybox.data.transient_file import write_spectrum
+from greybox.identification.manoeuvre import ManoeuvreMeasurement, measure_manoeuvre
 from greybox.identification.measurement import INSTRUMENT, Measurement, Settings, measure
 
 EXAMPLES = (
     "flight.BIN --input u=RATE.POut --output theta=ATT.Pitch --out pitch.csv --plot bode.png",
     "flight.csv --input u --output theta --whole --band 1 40",
+    "flight.csv --manoeuvre 2-1-1 --input da dr --output p r --out manoeuvre.csv",
 )
 
 
@@ -28,9 +31,16 @@ def add_command(commands: Any) -> None:
     parser = add_parser(commands, "response", "measure a frequency response from a log", EXAMPLES)
     add = parser.add_argument
     add("log", metavar="LOG", help="a flight log, or a table of signals")
-    add("--input", required=True, metavar="[NAME=]SIGNAL", help="the control, e.g. u=RATE.POut")
-    add("--output", required=True, metavar="[NAME=]SIGNAL", help="the output, e.g. theta=ATT.Pitch")
+    add("--input", required=True, nargs="+", metavar="[NAME=]SIGNAL", help="the control, e.g. u=RATE.POut")
+    add("--output", required=True, nargs="+", metavar="[NAME=]SIGNAL", help="the output, e.g. theta=ATT.Pitch")
+    add(
+        "--manoeuvre",
+        metavar="NUMBER|KIND",
+        help="the spectrum of a doublet, 2-1-1, step or the like instead, by its number in `greybox inspect` or its "
+        "kind; of any number of inputs and outputs",
+    )
     add_measurement_options(parser)
+    add("--held", nargs="+", default=[], metavar="NAME", help="with --manoeuvre: inputs held between samples")
     add("--out", type=Path, metavar="FILE", help="save the response to this .csv or .h5 file")
     add("--traces", type=Path, metavar="FILE", help="draw control, output and setpoint of the first test")
     add_common_options(parser, "Bode diagram and coherence")
@@ -110,7 +120,12 @@ def run(options: argparse.Namespace) -> Answer:
     require_figure(options.plot, options.force)
     require_response_file(options.out, options.force)
     require_figure(options.traces, options.force)
-    settings = stated_settings(options, options.input, options.output)
+    if options.manoeuvre is not None:
+        return _run_manoeuvre(options)
+    for flag, words in (("--input", options.input), ("--output", options.output)):
+        if len(words) > 1:
+            raise UsageError(f"{flag} {' '.join(words)} are several signals, which --manoeuvre alone takes: give one.")
+    settings = stated_settings(options, options.input[0], options.output[0])
     recording = read_log(options)
     measured = measure(recording, settings)
 
@@ -126,6 +141,46 @@ def run(options: argparse.Namespace) -> Answer:
         notes.append(f"saved {options.out}")
     notes += save_figure(options.plot, lambda: _bode(measured))
     notes += save_figure(options.traces, lambda: _traces(measured))
+    return answer, "\n".join([text, *notes]), USABLE
+
+
+def _run_manoeuvre(options: argparse.Namespace) -> Answer:
+    """Measure a manoeuvre; save and draw its spectrum where asked to."""
+    recording = read_log(options)
+    measured = measure_manoeuvre(
+        recording,
+        options.input,
+        options.output,
+        options.manoeuvre,
+        signal=options.setpoint,
+        band=stated_band(options.band),
+        rate=options.rate,
+        held=options.held,
+    )
+    notes = []
+    if options.out is not None:
+        write_spectrum(measured.spectrum, options.out)
+        notes.append(f"saved {options.out}")
+    notes += save_figure(options.plot, lambda: _spectrum(measured))
+    notes += save_figure(options.traces, lambda: _record_traces(measured))
+    spectrum = measured.spectrum
+    answer = {
+        "log": recording.source,
+        "checksum": recording.checksum,
+        "manoeuvre": segment_as_json(measured.manoeuvre),
+        "manoeuvres": [segment_as_json(segment) for segment in measured.manoeuvres],
+        "omega": spectrum.omega.tolist(),
+        **{
+            kind: {n: {"alpha": x.real.tolist(), "beta": x.imag.tolist()} for n, x in getattr(spectrum, kind).items()}
+            for kind in ("inputs", "outputs")
+        },
+        "duration": spectrum.duration,
+        "step": spectrum.step,
+        "units": dict(spectrum.units),
+        "choices": list(measured.choices),
+        "log_findings": list(recording.findings),
+    }
+    text = "\n\n".join(part for part in (str(measured), "\n".join(recording.findings)) if part)
     return answer, "\n".join([text, *notes]), USABLE
 
 
@@ -147,6 +202,18 @@ def _bode(measured: Measurement) -> Any:
     from greybox.plotting import bode  # noqa: PLC0415  (imports matplotlib)
 
     return bode(measured.response)[0].figure
+
+
+def _spectrum(measured: ManoeuvreMeasurement) -> Any:
+    from greybox.plotting import spectrum  # noqa: PLC0415  (imports matplotlib)
+
+    return spectrum(measured.spectrum)[0].figure
+
+
+def _record_traces(measured: ManoeuvreMeasurement) -> Any:
+    from greybox.plotting import traces  # noqa: PLC0415  (imports matplotlib)
+
+    return traces(measured.record, measured.manoeuvre)[0].figure
 
 
 def _traces(measured: Measurement) -> Any:

@@ -6,16 +6,19 @@ from dataclasses import dataclass, replace
 
 from greybox.data.text_table import number, one_line, text_table
 
+PERIODIC = ("sine", "sweep", "multisine")
+MANOEUVRES = ("2-1-1", "3-2-1-1", "doublet", "pulse", "step", "stick input")
+
 
 @dataclass(frozen=True)
 class Segment:
-    """One excited segment of an experiment: a sine, a sweep or a multisine.
+    """One excited segment of an experiment: a sine, a sweep, a multisine or a manoeuvre.
 
     Parameters
     ----------
     start, end : float, s
         On the record's clock.
-    kind : "sine", "sweep" or "multisine"
+    kind : "sine", "sweep" or "multisine"; of a manoeuvre one of `MANOEUVRES`
     axis : str
         As named in the log, or the setpoint's name.
     omega : float, rad/s
@@ -32,7 +35,7 @@ class Segment:
     Raises
     ------
     ValueError
-        If end is not after start, or the kind is none of the three.
+        If end is not after start, or the kind is none of these.
     """
 
     start: float
@@ -52,8 +55,10 @@ class Segment:
         """Check the values; a sine's band is its frequency."""
         if not self.end > self.start:
             raise ValueError(f"the segment ends at {self.end:g} s, not after its start at {self.start:g} s.")
-        if self.kind not in ("sine", "sweep", "multisine"):
-            raise ValueError(f"the kind of a segment is {self.kind!r}: it must be 'sine', 'sweep' or 'multisine'.")
+        if self.kind not in (*PERIODIC, *MANOEUVRES):
+            raise ValueError(
+                f"the kind of a segment is {self.kind!r}: it must be one of {', '.join((*PERIODIC, *MANOEUVRES))}."
+            )
         if self.kind == "sine" and math.isnan(self.band[0]):
             object.__setattr__(self, "band", (self.omega, self.omega))
 

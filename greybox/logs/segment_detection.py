@@ -242,7 +242,7 @@ def _in_setpoint(data: Recording | Record, name: str) -> list[Segment]:
     record, field = data.locate(name) if isinstance(data, Recording) else (data, name)
     found = []
     unit = record.units.get(field, "")
-    turn = _turn(unit)
+    turn = whole_turn(unit)
     for piece in record.pieces:
         known = np.isfinite(piece[field])
         values = piece[field][known]
@@ -250,7 +250,7 @@ def _in_setpoint(data: Recording | Record, name: str) -> list[Segment]:
     return [replace(s, axis=name, unit=unit, source=f"setpoint {name}") for s in found]
 
 
-def _turn(unit: str) -> float:
+def whole_turn(unit: str) -> float:
     """Return a whole turn in the unit of an angle, which jumps by it, as a heading does at north; 0 for other units."""
     try:
         conversion = to_si(unit)

@@ -48,6 +48,12 @@ SMOOTHED = 0.3  # octaves or so over which the excitation is averaged, as a shar
 # extends to 15 Hz, where the output is noise.
 EXCITED = 0.01
 
+# What serves a short record of one 2-1-1, doublet or step.
+OF_MANOEUVRES = (
+    "gb.spectral.transient_spectrum (greybox response --manoeuvre), which serves one manoeuvre from one period of its "
+    "duration on"
+)
+
 
 def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     records: Record | Sequence[Record],
@@ -165,7 +171,7 @@ def _within(band: tuple[float, float], lowest: float, highest: float) -> tuple[f
     if not max(low, lowest) < min(high, highest):
         raise ValueError(
             f"the band from {low:.4g} to {high:.4g} rad/s lies outside of what these records resolve, {lowest:.4g} to "
-            f"{highest:.4g} rad/s: choose another band, or record longer or faster."
+            f"{highest:.4g} rad/s: choose another band, record longer or faster, or use {OF_MANOEUVRES}."
         )
     return max(low, lowest), min(high, highest)
 
@@ -187,7 +193,8 @@ def _check_periods(omega: Array, lowest: float, longest: float) -> None:
     if too_low.size:
         raise ValueError(
             f"omega = {too_low[0]:g} rad/s has fewer than {round(lowest * longest / HZ)} periods in the longest "
-            f"stretch or window, {longest:.4g} s: leave out what is below {lowest:.4g} rad/s, or record longer."
+            f"stretch or window, {longest:.4g} s: leave out what is below {lowest:.4g} rad/s, record longer, or use "
+            f"{OF_MANOEUVRES}."
         )
 
 
@@ -196,7 +203,7 @@ def _excited_band(lines: Lines, lowest: float, highest: float) -> tuple[float, f
     if lowest >= highest:
         raise ValueError(
             f"the records are too short: their lowest frequency, {lowest:.4g} rad/s, is above the highest that the "
-            f"sampling allows, {highest:.4g} rad/s; record longer."
+            f"sampling allows, {highest:.4g} rad/s; record longer, or use {OF_MANOEUVRES}."
         )
     fine = np.geomspace(lowest, highest, 200)
     reach = np.maximum(fine * SMOOTHED / 2, PERIODS * lines.spacing)  # noise has holes by chance

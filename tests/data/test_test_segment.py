@@ -14,8 +14,8 @@ def test_a_segment_says_what_it_is():
     assert not segment.refused("a").usable
     with pytest.raises(ValueError, match=r"the segment ends at 1 s, not after its start at 1 s"):
         Segment(1.0, 1.0)
-    with pytest.raises(ValueError, match="the kind of a segment is 'step'"):
-        Segment(0.0, 1.0, "step")
+    with pytest.raises(ValueError, match="the kind of a segment is 'ramp'"):
+        Segment(0.0, 1.0, "ramp")
 
 
 def test_a_table_lists_segments_and_under_it_their_findings():

@@ -1,0 +1,273 @@
+"""Manoeuvres: 2-1-1, 3-2-1-1, doublets, pulses, steps and other inputs that leave a rest and return to one.
+
+A signal is at rest where it keeps one level for a second. What lies between two rests of the same level is one
+manoeuvre, and so is the way to a level that is then kept for good, a step. Its pulses are where the signal is off the
+first rest by more than half of the largest deviation, and their signs and durations name it.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.data.record import Record, Recording
+from greybox.data.test_segment import Segment
+from greybox.data.text_table import alternatives
+from greybox.logs.segment_detection import SETPOINTS, whole_turn
+from greybox.logs.sine_detection import sines_and_sweeps
+
+Array = NDArray[np.float64]
+
+# Searched when no signal is named.
+STICKS = (
+    *(f"RCIN.C{k}" for k in range(1, 5)),
+    *(f"manual_control_setpoint.{name}" for name in ("roll", "pitch", "yaw", "throttle")),
+)
+CONTROLS = ("u", "de", "da", "dr", "dt", "elevator", "aileron", "rudder", "throttle", "stick")
+
+# Durations of the pulses of the named manoeuvres, in units of the shortest, signs alternating.
+PATTERNS = {(1,): "pulse", (1, 1): "doublet", (2, 1, 1): "2-1-1", (3, 2, 1, 1): "3-2-1-1"}
+STEP, OTHER = "step", "stick input"
+MOST_PULSES = max(map(len, PATTERNS))  # of a manoeuvre with a name: more may be a sine or a sweep
+
+# Relative deviation of a duration from its pattern: half the way between the durations 2 and 3 is 0.2 of the longer
+# one, and pilots are off by as much.
+OFF_PATTERN = 0.3
+
+REST = 1.0  # s at one level: the fastest pulses of an aircraft's 3-2-1-1 last as long, its longest one three times that
+NEW_REST = 6.0  # s after which another level is a new rest, twice the longest of these pulses
+
+# Of the range of a signal: how far it may move at rest. Ripple on sticks and trim drift are below a hundredth.
+AT_REST = 0.02
+NOISE = 8.0  # standard deviations of the noise, which a second of samples does not leave by chance
+
+# Of the longest pulse: shorter ones are overshoots, and shorter ways from one to the next no pause, as actuators and
+# hands take time.
+BRIEF, PAUSE = 0.2, 0.6
+STRONG = 0.1  # of the largest magnitude of the input's spectrum, -20 dB, down to which its band is excited
+HIGHEST = 0.4  # of the sampling rate, see `greybox.spectral.transients`
+GRID = 400  # frequencies at which that spectrum is looked at
+
+
+class _Rest(NamedTuple):
+    """Where a signal keeps a level: first and last sample, and the level in the first and in the last second."""
+
+    first: int
+    last: int
+    begins: float
+    ends: float
+
+
+def find_manoeuvres(data: Recording | Record, signal: str | Sequence[str] = ()) -> tuple[Segment, ...]:
+    """Return the manoeuvres in the inputs of a flight, in order of time.
+
+    Their kind is that of their pulses: "2-1-1", "3-2-1-1", "doublet", "pulse", "step", or "stick input" for any other.
+    Sines and sweeps are no manoeuvres, see `find_segments`.
+
+    Parameters
+    ----------
+    data : Recording or Record
+    signal : str or sequence of str
+        Signals to search, such as ``"RCIN.C2"``; by default the sticks of a log or, where it has none, setpoints, and
+        the controls of a record.
+
+    Raises
+    ------
+    KeyError, ValueError
+        If a signal that was named does not exist.
+    """
+    names = [signal] if isinstance(signal, str) and signal else signal
+    found = []
+    for name in names or _usual_inputs(data):
+        record, field = data.locate(name) if isinstance(data, Recording) else (data, name)
+        if not record.has_time:
+            continue
+        unit = record.units.get(field, "")
+        turn = whole_turn(unit)
+        for piece in record.pieces:
+            known = np.isfinite(piece[field])
+            values = piece[field][known]
+            runs = manoeuvres_in(piece.time[known], np.unwrap(values, period=turn) if turn else values)
+            found += [replace(run, axis=name, unit=unit, source=f"input {name}") for run in runs]
+    return tuple(sorted(found, key=lambda s: (s.start, s.axis)))
+
+
+def manoeuvres_in(time: Array, values: Array) -> list[Segment]:
+    """Return the manoeuvres in one signal, (n,) arrays."""
+    if time.size < 2 or not 1e-100 < np.ptp(values) < 1e100:  # squares must neither vanish nor overflow
+        return []
+    low, high = np.quantile(values, [0.001, 0.999])
+    noise = 1.4826 * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2)
+    drift = max(AT_REST * float(high - low), 1e-12 * float(np.abs(values).max()))
+    height = max(drift, NOISE * noise)
+    rests = _rests(time, values, height)
+    found = []
+    k = 0
+    while k < len(rests):
+        end = k + 1
+        while end < len(rests) and not _is_reached(time, rests, k, end, drift):
+            end += 1
+        if end < len(rests):
+            found.append(_named(time, values, rests[k], rests[end], drift, height))
+        k = end
+    return [segment for segment in found if segment]
+
+
+def _rests(time: Array, values: Array, height: float) -> list[_Rest]:
+    """Return where a signal keeps within `height` for a second at least."""
+    step = float(np.median(np.diff(time)))
+    window = max(round(REST / step), 2)
+    if time.size < window:
+        return []
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # noqa: PLC0415  (takes time to import)
+
+    spread = maximum_filter1d(values, window) - minimum_filter1d(values, window)
+    begins = np.flatnonzero(spread[window // 2 :][: time.size - window + 1] <= height)
+    rests: list[_Rest] = []
+    for run in np.split(begins, np.flatnonzero(np.diff(begins) > 1) + 1) if begins.size else []:
+        first, last = int(run[0]), int(run[-1]) + window - 1
+        ends = (values[first : first + window], values[last - window + 1 : last + 1])
+        rests.append(_Rest(first, last, *(float(np.median(part)) for part in ends)))
+    return rests
+
+
+def _is_reached(time: Array, rests: Sequence[_Rest], k: int, end: int, drift: float) -> bool:
+    """Tell whether a manoeuvre that left rest k is over at rest `end`."""
+    rest = rests[end]
+    returned = abs(rest.begins - rests[k].ends) <= 2 * drift
+    return returned or end == len(rests) - 1 or bool(time[rest.last] - time[rest.first] > NEW_REST)
+
+
+def _named(time: Array, values: Array, before: _Rest, after: _Rest, drift: float, height: float) -> Segment | None:
+    """Return what lies between two rests; None for less than the noise, and for sines and sweeps."""
+    rows = slice(min(before.last, after.first), max(before.last, after.first) + 1)  # noise lets rests overlap
+    deviation = values[rows] - before.ends
+    change = after.begins - before.ends
+    returned = abs(change) <= 2 * drift
+    if not returned and time[after.first] - time[before.last] <= REST:
+        share = deviation / change
+        if np.all((share > -0.5) & (share < 1.5)):
+            return _segment(time, values, before, after, STEP, abs(change))
+    amplitude = float(np.abs(deviation).max())
+    if amplitude <= height:
+        return None
+    pulses = _pulses(time[rows], deviation, amplitude / 2)
+    if len(pulses) > MOST_PULSES and sines_and_sweeps(time[rows], values[rows]):
+        return None
+    kind = _pattern(pulses) if returned else OTHER
+    return _segment(time, values, before, after, kind, amplitude)
+
+
+def _pulses(time: Array, deviation: Array, threshold: float) -> list[tuple[int, float]]:
+    """Return sign and duration of every pulse; a brief way from one to the next is shared out, a pause has sign 0."""
+    state = np.where(deviation > threshold, 1, np.where(deviation < -threshold, -1, 0))
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(state)) + 1, [state.size]])
+    ends = np.append(time, time[-1])[edges]
+    runs = list(zip(state[edges[:-1]].tolist(), np.diff(ends).tolist(), strict=True))
+    longest = max((duration for sign, duration in runs if sign), default=0.0)
+    pulses: list[tuple[int, float]] = []
+    way = math.inf  # since the last pulse
+    for sign, duration in runs:
+        if not sign or duration < BRIEF * longest:
+            way += duration
+            continue
+        if not pulses:
+            pulses.append((sign, duration))
+        elif way > PAUSE * longest:
+            pulses += [(0, way), (sign, duration)]
+        else:
+            last, before = pulses.pop()
+            if last == sign:
+                pulses.append((sign, before + way + duration))
+            else:
+                pulses += [(last, before + way / 2), (sign, duration + way / 2)]
+        way = 0.0
+    return pulses
+
+
+def _pattern(pulses: Sequence[tuple[int, float]]) -> str:
+    """Name pulses by their durations; they must follow one another with alternating signs."""
+    signs = [sign for sign, _ in pulses]
+    durations = tuple(duration for _, duration in pulses)
+    if 0 in signs or any(a == b for a, b in pairwise(signs)):
+        return OTHER
+    for pattern, name in PATTERNS.items():
+        unit = sum(durations) / sum(pattern)
+        if len(pattern) != len(durations) or not unit > 0:
+            continue
+        if all(abs(d / (unit * n) - 1) <= OFF_PATTERN for d, n in zip(durations, pattern, strict=True)):
+            return name
+    return OTHER
+
+
+def _segment(time: Array, values: Array, before: _Rest, after: _Rest, kind: str, amplitude: float) -> Segment:
+    start, end = float(time[before.last]), float(time[after.first])
+    return Segment(
+        start,
+        end if end > start else float(time[min(after.first + 1, time.size - 1)]),
+        kind,
+        band=_band(time, values, before, after, kind),
+        amplitude=amplitude,
+        offset=before.ends,
+    )
+
+
+def _band(time: Array, values: Array, before: _Rest, after: _Rest, kind: str) -> tuple[float, float]:
+    """Return the frequencies, rad/s, at which the input is strong: its derivative, of a step.
+
+    From one period over the manoeuvre and the second of rest on both sides.
+    """
+    first, last = np.searchsorted(time, [time[before.last] - REST, time[after.first] + REST])
+    rows = slice(int(first), min(int(last) + 1, time.size))
+    t, x = time[rows], values[rows] - before.ends
+    step = float(np.median(np.diff(time)))
+    duration = max(float(t[-1] - t[0]), 2 * step)
+    low, high = 2 * math.pi / duration, max(HIGHEST * 2 * math.pi / step, 2 * 2 * math.pi / duration)
+    omega = np.linspace(low, high, GRID)
+    if kind == STEP:
+        t, x = t[1:], np.diff(x)
+    size = np.abs(np.exp(-1j * np.outer(omega, t - t[0])) @ x)
+    strong = np.flatnonzero(size >= STRONG * size.max())
+    # Up to the first hole beyond which nothing is strong for an octave.
+    weak = np.flatnonzero(np.diff(strong) > 1)
+    stop = next((strong[k] for k in weak if omega[strong[k + 1]] > 2 * omega[strong[k]]), strong[-1])
+    return low, float(max(omega[stop], 2 * low))
+
+
+def _usual_inputs(data: Recording | Record) -> list[str]:
+    """Return the sticks, or where there are none the setpoints, and the controls of a record."""
+    if isinstance(data, Record):
+        return [name for name in (*SETPOINTS, *CONTROLS) if name in data.signals]
+    fields = {f"{key}.{name}" for key, record in data.items() for name in record.signals}
+    table = set(next(iter(data.values())).signals) if len(data) == 1 else set()  # its columns go by their bare names
+    sticks = [name for name in STICKS if name in fields]
+    return sticks or [name for name in (*SETPOINTS, *CONTROLS) if name in fields | table]
+
+
+def chosen_manoeuvre(segments: Sequence[Segment], wanted: str) -> Segment:
+    """Return the manoeuvre of a number, counted from 1, or the only one of a kind.
+
+    Raises
+    ------
+    ValueError
+        If there is no such one, or there are several of the kind.
+    """
+    if wanted.isdigit():
+        if not 1 <= int(wanted) <= len(segments):
+            raise ValueError(f"there is no manoeuvre {wanted}; the log has {len(segments)}.")
+        return segments[int(wanted) - 1]
+    numbers = [k for k, segment in enumerate(segments, start=1) if segment.kind == wanted]
+    if not numbers:
+        kinds = list(dict.fromkeys(segment.kind for segment in segments))
+        there = f"; it has {alternatives(wanted, kinds)}" if kinds else "."
+        raise ValueError(f"the log has no manoeuvre of the kind {wanted!r}{there}")
+    if len(numbers) > 1:
+        raise ValueError(
+            f"the log has {len(numbers)} manoeuvres of the kind {wanted!r}: give the number of one, "
+            f"{', '.join(map(str, numbers))}."
+        )
+    return segments[numbers[0] - 1]
