@@ -22,6 +22,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.formulation.frequency_criteria import Criterion
+from greybox.formulation.prior_part import with_priors
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.complex_arithmetic import Complex
@@ -146,6 +147,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     ValueError
         If no parameter is free, or a formula does not trace.
     """
+    problem = with_priors(problem)
     parameters = problem.parameters
     free = tuple(name for name, p in parameters.items() if not p.fixed)
     constants = tuple(name for name, p in parameters.items() if p.fixed)

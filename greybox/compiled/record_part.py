@@ -672,7 +672,8 @@ class RecordPart(Part):
         told = part._jacobian(trajectory, weight)
         white, weighted = told.white, told.weighted
         score = white
-        if part.covariance.known is not None:  # what was given is not what the residuals show
+        is_prior = self.problem.criterion.is_prior
+        if part.covariance.known is not None and not is_prior:  # what was given is not what the residuals show
             variance = np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1)
             score = np.einsum("k,kpt,kqt->pq", variance, weighted, weighted)
         initial = self.unknown_initial_states
@@ -697,7 +698,7 @@ class RecordPart(Part):
         meat = of_all_values(score * independent / (independent - initial))
 
         def spread(correction: float) -> tuple[float, Array]:
-            return 1.0, meat * correction**2
+            return 1.0, meat * (1.0 if is_prior else correction**2)
 
         def colored(root: Array) -> ColoredErrors:
             directions = in_columns(root)

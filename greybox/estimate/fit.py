@@ -45,6 +45,7 @@ from greybox.estimate.quantities import quantities, slopes_of_parameters
 from greybox.estimate.result import Fit, FittedRecord, FittedResponse, FittedSpectrum
 from greybox.formulation.frequency_criteria import evaluate
 from greybox.formulation.included_criteria import CRITERIA
+from greybox.formulation.prior_part import stated_priors
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Chained, Listed, Sobol, Starts, UntilFoundAgain, as_starts
 from greybox.formulation.sum import Sum
@@ -361,6 +362,7 @@ def assemble(
             if found
             else None
         ),
+        priors={name: pair for prior in stated_priors(problem) for name, pair in prior.stated.items()},
         known=known_of(nlp, accuracy, *slopes_of_parameters(nlp, estimate)) if found else None,
     )
     return replace(answer, notes=(*answer.notes, *determined_together(answer)))

@@ -27,6 +27,8 @@ def problem_of(fit: Fit) -> AnyProblem:
     uncertain = [q.name for q in held.values() if q.standard_error != 0]
     problems = []
     for k, part in enumerate(fit.parts):
+        if part.is_prior:
+            raise ValueError(f"the fit {fit.name!r} has a-priori knowledge: give its problem=...")
         if part.tied or part.constraints or uncertain:
             what = "ties" if part.tied else "constraints" if part.constraints else f"{uncertain[0]} from an earlier fit"
             raise ValueError(f"the fit {fit.name!r} has {what}, of which it keeps the text alone: give its problem=...")

@@ -95,6 +95,10 @@ def profile(
         raise ValueError(f"the fit {fit.name!r} has no estimate to profile around: {fit.status}.")
     if not 0 < level < 1:
         raise ValueError(f"level {level} must lie between 0 and 1, e.g. 0.95.")
+    if fit.priors:
+        raise ValueError(
+            f"the fit {fit.name!r} has a-priori knowledge, with which its cost is no likelihood: use fit.interval()."
+        )
     if len(fit.responses) < len(fit.parts):
         raise ValueError(
             f"the fit {fit.name!r} has {'records' if fit.records else 'manoeuvres'}, of which no profiles are made "

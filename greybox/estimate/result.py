@@ -4,7 +4,7 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -24,6 +24,7 @@ from greybox.estimate.sensitivity import Sensitivity, sensitivity
 from greybox.estimate.summary import summary
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.input_assumptions import Inputs, described_inputs
+from greybox.formulation.prior import Prior
 from greybox.formulation.restated_parameter import restated
 from greybox.formulation.spectrum_criteria import EquationError
 from greybox.modeling.model import Model
@@ -38,6 +39,8 @@ from greybox.solve.outcome import Run
 from greybox.statistics.metrics import fit_percent, rms
 
 # The included criteria in words, by name: `Fit.costs` has names alone.
+PRIOR = Prior(noise={}).class_path
+
 RULES = {criterion.name: criterion.description for criterion in CRITERIA}
 
 MANY = 10  # records up to which the text has a line for each; what it leaves out is in `Fit.records` and `quantities`
@@ -127,6 +130,11 @@ class FittedPart:
 
     def __repr__(self) -> str:
         return one_line(self, repr(self.name), self.label, self.criterion)
+
+    @property
+    def is_prior(self) -> bool:
+        """Whether it stands for a-priori knowledge of the parameters, not for data."""
+        return self.criterion_class == PRIOR
 
     def has_criterion_of(self, other: "FittedPart") -> bool:
         """Tell whether both were fitted by the same criterion: one class with the same settings."""
@@ -299,6 +307,9 @@ class Fit:
         The same of all `names`, with what ended at a bound as known: the errors of whatever depends on them follow.
     profiles : Profiles or None
         Of the parameters whose standard error misleads; None where there are none, or they were not asked for.
+    priors : mapping of name to (float, float)
+        Mean and standard deviation of what was known of parameters before the data: the estimate is then the maximum a
+        posteriori one. One of the `parts` stands for it.
     warnings, notes : tuple of str
         What to know before believing the estimate; and what may be worth a look.
     command : tuple of str
@@ -330,6 +341,7 @@ class Fit:
     directions: KnownDirections | None = field(default=None, repr=False)
     profiles: Profiles | None = field(default=None, repr=False)
     known: KnownDirections | None = field(default=None, repr=False)
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     command: tuple[str, ...] = field(default=(), repr=False)
 
     @property
@@ -340,7 +352,7 @@ class Fit:
     @property
     def records(self) -> tuple[FittedRecord, ...]:
         """The parts whose data are records."""
-        return tuple(part for part in self.parts if isinstance(part, FittedRecord))
+        return tuple(part for part in self.parts if isinstance(part, FittedRecord) and not part.is_prior)
 
     @property
     def spectra(self) -> tuple[FittedSpectrum, ...]:
@@ -365,6 +377,19 @@ class Fit:
         numbers = sum(2 * len(part.data) for part in self.responses)
         is_likelihood = any(part.is_likelihood for part in self.parts)
         return len(agreeing_runs(self.runs, self.minima, numbers=numbers, is_likelihood=is_likelihood))
+
+    @property
+    def prior_share(self) -> dict[str, float]:
+        """Which share the a-priori knowledge has in what is known of each free parameter, 0 to 1; the rest the data.
+
+        Of the information on a parameter with the others estimated along, for independent errors. NaN where the fit has
+        no standard error; empty without a prior.
+        """
+        found = [part.information for part in self.parts if part.is_prior and part.information is not None]
+        if not found:
+            return {}
+        shares = np.sum([each.sum(axis=1) for each in found], axis=0)
+        return dict(zip(self.free, shares.tolist(), strict=True))
 
     @property
     def criterion(self) -> str:
@@ -747,7 +772,7 @@ def _profile_lines(fit: Fit) -> list[str]:
 
 
 def _title(fit: Fit) -> str:
-    return f"{fit.name}: {', '.join(dict.fromkeys(part.label for part in fit.parts))}"
+    return f"{fit.name}: {', '.join(dict.fromkeys(part.label for part in fit.parts if not part.is_prior))}"
 
 
 def _html(fit: Fit) -> str:
@@ -783,11 +808,24 @@ def _overview(fit: Fit) -> list[str]:
         f"{agreeing} on the best of {minima}",
         f"  cost       {fit.cost:.6g}  ({fit.rule})",
         f"  data       {_data_text(fit)}, delay {fit.delay}{''.join(pade)}",
+        *(f"  prior      {text}" for text in _prior_texts(fit)),
         *(f"  inputs     {text}" for text in _inputs_texts(fit.records)),
         *(f"  output     {text}" for text in _output_texts(fit.records)),
         *(f"  response   {text}" for text in _response_texts(fit.responses)),
         *(f"  output     {text}" for text in _spectrum_texts(fit.spectra)),
     ]
+
+
+def _prior_texts(fit: Fit) -> Iterator[str]:
+    """Yield what was known before the data, and how much of what is known now that is."""
+    if not fit.priors:
+        return
+    share = fit.prior_share
+    told = [
+        f"{name} = {' ± '.join(with_error(mean, sigma))} ({number(100 * share.get(name, math.nan), 2)} %)"
+        for name, (mean, sigma) in fit.priors.items()
+    ]
+    yield f"{some(told, MANY)}: maximum a posteriori, with the share that the prior has in what is known of each"
 
 
 def _inputs_texts(records: Sequence[FittedRecord]) -> list[str]:
@@ -1055,8 +1093,8 @@ def _part_index(fit: Fit, model: Model | None, part: int | None, record: Record 
 
     def later(k: int) -> int:
         data = fit.parts[k].data
-        if not isinstance(data, Record):
-            return 2
+        if not isinstance(data, Record) or fit.parts[k].is_prior:
+            return 3 if fit.parts[k].is_prior else 2
         return int(record is None or not share_samples(data, record))
 
     records_first = sorted(range(count), key=later)

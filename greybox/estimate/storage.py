@@ -12,6 +12,7 @@ Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``
 ``/directions``  if known, ``covariance`` (p, p) of the free parameters within the directions that the data determine,
                  and the other directions ``unseen`` (p, b) in multiples of ``size`` (p,), ``at`` the estimate (p,); if
                  some are not determined, the same beside the estimate in ``elsewhere``.
+``/``            has the JSON attribute ``priors`` besides, if there are any: mean and standard deviation by name.
 ``/known``       the same, if known, of all the names of the covariance.
 ``/profiles``    if any, attributes ``name, level`` and, as JSON, ``limit, free, warnings``; a group of each profile by
                  its number: attributes ``name, unit, estimate, standard_error, connected`` and, as JSON, ``ends,
@@ -60,6 +61,7 @@ from greybox.estimate.profiles import End, ProfileOf, Profiles
 from greybox.estimate.result import Fit, FittedPart, FittedRecord, FittedResponse, FittedSpectrum, Quantity
 from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
 from greybox.formulation.input_assumptions import Inputs
+from greybox.formulation.prior import as_prior
 from greybox.modeling.model import Model
 from greybox.modeling.model_file import models_of, module_from_file
 from greybox.modeling.sine import Sine
@@ -149,6 +151,8 @@ def _write(file: Node, fit: Fit) -> None:
         _write_directions(file.create_group("known"), fit.known)
     if fit.profiles is not None:
         _write_profiles(file.create_group("profiles"), fit.profiles)
+    if fit.priors:
+        _attributes(file, priors=json.dumps({name: list(pair) for name, pair in fit.priors.items()}))
     _write_runs(file, fit)
     for k, part in enumerate(fit.parts):
         _write_part(file.create_group(f"parts/{k}"), part)
@@ -300,6 +304,7 @@ def _read(file: Stored) -> Fit:
         profiles=_read_profiles(file["profiles"]) if "profiles" in file else None,
         directions=_read_directions(file["directions"], len(free)) if "directions" in file else None,
         known=_read_directions(file["known"], len(names)) if "known" in file else None,
+        priors=_read_priors(attributes, free) if "priors" in attributes else {},
     )
     return _checked(fit)
 
@@ -346,6 +351,12 @@ def _checked(fit: Fit) -> Fit:
             _require({*part.outputs} <= held, "an output is not in the record")
             _require(part.inputs in get_args(Inputs), "how its inputs run between samples is not known")
     return fit
+
+
+def _read_priors(attributes: Mapping[str, Any], free: Sequence[str]) -> dict[str, tuple[float, float]]:
+    stored = _json_object(attributes["priors"])
+    _require({*stored} <= {*free}, "a parameter with a prior was not free")
+    return {name: as_prior(value, f"the prior of {name!r:.40}") for name, value in stored.items()}
 
 
 def _read_costs(stored: Mapping[str, Any]) -> dict[str, float]:

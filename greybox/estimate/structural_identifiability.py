@@ -189,8 +189,10 @@ def _of_responses(
     problems = []
     for input in model.input_names or ("",):
         for output in outputs or ("",):
-            omega = np.sort(np.exp(random.uniform(*np.log(BAND), FREQUENCIES)))
-            response = FrequencyResponse(omega, np.ones(FREQUENCIES), input, output, name=f"{output}/{input}")
+            omega = np.sort(np.exp(random.uniform(math.log(BAND[0]), math.log(BAND[1]), FREQUENCIES)))
+            response = FrequencyResponse(
+                omega, np.ones(FREQUENCIES, dtype=complex), input, output, name=f"{output}/{input}"
+            )
             problems.append(Problem(model, response, SquaredRelativeError("model"), at=at, **stated))
     problem: AnyProblem = problems[0] if len(problems) == 1 else Sum(tuple(problems))
     nlp = _without_bounds(compile_problem(problem))

@@ -41,6 +41,10 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
         "fixed": all_finite({q.name: q.value for q in parameters if q.kind == "fixed"}),
         "tied": [q.name for q in parameters if q.kind == "tied"],
         "derived": all_finite(result.derived),
+        "prior": {
+            name: {"mean": mean, "standard_deviation": sigma, "share": finite(result.prior_share.get(name, math.nan))}
+            for name, (mean, sigma) in result.priors.items()
+        },
         "outputs": [_output(part, name) for part in (*result.records, *result.spectra) for name in part.outputs],
         "at_bound": [q.name for q in result.quantities if q.at_bound],
         "warnings": list(result.warnings),

@@ -34,6 +34,8 @@ class AnyCriterion(ABC):
         that of other such criteria, by AIC and BIC too.
     nuisances : int
         How many variances of the errors the cost eliminates, which are estimated along for every response.
+    is_prior : bool
+        True where the data are a-priori knowledge of the parameters, whose errors are what they are said to be.
     """
 
     rule: ClassVar[str] = ""
@@ -42,6 +44,7 @@ class AnyCriterion(ABC):
     known_noise: ClassVar[bool] = False
     is_likelihood: ClassVar[bool] = False
     nuisances: ClassVar[int] = 0
+    is_prior: ClassVar[bool] = False
 
     @property
     def variant(self) -> str:

@@ -15,6 +15,7 @@ from greybox.data.text_table import one_line
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
 from greybox.formulation.held_estimate import HeldEstimate
+from greybox.formulation.prior import Knowledge, NormalPrior, normal_priors
 from greybox.formulation.restated_parameter import restated
 from greybox.formulation.signal_units import check_response_units, check_units
 from greybox.formulation.spectrum_criteria import outputs_in_spectrum
@@ -76,6 +77,12 @@ class Problem:
     starts : mapping of name to (float, float)
         ``{"a1": (-8, -2)}``: the box in which starts are drawn, in place of the declared one.
 
+    prior : mapping of name to (mean, standard deviation) or Fit, or a Fit
+        What is known of free parameters before the data, normally distributed; of a `Fit` its estimate and covariance.
+        The estimate is then the maximum a posteriori one, `Fit.prior_share` says how much of it is the prior's. It
+        goes before `Parameter(prior=...)`. Criteria must be likelihoods; a response whose criterion was left out is
+        fitted by `RelativeLikelihood`.
+
     Raises
     ------
     ValueError
@@ -98,6 +105,7 @@ class Problem:
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     start: Mapping[str, float] = field(default_factory=dict)
     starts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    prior: Mapping[str, Knowledge] | HeldEstimate = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Fill in the defaults and check that everything fits together."""
@@ -125,6 +133,7 @@ class Problem:
         stated = {name: self._as_stated(name, p) for name, p in self.declared.items() if name not in self.tied}
         object.__setattr__(self, "_stated_parameters", stated)
         self._check_functions()
+        self._check_prior()
 
     def _fill_in_defaults(self) -> None:
         object.__setattr__(self, "_has_default_criterion", self.criterion is None)
@@ -246,6 +255,19 @@ class Problem:
             )
         return replace(parameter, start=float(value), fixed=True)
 
+    def _check_prior(self) -> None:
+        """Gather the a-priori knowledge, and require a likelihood where there is any."""
+        outside = {name: self.outside(name) for name in self.declared}
+        stated = {name: p for name, p in self.__dict__["_stated_parameters"].items() if name in self.model.parameters}
+        found = normal_priors(stated, self.tied, self.prior, outside)
+        if found and not (self.criterion.is_likelihood or self.has_default_criterion):
+            raise ValueError(
+                f"{found[0].names[0]!r} has a prior, and the cost of {type(self.criterion).__name__} is no likelihood "
+                "to which it could be added: leave the criterion out, or give RelativeLikelihood(), or "
+                "MaximumLikelihood() where variances are known."
+            )
+        object.__setattr__(self, "_priors", tuple(found))
+
     def _check_functions(self) -> None:
         """Try ties, constraints and derived quantities in numbers, so that a mistake shows here, not inside CasADi."""
         if not isinstance(self.constraints, Sequence) or isinstance(self.constraints, str):
@@ -300,6 +322,11 @@ class Problem:
     def parameters(self) -> dict[str, Parameter]:
         """Parameters by their outside name, as stated here; tied ones are left out."""
         return {self.outside(name): parameter for name, parameter in self.__dict__["_stated_parameters"].items()}
+
+    @property
+    def priors(self) -> tuple[NormalPrior, ...]:
+        """What is known of the parameters before the data, by outside name."""
+        return self.__dict__["_priors"]
 
     @property
     def response(self) -> FrequencyResponse:

@@ -31,6 +31,8 @@ class Parameter:
         The box in which random starts are drawn; by default the bounds.
     scale : "linear" or "log"
         "log" optimizes the logarithm and draws starts evenly in it, for positive parameters that span decades.
+    prior : (float, float), optional
+        Mean and standard deviation of what is known before the data, see `Problem`.
 
     Raises
     ------
@@ -45,6 +47,7 @@ class Parameter:
     fixed: bool = False
     starts: tuple[float, float] | None = None
     scale: str = "linear"
+    prior: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         """Check the numbers against one another."""
@@ -65,6 +68,10 @@ class Parameter:
             )
         if self.starts is not None:
             self._check_box(low, high)
+        if self.prior is not None:
+            mean, sigma = number_pair(self.prior, "prior")
+            if not (math.isfinite(mean) and math.isfinite(sigma) and sigma > 0):
+                raise ValueError(f"prior {self.prior} must be (mean, standard deviation), the second above 0.")
 
     def _check_box(self, low: float, high: float) -> None:
         first, last = number_pair(self.starts, "starts")

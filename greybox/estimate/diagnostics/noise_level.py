@@ -69,7 +69,7 @@ def _(part: ResponsePart, trajectory: Trajectory, unknowns: int) -> Iterator[Fou
 
 @unlikely_noise_of.register
 def _(part: RecordPart, trajectory: Trajectory, unknowns: int) -> Iterator[Found]:
-    if part.covariance.known is None:
+    if part.covariance.known is None or part.problem.criterion.is_prior:
         return
     deviations = np.sqrt(np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1))
     for output, given, residual in zip(part.outputs, part.covariance.known, deviations, strict=True):

@@ -1,0 +1,141 @@
+"""What is known of parameters before the data: normal distributions, given one by one or by an earlier answer."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.data.text_table import listed
+from greybox.formulation.held_estimate import HeldEstimate
+from greybox.formulation.time_criteria import TimeCriterion
+from greybox.modeling.parameter import Parameter
+
+Array = NDArray[np.float64]
+
+Knowledge = tuple[float, float] | HeldEstimate
+"""Mean and standard deviation of one parameter, or an earlier answer that has its estimate and covariance."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prior(TimeCriterion):
+    """The negative logarithm of a normal density of the parameters, which makes a likelihood a posterior."""
+
+    rule: ClassVar[str] = "a-priori knowledge"
+    condition: ClassVar[str] = "a-priori knowledge that is normal and independent of the errors of the data"
+    known_noise: ClassVar[bool] = True
+    errors_are_white: ClassVar[bool] = True
+    is_prior: ClassVar[bool] = True
+
+    @property
+    def description(self) -> str:
+        """The rule in words."""
+        return self.rule
+
+    def condition_on(self, data: Any) -> str:
+        """Return the condition."""
+        return self.condition
+
+
+@dataclass(frozen=True, eq=False)
+class NormalPrior:
+    """A normal density of some parameters.
+
+    Attributes
+    ----------
+    names : tuple of str
+        By outside name.
+    mean, covariance : (k,) and (k, k) arrays
+    """
+
+    names: tuple[str, ...]
+    mean: Array
+    covariance: Array
+
+    @property
+    def stated(self) -> dict[str, tuple[float, float]]:
+        """Mean and standard deviation by name."""
+        sigma = np.sqrt(np.diag(self.covariance))
+        return {name: (float(m), float(s)) for name, m, s in zip(self.names, self.mean, sigma, strict=True)}
+
+    def same_as(self, other: "NormalPrior") -> bool:
+        """Tell whether another one says the same."""
+        return (
+            self.names == other.names
+            and np.array_equal(self.mean, other.mean)
+            and np.array_equal(self.covariance, other.covariance)
+        )
+
+
+def normal_priors(
+    declared: Mapping[str, Parameter], tied: Mapping[str, Any], prior: Any, outside: Mapping[str, str]
+) -> list[NormalPrior]:
+    """Return what a problem states of its free parameters: that of `prior`, else what the parameters declare.
+
+    `declared` are the model's parameters as the problem states them, by the names inside, `outside` the others.
+
+    Raises
+    ------
+    ValueError, TypeError
+        For a parameter that is not free, an answer that has no covariance of a parameter, or values that are none.
+    """
+    free = [name for name, parameter in declared.items() if not parameter.fixed and name not in tied]
+    if isinstance(prior, HeldEstimate):
+        shared = {name: prior for name in free if outside[name] in prior.estimate}
+        if not shared:
+            raise ValueError(
+                f"the Fit given as prior has {', '.join(prior.estimate)}, of which none is free here; free are "
+                f"{', '.join(free)}."
+            )
+        stated: dict[str, Any] = dict(shared)
+    elif isinstance(prior, Mapping):
+        stated = dict(prior)
+    else:
+        raise TypeError(f"prior is {prior!r:.60}: give {{name: (mean, standard deviation)}} or a Fit.")
+    for name in stated:
+        if name not in free:
+            why = "tied" if name in tied else "fixed" if name in declared else "no parameter of the model"
+            raise ValueError(f"prior names {name!r}, which is {why}: give it for free parameters, {', '.join(free)}.")
+
+    found: list[NormalPrior] = []
+    sources: dict[int, tuple[HeldEstimate, list[str]]] = {}
+    for name in free:
+        value = stated.get(name, declared[name].prior)
+        if value is None:
+            continue
+        if isinstance(value, HeldEstimate):
+            sources.setdefault(id(value), (value, []))[1].append(outside[name])
+            continue
+        mean, sigma = as_prior(value, f"the prior of {name}")
+        found.append(NormalPrior((outside[name],), np.array([mean]), np.array([[sigma**2]])))
+    return found + [_of_estimate(source, tuple(names)) for source, names in sources.values()]
+
+
+def _of_estimate(source: HeldEstimate, names: tuple[str, ...]) -> NormalPrior:
+    covariance = np.asarray(source.covariance_of(names), dtype=float)
+    unknown = [name for name, v in zip(names, np.diag(covariance), strict=True) if not (np.isfinite(v) and v > 0)]
+    if unknown:
+        raise ValueError(
+            f"the Fit given as prior has no standard error of {listed(unknown)}: give prior={{name: (mean, standard "
+            "deviation)}} for the others, or fix it in both."
+        )
+    return NormalPrior(names, np.array([source.estimate[name] for name in names]), covariance)
+
+
+def as_prior(value: Any, what: str) -> tuple[float, float]:
+    """Return mean and standard deviation.
+
+    Raises
+    ------
+    ValueError
+        For anything else.
+    """
+    try:
+        mean, sigma = (float(each) for each in value)
+    except (TypeError, ValueError):
+        mean = sigma = math.nan
+    if not (math.isfinite(mean) and math.isfinite(sigma) and sigma > 0):
+        raise ValueError(f"{what} is {value!r:.60}: give two finite numbers (mean, standard deviation above 0).")
+    return mean, sigma
