@@ -38,8 +38,8 @@ class Likelihoods:
 def common_likelihood(fits: Sequence[Fit]) -> Likelihoods | None:
     """Return the fits, which have the same responses, on the scale of one likelihood; else None.
 
-    That of the given variances where all data have them, otherwise that of errors of one relative variance. There is none
-    for other data and for weights.
+    That of the given variances where all data have them, otherwise that of errors of one relative variance. There is
+    none for other data and for weights.
     """
     if any(part.weight != 1 for fit in fits for part in fit.parts) or not all(map(has_responses_alone, fits)):
         return None
