@@ -206,7 +206,7 @@ class RecordPart(Part):
         return self.segments.columns(_measured_rows(self.data))
 
     @cached_property
-    def _at_nodes(self) -> tuple[Array, Array]:
+    def at_nodes(self) -> tuple[Array, Array]:
         """Measured outputs and inputs at the nodes."""
         return at_samples(self.data, self.data.segment_length)
 
@@ -340,7 +340,7 @@ class RecordPart(Part):
 
     def nodes_from_data(self, q: Array, known: Array) -> Array:
         """Return nodes (s, n) from the data, at the declared parameters and the known initial states (n,), else NaN."""
-        return self.model.initial_states.at(*self._at_nodes, q[: len(self.system.parameters)], known).T
+        return self.model.initial_states.at(*self.at_nodes, q[: len(self.system.parameters)], known).T
 
     def trajectory(self, z: Array, nodes: Array, *, simulated: bool = False) -> Trajectory:
         """Return the trajectory at z (p,) from nodes (s, n); `simulated` from the first one of every stretch alone."""

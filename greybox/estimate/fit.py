@@ -50,7 +50,6 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Chained, Listed, Sobol, Starts, UntilFoundAgain, as_starts
 from greybox.formulation.sum import Sum
 from greybox.modeling.periodic_motions import response_of_test
-from greybox.solve.batched_solver import BatchedSolver
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
 from greybox.solve.executors import packed
 from greybox.solve.global_search import TRIAL_POINTS, global_search
@@ -118,7 +117,9 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
         A number of Sobol points, all of which are brought to a minimum, a rule such as `LatinHypercube(200)` or
         `UntilFoundAgain(error=0.01)`, or a list of ``{name: value}``. By default 200 Sobol points: in a batched search
         the 8 with the lowest costs, and all if fewer than half of these end at the best minimum. Where data are
-        records, the declared values and 19 Sobol points. Drawn points at which a model of
+        records, the declared values and those 3 of 19 Sobol points that promise most over short segments, where they
+        are improved first (`Run.start` stays the point itself); all, if fewer than 3 of these 4 end at the best
+        minimum, or with constraints. Drawn points at which a model of
         records is not finite move toward the first at which it is. Of several starts on records, the search goes on
         from the best end with every parameter whose lower bound is above zero made four times larger and smaller; a
         lower cost is reported as an extra run.
@@ -426,7 +427,7 @@ def _waves(starts: Any, rule: Starts, solver: LocalSolver) -> Waves:
     """Return in which order the starts are tried: by default the promising ones first, where they can be told."""
     if isinstance(rule, UntilFoundAgain):
         return FoundAgain(rule.error)
-    return PromisingFirst() if starts is None and isinstance(solver, BatchedSolver) else AllAtOnce()
+    return PromisingFirst(*solver.promising) if starts is None else AllAtOnce()
 
 
 def _nothing(nlp: Nlp) -> Accuracy:

@@ -18,6 +18,7 @@ from greybox.compiled.response_part import SMOOTHING
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.interruption import reason_to_end, stop_requested
 from greybox.solve.ipopt import IpoptSolver
+from greybox.solve.local_solver import Screened
 from greybox.solve.minima import Minimum, same_cost
 from greybox.solve.outcome import IMPROVED, Outcome
 from greybox.solve.time_limits import one_run
@@ -52,6 +53,7 @@ class BatchedSolver(IpoptSolver):
     """Newton's method on all starts of a batch; IPOPT for what it leaves, and for the certificate."""
 
     together = MOST
+    promising = (8, 4)
 
     def __init__(
         self, nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({}), like: "IpoptSolver | None" = None
@@ -78,12 +80,13 @@ class BatchedSolver(IpoptSolver):
         """Return the solver of another problem with the same options."""
         return BatchedSolver(nlp, self._options)
 
-    def screened(self, starts: Array) -> Array:
-        """Return the smoothed costs (r,) at the starts (r, p) that tell which are promising."""
+    def screened(self, starts: Array) -> Screened:
+        """Compare the starts (r, p) by their smoothed costs."""
         program = self._nlp.locating or self._nlp.program
         z = self._nlp.scaling.to_solver(starts).T
         cost = np.asarray(program.map(len(starts))(z, np.full((1, len(starts)), SMOOTHING))[0]).ravel()
-        return np.where(np.isfinite(cost), cost, np.inf)
+        cost = np.where(np.isfinite(cost), cost, np.inf)
+        return Screened(np.argsort(cost, kind="stable"), cost, starts)
 
     def run_together(self, starts: Array) -> list[Outcome]:
         """Bring all starts (r, p) to a minimum together; those that do not get there are IPOPT's."""

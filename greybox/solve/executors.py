@@ -16,12 +16,13 @@ import pickle
 import signal
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError, Executor, Future
 from concurrent.futures import TimeoutError as StillRunning
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,12 +60,14 @@ def run_all(
     count: int,
     executor: Executor | None = None,
     memory: Memory | None = None,
+    begins: Mapping[int, Array] = MappingProxyType({}),
 ) -> Iterator[tuple[int, Array, Outcome]]:
     """Give the numbers of the starts, the starts (s,) and what a run from each leaves, until a stop is requested.
 
     They come in the order of `numbered`, of which there are `count`. As many are run at once as the solver runs
     together; of a batch that a stop cuts short, what was finished counts. With an executor the first batch is run here:
-    it tells how long they take. Runs that are in the `memory` are not made again.
+    it tells how long they take. Runs that are in the `memory` are not made again. A run begins at its start, or where
+    `begins` says for its number.
 
     Raises
     ------
@@ -81,14 +84,14 @@ def run_all(
             return
         made += len(batch)
         known = _recalled(memory, batch)
-        outcomes = known or _timed(solver, np.array([start for _, start in batch]))
+        outcomes = known or _timed(solver, np.array([begins.get(number, start) for number, start in batch]))
         finished = [outcome.status not in (INTERRUPTED, SEARCH_OVER) for outcome in outcomes]
         for (number, start), outcome, is_finished in zip(batch, outcomes, finished, strict=True):
             memory.keep(number, start, outcome)
             if is_finished or not any(finished):
                 yield number, start, outcome
         if known is None and executor is not None:
-            yield from _on_workers(_Tasks(solver, batches, count - made, executor, memory, outcomes))
+            yield from _on_workers(_Tasks(solver, batches, count - made, executor, memory, begins, outcomes))
             return
 
 
@@ -164,6 +167,7 @@ class _Tasks:
         count: int,
         executor: Executor,
         memory: Memory,
+        begins: Mapping[int, Array],
         first: list[Outcome],
     ) -> None:
         self.waiting: deque[_Task] = deque()
@@ -172,6 +176,7 @@ class _Tasks:
         self._batches = batches
         self._executor = executor
         self._memory = memory
+        self._begins = begins
         self._ahead: Batch | None = None
         self._most = min(max(MOST_BYTES // len(self._packed[1]), 2), MOST_WAITING)
         self._largest = max(math.ceil(count / FEWEST_TASKS), 1)
@@ -261,7 +266,8 @@ class _Tasks:
             self._memory.keep(number, start, outcome)
 
     def _submitted(self, numbers: list[int], starts: list[Array]) -> _Task:
-        where = (np.array(starts), os.getpid(), current_limits())
+        begins = [self._begins.get(number, start) for number, start in zip(numbers, starts, strict=True)]
+        where = (np.array(begins), os.getpid(), current_limits())
         return _Task(numbers, starts, self._executor.submit(run_starts, *self._packed, *where))
 
 

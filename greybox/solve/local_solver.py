@@ -35,7 +35,7 @@ class Runner(ABC):
         How many it makes at once.
     """
 
-    together: ClassVar[int] = 1
+    together: int = 1
 
     @abstractmethod
     def __reduce__(self) -> tuple[Callable[..., "Runner"], tuple[Any, ...]]:
@@ -50,6 +50,25 @@ class Runner(ABC):
         return [self.run(start) for start in starts]
 
 
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """Starts that were compared before any of them is run.
+
+    Attributes
+    ----------
+    order : (r,) array of int
+        Their numbers, the most promising first.
+    costs : (r,) array
+        At the starts, as far as the criterion was evaluated there; infinite elsewhere.
+    begins : (r, p) array
+        Where runs from them begin: there, or where the comparison has led.
+    """
+
+    order: NDArray[np.integer]
+    costs: Array
+    begins: Array
+
+
 class LocalSolver(Runner):
     """A solver of one compiled problem, built once for all starts, which are parameters (p,).
 
@@ -61,10 +80,13 @@ class LocalSolver(Runner):
         How many are tried where nothing is said.
     tries_declared_values : bool
         Whether the declared values are the first of a number of starts.
+    promising : tuple of int
+        How many of the starts that it has compared are run first, and how many of these must agree.
     """
 
     starts: ClassVar[int] = 20
     tries_declared_values: ClassVar[bool] = True
+    promising: ClassVar[tuple[int, int]] = (4, 3)
 
     @abstractmethod
     def __reduce__(self) -> tuple[Callable[..., "LocalSolver"], tuple[Any, ...]]:
@@ -81,6 +103,10 @@ class LocalSolver(Runner):
     def is_finite_at(self, start: Array) -> bool:
         """Tell whether a run can begin at the parameters `start` (p,)."""
         return True
+
+    def screened(self, starts: Array) -> Screened | None:
+        """Compare the starts (r, p) at low cost; None where they cannot be."""
+        return None
 
     def lost_beyond(self, x: Array, nodes: Sequence[Array]) -> tuple[Trajectory, ...] | None:
         """Return where the shortest step from an end leads at which the model is not finite; None where there is none.

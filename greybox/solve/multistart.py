@@ -86,13 +86,14 @@ def multistart(
     tried: dict[int, tuple[Array, Outcome]] = {}
     drawn = _Drawn(points)
     waves = waves or AllAtOnce()
-    costs = waves.costs(solver, starts)
+    screened = waves.screened(solver, starts) if movable else None
+    begins = {} if screened is None else dict(enumerate(screened.begins))
     runs: tuple[Run, ...] = ()
     minima: tuple[Minimum, ...] = ()
     outcomes: list[Outcome] = []
-    for wave in waves.numbers(len(starts), costs):
+    for wave in waves.numbers(len(starts), screened):
         numbered = ((number, drawn[number]) for number in wave)
-        for number, start, outcome in run_all(solver, numbered, len(wave), executor, memory):
+        for number, start, outcome in run_all(solver, numbered, len(wave), executor, memory, begins):
             tried[number] = start, search.improved(outcome)
             if progress is not None:
                 progress(len(tried), len(starts))
@@ -104,15 +105,19 @@ def multistart(
 
     nodes = outcomes[minima[0].runs[0]].nodes if minima else None
     ends = () if minima else tuple(outcome.nodes for outcome in outcomes)
-    if costs is not None and len(tried) < len(starts) and not stop_requested():
-        runs, minima = _among_screened(runs, minima, sorted(tried), starts, costs)
+    if screened is not None and len(tried) < len(starts) and not stop_requested():
+        runs, minima = _among_screened(runs, minima, sorted(tried), starts, screened.costs)
     return Multistart(runs, minima, time.perf_counter() - began, nodes, ends)
 
 
 def _among_screened(
     runs: Sequence[Run], minima: Sequence[Minimum], numbers: Sequence[int], starts: Array, costs: Array
 ) -> tuple[tuple[Run, ...], tuple[Minimum, ...]]:
-    """Return the runs from the starts of these `numbers` among those that were compared only, and the minima."""
+    """Return the runs from the starts of these `numbers` among those that were compared only, and the minima.
+
+    Runs that began elsewhere follow those from the starts.
+    """
+    numbers = [*numbers, *range(len(starts), len(starts) + len(runs) - len(numbers))]
     made = dict(zip(numbers, runs, strict=True))
     every = (
         replace(made[k], index=k)
@@ -120,7 +125,8 @@ def _among_screened(
         else Run(k, start, start, float(cost), SCREENED, converged=False, iterations=0, seconds=0.0, stage=SCREENED)
         for k, (start, cost) in enumerate(zip(starts, costs, strict=True))
     )
-    return tuple(every), tuple(replace(m, runs=tuple(numbers[k] for k in m.runs)) for m in minima)
+    every = (*every, *(replace(made[k], index=k) for k in numbers if k >= len(starts)))
+    return every, tuple(replace(m, runs=tuple(numbers[k] for k in m.runs)) for m in minima)
 
 
 class _Drawn:

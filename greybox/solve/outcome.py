@@ -34,7 +34,7 @@ class Run:
     index : int
         Number of the start.
     start, estimate : (p,) arrays
-        Where the run began and ended, in the order of the free parameters.
+        The start and where the run ended, in the order of the free parameters.
     cost : float
         The criterion without smoothing, at the end.
     status : str

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.solve.batched_solver import BatchedSolver
-from greybox.solve.local_solver import LocalSolver
+from greybox.solve.local_solver import LocalSolver, Screened
 from greybox.solve.minima import Minimum, agreeing_runs
 from greybox.solve.outcome import Run
 
@@ -23,12 +22,12 @@ class Waves(ABC):
     What is decided depends on the starts and on their order alone, never on who finishes first.
     """
 
-    def costs(self, solver: LocalSolver, starts: Array) -> Array | None:
-        """Return the costs (r,) at the starts, where they are compared before any is run."""
+    def screened(self, solver: LocalSolver, starts: Array) -> Screened | None:
+        """Return the starts (r, p) compared, where they are before any is run."""
         return None
 
     @abstractmethod
-    def numbers(self, count: int, costs: Array | None) -> Iterator[Sequence[int]]:
+    def numbers(self, count: int, screened: Screened | None) -> Iterator[Sequence[int]]:
         """Give the numbers of the starts of every wave."""
 
     def are_enough(self, nlp: Nlp, runs: Sequence[Run], minima: Sequence[Minimum]) -> bool:
@@ -40,37 +39,39 @@ class Waves(ABC):
 class AllAtOnce(Waves):
     """Every start."""
 
-    def numbers(self, count: int, costs: Array | None) -> Iterator[Sequence[int]]:
+    def numbers(self, count: int, screened: Screened | None) -> Iterator[Sequence[int]]:
         """Give all numbers."""
         yield range(count)
 
 
 @dataclass(frozen=True)
 class PromisingFirst(Waves):
-    """The starts of lowest cost first, and the others if these do not agree.
+    """The most promising starts first, and the others if these do not agree; all, where they cannot be compared.
 
     Parameters
     ----------
     promising : int
         How many are run first. On the fits of the paper each of them reaches the best minimum as good as always; eight
-        take the time of two or three runs of IPOPT.
+        in a batch take the time of two or three runs of IPOPT. Of runs on records, each of which takes its own time,
+        four.
     agreeing : int
-        How many of them must end at the lowest cost. Of four out of eight the chance is below 2 % where less than one
-        start in six leads there.
+        How many of them must end at the lowest cost. Of four out of eight, as of three out of four, the chance is below
+        2 % where less than one start in six leads there.
     """
 
-    promising: int = 8
-    agreeing: int = 4
+    promising: int
+    agreeing: int
 
-    def costs(self, solver: LocalSolver, starts: Array) -> Array | None:
-        """Return the costs at the starts."""
-        assert isinstance(solver, BatchedSolver)
-        return solver.screened(starts)
+    def screened(self, solver: LocalSolver, starts: Array) -> Screened | None:
+        """Return the starts compared."""
+        return solver.screened(starts) if len(starts) > self.promising else None
 
-    def numbers(self, count: int, costs: Array | None) -> Iterator[Sequence[int]]:
-        """Give the promising ones, then the others, in their order."""
-        ranked = range(count) if costs is None else np.argsort(costs, kind="stable").tolist()
-        first = sorted(ranked[: self.promising])
+    def numbers(self, count: int, screened: Screened | None) -> Iterator[Sequence[int]]:
+        """Give the promising ones, the most promising first, then the others, in their order."""
+        if screened is None:
+            yield range(count)
+            return
+        first = screened.order[: self.promising].tolist()
         yield first
         yield [k for k in range(count) if k not in set(first)]
 
@@ -101,7 +102,7 @@ class FoundAgain(Waves):
 
     FIRST = 32  # starts: enough to find a single minimum again with an error of 6 %
 
-    def numbers(self, count: int, costs: Array | None) -> Iterator[Sequence[int]]:
+    def numbers(self, count: int, screened: Screened | None) -> Iterator[Sequence[int]]:
         """Give waves that double the number of starts."""
         done, end = 0, min(self.FIRST, count)
         while done < count:

@@ -59,7 +59,7 @@ def not_finite_warnings(nlp: Nlp, search: Multistart, solver: LocalSolver) -> It
         if trouble is not None and trouble.cure:
             yield f"run {stopped.index} ended {EDGE} {trouble.why}: {trouble.cure}."
     troubled = [run for run in search.runs if _is_candidate(run) and run.reason]
-    if troubled and search.converged < FEW * len(search.runs):
+    if troubled and search.converged < FEW * len(search.brought):
         trouble = _trouble(nlp, troubled[0].start)
         if trouble is not None and trouble.cure:
             yield f"at {_values(nlp, troubled[0].start)} {trouble.why}: {trouble.cure}."

@@ -26,6 +26,9 @@ diverge, whatever the parameters. (Bock 1983; Bock, Kostina and Schlöder 2007, 
 **Far from the minimum** continuity is a penalty on the gaps instead, with a standard deviation that shrinks in stages
 to zero (`homotopy`); the first iterations move the nodes alone. Long records are first solved on excerpts.
 
+**Of many starts** that nobody has asked for by their number, the promising ones are run alone, and begin where short
+segments, evaluated for all starts at once, have led (`screening`).
+
 **Where Newton steps fail**: where gaps do not close, the records are simulated from their first nodes from then on;
 delays at which the cost jumps are held; a stalled run begins once more near the data. Each is a strategy that can be
 switched off, see `greybox.compiled.strategies`, which also says what each buys by `benchmarks/ablation.py`. What a

@@ -24,10 +24,11 @@ from greybox.solve.gauss_newton.iterate import Iterate, Nodes, Step
 from greybox.solve.gauss_newton.line_search import line_search
 from greybox.solve.gauss_newton.merit import merit_function
 from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
+from greybox.solve.gauss_newton.screening import Screening, distinct
 from greybox.solve.gauss_newton.sharpening import is_blurred, sharp_step
 from greybox.solve.gauss_newton.stability import are_stable, best_gains, simulate_stable
 from greybox.solve.interruption import reason_to_end
-from greybox.solve.local_solver import LocalSolver, Profile
+from greybox.solve.local_solver import LocalSolver, Profile, Screened
 from greybox.solve.minima import Multistart, same_cost
 from greybox.solve.outcome import CUT_SHORT, NOT_FINITE, Outcome
 
@@ -260,6 +261,26 @@ class GaussNewton(LocalSolver):
             return self._coarse.is_finite_at(start)
         z = self._limits.nearest(self._nlp.scaling.to_solver(start))
         return self._parts.from_data(z).finite
+
+    @DIVERGING
+    def screened(self, starts: Array) -> Screened | None:
+        """Compare the starts (r, p) by prediction errors over short segments, see `screening`.
+
+        The first start, the declared values, is among the promising ones in any case, and as it is. Of several that
+        lead to one point the best begins there, and the others are tried last, as they are.
+        """
+        if not Screening.serves(self._nlp):
+            return None
+        z = np.array([self._limits.nearest(self._nlp.scaling.to_solver(start)) for start in starts[1:]])
+        improved = Screening(self._nlp, self._limits).improved(z)
+        promising = [k + 1 for k in distinct(improved)]
+        begins = starts.copy()
+        found = self._nlp.scaling.to_parameters(improved.z)
+        begins[promising] = np.clip(found, self._nlp.lower, self._nlp.upper)[[k - 1 for k in promising]]
+        left = sorted(set(range(1, len(starts))) - set(promising))
+        before = self.promising[0] - 1
+        order = np.array([*promising[:before], 0, *promising[before:], *left])
+        return Screened(order, np.full(len(starts), np.inf), begins)
 
     # --- at given parameters ------------------------------------------------------------------------------------------
 
