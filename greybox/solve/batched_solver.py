@@ -31,8 +31,12 @@ AT_MINIMUM = "At_Minimum"  # status of a run whose projected gradient vanishes
 # 0.3 ms, ten times an iteration of IPOPT.
 FEWEST = 6
 
-# Starts in a batch, which takes 0.2 s on a small problem: operations on more do not become cheaper.
+# Starts in a batch, at most: operations on more do not become cheaper. Instructions times starts, of what takes some
+# 0.5 s: a time limit costs no more than the batch at hand, and progress is seen. In batches of fewer than the last
+# number a start takes more than twice its time.
 MOST = 1024
+MOST_AT_ONCE = 10_000_000
+FEWEST_AT_ONCE = 128
 
 # Iterations of a batch. Runs on the fits of the paper take 20 to 60, on polynomials of high order up to 200; IPOPT goes
 # on with those that need more.
@@ -52,7 +56,6 @@ TRIES = 3  # runs of one minimum that IPOPT solves once more, until one is confi
 class BatchedSolver(IpoptSolver):
     """Newton's method on all starts of a batch; IPOPT for what it leaves, and for the certificate."""
 
-    together = MOST
     promising = (8, 4)
 
     def __init__(
@@ -60,6 +63,7 @@ class BatchedSolver(IpoptSolver):
     ) -> None:
         """Build IPOPT; the functions of the batch are built when the first one is run."""
         super().__init__(nlp, options, like)
+        self.together = _power_of_two(min(max(MOST_AT_ONCE // _instructions(nlp), FEWEST_AT_ONCE), MOST))
         self._batches: list[BatchedNewton] = []
 
     def __reduce__(self) -> tuple[Callable[..., "BatchedSolver"], tuple[Any, ...]]:
@@ -72,9 +76,7 @@ class BatchedSolver(IpoptSolver):
         program = nlp.program
         if any(part.has_states for part in nlp.parts) or nlp.limits or not program.is_a("SXFunction"):
             return False
-        # A Hessian takes some two operations for every operation of the cost and unknown.
-        size = program.n_instructions() * 2 * len(nlp.free)
-        return len(nlp.free) <= MOST_UNKNOWNS and size <= MOST_INSTRUCTIONS
+        return len(nlp.free) <= MOST_UNKNOWNS and _instructions(nlp) <= MOST_INSTRUCTIONS
 
     def refined(self, nlp: Nlp) -> "BatchedSolver":
         """Return the solver of another problem with the same options."""
@@ -162,3 +164,13 @@ class BatchedSolver(IpoptSolver):
     def _spent(after: Outcome, before: Outcome) -> Outcome:
         """Return an outcome with what was spent before it."""
         return replace(after, iterations=before.iterations + after.iterations, seconds=before.seconds + after.seconds)
+
+
+def _instructions(nlp: Nlp) -> int:
+    """Return those of cost, gradient and Hessian: some two for every operation of the cost and unknown."""
+    return max(nlp.program.n_instructions() * 2 * len(nlp.free), 1)
+
+
+def _power_of_two(count: int) -> int:
+    """Return the largest up to a count: as many columns are evaluated at once."""
+    return 1 << (count.bit_length() - 1)

@@ -179,3 +179,25 @@ def test_ctrl_c_says_how_to_go_on(study, tmp_path, capsys):
     status, found, _ = answer(capsys, "batch", "--resume", "out")
     assert status == 0
     assert all(member["runs"] == 12 for member in found["members"])
+
+
+def test_a_study_that_its_time_limit_ends_goes_on(study, capsys):
+    study.write_text('[[member]]\nproblem = "rotors"\nstarts = 12\nseed = [0, 1]\n')
+    status, found, said = answer(capsys, "batch", study, "--out", "out", "--seconds", 1e-6)
+    assert status == 1
+    assert [member["status"] for member in found["members"]] == ["unfinished"] * 2
+    assert found["error"].startswith("2 of 2 members have no answer: rotors: seed 0, rotors: seed 1;")
+    assert found["error"].endswith("; the time limit ended the study, `greybox batch --resume out` goes on.")
+    assert "greybox: 2 of 2 members" in said
+    status, found, _ = answer(capsys, "batch", "--resume", "out", "--seconds", 1e6, "--start-seconds", 1e6)
+    assert status == 0
+    assert all(member["status"] == "done" and member["runs"] == 12 for member in found["members"])
+
+
+def test_a_start_of_a_study_has_its_time_limit(study, capsys):
+    study.write_text('[[member]]\nproblem = "rotors"\nstarts = 5\n')
+    status, found, _ = answer(capsys, "batch", study, "--out", "out", "--start-seconds", 1e-9)
+    assert status == 1
+    assert found["members"][0]["status"] == "failed"
+    assert "5 × time limit of a start" in found["members"][0]["error"]
+    assert answer(capsys, "batch", "--resume", "out")[0] == 0  # with more time they are made again

@@ -262,3 +262,49 @@ def test_a_fit_that_ends_early_goes_on(capsys, own, monkeypatch, press_ctrl_c):
     assert run(capsys, *other, "--force")[0] == 0
     assert len(gb.load("own.h5").runs) == 4
     assert kept_runs() == 0
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that goes on by a second at every look."""
+
+    class Clock:
+        now = 0.0
+
+        @classmethod
+        def time(cls):
+            cls.now += 1.0
+            return cls.now
+
+    monkeypatch.setattr("greybox.solve.time_limits.time", Clock)
+    return Clock
+
+
+def test_a_fit_that_its_time_limit_ends_goes_on(capsys, own, clock):
+    name = own()
+    status, out, _ = run(capsys, *command(name, "--starts", 30, "--seconds", 200)[3:])
+    done = len(gb.load("own.h5").runs)
+    assert status == 0
+    assert 1 <= done < 30
+    assert f"the time limit ended the search after {done} of 30 starts" in out
+    assert f"the same command goes on with {done} runs" in out
+    status, out, _ = run(capsys, *command(name, "--starts", 30, "--seconds", 10_000)[3:])
+    assert status == 0
+    assert len(gb.load("own.h5").runs) == 30
+    assert "time limit" not in out
+    assert kept_runs() == 0
+
+
+def test_a_start_has_its_time_limit(capsys, own, clock):
+    status, out, _ = run(capsys, *command(own(), "--starts", 3, "--start-seconds", 2.5, "--json")[3:])
+    found = json.loads(out)
+    assert status == 1
+    assert found["error"].startswith("no start converged (3 × time limit of a start)")
+    assert "3 of 3 starts were cut at 2.5 s" in found["warnings"][0]
+
+
+@pytest.mark.parametrize("flag", ["--seconds", "--start-seconds"])
+@pytest.mark.parametrize("text", ["0", "-1", "soon", "nan", "inf"])
+def test_what_is_no_time_is_refused(capsys, flag, text):
+    said = refused(capsys, "fit", "pitch_hover", f"{flag}={text}")
+    assert f"argument {flag}: '{text}' is not a number of seconds above 0" in said

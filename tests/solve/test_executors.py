@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import time
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
@@ -106,6 +107,16 @@ def test_the_answer_does_not_depend_on_who_makes_the_runs(which, workers):
     require_same(fitted(problem, LastFirst(), by_ipopt=by_ipopt), alone)
     with ThreadPoolExecutor(3) as threads:
         require_same(fitted(problem, threads, by_ipopt=by_ipopt), alone)
+
+
+def test_time_limits_hold_on_workers(workers):
+    began = time.monotonic()
+    found = gb.fit(RESPONSE, 100_000, search="multistart", seconds=0.5, executor=workers, progress=False)
+    assert time.monotonic() - began < 30  # all of them take minutes
+    assert 1 <= len(found.runs) < 100_000
+    assert "the time limit ended the search after" in found.warnings[0]
+    cut = gb.fit(RESPONSE, 40, search="multistart", start_seconds=1e-9, executor=workers, progress=False)
+    assert [run.status for run in cut.runs] == ["time limit of a start"] * 40
 
 
 def test_progress_counts_the_runs_in_order(workers):

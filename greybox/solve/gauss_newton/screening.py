@@ -54,7 +54,7 @@ class Points:
     cost: Array
     gradient: Array
     hessian: Array
-    by_states: list[tuple[Array, Array, Array]]
+    by_states: list[tuple[Array, ...]]
 
     def reduced(self, damping: Array) -> tuple[Array, Array, list[Array]]:
         """Return gradient and Hessian with the states eliminated, and these by 1 and z, (r, m, n, 1 + p)."""
