@@ -8,6 +8,7 @@ from greybox.cli.catalog import find_problem
 from greybox.cli.options import add_common_options, add_parser, nonnegative
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
 from greybox.cli.saved_fits import add_model_option, saved_fit
+from greybox.cli.workers import add_worker_options, stated_executor
 from greybox.estimate.profile import profile
 from greybox.estimate.profiles import Profiles
 
@@ -32,6 +33,7 @@ def add_command(commands: Any) -> None:
         metavar="N",
         help="of every point, beside its neighbors; 2 by default",
     )
+    add_worker_options(parser)
     add_common_options(parser, figure="the profiles")
     parser.set_defaults(command=run)
 
@@ -41,7 +43,9 @@ def run(options: argparse.Namespace) -> Answer:
     require_figure(options.plot, options.force)
     problem = None if options.problem is None else find_problem(options.problem)[0]
     fit = saved_fit(options.result, options)
-    found = profile(fit, options.names or None, problem=problem, level=options.level, fresh_starts=options.fresh_starts)
+    settings = {"level": options.level, "fresh_starts": options.fresh_starts}
+    with stated_executor(options) as executor:
+        found = profile(fit, options.names or None, problem=problem, executor=executor, **settings)
     lines = save_figure(options.plot, lambda: _figure(found))
     return found.summary(), "\n".join([str(found), *lines]), USABLE
 

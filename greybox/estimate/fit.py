@@ -51,7 +51,7 @@ from greybox.formulation.starts import Chained, Listed, Sobol, Starts, UntilFoun
 from greybox.formulation.sum import Sum
 from greybox.modeling.periodic_motions import response_of_test
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
-from greybox.solve.executors import packed
+from greybox.solve.executors import packed, require_executor
 from greybox.solve.global_search import TRIAL_POINTS, global_search
 from greybox.solve.interruption import Response, listening, responding, stop_requested, take_interrupt
 from greybox.solve.ipopt import IpoptSolver
@@ -208,8 +208,7 @@ def fit_keeping(
     """Fit as `fit` does, and keep every run as soon as it is done; runs that were kept before are not made again."""
     if not isinstance(problem, Problem | Sum):
         raise TypeError(f"problem is {problem!r:.80}: give a Problem(model, data) or a sum of them.")
-    if executor is not None and not isinstance(executor, Executor):
-        raise TypeError(f"executor is {executor!r:.60}: give an instance such as greybox.solve.WorkerPool(2).")
+    require_executor(executor)
     try:
         with listening():
             choice = by or SolverChoice()

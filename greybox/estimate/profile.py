@@ -14,6 +14,7 @@ number of points.
 
 import math
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from copy import copy
 from dataclasses import dataclass
 from typing import Any
@@ -33,6 +34,7 @@ from greybox.estimate.profiles import End, ProfileOf, Profiles
 from greybox.estimate.quantities import Formula, formulas
 from greybox.estimate.result import Fit, Quantity
 from greybox.formulation.starts import Sobol
+from greybox.solve.executors import call_all, require_executor
 from greybox.solve.ipopt import CONVERGED, WARM, StopCheck, checked_nlpsol
 
 Array = NDArray[np.float64]
@@ -57,6 +59,7 @@ def profile(
     problem: AnyProblem | None = None,
     level: float = 0.95,
     fresh_starts: int = 2,
+    executor: Executor | None = None,
 ) -> Profiles:
     """Profile the likelihood along parameters and derived quantities of a fit of frequency responses.
 
@@ -83,6 +86,8 @@ def profile(
         Of the intervals.
     fresh_starts : int
         Sobol points from which every point of a profile is solved again, beside its neighbors on both sides.
+    executor : concurrent.futures.Executor, optional
+        What makes the profiles, one a task, as of `greybox.fit`; this process by default. They are the same.
 
     Raises
     ------
@@ -90,7 +95,10 @@ def profile(
         Where the criterion admits no likelihood ratio, for records, and for a problem that is not the fit's.
     LookupError
         If a loaded fit does not know its model.
+    RuntimeError
+        When the executor has lost its workers.
     """
+    require_executor(executor)
     if not fit.converged:
         raise ValueError(f"the fit {fit.name!r} has no estimate to profile around: {fit.status}.")
     if not 0 < level < 1:
@@ -118,7 +126,7 @@ def profile(
     for name in wanted:
         if name not in known:
             raise ValueError(f"there is no {name!r} to profile; there are {alternatives(name, list(known))}.")
-    return _profiles(nlp, fit, [known[name] for name in wanted], level, fresh_starts)
+    return _profiles(nlp, fit, [known[name] for name in wanted], level, fresh_starts, executor)
 
 
 def profiled_where_misleading(nlp: Nlp, fit: Fit) -> Profiles | None:
@@ -179,26 +187,27 @@ def _factor(accuracy: Accuracy, gradient: Array) -> float:
 
 
 class _Held:
-    """The problem with one quantity held, built once: a parameter by its bounds, a formula by an equation."""
+    """The problem with one quantity held, built once: a parameter by its bounds, another by the equation of its value.
 
-    def __init__(self, nlp: Nlp, place: int | None, formula: Formula | None) -> None:
-        self._nlp, self._place = nlp, place
+    Pickled, it is the problem and the quantity, and is built anew where it arrives.
+    """
+
+    def __init__(self, nlp: Nlp, place: int | None, value: ca.Function | None) -> None:
+        self._nlp, self._place, self._value = nlp, place, value
         program = nlp.program
         kind: Any = ca.SX if program.is_a("SXFunction") else ca.MX
         z, p = kind.sym("z", len(nlp.free)), kind.sym("p", 2)
         cost, limits = program(z, p[0])
-        self._value, equation = None, kind(0, 1)
-        if formula is not None:
-            point = ca.SX.sym("z", len(nlp.free))
-            named = dict(zip(nlp.names, [*nlp.scaling.expressions(point), *nlp.constant_values], strict=True))
-            self._value = ca.Function("value", [point], [ca.SX(formula.evaluate(named))])
-            equation = self._value(z) - p[1]
+        equation = kind(0, 1) if value is None else value(z) - p[1]
         statement = {"x": z, "p": p, "f": cost, "g": ca.vertcat(limits, equation)}
         self._check = StopCheck(statement)
         self._solver = checked_nlpsol(statement, WARM, {}, self._check)
         many, held = limits.numel(), equation.numel()
         self._lower, self._upper = nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper)
         self._limits = {"lbg": np.zeros(many + held), "ubg": np.concatenate([np.full(many, np.inf), np.zeros(held)])}
+
+    def __reduce__(self) -> tuple[type["_Held"], tuple[Nlp, int | None, ca.Function | None]]:
+        return _Held, (self._nlp, self._place, self._value)
 
     def of(self, place: int) -> "_Held":
         """Return the same program for the parameter at this place."""
@@ -326,7 +335,16 @@ class _Search:
         return float(found)
 
 
-def _profiles(nlp: Nlp, fit: Fit, lines: Sequence[Quantity], level: float, fresh: int) -> Profiles:
+def _value_of(nlp: Nlp, formula: Formula) -> ca.Function:
+    """Return the function (z) -> value of a formula."""
+    z = ca.SX.sym("z", len(nlp.free))
+    named = dict(zip(nlp.names, [*nlp.scaling.expressions(z), *nlp.constant_values], strict=True))
+    return ca.Function("value", [z], [ca.SX(formula.evaluate(named))])
+
+
+def _profiles(
+    nlp: Nlp, fit: Fit, lines: Sequence[Quantity], level: float, fresh: int, executor: Executor | None = None
+) -> Profiles:
     from scipy.special import stdtrit  # noqa: PLC0415
 
     x = np.array([fit.estimate[name] for name in nlp.free])
@@ -340,10 +358,10 @@ def _profiles(nlp: Nlp, fit: Fit, lines: Sequence[Quantity], level: float, fresh
     starts = nlp.scaling.to_solver(drawn)
     by_name = {formula.name: formula for formula in formulas(nlp.problem)}
     shared = _Held(nlp, None, None)
-    found, limits, lower = [], {}, math.inf
-    for line in counted_off(lines, "profiles", "profile"):
+    searches, limits = [], {}
+    for line in lines:
         place = nlp.free.index(line.name) if line.name in nlp.free else None
-        held = _Held(nlp, None, by_name[line.name]) if place is None else shared.of(place)
+        held = _Held(nlp, None, _value_of(nlp, by_name[line.name])) if place is None else shared.of(place)
         slope = np.eye(len(x))[place] if place is not None else held.slope(x)
         dof = accuracy.dof if not math.isfinite(line.dof) else line.dof
         limit = float(stdtrit(min(dof, 1e9), 0.5 + level / 2))
@@ -362,8 +380,9 @@ def _profiles(nlp: Nlp, fit: Fit, lines: Sequence[Quantity], level: float, fresh
             first=min(first, *(STEP * abs(b - line.value) or math.inf for b in bounds)),
             starts=starts,
         )
-        found.append(_profile_of(nlp, search, line))
-        lower = min(lower, found[-1].costs.min())
+        searches.append((nlp, search, line))
+    found = call_all(_profile_of, searches, executor, lambda each: counted_off(each, "profiles", "profile"))
+    lower = min((float(one.costs.min()) for one in found), default=math.inf)
     warnings = ()
     if lower < (1 - LOWER) * cost:
         warnings = (f"a profile found the cost {number(lower)} below the fit's {number(cost)}: fit from more starts.",)

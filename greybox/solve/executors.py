@@ -16,13 +16,14 @@ import pickle
 import signal
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, Future
 from concurrent.futures import TimeoutError as StillRunning
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from types import MappingProxyType
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,7 @@ from greybox.solve.time_limits import TimeLimits, current_limits, limited, one_r
 from greybox.solve.worker_pool import NoWorkerError, WorkerLostError
 
 Array = NDArray[np.float64]
+R = TypeVar("R")
 
 # Work of one task, s: two hundred times what a distributed scheduler takes to hand out a task, and little enough for
 # progress to be seen and for Ctrl-C to be obeyed.
@@ -93,6 +95,47 @@ def run_all(
         if known is None and executor is not None:
             yield from _on_workers(_Tasks(solver, batches, count - made, executor, memory, begins, outcomes))
             return
+
+
+def call_all(
+    function: Callable[..., R],
+    calls: Sequence[tuple[Any, ...]],
+    executor: Executor | None,
+    counted: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+) -> list[R]:
+    """Return what a function of a module gives for these arguments, in their order, each call a task of the executor.
+
+    `counted` gives what it is given, and may count how far this is.
+
+    Raises
+    ------
+    ExecutorLostError
+        When the executor has lost its workers.
+    """
+    if executor is None:
+        return [function(*arguments) for arguments in counted(calls)]
+    # Pickled also for threads: CasADi's functions serve one at a time.
+    payloads = [pickle.dumps((function, arguments)) for arguments in calls]
+    futures = [executor.submit(_called, payload, os.getpid()) for payload in payloads]
+    try:
+        found = [_result(future) for future in counted(futures)]
+    finally:
+        for future in futures:
+            future.cancel()
+    if any(one is None for one in found):
+        raise ExecutorLostError("a worker was killed as often as it was tried: its memory may not suffice.")
+    return [one for one in found if one is not None]
+
+
+def require_executor(executor: Any) -> None:
+    """Refuse what is no executor.
+
+    Raises
+    ------
+    TypeError
+    """
+    if executor is not None and not isinstance(executor, Executor):
+        raise TypeError(f"executor is {executor!r:.60}: give an instance such as greybox.solve.WorkerPool(2).")
 
 
 Batch = list[tuple[int, Array]]
@@ -255,7 +298,7 @@ class _Tasks:
     def _finish(self, task: _Task) -> None:
         """Take the outcomes of a task that is done, if its worker was not lost."""
         assert task.future is not None
-        task.outcomes = _results(task.future)
+        task.outcomes = _result(task.future)
         if task.outcomes is not None:
             self._done += len(task.outcomes)
             self._seconds += sum(outcome.seconds for outcome in task.outcomes)
@@ -276,8 +319,8 @@ def _is_without_error(future: Future[list[Outcome]]) -> bool:
     return future.done() and not future.cancelled() and future.exception() is None
 
 
-def _results(future: Future[list[Outcome]]) -> list[Outcome] | None:
-    """Return the outcomes of a task; None when its worker was lost and can be replaced."""
+def _result(future: Future[R]) -> R | None:
+    """Return what a task has left; None when its worker was lost and can be replaced."""
     try:
         return future.result()
     except WorkerLostError:
@@ -322,6 +365,13 @@ def run_starts(key: str, payload: bytes, starts: Array, coordinator: int, limits
         solver = solvers[key]
         batches = (starts[at : at + solver.together] for at in range(0, len(starts), solver.together))
         return [outcome for batch in batches for outcome in _timed(solver, batch)]
+
+
+def _called(payload: bytes, coordinator: int) -> Any:
+    """Call the function in `payload` with its arguments; see `run_starts` for `coordinator`."""
+    with _deaf_to_interrupts(os.getpid() != coordinator):
+        function, arguments = pickle.loads(payload)
+        return function(*arguments)
 
 
 @contextmanager

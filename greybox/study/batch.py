@@ -20,7 +20,7 @@ from greybox.estimate.summary import summary
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Starts
 from greybox.formulation.sum import Sum
-from greybox.solve.executors import ExecutorLostError
+from greybox.solve.executors import ExecutorLostError, require_executor
 from greybox.solve.interruption import Response, listening, responding
 from greybox.solve.kept_runs import KeptRunsError
 from greybox.solve.multistart import BATCHED
@@ -140,8 +140,7 @@ def batch(
     """
     listed = [member if isinstance(member, Member) else Member(member) for member in members]
     require_distinct(listed)
-    if executor is not None and not isinstance(executor, Executor):
-        raise TypeError(f"executor is {executor!r:.60}: give an instance such as greybox.solve.WorkerPool(2).")
+    require_executor(executor)
     limits = TimeLimits.from_now(seconds, start_seconds)
     folder = Path(folder)
     with locked(folder), limited(limits):

@@ -1,9 +1,11 @@
 """Profiles of the likelihood, against brute force, an F-test written out, and planted truths."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import brentq, least_squares
 from scipy.stats import t as student
 
@@ -171,3 +173,17 @@ def test_the_figure_has_a_panel_for_each():
     found = gb.profile(gb.fit(yaw_hover.problem(), starts=10, progress=False), ["a2", "a4"])
     axes = gb.plotting.profiles(found)
     assert [ax.get_xlabel() for ax in axes] == ["a2 [1/s]", "a4 [1/s]"]
+
+
+def test_profiles_do_not_depend_on_who_makes_them():
+    fit = fitted(OneSided(), noisy(OneSided(), {"b": 500.0, "a": 200.0}, 0.05, 1))
+    names = ["a", "ratio"]  # a parameter, held by its bounds, and a formula of the user's
+    alone = gb.profile(fit, names, fresh_starts=0)
+    with ThreadPoolExecutor(2) as threads:  # whose tasks are pickled as those of processes
+        found = gb.profile(fit, names, fresh_starts=0, executor=threads)
+    assert [profile.name for profile in found.profiles] == names
+    for one, other in zip(found.profiles, alone.profiles, strict=True):
+        assert_array_equal(one.costs, other.costs)
+        assert one.interval == other.interval
+    with pytest.raises(TypeError, match="executor is 3: give an instance such as"):
+        gb.profile(fit, executor=3)
