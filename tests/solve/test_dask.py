@@ -10,6 +10,7 @@ from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
 from numpy.testing import assert_array_equal
 
 import greybox as gb
+from greybox.study.run_files import RunFiles
 
 distributed = pytest.importorskip("distributed", reason="needs the extra dask")
 RESPONSE = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2))
@@ -36,7 +37,7 @@ WORKER = "worker --scheduler-file scheduler.json --nthreads 1 --no-dashboard --n
 
 
 @pytest.mark.filterwarnings("ignore")  # of a package that is not ours
-def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(tmp_path, capsys):
+def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(tmp_path, capsys, monkeypatch):
     scheduler = "scheduler --host 127.0.0.1 --port 0 --no-dashboard --scheduler-file scheduler.json"
     with (
         processes(scheduler, WORKER, WORKER, folder=tmp_path) as (head, first, _),
@@ -67,15 +68,27 @@ def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(tmp_
         assert len(fewer.runs) == 150
         assert all(one.status == other.status for one, other in zip(alone.runs, fewer.runs, strict=False))
 
-        executor = client.get_executor()
-        with pytest.raises(RuntimeError, match="the executor gave up its tasks"):
-            gb.fit(
-                RESPONSE,
-                20_000,
-                search="multistart",
-                executor=executor,
-                progress=lambda done, _: done == 20 and head.kill(),
-            )
+        # The scheduler is lost in mid-study: that is said, and the study goes on without it.
+        made = []
+        add = RunFiles.add
+
+        def noted(self, number, start, outcome):
+            add(self, number, start, outcome)
+            made.append(number)
+            if len(made) == 20:
+                head.kill()
+
+        monkeypatch.setattr(RunFiles, "add", noted)
+        member = gb.study.Member(RESPONSE, 400, name="response", search="multistart")
+        with pytest.raises(RuntimeError, match="the executor gave up its tasks: its workers or its scheduler are gone"):
+            gb.batch([member], tmp_path / "study", executor=client.get_executor(), progress=False)
+        assert gb.study.read_study(tmp_path / "study")["response"].status == "unfinished"
+        kept = len(made)
+        assert 20 <= kept < 400
+    study = gb.batch([member], tmp_path / "study", progress=False)
+    assert sorted(made) == list(range(400))  # none twice
+    for one, other in zip(alone.runs, study["response"].fit.runs, strict=False):
+        assert_array_equal(one.estimate, other.estimate)
 
 
 @pytest.mark.filterwarnings("ignore")
