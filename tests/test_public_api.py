@@ -30,13 +30,14 @@ NAMESPACES = {
     "virtual_flight write_excitation",
     "formulation": "Criterion EquationError MagnitudePhase MaximumLikelihood OutputError PredictionError Problem "
     "RelativeError RelativeLikelihood SquaredRelativeError Starts Sum TimeCriterion several",
-    "identification": "Identification ManoeuvreMeasurement Measurement Settings identify measure measure_manoeuvre",
+    "identification": "Identification ManoeuvreMeasurement Measurement OrderSelection Settings identify measure "
+    "measure_manoeuvre select_orders",
     "interop": "from_control from_scipy to_casadi to_control to_scipy write_c write_mat",
     "logs": "find_manoeuvres find_segments horizontal_velocity negative prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response linearize rational",
     "planning": "ExpectedErrors SinePlan expected_errors plan_sines",
-    "plotting": "bode demodulated measurement nyquist plot profiles recording residuals sensitivity spectrogram "
+    "plotting": "bode demodulated measurement nyquist orders plot profiles recording residuals sensitivity spectrogram "
     "spectrum starts time_history traces",
     "regression": "EquationErrorEstimate equation_error levy order_path",
     "simulation": "Prediction predict simulate",

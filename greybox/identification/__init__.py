@@ -13,3 +13,5 @@ from greybox.identification.manoeuvre import measure_manoeuvre as measure_manoeu
 from greybox.identification.measurement import Measurement as Measurement
 from greybox.identification.measurement import Settings as Settings
 from greybox.identification.measurement import measure as measure
+from greybox.identification.orders import OrderSelection as OrderSelection
+from greybox.identification.orders import select_orders as select_orders

@@ -1,0 +1,239 @@
+"""The orders of a rational transfer function: every structure of a grid fitted by maximum likelihood, one verdict."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.text_table import counted, number, one_line, text_table
+from greybox.estimate.fit import fit
+from greybox.estimate.result import Fit
+from greybox.formulation.frequency_criteria import MaximumLikelihood, RelativeLikelihood
+from greybox.formulation.problem import Problem
+from greybox.formulation.starts import Sobol
+from greybox.regression.levy import levy
+from greybox.regression.poles_and_zeros import NearPair, near_pairs
+from greybox.validation.parsimony import BARE_MENTION, smallest_supported
+
+# Poles and zeros may lie this many times above the highest frequency: beyond it they are constants there.
+REACH = 10.0
+
+# Shares of the largest delay that are taken out of the data before a start is found by linear least squares.
+DELAYS = (0.0, 0.2, 0.5)
+
+# Reweightings of that start, after which it minimizes nearly the error of the response (Sanathanan and Koerner 1963).
+ITERATIONS = 5
+
+
+@dataclass(frozen=True)
+class OrderCandidate:
+    """One structure of the grid.
+
+    Attributes
+    ----------
+    n, m, integrators : int
+    delay : bool
+    fit : Fit or None
+        None where no start converged.
+    bic : float
+        NaN without a fit.
+    pairs : tuple of NearPair
+        Poles and zeros that nearly cancel.
+    """
+
+    n: int
+    m: int
+    integrators: int
+    delay: bool
+    fit: Fit | None
+    bic: float
+    pairs: tuple[NearPair, ...] = ()
+
+    @property
+    def parameters(self) -> int:
+        """How many parameters it has."""
+        return self.n - self.integrators + self.m + 1 + self.delay
+
+    @property
+    def label(self) -> str:
+        """The structure in words."""
+        more = f", {counted(self.integrators, 'integrator')}" if self.integrators else ""
+        return f"n = {self.n}, m = {self.m}{more}{', delay' if self.delay else ''}"
+
+
+@dataclass(frozen=True, eq=False)
+class OrderSelection:
+    """All structures of the grid. Printing it gives the table and the verdict; `gb.plotting.orders` draws it.
+
+    Attributes
+    ----------
+    candidates : tuple of OrderCandidate
+        Those that have a fit, by number of parameters and BIC.
+    chosen : OrderCandidate
+        The one with the fewest parameters of those whose BIC is within 2 of the least.
+    failed : int
+        How many structures had no fit.
+    """
+
+    candidates: tuple[OrderCandidate, ...]
+    chosen: OrderCandidate
+    failed: int
+
+    @property
+    def fit(self) -> Fit:
+        """The fit of the chosen structure."""
+        assert self.chosen.fit is not None
+        return self.chosen.fit
+
+    @property
+    def least(self) -> OrderCandidate:
+        """The structure with the least BIC."""
+        return min(self.candidates, key=lambda c: c.bic)
+
+    @property
+    def verdict(self) -> str:
+        """Which structure the data support, in one sentence."""
+        text = f"The data support {self.chosen.label}: {counted(self.chosen.parameters, 'parameter')}"
+        if self.chosen is self.least:
+            others = sorted(c.bic - self.chosen.bic for c in self.candidates if c is not self.chosen)
+            text += f", the least BIC{f' by {number(others[0], 3)}' if others else ''}"
+        else:
+            text += (
+                f", the smallest whose BIC is within {BARE_MENTION:g} of the least ({self.least.label}, "
+                f"{number(self.chosen.bic - self.least.bic, 2)} less)"
+            )
+        pairs = f"; but {self.chosen.pairs[0]}" if self.chosen.pairs else ", and no pole and zero nearly cancel"
+        return f"{text}{pairs}."
+
+    def __repr__(self) -> str:
+        return one_line(self, counted(len(self.candidates), "structure"), self.chosen.label)
+
+    def __str__(self) -> str:
+        rows = [
+            [
+                *map(str, (c.n, c.m, c.integrators)),
+                "yes" if c.delay else "",
+                str(c.parameters),
+                number(c.fit.cost, 5) if c.fit else "-",
+                number(round(c.bic - self.least.bic, 2), 4),
+                str(len(c.pairs) or ""),
+                "<- chosen" if c is self.chosen else "",
+            ]
+            for c in self.candidates
+        ]
+        header = ["n", "m", "integrators", "delay", "free", "-ln L", "BIC above", "pairs", ""]
+        failed = [f"{counted(self.failed, 'structure')} had no fit."] if self.failed else []
+        return "\n".join([text_table(header, rows, left=(3, 8)), "", self.verdict, *failed])
+
+
+def select_orders(
+    data: FrequencyResponse,
+    n: Sequence[int] = (1, 2, 3, 4),
+    m: Sequence[int] | None = None,
+    integrators: Sequence[int] = (0, 1),
+    delays: Sequence[float] = (0.0,),
+    *,
+    starts: int = 8,
+    seed: int = 0,
+) -> OrderSelection:
+    """Fit rational transfer functions (2.13) of all these orders, and choose the smallest that the data support.
+
+    Every structure is fitted by maximum likelihood: `MaximumLikelihood` where the data have variances, otherwise
+    `RelativeLikelihood`. Starts are those of linear least squares, `levy`, and some points besides.
+
+    Parameters
+    ----------
+    data : FrequencyResponse
+    n : sequence of int
+        Orders of the denominator, integrators included.
+    m : sequence of int, optional
+        Orders of the numerator, of which those below n are taken; by default all.
+    integrators : sequence of int
+    delays : sequence of float
+        Largest delays, s; zero is a structure without one: ``(0.0, 0.1)`` tries both.
+    starts, seed : int
+        Sobol points beside those of `levy`.
+
+    Raises
+    ------
+    ValueError
+        If no structure of the grid has fewer unknowns than the data have numbers, or none has a fit.
+    """
+    grid = [
+        (order, zeros, count, delay)
+        for order in n
+        for zeros in (range(order) if m is None else m)
+        for count in integrators
+        for delay in delays
+        if zeros < order and count <= order and order - count + zeros + 1 + (delay > 0) + 1 < 2 * len(data)
+    ]
+    if not grid:
+        raise ValueError(f"no structure of the grid has fewer unknowns than {2 * len(data)} real numbers: lower n.")
+    tried = [_fitted(data, *structure, starts, seed) for structure in grid]
+    found = sorted((c for c in tried if c.fit is not None), key=lambda c: (c.parameters, c.bic))
+    if not found:
+        raise ValueError(f"none of {counted(len(tried), 'structure')} has a fit: look at the response first.")
+    k = smallest_supported([c.bic for c in found], [c.parameters for c in found])
+    return OrderSelection(tuple(found), found[k], len(tried) - len(found))
+
+
+def _fitted(
+    data: FrequencyResponse, n: int, m: int, integrators: int, delay: float, starts: int, seed: int
+) -> OrderCandidate:
+    radius = REACH * float(data.omega.max())
+    polynomial: Any = import_module("greybox.models.polynomial").Polynomial  # a model, which this folder knows none of
+    model = polynomial(n, m, integrators, radius, radius / REACH, data.output or "y", delay)
+    # The model's bounds are those of poles and zeros, for a gain of one.
+    gain = float(np.max(np.abs(data.response)))
+    scaled = {name: p for name, p in model.parameters.items() if name.startswith("b")}
+    criterion = MaximumLikelihood() if data.variance is not None else RelativeLikelihood()
+    problem = Problem(
+        model,
+        data,
+        criterion,
+        bounds={name: _times(p.bounds, REACH * gain) for name, p in scaled.items()},
+        starts={name: _times(p.box, gain) for name, p in scaled.items()},
+    )
+    listed = [_inside(start, problem) for start in _linear_starts(data, n, m, integrators, delay)]
+    found = fit(problem, [*listed, Sobol(starts, seed)], progress=False)
+    if not found.converged:
+        return OrderCandidate(n, m, integrators, delay > 0, None, math.nan)
+    unknowns = len(found.free) + criterion.nuisances
+    bic = unknowns * math.log(2 * len(data)) + 2 * found.cost
+    zeros = np.roots([found.estimate[f"b{k}"] for k in range(m, -1, -1)])
+    poles = np.roots([1.0, *(found.estimate[f"a{k}"] for k in range(n - 1, integrators - 1, -1))])
+    return OrderCandidate(n, m, integrators, delay > 0, found, bic, near_pairs(zeros, poles))
+
+
+def _linear_starts(
+    data: FrequencyResponse, n: int, m: int, integrators: int, delay: float
+) -> Iterator[dict[str, float]]:
+    """Yield estimates by linear least squares, of the response without its integrators and a share of the delay."""
+    s = 1j * data.omega
+    order = n - integrators
+    for share in DELAYS if delay else DELAYS[:1]:
+        if not order > 0:  # the numerator alone: no denominator to find
+            return
+        response = data.response * s**integrators * np.exp(s * share * delay)
+        bare = FrequencyResponse(data.omega, response)
+        try:
+            found = levy(bare, max(order, m + 1), m, weight=1 / np.abs(response), iterations=ITERATIONS)
+        except ValueError:  # as many unknowns as equations
+            continue
+        if max(order, m + 1) > order:  # more zeros than poles beside the integrators, which Levy's form has not
+            continue
+        start = {f"b{k}": float(v) for k, v in enumerate(found.numerator[::-1])}
+        start |= {f"a{k + integrators}": float(v) for k, v in enumerate(found.denominator[:0:-1])}
+        yield start | ({"T_delay": share * delay} if delay else {})
+
+
+def _inside(start: dict[str, float], problem: Problem) -> dict[str, float]:
+    return {name: float(np.clip(start[name], *p.bounds)) for name, p in problem.parameters.items() if name in start}
+
+
+def _times(interval: tuple[float, float], factor: float) -> tuple[float, float]:
+    return interval[0] * factor, interval[1] * factor

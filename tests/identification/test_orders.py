@@ -1,0 +1,66 @@
+"""Of a grid of rational transfer functions the one that made the data is chosen, and not a larger one."""
+
+import math
+
+import numpy as np
+import pytest
+from declared_models import measured
+
+import greybox as gb
+from greybox.models.polynomial import Polynomial
+from greybox.plotting.orders import orders
+
+
+class Plant(gb.TransferFunction):
+    """An integrator with lag and delay, of a gain far from one."""
+
+    K = gb.Parameter(900.0)
+
+    def response(self, s, p):
+        return p.K / (s * (0.2 * s + 1)) * gb.exp(-0.05 * s)
+
+
+@pytest.fixture(scope="module")
+def found():
+    data = measured(Plant(), np.geomspace(0.5, 30, 20), noise=0.02, seed=1)
+    return gb.identification.select_orders(data, n=(1, 2), integrators=(1,), delays=(0.0, 0.2), starts=1)
+
+
+def test_the_structure_of_the_truth_is_chosen(found):
+    assert (found.chosen.n, found.chosen.m, found.chosen.integrators, found.chosen.delay) == (2, 0, 1, True)
+    estimate = found.fit.estimate
+    assert estimate["b0"] == pytest.approx(900 / 0.2, rel=0.03)
+    assert estimate["a1"] == pytest.approx(5.0, rel=0.03)
+    assert estimate["T_delay"] == pytest.approx(0.05, rel=0.05)
+    assert found.verdict.startswith("The data support n = 2, m = 0, 1 integrator, delay: 3 parameters")
+    assert "<- chosen" in str(found)
+    for c in found.candidates:
+        assert c.bic == pytest.approx((c.parameters + 1) * math.log(40) + 2 * c.fit.cost)
+    # More parameters of a larger structure never cost more: every fit has found its minimum.
+    costs = {(c.n, c.m, c.delay): c.fit.cost for c in found.candidates}
+    assert costs[2, 1, True] <= costs[2, 0, True] + 1e-6 < costs[2, 0, False]
+
+
+def test_the_figure_shows_all_structures(found):
+    ax = orders(found)
+    drawn = sum(len(line.get_xdata()) for line in ax.lines if line.get_linestyle() == "None")
+    assert drawn == len(found.candidates) + 1  # and the ring around the chosen one
+    assert "2, 0" in [text.get_text() for text in ax.texts]
+    assert orders(found, ax=ax, legend=False) is ax
+
+
+def test_polynomials_have_several_integrators_and_a_delay():
+    omega = np.array([0.5, 3.0])
+    s = 1j * omega
+    model = Polynomial(3, 1, 2, delay=0.2)
+    assert model.label == "Polynomial(3, 1, 2 integrators, delay)"
+    made = gb.frequency_response(model, {"b0": 2.0, "b1": 3.0, "a2": 4.0, "T_delay": 0.1}, omega).response
+    np.testing.assert_allclose(made, (3 * s + 2) / (s**2 * (s + 4)) * np.exp(-0.1 * s), rtol=1e-12)
+    with pytest.raises(ValueError, match=r"integrator = 4 and delay = 0\.0: give from 0 to n = 3 integrators"):
+        Polynomial(3, 1, 4)
+
+
+def test_a_grid_without_a_structure_is_told():
+    data = measured(Plant(), np.array([1.0, 2.0]))
+    with pytest.raises(ValueError, match="no structure of the grid has fewer unknowns than 4 real numbers: lower n"):
+        gb.identification.select_orders(data, n=(4,))
