@@ -8,7 +8,8 @@ and leaves the rest of their figure as it is: the legend stands inside, and ``le
 composes several diagrams and returns the Figure.
 
 `nyquist`, `bode` and `starts` are one diagram each, `profile` draws a panel for each profiled quantity, `sensitivity`
-one for each parameter with what tells of it; `response_series` collects the points and curves of the first two.
+one for each parameter with what tells of it, `orders` the structures of an order selection; `response_series` collects
+the points and curves of the first two.
 `time_history` draws fitted and predicted records, `residuals` what is left of fitted ones, `spectrum` the transforms of
 manoeuvres, `flight_log` logs and their tests, `measured_test` what was measured from a log; `long_lines` draws no more
 points than can be seen. `overview` composes them into one figure, `style` holds colors, legends and the frame of a
