@@ -39,6 +39,8 @@ nb_merge_streams = True
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # the docstrings give shapes and units, which types do not
 napoleon_use_rtype = False
+napoleon_use_ivar = True
+toc_object_entries = False
 default_role = "code"
 suppress_warnings = ["ref.python"]  # an attribute that several classes have is no link
 html_theme = "pydata_sphinx_theme"
@@ -68,6 +70,8 @@ def write_sources(_):
     """Copy the notebooks and write the pages of the reference."""
     shutil.rmtree(HERE / "notebooks", ignore_errors=True)
     shutil.copytree(HERE.parent / "notebooks", HERE / "notebooks", ignore=shutil.ignore_patterns(".*"))
+    stories = "# Stories\n\n```{toctree}\n:maxdepth: 1\n:glob:\n\n0*\n```\n"
+    (HERE / "notebooks" / "index.md").write_text(stories, encoding="utf-8")
     api = HERE / "api"
     shutil.rmtree(api, ignore_errors=True)
     api.mkdir()
