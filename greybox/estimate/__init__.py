@@ -6,9 +6,9 @@ chooses the harmonics of sine tests. `covariance` computes the standard errors f
 differ from criterion to criterion: for responses they are the `spread` of each one in
 `greybox.formulation.frequency_criteria`, for records they come from `greybox.compiled.record_information`.
 `identifiability` says how well each parameter is determined, and which combinations are although their members are not.
-`response_band` has the confidence band of a fitted response, `structural_identifiability` asks the same before any
-data, `sensitivity` which frequencies or times tell of each parameter. `profile` follows the lowest cost along one
-quantity, for intervals that need not be symmetric, which are `profiles`; `fitted_problem` is the problem again from its
-answer. The folder `diagnostics` holds the warnings, `storage` writes and reads fits, and `summary` gives their numbers
-as plain values.
+`equivalent_minima` finds the parameter vectors of one response, `response_band` has the confidence band of a fitted
+response, `structural_identifiability` asks the same before any data, `sensitivity` which frequencies or times tell of
+each parameter. `profile` follows the lowest cost along one quantity, for intervals that need not be symmetric, which
+are `profiles`; `fitted_problem` is the problem again from its answer. The folder `diagnostics` holds the warnings,
+`storage` writes and reads fits, and `summary` gives their numbers as plain values.
 """

@@ -37,6 +37,7 @@ from greybox.estimate.diagnostics.not_finite import explained, not_finite_warnin
 from greybox.estimate.diagnostics.outlying_points import outlying_points
 from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
 from greybox.estimate.diagnostics.unused_noise import unused_noise
+from greybox.estimate.equivalent_minima import equivalent_estimates
 from greybox.estimate.fitted_record import fitted_record, stated
 from greybox.estimate.fitted_spectrum import fitted_spectrum
 from greybox.estimate.harmonic_numbers import are_open, with_enough_harmonics, with_more_harmonics
@@ -362,6 +363,7 @@ def assemble(
             if found
             else None
         ),
+        equivalents=equivalent_estimates(nlp, search) if found else None,
         priors={name: pair for prior in stated_priors(problem) for name, pair in prior.stated.items()},
         known=known_of(nlp, accuracy, *slopes_of_parameters(nlp, estimate)) if found else None,
     )

@@ -307,6 +307,9 @@ class Fit:
         The same of all `names`, with what ended at a bound as known: the errors of whatever depends on them follow.
     profiles : Profiles or None
         Of the parameters whose standard error misleads; None where there are none, or they were not asked for.
+    equivalents : (v, p) array or None
+        Clearly different vectors of the free parameters that give the best response, the estimate first: two lags that
+        change places, or signs that change together, make two. None without an estimate.
     priors : mapping of name to (float, float)
         Mean and standard deviation of what was known of parameters before the data: the estimate is then the maximum a
         posteriori one. One of the `parts` stands for it.
@@ -342,6 +345,7 @@ class Fit:
     profiles: Profiles | None = field(default=None, repr=False)
     known: KnownDirections | None = field(default=None, repr=False)
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    equivalents: NDArray[np.float64] | None = field(default=None, repr=False)
     command: tuple[str, ...] = field(default=(), repr=False)
 
     @property

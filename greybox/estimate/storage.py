@@ -13,6 +13,7 @@ Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``
                  and the other directions ``unseen`` (p, b) in multiples of ``size`` (p,), ``at`` the estimate (p,); if
                  some are not determined, the same beside the estimate in ``elsewhere``.
 ``/``            has the JSON attribute ``priors`` besides, if there are any: mean and standard deviation by name.
+``/equivalents`` if there is an estimate, the parameter vectors (v, p) that give its response.
 ``/known``       the same, if known, of all the names of the covariance.
 ``/profiles``    if any, attributes ``name, level`` and, as JSON, ``limit, free, warnings``; a group of each profile by
                  its number: attributes ``name, unit, estimate, standard_error, connected`` and, as JSON, ``ends,
@@ -145,14 +146,7 @@ def _write(file: Node, fit: Fit) -> None:
     file["covariance/values"] = fit.covariance
     if fit.white is not None:
         file["covariance/white"] = fit.white
-    if fit.directions is not None:
-        _write_directions(file.create_group("directions"), fit.directions)
-    if fit.known is not None:
-        _write_directions(file.create_group("known"), fit.known)
-    if fit.profiles is not None:
-        _write_profiles(file.create_group("profiles"), fit.profiles)
-    if fit.priors:
-        _attributes(file, priors=json.dumps({name: list(pair) for name, pair in fit.priors.items()}))
+    _write_judgment(file, fit)
     _write_runs(file, fit)
     for k, part in enumerate(fit.parts):
         _write_part(file.create_group(f"parts/{k}"), part)
@@ -202,6 +196,20 @@ def _read_profile(group: Stored, p: int) -> ProfileOf:
         at_bound=(tuple(_text(name) for name in at_bound[0]), tuple(_text(name) for name in at_bound[1])),
         connected=bool(attributes["connected"]),
     )
+
+
+def _write_judgment(file: Node, fit: Fit) -> None:
+    """Write how far the answer can be believed, as far as that is known."""
+    if fit.directions is not None:
+        _write_directions(file.create_group("directions"), fit.directions)
+    if fit.known is not None:
+        _write_directions(file.create_group("known"), fit.known)
+    if fit.profiles is not None:
+        _write_profiles(file.create_group("profiles"), fit.profiles)
+    if fit.equivalents is not None:
+        file["equivalents"] = fit.equivalents
+    if fit.priors:
+        _attributes(file, priors=json.dumps({name: list(pair) for name, pair in fit.priors.items()}))
 
 
 def _write_runs(file: Node, fit: Fit) -> None:
@@ -304,6 +312,7 @@ def _read(file: Stored) -> Fit:
         profiles=_read_profiles(file["profiles"]) if "profiles" in file else None,
         directions=_read_directions(file["directions"], len(free)) if "directions" in file else None,
         known=_read_directions(file["known"], len(names)) if "known" in file else None,
+        equivalents=_read_equivalents(file["equivalents"][()], len(free)) if "equivalents" in file else None,
         priors=_read_priors(attributes, free) if "priors" in attributes else {},
     )
     return _checked(fit)
@@ -351,6 +360,12 @@ def _checked(fit: Fit) -> Fit:
             _require({*part.outputs} <= held, "an output is not in the record")
             _require(part.inputs in get_args(Inputs), "how its inputs run between samples is not known")
     return fit
+
+
+def _read_equivalents(stored: Any, parameters: int) -> Any:
+    shaped = isinstance(stored, np.ndarray) and stored.ndim == 2 and stored.shape[1] == parameters and len(stored) > 0
+    _require(shaped, "the parameter vectors of one response are not those of its parameters")
+    return stored
 
 
 def _read_priors(attributes: Mapping[str, Any], free: Sequence[str]) -> dict[str, tuple[float, float]]:

@@ -41,7 +41,7 @@ def warnings(
         *few_agreeing_starts(nlp, search),
         *unfinished_runs(search),
         *rival_minima(nlp, search),
-        *several_estimates_of_one_response(search, accuracy),
+        *several_estimates_of_one_response(nlp, search, accuracy),
         *coarse_pade(nlp, pade_errors),
         *biased_gains(nlp, accuracy),
         *unlikely_noise(nlp, trajectories),

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.estimate.covariance import Accuracy
+from greybox.estimate.equivalent_minima import equivalent_estimates, said
 from greybox.solve.minima import Multistart, agreeing_runs
 from greybox.solve.outcome import TOO_COARSE
 
@@ -63,14 +64,11 @@ def rival_minima(nlp: Nlp, search: Multistart) -> Iterator[str]:
             return
 
 
-def several_estimates_of_one_response(search: Multistart, accuracy: Accuracy) -> Iterator[str]:
+def several_estimates_of_one_response(nlp: Nlp, search: Multistart, accuracy: Accuracy) -> Iterator[str]:
     """Say so where clearly different parameters give the best response, such as two lags that swap."""
-    variants = search.minima[0].variants
-    if variants > 1 and not accuracy.combinations:
-        yield (
-            f"at least {variants} clearly different parameter vectors give this same response: "
-            "add an ordering constraint or fix a parameter to choose one of them."
-        )
+    vectors = equivalent_estimates(nlp, search)
+    if len(vectors) > 1 and not accuracy.combinations:
+        yield said(nlp.free, vectors)
 
 
 def discontinuous_costs(nlp: Nlp) -> Iterator[str]:
