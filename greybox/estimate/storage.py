@@ -345,6 +345,9 @@ def _checked(fit: Fit) -> Fit:
     _require(len({*fit.names}) == len(fit.names), "a parameter appears twice in the covariance")
     _require(bool(fit.parts) and bool(fit.runs), "it has no data or no runs")
     for part in fit.parts:
+        for values in (part.information, part.information_alone):
+            is_table = values is None or (isinstance(values, np.ndarray) and values.ndim == 2)
+            _require(is_table and (values is None or len(values) == len(fit.free)), "what its data tell is incomplete")
         if isinstance(part, FittedResponse):
             size = len(part.data)
             _require(part.response.shape == (size,), "the fitted response and the data differ in length")
