@@ -96,7 +96,28 @@ def as_restructured_text(_app, _what, _name, _object, _options, lines):
     lines[:] = "".join(pieces).split("\n")
 
 
+SEVERAL = re.compile(r"(\s*)(\w+(?:, \w+)+) : (.*)")
+
+
+def one_attribute_each(_app, _what, _name, _object, _options, lines):
+    """Give `a, b : float` below "Attributes" an entry for each, which napoleon does not."""
+    if "Attributes" not in lines:
+        return
+    begin = lines.index("Attributes") + 2
+    made, k = lines[:begin], begin
+    while k < len(lines):
+        end = k + 1
+        while end < len(lines) and lines[end].startswith(" "):
+            end += 1
+        found = SEVERAL.fullmatch(lines[k])
+        for name in found[2].split(", ") if found else [""]:
+            made += [f"{found[1]}{name} : {found[3]}" if found else lines[k], *lines[k + 1 : end]]
+        k = end
+    lines[:] = made
+
+
 def setup(app):
     """Connect what is above."""
     app.connect("builder-inited", write_sources, priority=100)
+    app.connect("autodoc-process-docstring", one_attribute_each, priority=100)  # before napoleon
     app.connect("autodoc-process-docstring", as_restructured_text)
