@@ -25,7 +25,7 @@ arccos arcsin arctan arctan2 cos exp g log maximum minimum sign sin sqrt tan tan
 
 NAMESPACES = {
     "data": "FrequencyResponse Record Recording Segment Stretch TransientSpectrum read_response read_spectrum "
-    "segment_table write_response write_spectrum",
+    "segment_table write_response write_responses write_spectrum",
     "experiment": "Controller Excitation ardupilot_script multisine sine_schedule sweep systemid_parameters "
     "virtual_flight write_excitation",
     "formulation": "Criterion EquationError MagnitudePhase MaximumLikelihood OutputError PredictionError Problem "
@@ -37,13 +37,13 @@ NAMESPACES = {
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response linearize rational",
     "planning": "ExpectedErrors SinePlan expected_errors plan_sines",
-    "plotting": "bode demodulated measurement nyquist orders plot profiles recording residuals sensitivity spectrogram "
-    "spectrum starts time_history traces",
+    "plotting": "bode demodulated measurement nyquist orders plot profiles recording residuals response_matrix "
+    "sensitivity spectrogram spectrum starts time_history traces",
     "regression": "EquationErrorEstimate equation_error levy order_path",
     "simulation": "Prediction predict simulate",
     "solve": "LatinHypercube Listed Sobol Starts Strategies Uniform UntilFoundAgain WorkerPool",
-    "spectral": "FiniteFrequency Quality check demodulate finite_frequency periodic_response spectral_response "
-    "transient_spectrum",
+    "spectral": "FiniteFrequency Quality check demodulate finite_frequency periodic_response response_matrix "
+    "spectral_response transient_spectrum",
     "study": "Bootstrap Member Study StudyMember batch bootstrap read_study",
     "validation": "Comparison NestedTest Reduction StepwiseSelection compare nested_test reduce stepwise",
 }

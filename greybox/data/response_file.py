@@ -129,6 +129,35 @@ def write_response(response: FrequencyResponse, path: str | Path) -> None:
     write_text(path, "\n".join(lines) + "\n")
 
 
+def write_responses(responses: Sequence[FrequencyResponse], path: str | Path) -> None:
+    """Write several responses, as the matrix of a plant, into one CSV file with one common ``omega_rad_s``.
+
+    The columns of a response are ``<output>_<input>_alpha`` and so on, blank at the frequencies of others; it is read
+    back by ``read_response(path, "<output>_<input>_", input, output)``.
+
+    Raises
+    ------
+    ValueError
+        If the file is no CSV, or two responses are of one pair.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".csv":
+        raise ValueError(f"{path} is not a table: several responses are kept in one file that ends in .csv.")
+    table: dict[float, dict[str, str]] = {}
+    columns: list[str] = []
+    for response in responses:
+        prefix = f"{response.output}_{response.input}_"
+        if f"{prefix}alpha" in columns:
+            raise ValueError(f"two responses are of {response.output} to {response.input}: keep one of them.")
+        known = {name: x for name in COLUMNS[1:] if (x := getattr(response, name)) is not None}
+        columns += [prefix + name for name in known]
+        for k, omega in enumerate(response.omega.tolist()):
+            table.setdefault(omega, {}).update({prefix + name: repr(float(x[k])) for name, x in known.items()})
+    lines = [",".join([COLUMNS[0], *columns])]
+    lines += [",".join([repr(w), *(table[w].get(name, "") for name in columns)]) for w in sorted(table)]
+    write_text(path, "\n".join(lines) + "\n")
+
+
 def write_group(group: Node, response: FrequencyResponse) -> None:
     """Write `response` into an HDF5 group."""
     for name in NAMES:

@@ -9,11 +9,10 @@ composes several diagrams and returns the Figure.
 
 `nyquist`, `bode` and `starts` are one diagram each, `profile` draws a panel for each profiled quantity, `sensitivity`
 one for each parameter with what tells of it, `orders` the structures of an order selection; `response_series` collects
-the points and curves of the first two.
-`time_history` draws fitted and predicted records, `residuals` what is left of fitted ones, `spectrum` the transforms of
-manoeuvres, `flight_log` logs and their tests, `measured_test` what was measured from a log; `long_lines` draws no more
-points than can be seen. `overview` composes them into one figure, `style` holds colors, legends and the frame of a
-diagram.
+the points and curves of the first two, `response_matrix` draws those of several inputs and outputs. `time_history`
+draws fitted and predicted records, `residuals` what is left of fitted ones, `spectrum` the transforms of manoeuvres,
+`flight_log` logs and their tests, `measured_test` what was measured from a log; `long_lines` draws no more points than
+can be seen. `overview` composes them into one figure, `style` holds colors, legends and the frame of a diagram.
 """
 
 from greybox.plotting.bode import bode as bode
@@ -27,6 +26,7 @@ from greybox.plotting.orders import orders as orders
 from greybox.plotting.overview import plot as plot
 from greybox.plotting.profile import profiles as profiles
 from greybox.plotting.residuals import residuals as residuals
+from greybox.plotting.response_matrix import response_matrix as response_matrix
 from greybox.plotting.sensitivity import sensitivity as sensitivity
 from greybox.plotting.spectrum import spectrum as spectrum
 from greybox.plotting.starts import starts as starts

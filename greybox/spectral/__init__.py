@@ -7,9 +7,10 @@ Sines, one after another
 Sweeps, noise and multisines
     Begin with `composite_windows`, whose `spectral_response` is for sweeps and noise: by `local_polynomials` in bands
     of the transform of the whole record, or by windows of several lengths. `welch` is the estimate with windows of one
-    length, its variance and coherence; `multisine_lines` uses whole periods; `uniform_stretches` cuts records at gaps.
+    length, its variance and coherence; `multisine_lines` uses whole periods, and `orthogonal_multisines` has
+    the matrix of responses of several inputs at once; `uniform_stretches` cuts records at gaps.
 Manoeuvres (doublet, 2-1-1, step, manual inputs)
-    `transients` has their Fourier integrals, for `greybox.regression.fit_transients`.
+    `transients` has their Fourier integrals, which are data of a `Problem`.
 Vibration
     `vibration` finds its size and its frequencies in raw samples of an IMU.
 Before the fit
@@ -20,6 +21,7 @@ from greybox.spectral.composite_windows import spectral_response as spectral_res
 from greybox.spectral.demodulation import demodulate as demodulate
 from greybox.spectral.frequency_points import FiniteFrequency as FiniteFrequency
 from greybox.spectral.multisine_lines import periodic_response as periodic_response
+from greybox.spectral.orthogonal_multisines import response_matrix as response_matrix
 from greybox.spectral.single_sine import finite_frequency as finite_frequency
 from greybox.spectral.test_quality import Quality as Quality
 from greybox.spectral.test_quality import check as check

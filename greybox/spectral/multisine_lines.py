@@ -51,7 +51,7 @@ def periodic_response(
         If the period is no whole number of samples, there are fewer than three, or `omega` holds other frequencies.
     """
     signals = [input, output, instrument or input, *conditioned]
-    stretches = [_whole_periods(s, period) for s in uniform_stretches(records, signals, "none")]
+    stretches = [whole_periods(s, period) for s in uniform_stretches(records, signals, "none")]
     stretches = [s for s in stretches if s.values.shape[1]]
     if sum(s.values.shape[1] * s.step for s in stretches) < 2.5 * period:
         raise ValueError(f"the records hold fewer than three periods of {period:g} s: record longer.")
@@ -70,7 +70,7 @@ def periodic_response(
     return response_at(grid, points, (input, output, name), stretches)
 
 
-def _whole_periods(stretch: UniformStretch, period: float) -> UniformStretch:
+def whole_periods(stretch: UniformStretch, period: float) -> UniformStretch:
     """Keep the last whole periods."""
     count = round(period / stretch.step)
     if count < 2 or abs(count * stretch.step - period) > WHOLE * stretch.step * count:

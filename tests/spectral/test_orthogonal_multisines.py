@@ -1,0 +1,88 @@
+"""Responses of coupled inputs and outputs against the plant that was simulated."""
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.spectral import response_matrix
+
+PERIOD, RATE, PERIODS = 20.0, 25.0, 6
+POLES = {("p", "da"): (4.0, 2.0), ("p", "dr"): (1.5, 1.0), ("r", "da"): (-0.5, 3.0), ("r", "dr"): (-2.0, 1.5)}
+
+
+def plant(pair, omega):
+    gain, pole = POLES[pair]
+    return gain / (1j * omega + pole)
+
+
+def record(noise, coupling=0.4, seed=0):
+    """Two multisines at once, each reaching the other input as well; in the steady state, by Fourier series."""
+    test = gb.experiment.multisine(1.0, 15.0, PERIOD, RATE, signals=("da", "dr"), periods=1).record()
+    count = round(PERIOD * RATE)
+    pure = np.array([test["da"][:count], test["dr"][:count]])
+    mixed = {"da": pure[0] + coupling * pure[1], "dr": pure[1] - coupling * pure[0]}
+    omega = 2 * np.pi / PERIOD * np.arange(count // 2 + 1)
+    signals = {name: np.tile(x, PERIODS) for name, x in mixed.items()}
+    random = np.random.default_rng(seed)
+    for output in ("p", "r"):
+        clean = sum(plant((output, name), omega) * np.fft.rfft(x) for name, x in mixed.items())
+        clean = np.tile(np.fft.irfft(clean, count), PERIODS)
+        signals[output] = clean + noise * random.standard_normal(clean.size)
+    signals |= {"e_a": np.tile(pure[0], PERIODS), "e_r": np.tile(pure[1], PERIODS)}
+    return gb.Record(np.arange(count * PERIODS) / RATE, signals)
+
+
+def estimated(data):
+    return response_matrix(data, PERIOD, ["da", "dr"], ["p", "r"], excitations=["e_a", "e_r"])
+
+
+def test_coupling_is_removed():
+    """Without noise the plant, where a ratio of transforms is far off."""
+    data = record(0.0)
+    found = estimated(data)
+    assert [(r.output, r.input) for r in found] == list(POLES)
+    for response in found:
+        truth = plant((response.output, response.input), response.omega)
+        inner = slice(2, -2)  # what is beyond the last line of the other input is extrapolated
+        np.testing.assert_allclose(response.response[inner], truth[inner], rtol=0.01)
+    ratio = gb.spectral.periodic_response(data, PERIOD, "da", "p", omega=found[0].omega)
+    assert np.median(np.abs(ratio.response / plant(("p", "da"), ratio.omega) - 1)) > 0.1
+
+
+def test_errors_have_the_right_size():
+    """Squared errors over their variances have the mean one."""
+    ratios = []
+    for seed in range(12):
+        for response in estimated(record(0.05, seed=seed)):
+            truth = plant((response.output, response.input), response.omega)
+            ratios.append(np.mean((np.abs(response.response - truth) ** 2 / response.variance)[2:-2]))
+    # An estimated variance of ν degrees of freedom makes this ν / (ν - 2).
+    assert 0.9 < np.mean(ratios) / (10 / 8) < 1.2
+
+
+def test_inputs_that_are_alike_are_refused():
+    """And too few periods."""
+    data = record(0.0)
+    same = data.with_signals(dr=data["da"])
+    with pytest.raises(ValueError, match="cannot be told apart"):
+        estimated(same)
+    with pytest.raises(ValueError, match="2 whole periods of 20 s"):
+        estimated(data.between(0, 2 * PERIOD))
+
+
+def test_one_file_holds_all(tmp_path):
+    """Each is read back by its names."""
+    found = estimated(record(0.05))
+    gb.data.write_responses(found, tmp_path / "matrix.csv")
+    for response in found:
+        prefix = f"{response.output}_{response.input}_"
+        read = gb.read_response(tmp_path / "matrix.csv", prefix, response.input, response.output)
+        np.testing.assert_array_equal(read.response, response.response)
+        np.testing.assert_array_equal(read.variance, response.variance)
+
+
+def test_the_matrix_is_drawn():
+    """A Bode diagram for each pair, outputs below one another."""
+    axes = gb.plotting.response_matrix(estimated(record(0.05)))
+    assert len(axes) == 8
+    assert [axes[k].get_title() for k in (0, 1, 4, 5)] == ["da to p", "dr to p", "da to r", "dr to r"]
