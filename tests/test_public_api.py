@@ -45,7 +45,8 @@ NAMESPACES = {
     "spectral": "FiniteFrequency Quality check demodulate finite_frequency periodic_response response_matrix "
     "spectral_response transient_spectrum",
     "study": "Bootstrap Member Study StudyMember batch bootstrap read_study",
-    "validation": "Comparison NestedTest Reduction StepwiseSelection compare nested_test reduce stepwise",
+    "validation": "Comparison Differences NestedTest Reduction StepwiseSelection compare differences nested_test "
+    "reduce stepwise",
 }
 EVERYTHING = [(gb, name) for name in (*NAMES, *FORMULAS)]
 EVERYTHING += [(getattr(gb, space), name) for space, names in NAMESPACES.items() for name in names.split()]
