@@ -1,16 +1,21 @@
 """The command `greybox report`: a page about saved results."""
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from greybox.cli.batch_command import ORIGIN
+from greybox.cli.data_file import read_data
 from greybox.cli.options import UsageError, add_common_options, add_parser
 from greybox.cli.output import USABLE, Answer, require_writable
 from greybox.cli.saved_fits import add_model_option, saved_fit
+from greybox.data.record import Record
 from greybox.study.study import read_study
 from greybox.study.study_folder import read_json
+from greybox.validation.compare import compare
+from greybox.validation.comparison import Comparison
 from greybox.validation.same_data import labels_of
 
 PAGES = (".html", ".htm")
@@ -36,6 +41,14 @@ def add_command(commands: Any) -> None:
     )
     add("--out", type=Path, metavar="FILE", help="the page (default: the name of the first result, ending in .html)")
     add_model_option(parser)
+    add(
+        "--held-out",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="records that none of two or more fits has seen: how well each predicts them",
+    )
     add("--title", default="", help="heading of the page (default: the name of the fit)")
     add("--force", action="store_true", help="overwrite a file that exists")
     add_common_options(parser)
@@ -51,7 +64,7 @@ def run(options: argparse.Namespace) -> Answer:
     if out.suffix.lower() not in PAGES:
         raise UsageError(f"--out {out} is not a page: end it in .html.")
     entries = _entries(options)
-    write_page(entries, out, title=options.title)
+    write_page(entries, out, _held_out(options.held_out, entries), options.title)
     size = out.stat().st_size
     answer = {"page": str(out), "bytes": size, "results": [entry.label for entry in entries]}
     return answer, f"wrote {out} ({size / 1000:.0f} kB)", USABLE
@@ -80,3 +93,17 @@ def _batch_command(study: Path) -> tuple[str, ...]:
     if not isinstance(source, str):
         return ()
     return ("batch", source, "--out", str(study), *(("--starts", str(starts)) if isinstance(starts, int) else ()))
+
+
+def _held_out(paths: Sequence[Path], entries: Sequence[Any]) -> Comparison | None:
+    """Return how the fits compare on these records; None without records."""
+    if not paths:
+        return None
+    fits = [entry.fit for entry in entries if entry.fit is not None]
+    if len(fits) < 2:
+        raise UsageError("--held-out compares fits by what they predict: give two or more results.")
+    model = fits[0].model_of()
+    records = [data for path in paths if isinstance(data := read_data(path, model), Record)]
+    if len(records) < len(paths):
+        raise UsageError("--held-out takes records, columns of time and signals: compare responses in Python.")
+    return compare(*fits, records=records, labels=[entry.label for entry in entries if entry.fit is not None])

@@ -14,11 +14,11 @@ from greybox.html_report.provenance import data_summary, provenance
 from greybox.html_report.residual_figures import residual_figures
 from greybox.html_report.response_figures import response_figures
 from greybox.html_report.sensitivity_figure import information_figure, sensitivity_figure
+from greybox.html_report.spectrum_figures import spectrum_figure
 from greybox.html_report.starts_figure import starts_figure
 from greybox.html_report.tables import parameter_table
 from greybox.html_report.verdict import verdict
 from greybox.modeling.model import Model
-from greybox.modeling.model_reference import resolve
 
 HISTORIES = 6  # records of a fit that are drawn: the worst fitted ones
 
@@ -35,6 +35,8 @@ def fit_section(entry: Entry, columns: int) -> Iterator[tuple[str, list[Element]
         yield "Frequency response", [figure_grid(drawn), *_sensitivities(fit)]
     if fit.records:
         yield "Time history", list(_histories(fit, columns))
+    if fit.spectra:
+        yield "Manoeuvres", [figure_grid([spectrum_figure(part) for part in fit.spectra[:HISTORIES]])]
     drawn = [figure for k in range(len(fit.parts)) if (figure := information_figure(fit, k)) is not None]
     if drawn:
         yield "What the data tell", [figure_grid(drawn[:HISTORIES])]
@@ -84,7 +86,7 @@ def _equations(fit: Fit) -> Iterator[Element]:
         yield tag("h4", part.label)
         is_written = True
         try:
-            model = model_of(fit, k)
+            model = fit.model_of(k)
             yield tag("div", equations(model), class_="equations")
             if fit.converged:
                 yield tag("p", "With the estimate:", class_="soft")
@@ -95,17 +97,6 @@ def _equations(fit: Fit) -> Iterator[Element]:
         if part.equation:
             summary = tag("summary", "What the model's author says of it")
             yield tag("details", summary, tag("pre", part.equation), open=not is_written)
-
-
-def model_of(fit: Fit, k: int) -> Model:
-    """Return the model of a part; of a loaded fit one that greybox includes or that was handed over.
-
-    Raises
-    ------
-    LookupError
-        If it is neither.
-    """
-    return fit.models[k] if fit.models else resolve(fit.parts[k].model, fit.given)
 
 
 def _values(fit: Fit, k: int, model: Model) -> Mapping[str, float]:
@@ -122,7 +113,7 @@ def _sensitivities(fit: Fit) -> Iterator[Element]:
             continue
         told.add(part.label)
         try:
-            figure = sensitivity_figure(fit, part, model_of(fit, k))
+            figure = sensitivity_figure(fit, part, fit.model_of(k))
         except (LookupError, ValueError, TypeError, ArithmeticError) as error:
             yield tag("p", f"Confidence band and sensitivity cannot be drawn: {_sentence(error)}")
             continue

@@ -22,6 +22,7 @@ LARGEST = 2_900_000  # bytes of a page, so that mail takes it: from there on res
 LINES = 1_200_000  # bytes for the lines of records, of LARGEST
 FEWEST = 200  # columns of a line, however many lines there are
 BYTES = 30  # of a column of a line: two points of two numbers
+LINKS = 12  # sections up to which all are linked at the top: two lines
 OPEN = 3  # results up to which the details of all are open
 
 HERE = Path(__file__).parent
@@ -96,7 +97,9 @@ def _document(title: str, sections: Sequence[Element]) -> str:
         tag("title", title),
         tag("style", style),
     )
-    links = [tag("a", _title(section), href=f"#{section.get('id')}") for section in sections]
+    # The table of many results has links to all of them.
+    linked = sections if len(sections) <= LINKS else sections[:1]
+    links = [tag("a", _title(section), href=f"#{section.get('id')}") for section in linked]
     header = tag(
         "header",
         tag("div", tag("h1", title)),

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from greybox.data.safe_files import write_text
 from greybox.data.text_table import counted
 from greybox.estimate.result import Fit
@@ -70,7 +72,9 @@ def write_page(entries: Sequence[Entry], path: Path, comparison: Comparison | No
     by_default = (
         f"{counted(len(entries), 'result')} side by side" if more else first.fit.name if first.fit else first.label
     )
-    write_text(path, page(entries, comparison, title or by_default))
+    with np.errstate(all="ignore"):  # files come from anyone: what is not finite is not drawn
+        text = page(entries, comparison, title or by_default)
+    write_text(path, text)
 
 
 def study_entries(study: Study) -> list[Entry]:

@@ -34,7 +34,7 @@ def response_figures(fits: Sequence[Fit], labels: Sequence[str] = ()) -> list[Fi
     fits = [fit for fit in fits if fit.responses]
     if not fits:
         return []
-    series = response_series(fits, labels, LEVEL)
+    series = response_series(fits, labels, LEVEL if all(fit.converged for fit in fits) else None)
     thinned = [_thinned(one) for one in series]
     return [_bode(thinned, error_series(fits, series)), *(_nyquist(group) for group in panels(thinned))]
 

@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 from page_results import lag
 
+import greybox as gb
 from greybox.html_report.figure import Series
 from greybox.html_report.history_figures import history_figure
 from greybox.html_report.residual_figures import residual_figures
 from greybox.html_report.response_figures import response_figures
 from greybox.html_report.sensitivity_figure import sensitivity_figure
+from greybox.html_report.spectrum_figures import spectrum_figure
 from greybox.html_report.starts_figure import starts_figure
+from greybox.models.polynomial import Polynomial
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +92,18 @@ def test_starts_are_sorted_and_failed_ones_stand_at_the_right(fit):
     assert minimum.x.tolist() == [1, 2]
     assert failed.x.tolist() == [3]
     assert failed.notes == ["start 1, restoration failed"]
+
+
+def test_the_spectrum_of_a_manoeuvre_has_data_fit_and_what_is_left(fit):
+    time = 0.05 * np.arange(201)
+    u = np.exp(-((time - 2) ** 2))
+    y = gb.simulate(Polynomial(1, 0), fit.estimate, gb.Record(time, {"u": u}))["y"]
+    spectrum = gb.spectral.transient_spectrum(gb.Record(time, {"u": u, "y": y}), "u", "y", (0.5, 6))
+    fitted = gb.fit(gb.Problem(Polynomial(1, 0), spectrum), starts=2, progress=False)
+    output, given = spectrum_figure(fitted.spectra[0]).panels
+    assert named(output, "measured", "points").y == pytest.approx(np.abs(spectrum.outputs["y"]))
+    assert named(output, "fit of", "line").y == pytest.approx(np.abs(spectrum.outputs["y"]), rel=0.01, abs=1e-4)
+    assert given.series[0].y == pytest.approx(np.abs(spectrum.inputs["u"]))
 
 
 def test_numbers_keep_the_digits_that_zooming_needs():

@@ -202,6 +202,18 @@ def test_the_page_runs_no_script_but_its_own(show, one, tmp_path):
     shown.trouble.clear()
 
 
+def test_a_failed_fit_shows_where_its_best_run_ended(fit, tmp_path):
+    beyond = [lambda p: p.a0 - 1e6]  # its bounds
+    failed = gb.fit(gb.Problem(fit.models[0], fit.parts[0].data, constraints=beyond), starts=1, progress=False)
+    assert not failed.converged
+    gb.report(failed, tmp_path / "failed.html")
+    text = (tmp_path / "failed.html").read_text(encoding="utf-8")
+    assert "There is no estimate: no start converged" in text
+    assert "<button" in text
+    assert "ended at" in text
+    assert "× failed" in text
+
+
 def test_what_does_not_fit_on_the_page_stands_in_its_table(fit, monkeypatch):
     monkeypatch.setattr("greybox.html_report.page.LARGEST", 120_000)
     text = page([Entry(f"fit {k}", fit) for k in range(9)], None, "many")
