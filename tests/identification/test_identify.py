@@ -125,3 +125,18 @@ def test_filters_of_the_log_are_in_series_with_the_model(filtered_rate_log):
     assert (as_logged.chosen.through, as_logged.unfiltered) == ((), None)
     with pytest.raises(ValueError, match="tells of no such filter; it tells of gyro-filter, gyro-notch"):
         gb.identify(filtered_rate_log, ladder=ladder, through=("d-term-filter",), **stated)
+
+
+def test_the_signals_of_px4_are_known():
+    time = np.arange(0, 60, 0.004)
+    setpoint = np.where((time > 5) & (time < 55), 0.1 * np.sin(3 * (time - 5)), 0)
+    records = {
+        "vehicle_attitude_setpoint": Record(
+            time, {"pitch": setpoint, "roll": 0 * time}, {"pitch": "rad", "roll": "rad"}
+        ),
+        "vehicle_attitude": Record(time, {"pitch": 0.9 * setpoint}, {"pitch": "rad"}),
+        "vehicle_torque_setpoint": Record(time, {"xyz[0]": 0 * time, "xyz[1]": np.gradient(setpoint)}),
+    }
+    settings, choices = choose(Recording(records, "made.ulg"))
+    assert (settings.input, settings.output) == ("u=vehicle_torque_setpoint.xyz[1]", "theta=vehicle_attitude.pitch")
+    assert "axis pitch: vehicle_attitude_setpoint.pitch moves" in str(choices[0])

@@ -5,35 +5,10 @@ import json
 import numpy as np
 import pytest
 from command_line import run
-from synthetic_logs import Log
+from synthetic_logs import BATCH, BATCH_RATE, Log, imu_batches
 
 from greybox.logs.readers import read
 from greybox.spectral.vibration import vibration
-
-RATE, COUNT = 1000.0, 512
-
-
-def log(batches=4, sequence=None):
-    """A gyro that shakes at 87 Hz in x, at 87 and 174 Hz in y, and an accelerometer, in turn."""
-    made = Log()
-    made.fmt("ISBH", "QHBBHHQf", "TimeUS,N,type,instance,mul,smp_cnt,SampleUS,smp_rate")
-    made.fmt("ISBD", "QHHaaa", "TimeUS,N,seqno,x,y,z")
-    made.fmt("ATT", "Qcc", "TimeUS,Roll,Pitch")
-    rng = np.random.default_rng(0)
-    for number in range(batches):
-        start = 10.0 + number
-        kind = (1 + number) % 2
-        t = start + np.arange(COUNT) / RATE
-        x = 0.2 * np.sin(2 * np.pi * 87 * t)
-        y = 0.1 * np.sin(2 * np.pi * 87 * t) + 0.05 * np.sin(2 * np.pi * 174 * t)
-        values = np.array([x, y, 0 * t]) + 0.005 * rng.normal(size=(3, COUNT))
-        raw = np.round(values * 900).astype("<i2")
-        at = round((start + 0.6) * 1e6)
-        made.add("ISBH", at, number, kind, 0, 900, COUNT, round(start * 1e6), RATE)
-        for k in sequence or range(COUNT // 32):
-            made.add("ISBD", at + k, number, k, *(row[32 * k : 32 * k + 32].tobytes() for row in raw))
-        made.add("ATT", at + 100, 0.0, 1.0)
-    return made
 
 
 @pytest.fixture
@@ -47,18 +22,18 @@ def saved(tmp_path):
 
 
 def test_batches_are_samples_in_time(saved):
-    recording = read(saved(log()))
+    recording = read(saved(imu_batches()))
     assert {"ISBD[gyro0]", "ISBD[accel0]"} <= set(recording)
     gyro = recording["ISBD[gyro0]"]
-    assert (len(gyro), len(gyro.pieces), gyro.units["x"]) == (2 * COUNT, 2, "rad/s")
-    assert gyro.rate == pytest.approx(RATE)
+    assert (len(gyro), len(gyro.pieces), gyro.units["x"]) == (2 * BATCH, 2, "rad/s")
+    assert gyro.rate == pytest.approx(BATCH_RATE)
     expected = 0.2 * np.sin(2 * np.pi * 87 * gyro.time)
     assert np.sqrt(np.mean((gyro["x"] - expected) ** 2)) == pytest.approx(0.005, rel=0.1)
-    assert set(read(saved(log()), messages=("ISBD",))) == {"ISBD[gyro0]", "ISBD[accel0]"}
+    assert set(read(saved(imu_batches()), messages=("ISBD",))) == {"ISBD[gyro0]", "ISBD[accel0]"}
 
 
 def test_lost_messages_leave_gaps_and_samples_in_their_places(saved):
-    gyro = read(saved(log(sequence=[0, 1, 2, 9, 10])))["ISBD[gyro0]"]
+    gyro = read(saved(imu_batches(sequence=[0, 1, 2, 9, 10])))["ISBD[gyro0]"]
     assert len(gyro) == 2 * 5 * 32
     expected = 0.2 * np.sin(2 * np.pi * 87 * gyro.time)
     assert np.sqrt(np.mean((gyro["x"] - expected) ** 2)) < 0.01
@@ -74,7 +49,7 @@ def test_batches_without_their_header_are_left_out(saved):
 
 
 def test_vibration_is_found_and_inspected(saved, capsys):
-    path = saved(log())
+    path = saved(imu_batches())
     x, y, z = vibration("ISBD[gyro0]", read(path)["ISBD[gyro0]"])
     assert x.peaks == pytest.approx((87,), abs=4)
     assert y.peaks == pytest.approx((87, 174), abs=4)
