@@ -32,7 +32,7 @@ SPELLED = str.maketrans(
 
 # What stands out where there are colors: why there is no answer, and what to know before believing one.
 RED, YELLOW, PLAIN = "\033[1;31m", "\033[33m", "\033[0m"
-STANDS_OUT = re.compile(r"^(?P<red>greybox:|\s*FAILED:)|(?P<yellow>^\s*warning:|\bAT BOUND\b)", re.MULTILINE)
+STANDS_OUT = re.compile(r"^(?P<red>greybox:|[ ]*FAILED:)|(?P<yellow>^[ ]*warning:|\bAT BOUND\b)", re.MULTILINE)
 
 
 def colored(text: str, stream: TextIO | None) -> str:

@@ -52,7 +52,7 @@ class Terminal(io.StringIO):
         return True
 
 
-TEXT = "greybox: no.\n  K  1.0  AT BOUND  gain\n  warning: beware of a warning: this\n  FAILED: no start\n"
+TEXT = "greybox: no.\n\n  K  1.0  AT BOUND  gain\n\n  warning: beware of a warning: this\n  FAILED: no start\n"
 
 
 def test_colors_stand_on_terminals_only(monkeypatch):
