@@ -11,11 +11,11 @@ import pytest
 import greybox as gb
 
 NAMES = """
-Bootstrap Collocation Controller Criterion EquationError Fit FrequencyResponse Integrator MagnitudePhase
+Bootstrap Collocation Contour Controller Criterion EquationError Fit FrequencyResponse Integrator MagnitudePhase
 MaximumLikelihood MultipleShooting OutputError Parameter PredictionError Problem Profiles Record RelativeError
 RelativeLikelihood Rosenbrock RungeKutta SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion
-Transcription TransferFunction batch bootstrap compare cost feedback fit frequency_response identify load plot predict
-prepare profile read read_response reduce report save several simulate stepwise
+Transcription TransferFunction batch bootstrap compare contour cost feedback fit frequency_response identify load plot
+predict prepare profile read read_response reduce report save several simulate stepwise
 structural_identifiability virtual_flight
 """.split()
 
@@ -37,7 +37,7 @@ NAMESPACES = {
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response linearize rational",
     "planning": "ExpectedErrors SinePlan expected_errors plan_sines",
-    "plotting": "bode demodulated measurement nyquist orders plot profiles recording residuals response_matrix "
+    "plotting": "bode contour demodulated measurement nyquist orders plot profiles recording residuals response_matrix "
     "sensitivity spectrogram spectrum starts time_history traces",
     "regression": "EquationErrorEstimate equation_error levy order_path",
     "simulation": "Prediction predict simulate",

@@ -30,7 +30,7 @@ from greybox.data.text_table import alternatives, number
 from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.harmonic_numbers import with_enough_harmonics
-from greybox.estimate.profiles import End, ProfileOf, Profiles
+from greybox.estimate.profiles import Contour, End, ProfileOf, Profiles
 from greybox.estimate.quantities import Formula, formulas
 from greybox.estimate.result import Fit, Quantity
 from greybox.formulation.starts import Sobol
@@ -43,6 +43,9 @@ STEP = 0.35  # of the limit of |r|, from one point to the next: three points to 
 BEYOND = 1.2  # of the limit, to where a profile goes on: the crossing lies between two points
 MOST_POINTS = 40  # a side; a step may triple, so that the last lies beyond any crossing
 GROWTH = 3.0
+FEWEST_DIRECTIONS = 8  # of a contour: fewer show no shape
+WIDER = 1.5  # from one point of a ray to the next: two or three to the crossing where the cost is quadratic
+CROSSING = 1e-3  # of its distance, to which a crossing is found: less than a line is wide
 LEVEL = 0.95  # of the profiles that a fit makes by itself
 LARGE_ERROR = 0.5  # of a value: its interval by the standard error reaches to zero and beyond
 FAR = 1e6  # in sizes of the quantity: what does not change the cost up to there is not limited
@@ -99,6 +102,18 @@ def profile(
         When the executor has lost its workers.
     """
     require_executor(executor)
+    nlp = _compiled(fit, problem, level)
+    # What follows from constants alone has the error zero, and no profile.
+    known = {q.name: q for q in fit.quantities if q.kind != "fixed" and q.standard_error != 0}
+    wanted = list(known) if names is None else [names] if isinstance(names, str) else list(names)
+    for name in wanted:
+        if name not in known:
+            raise ValueError(f"there is no {name!r} to profile; there are {alternatives(name, list(known))}.")
+    return _profiles(nlp, fit, [known[name] for name in wanted], level, fresh_starts, executor)
+
+
+def _compiled(fit: Fit, problem: AnyProblem | None, level: float) -> Nlp:
+    """Compile what was fitted, if a likelihood can be profiled."""
     if not fit.converged:
         raise ValueError(f"the fit {fit.name!r} has no estimate to profile around: {fit.status}.")
     if not 0 < level < 1:
@@ -120,13 +135,7 @@ def profile(
         raise ValueError(
             f"problem {problem.name!r} has other unknowns or other data than the fit: give the one fitted."
         )
-    # What follows from constants alone has the error zero, and no profile.
-    known = {q.name: q for q in fit.quantities if q.kind != "fixed" and q.standard_error != 0}
-    wanted = list(known) if names is None else [names] if isinstance(names, str) else list(names)
-    for name in wanted:
-        if name not in known:
-            raise ValueError(f"there is no {name!r} to profile; there are {alternatives(name, list(known))}.")
-    return _profiles(nlp, fit, [known[name] for name in wanted], level, fresh_starts, executor)
+    return nlp
 
 
 def profiled_where_misleading(nlp: Nlp, fit: Fit) -> Profiles | None:
@@ -192,8 +201,8 @@ class _Held:
     Pickled, it is the problem and the quantity, and is built anew where it arrives.
     """
 
-    def __init__(self, nlp: Nlp, place: int | None, value: ca.Function | None) -> None:
-        self._nlp, self._place, self._value = nlp, place, value
+    def __init__(self, nlp: Nlp, places: Sequence[int], value: ca.Function | None) -> None:
+        self._nlp, self._places, self._value = nlp, list(places), value
         program = nlp.program
         kind: Any = ca.SX if program.is_a("SXFunction") else ca.MX
         z, p = kind.sym("z", len(nlp.free)), kind.sym("p", 2)
@@ -206,13 +215,13 @@ class _Held:
         self._lower, self._upper = nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper)
         self._limits = {"lbg": np.zeros(many + held), "ubg": np.concatenate([np.full(many, np.inf), np.zeros(held)])}
 
-    def __reduce__(self) -> tuple[type["_Held"], tuple[Nlp, int | None, ca.Function | None]]:
-        return _Held, (self._nlp, self._place, self._value)
+    def __reduce__(self) -> tuple[type["_Held"], tuple[Nlp, Sequence[int], ca.Function | None]]:
+        return _Held, (self._nlp, self._places, self._value)
 
-    def of(self, place: int) -> "_Held":
-        """Return the same program for the parameter at this place."""
+    def of(self, *places: int) -> "_Held":
+        """Return the same program for the parameters at these places."""
         other = copy(self)
-        other._place = place
+        other._places = list(places)
         return other
 
     def slope(self, x: Array) -> Array:
@@ -222,18 +231,21 @@ class _Held:
         slope = ca.Function("slope", [point], [ca.jacobian(self._value(point), point)])
         return np.asarray(ca.DM(slope(self._nlp.scaling.to_solver(x)))).ravel() * self._nlp.scaling.slope(x)
 
-    def solve(self, start: Array, value: float) -> tuple[Array, float]:
-        """Return the best variables z (p,) with the quantity at a value, from a start, and their cost; inf if none."""
+    def solve(self, start: Array, value: float | Array) -> tuple[Array, float]:
+        """Return the best variables z (p,) with the quantity at a value, from a start, and their cost; inf if none.
+
+        Several parameters have as many values.
+        """
         nlp = self._nlp
         lower, upper = self._lower, self._upper
-        if self._place is not None:
+        if self._places:
             lower, upper = lower.copy(), upper.copy()
             x = np.ones(len(nlp.free))
-            x[self._place] = value
-            lower[self._place] = upper[self._place] = nlp.scaling.to_solver(x)[self._place]
+            x[self._places] = value
+            lower[self._places] = upper[self._places] = nlp.scaling.to_solver(x)[self._places]
         start = np.clip(start, lower, upper)
         self._check.begin()
-        z: Any = self._solver(x0=start, p=[SMOOTHING, value], lbx=lower, ubx=upper, **self._limits)["x"]
+        z: Any = self._solver(x0=start, p=[SMOOTHING, np.ravel(value)[0]], lbx=lower, ubx=upper, **self._limits)["x"]
         z = np.asarray(z).ravel()
         if self._solver.stats()["return_status"] not in CONVERGED:
             return z, math.inf
@@ -319,6 +331,41 @@ class _Search:
                 break
         return points
 
+    def along(self, center: Array, ray: Array, bounds: Array) -> tuple[float, End]:
+        """Return how far along a ray (2,) from the center the limit is crossed, or the `bounds` (2, 2) reached."""
+        from scipy.optimize import brentq  # noqa: PLC0415  (takes a tenth of a second to import)
+
+        with np.errstate(divide="ignore"):
+            room = np.where(ray > 0, bounds[:, 1] - center, bounds[:, 0] - center) / np.where(ray == 0, np.nan, ray)
+        most = float(np.nanmin(room))
+        inside, reach = self.best, min(self.limit / 2, most)
+        while True:
+            z, cost = self.held.solve(inside.z, center + reach * ray)
+            if not math.isfinite(cost):  # nearer to a solution that is known, before it counts as failed
+                if reach - inside.value < CROSSING * self.limit:
+                    return math.nan, "failed"
+                reach = (inside.value + reach) / 2
+                continue
+            point = _Point(reach, z, cost)
+            if self.root(point) > self.limit:
+                break
+            if reach >= most:
+                return most, "bound"
+            if reach > FAR * self.limit:
+                return math.inf, "flat"
+            inside, reach = point, min(WIDER * reach, most)
+        outside = point
+
+        def above(value: float) -> float:
+            for known in (inside, outside):
+                if value == known.value:
+                    return self.root(known) - self.limit
+            tried = [self.held.solve(start.z, center + value * ray) for start in (inside, outside)]
+            return self.root(_Point(value, *min(tried, key=lambda pair: pair[1]))) - self.limit
+
+        found: Any = brentq(above, inside.value, outside.value, xtol=CROSSING * outside.value)
+        return float(found), "crossed"
+
     def crossing(self, inside: _Point, outside: _Point) -> float:
         """Return where |r| is the limit between two points."""
         from scipy.optimize import brentq  # noqa: PLC0415  (takes a tenth of a second to import)
@@ -342,26 +389,111 @@ def _value_of(nlp: Nlp, formula: Formula) -> ca.Function:
     return ca.Function("value", [z], [ca.SX(formula.evaluate(named))])
 
 
-def _profiles(
-    nlp: Nlp, fit: Fit, lines: Sequence[Quantity], level: float, fresh: int, executor: Executor | None = None
-) -> Profiles:
-    from scipy.special import stdtrit  # noqa: PLC0415
+def contour(
+    fit: Fit,
+    first: str,
+    second: str,
+    *,
+    problem: AnyProblem | None = None,
+    level: float = 0.95,
+    directions: int = 36,
+) -> Contour:
+    """Return the region of two parameters whose likelihood ratio is within its limit, all others fitted again.
 
+    From the estimate it is followed in `directions` that are even in the metric of the covariance, each to where the
+    root of the ratio crosses √(2 F), F the quantile of Fisher's distribution with 2 and the fit's degrees of freedom,
+    or to the bounds of the two. Source: Bates and Watts (1988), section 6.1.
+
+    Parameters
+    ----------
+    fit : Fit
+    first, second : str
+        Free parameters.
+    problem, level
+        As of `profile`, and the same criteria allow it.
+    directions : int
+        At least 8.
+
+    Raises
+    ------
+    ValueError
+        As of `profile`; and for names that are not two free parameters within their bounds.
+    """
+    nlp = _compiled(fit, problem, level)
+    lines = {q.name: q for q in fit.quantities if q.kind == "free" and not q.at_bound}
+    for name in (first, second):
+        if name not in lines:
+            raise ValueError(f"no free {name!r} is within its bounds; there are {alternatives(name, list(lines))}.")
+    if first == second:
+        raise ValueError(f"a contour of {first!r} needs another parameter: there are {', '.join(lines)}.")
+    if directions < FEWEST_DIRECTIONS:
+        raise ValueError(f"directions is {directions}: give at least {FEWEST_DIRECTIONS}.")
+    return _contour(nlp, fit, lines[first], lines[second], level, directions)
+
+
+def _contour(nlp: Nlp, fit: Fit, first: Quantity, second: Quantity, level: float, directions: int) -> Contour:
+    from scipy.special import fdtri  # noqa: PLC0415  (takes a tenth of a second to import)
+
+    x, accuracy = _assessed(nlp, fit)
+    places = [nlp.free.index(first.name), nlp.free.index(second.name)]
+    limit = math.sqrt(2 * float(fdtri(2, min(first.dof, second.dof, 1e9), level)))
+    block = accuracy.covariance[np.ix_(places, places)]
+    axes = np.linalg.cholesky(block) if np.linalg.det(block) > 0 else np.diag(accuracy.size[places])
+    search = _Search(
+        held=_Held(nlp, places, None),
+        best=_Point(0.0, nlp.scaling.to_solver(x), nlp.cost(nlp.all_values(x))),
+        factor=float(np.mean([_factor(accuracy, np.eye(len(x))[place]) for place in places])),
+        limit=limit,
+        bounds=(0.0, math.inf),
+        size=1.0,
+        first=limit,
+        starts=np.zeros((0, len(x))),
+    )
+    center, bounds = x[places], np.array([first.bounds, second.bounds])
+    points, ends = [], []
+    for angle in 2 * math.pi * np.arange(directions) / directions:
+        ray = axes @ [math.cos(angle), math.sin(angle)]
+        reach, end = search.along(center, ray, bounds)
+        points.append(center + reach * ray)
+        ends.append(end)
+    return Contour(
+        names=(first.name, second.name),
+        units=(first.unit, second.unit),
+        level=level,
+        estimate=center,
+        covariance=block,
+        limit=limit,
+        points=np.array(points),
+        ends=tuple(ends),
+    )
+
+
+def _assessed(nlp: Nlp, fit: Fit) -> tuple[Array, Accuracy]:
+    """Return the estimate (p,) and its accuracy, if costs are ratios of likelihoods there."""
     x = np.array([fit.estimate[name] for name in nlp.free])
     refusal = ratio_refusal(nlp, x)
     accuracy = assess(nlp, x, tuple(part.initial_trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts))
     if refusal or accuracy.white is None:
         raise ValueError(f"no profile of {fit.name!r}: {refusal or 'its errors are not known'}.")
+    return x, accuracy
+
+
+def _profiles(
+    nlp: Nlp, fit: Fit, lines: Sequence[Quantity], level: float, fresh: int, executor: Executor | None = None
+) -> Profiles:
+    from scipy.special import stdtrit  # noqa: PLC0415
+
+    x, accuracy = _assessed(nlp, fit)
     z, cost = nlp.scaling.to_solver(x), nlp.cost(nlp.all_values(x))
     parameters = nlp.problem.parameters
     drawn = Sobol(fresh, 0).draw({name: parameters[name] for name in nlp.free}) if fresh else np.zeros((0, len(x)))
     starts = nlp.scaling.to_solver(drawn)
     by_name = {formula.name: formula for formula in formulas(nlp.problem)}
-    shared = _Held(nlp, None, None)
+    shared = _Held(nlp, (), None)
     searches, limits = [], {}
     for line in lines:
         place = nlp.free.index(line.name) if line.name in nlp.free else None
-        held = _Held(nlp, None, _value_of(nlp, by_name[line.name])) if place is None else shared.of(place)
+        held = _Held(nlp, (), _value_of(nlp, by_name[line.name])) if place is None else shared.of(place)
         slope = np.eye(len(x))[place] if place is not None else held.slope(x)
         dof = accuracy.dof if not math.isfinite(line.dof) else line.dof
         limit = float(stdtrit(min(dof, 1e9), 0.5 + level / 2))

@@ -24,6 +24,7 @@ from greybox.plotting.measured_test import spectrogram as spectrogram
 from greybox.plotting.nyquist import nyquist as nyquist
 from greybox.plotting.orders import orders as orders
 from greybox.plotting.overview import plot as plot
+from greybox.plotting.profile import contour as contour
 from greybox.plotting.profile import profiles as profiles
 from greybox.plotting.residuals import residuals as residuals
 from greybox.plotting.response_matrix import response_matrix as response_matrix

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from greybox.estimate.profiles import ProfileOf, Profiles
+from greybox.estimate.profiles import Contour, ProfileOf, Profiles
 from greybox.plotting.style import COLORS, DARK, GRAYS, new_figure
 
 COLUMNS = 3
@@ -41,6 +41,32 @@ def profiles(found: Profiles, axes: Any = None) -> NDArray[Any]:
     for ax, profile in zip(drawn, found.profiles, strict=True):
         _draw(ax, profile, found.limit[profile.name])
     return drawn
+
+
+def contour(found: Contour, axes: Any = None) -> Axes:
+    """Draw the region of two parameters, and the ellipse of the standard errors; open ends are hollow.
+
+    Parameters
+    ----------
+    found : Contour
+    axes : Axes, optional
+        Without them a new figure is made.
+    """
+    ax = new_figure(4.0, 3.4).subplots() if axes is None else axes
+    points = np.vstack([found.points, found.points[:1]])
+    ax.fill(*points.T, color=COLORS[0], alpha=0.12, linewidth=0)
+    ax.plot(*points.T, color=COLORS[0], linewidth=1.4)
+    closed = np.array([end == "crossed" for end in found.ends])
+    ax.plot(*found.points[closed].T, color=COLORS[0], marker="o", markersize=3, linestyle="")
+    ax.plot(*found.points[~closed].T, color=COLORS[0], marker="o", markersize=4, linestyle="", markerfacecolor="white")
+    if np.all(np.isfinite(found.covariance)):
+        ax.set(xlim=ax.get_xlim(), ylim=ax.get_ylim())  # of the region: the ellipse may be many times as long
+        ax.plot(*found.ellipse().T, color=GRAYS[0], linestyle="--", linewidth=0.9)
+    ax.plot(*found.estimate, color=DARK, marker="+", markersize=7)
+    for axis, name, unit in zip((ax.xaxis, ax.yaxis), found.names, found.units, strict=True):
+        axis.set_major_locator(MaxNLocator(5))
+        axis.set_label_text(f"{name} [{unit}]" if unit else name)
+    return ax
 
 
 def _draw(ax: Axes, profile: ProfileOf, limit: float) -> None:

@@ -382,6 +382,8 @@ def _resampling(fit: Fit, asked: str | None) -> Any:
     """Return what is drawn, if these data allow it."""
     if fit.spectra:
         raise ValueError(f"the fit {fit.name!r} has manoeuvres, which are not drawn yet: use fit.interval().")
+    if any(part.is_prior for part in fit.parts):
+        raise ValueError(f"the fit {fit.name!r} has a prior, which is not drawn: use fit.interval().")
     if fit.records and fit.responses:
         raise ValueError(f"the fit {fit.name!r} has records and responses, which are drawn in no common way: use one.")
     in_time = bool(fit.records)

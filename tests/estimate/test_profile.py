@@ -7,6 +7,7 @@ import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import brentq, least_squares
+from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 import greybox as gb
@@ -187,3 +188,28 @@ def test_profiles_do_not_depend_on_who_makes_them():
         assert one.interval == other.interval
     with pytest.raises(TypeError, match="executor is 3: give an instance such as"):
         gb.profile(fit, executor=3)
+
+
+def test_a_contour_is_where_the_costs_of_a_dense_grid_cross_the_limit():
+    data = noisy(Lag(), {"K": 2.0, "T": 0.3}, 0.1, 4, TWO_LAGS_OMEGA[::4])
+    fit = fitted(Lag(), data, gb.SquaredRelativeError())
+    found = gb.contour(fit, "K", "T", directions=12)
+    assert {*found.ends} == {"crossed"}
+    # Of a model of two parameters nothing is fitted again: 1 + 2 F / dof of the best cost, on the contour itself.
+    dof = 2 * len(data) - 2
+    limit = fit.cost * (1 + 2 * fisher.ppf(0.95, 2, dof) / dof)
+    error = found.points[:, :1] / (1j * data.omega * found.points[:, 1:] + 1) / data.response - 1
+    assert_allclose((np.abs(error) ** 2).sum(axis=1), limit, rtol=1e-3)
+
+
+def test_a_contour_of_a_ratio_that_is_known_is_open_along_it():
+    data = noisy(OneSided(), {"b": 10000.0, "a": 5000.0}, 0.05, 1)
+    fit = fitted(OneSided(), data, gb.SquaredRelativeError())
+    found = gb.contour(fit, "b", "a", directions=12)
+    assert "open in" in str(found)
+    ratio = found.points[:, 0] / found.points[:, 1]
+    assert np.nanmax(np.abs(ratio / 2 - 1)) < 0.3
+    axes = gb.plotting.contour(found)
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("b [1]", "a [1]")
+    with pytest.raises(ValueError, match="no free 'ratio'"):
+        gb.contour(fit, "b", "ratio")
