@@ -703,6 +703,8 @@ class Fit:
         """
         self._known_errors()
         stated = self.parts[part]
+        if stated.is_prior:
+            raise ValueError(f"part {part} is a-priori knowledge, not data: fit.prior_share has what it tells.")
         if stated.information is None or stated.information_alone is None:
             raise ValueError(f"the fit {self.name!r} was saved without what its data tell of parameters: fit it again.")
         if isinstance(stated, FittedResponse):
