@@ -104,7 +104,7 @@ def response_case(model, truth, omega, sigma):
         random = np.random.default_rng(seed)
         errors = sigma * (random.normal(size=omega.size) + 1j * random.normal(size=omega.size))
         data = gb.FrequencyResponse(omega, clean.response * (1 + errors), input=clean.input, output=clean.output)
-        return gb.fit(gb.Problem(model, data), starts=8, progress=False)
+        return gb.fit(gb.Problem(model, data), starts=8, profiles=False, progress=False)
 
     return make, truth, ("residuals", "parametric", "points")
 

@@ -63,7 +63,7 @@ def _cell(name, model, truth, omega, names, sigma, repeats) -> list[str]:
         rng = np.random.default_rng(seed)
         errors = sigma * (rng.normal(size=omega.size) + 1j * rng.normal(size=omega.size))
         data = gb.FrequencyResponse(omega, clean.response * (1 + errors), input=clean.input, output=clean.output)
-        fit = gb.fit(gb.Problem(model, data), starts=3, progress=False)
+        fit = gb.fit(gb.Problem(model, data), starts=3, profiles=False, progress=False)
         try:
             intervals = gb.profile(fit, names, fresh_starts=0).intervals
         except ValueError:

@@ -93,7 +93,7 @@ def test_an_open_end_is_said_and_the_ratio_is_known():
 
 
 def test_the_yaw_damping_is_positive_and_has_no_upper_limit():
-    profiles = gb.profile(gb.fit(yaw_hover.problem(), starts=20, progress=False), ["a2", "a3_tilde"])
+    profiles = gb.profile(gb.fit(yaw_hover.problem(), starts=20, profiles=False, progress=False), ["a2", "a3_tilde"])
     low, high = profiles["a2"].interval
     assert 100 < low < 200
     assert high == np.inf
@@ -113,7 +113,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     held = 0
     for seed in range(20):
         data = noisy(OneSided(), {"b": 800.0, "a": 400.0}, 0.05, seed)
-        fit = gb.fit(gb.Problem(OneSided(), data), starts=3, progress=False)
+        fit = gb.fit(gb.Problem(OneSided(), data), starts=3, profiles=False, progress=False)
         low, high = gb.profile(fit, "a", fresh_starts=0)["a"].interval
         held += low <= 400.0 <= high
     assert held >= 16
@@ -171,7 +171,7 @@ def test_what_follows_from_constants_alone_has_no_profile():
 
 
 def test_the_figure_has_a_panel_for_each():
-    found = gb.profile(gb.fit(yaw_hover.problem(), starts=10, progress=False), ["a2", "a4"])
+    found = gb.profile(gb.fit(yaw_hover.problem(), starts=10, profiles=False, progress=False), ["a2", "a4"])
     axes = gb.plotting.profiles(found)
     assert [ax.get_xlabel() for ax in axes] == ["a2 [1/s]", "a4 [1/s]"]
 
