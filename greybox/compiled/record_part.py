@@ -105,6 +105,8 @@ class RecordModel:
         Whether the record's samples follow one another in time.
     errors_are_white : bool
         Whether the criterion takes the errors for white, so that no correlation is looked for.
+    is_prior : bool
+        Whether the record stands for a-priori knowledge, and not for data.
     locate : casadi.Function
         (z) -> values of the declared parameters, derivatives of the active ones by z, delays.
     initial : casadi.Function
@@ -121,6 +123,7 @@ class RecordModel:
     criterion: TimeCriterion
     has_time: bool
     errors_are_white: bool
+    is_prior: bool
     method: Transcription
     system: Dynamics
     between: tuple[Intersample, ...]
@@ -672,7 +675,7 @@ class RecordPart(Part):
         told = part._jacobian(trajectory, weight)
         white, weighted = told.white, told.weighted
         score = white
-        is_prior = self.problem.criterion.is_prior
+        is_prior = self.model.is_prior
         if part.covariance.known is not None and not is_prior:  # what was given is not what the residuals show
             variance = np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1)
             score = np.einsum("k,kpt,kqt->pq", variance, weighted, weighted)
@@ -1037,6 +1040,7 @@ def _first_of_its_kind(problem: Problem, method: Transcription) -> RecordModel:
         criterion=criterion,
         has_time=problem.data.has_time,
         errors_are_white=criterion.errors_are_white,
+        is_prior=criterion.is_prior,
         method=method,
         system=system,
         between=between,

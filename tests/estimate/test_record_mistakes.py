@@ -88,10 +88,10 @@ class Wild(gb.StateSpace):
         (lambda: gb.Problem(Spring(), DATA, HELD, at={"x": 0.0}), "operating point of a frequency response"),
         (lambda: gb.Problem(Spring(), DATA, gb.RelativeError()), "criterion"),
         (lambda: gb.Problem(Spring(), DATA, HELD, rename={"x_bias": "b2"}), "'x_bias'"),
-        (lambda: gb.Problem(Spring(), [DATA, DATA]), r"data is a list with 2 in it: use gb.several\(model, records\)"),
+        (lambda: gb.Problem(Spring(), [DATA, DATA]), r"data is a list with 2 in it: use gb.several\(model, \[...\]\)"),
         (lambda: gb.Problem(Spring(), (DATA,)), "data is a list with 1 in it: take it out of the list"),
         (lambda: gb.Problem(Spring(), gb.data.Recording({"A": DATA, "B": DATA})), r"messages A, B: give .* log\['A'\]"),
-        (lambda: gb.Problem(Spring(), np.zeros(3)), "give a FrequencyResponse or a Record"),
+        (lambda: gb.Problem(Spring(), np.zeros(3)), "give a FrequencyResponse, a Record or a TransientSpectrum"),
         (lambda: gb.several(Spring(), DATA), "takes a list of at least two records"),
         (lambda: gb.several(Spring(), None), "takes a list of at least two records"),
         (
