@@ -143,7 +143,8 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
         The same for the runs from each start.
     profiles : bool
         Profile the likelihood of responses, as `greybox.profile` does, along parameters whose interval by the standard
-        error leaves the bounds, or whose error exceeds half the value: `Fit.profiles`.
+        error leaves the bounds, or whose error exceeds half the value: `Fit.profiles`. Problems that the batched
+        search does not serve (trims inside the optimization, finite amplitudes) are left out: profile these by name.
     progress : bool or function
         A bar on a terminal for anything longer than two seconds; or a function of finished and all runs.
 

@@ -34,6 +34,7 @@ from greybox.estimate.profiles import Contour, End, ProfileOf, Profiles
 from greybox.estimate.quantities import Formula, formulas
 from greybox.estimate.result import Fit, Quantity
 from greybox.formulation.starts import Sobol
+from greybox.solve.batched_solver import BatchedSolver
 from greybox.solve.executors import call_all, require_executor
 from greybox.solve.ipopt import CONVERGED, WARM, StopCheck, checked_nlpsol
 
@@ -141,9 +142,10 @@ def _compiled(fit: Fit, problem: AnyProblem | None, level: float) -> Nlp:
 def profiled_where_misleading(nlp: Nlp, fit: Fit) -> Profiles | None:
     """Return profiles of the parameters whose standard error says little; None where none does, or none can be made.
 
-    That is where the interval of the standard error leaves the bounds, or the error exceeds half the value.
+    That is where the interval of the standard error leaves the bounds, or the error exceeds half the value. A profile
+    takes some forty solves: problems too large for the batched search are not profiled unasked.
     """
-    if len(fit.responses) < len(fit.parts) or fit.white is None:
+    if len(fit.responses) < len(fit.parts) or fit.white is None or not BatchedSolver.serves(nlp):
         return None
     intervals = fit.interval(LEVEL)
     lines = [q for q in fit.quantities if q.kind == "free" and not q.at_bound and _misleads(q, intervals[q.name])]

