@@ -199,7 +199,7 @@ def _fitted(
         starts={name: _times(p.box, gain) for name, p in scaled.items()},
     )
     listed = [_inside(start, problem) for start in _linear_starts(data, n, m, integrators, delay)]
-    found = fit(problem, [*listed, Sobol(starts, seed)], progress=False)
+    found = fit(problem, [*listed, Sobol(starts, seed)], profiles=False, progress=False)
     if not found.converged:
         return OrderCandidate(n, m, integrators, delay > 0, None, math.nan)
     unknowns = len(found.free) + criterion.nuisances

@@ -239,6 +239,7 @@ def _fitted(member: Member, kept: RunFiles, executor: Executor | None, report: C
         member.seed,
         by=member.by,
         executor=executor,
+        profiles=False,  # of the member that matters, `greybox profile` makes them
         progress=report,
     )
 
