@@ -41,11 +41,11 @@ def data():
 def problem(terms=TERMS, more=()):
     """Return the joint problem with some terms of the moment; `more` are further (angle in rad, response)."""
     hover, moving = data()
-    parts = [
+    first, second, *others = (
         gb.Problem(TiltMomentAt(angle, DRAG), table, free=terms)
         for angle, table in ((0.0, hover), (ANGLE, moving), *more)
-    ]
-    return sum(parts).with_(name="pitch, more terms of the moment")
+    )
+    return sum(others, first + second).with_(name="pitch, more terms of the moment")
 
 
 def separate():
