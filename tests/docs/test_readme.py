@@ -56,7 +56,8 @@ def test_the_picture_is_what_the_command_draws(tmp_path):
     draw_picture(tmp_path / "new.png")
     with Image.open(PICTURE) as kept, Image.open(tmp_path / "new.png") as new:
         assert kept.size == pytest.approx(new.size, abs=1)
-        assert kept.text["Description"] == new.text["Description"], "run `python tests/support/readme_blocks.py`"
+        texts = [NUMBER.sub("#", image.text["Description"]) for image in (kept, new)]  # as many starts agree as may
+        assert texts[0] == texts[1], "run `python tests/support/readme_blocks.py`"
 
 
 @pytest.mark.parametrize("page", [*PAGES, README.with_name("CONTRIBUTING.md")], ids=lambda page: page.stem)
