@@ -57,7 +57,7 @@ def test_many_solvers_are_built_at_once():
 
         problem = rotors.problem()
         with ThreadPoolExecutor(4) as threads:
-            fits = list(threads.map(lambda _: gb.fit(problem, starts=1, progress=False), range(60)))
+            fits = list(threads.map(lambda _: gb.fit(problem, starts=1, progress=False), range(30)))
         print(len({fit.cost for fit in fits}))
         """
     )  # a process of its own: what goes wrong there ends it
