@@ -9,6 +9,7 @@ from greybox.data.text_table import greek
 from greybox.estimate.result import Fit
 from greybox.html_report.figure import Figure, Panel, Series
 from greybox.plotting.long_lines import drawn_line
+from greybox.plotting.style import shown_unit
 from greybox.plotting.time_history import DOTS, History, along, gapless_rows, histories, shown_scale
 from greybox.simulation.prediction import Prediction
 
@@ -86,6 +87,6 @@ def _curve(
 
 def _label(history: History, name: str) -> str:
     unit = history.data.units.get(name, "")
-    shown = {"rad": "°", "rad/s": "°/s"}.get(unit, unit)
+    shown = shown_unit(unit)[1]
     symbol = "_".join(map(greek, name.split("_")))
     return f"{symbol}, {shown}" if shown else symbol

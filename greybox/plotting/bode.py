@@ -28,13 +28,13 @@ from greybox.plotting.style import (
     TITLE_SIZE,
     AxesArray,
     GivenAxes,
+    align_and_explain,
     finish,
     flat_axes,
     given_axes,
     label_horizontal,
-    legend_below,
-    legend_inside,
     new_figure,
+    stacked,
 )
 
 DB_PER_NEPER = 20 / np.log(10)
@@ -98,12 +98,7 @@ def bode(
 
     draw_bode(drawn, panels, series, errors, title(fits))
 
-    if axes is None:
-        drawn[0].figure.align_ylabels(drawn)
-        if legend:
-            legend_below(drawn[0].figure, legend_entries(series))
-    elif legend:
-        legend_inside(drawn[0], legend_entries(series))
+    align_and_explain(drawn, legend_entries(series), given=axes is not None, legend=legend)
     return drawn
 
 
@@ -132,7 +127,7 @@ def bode_height(panels: Sequence[str]) -> float:
 
 def bode_axes(figure: Figure | SubFigure, panels: Sequence[str]) -> AxesArray:
     """Make the axes in a figure or a part of one."""
-    return figure.subplots(len(panels), 1, sharex=True, height_ratios=[HEIGHTS[name] for name in panels])
+    return stacked(figure, [HEIGHTS[name] for name in panels])
 
 
 def draw_bode(

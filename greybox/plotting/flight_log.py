@@ -15,10 +15,10 @@ from greybox.plotting.style import (
     AxesArray,
     GivenAxes,
     finish,
-    given_axes,
     label_horizontal,
-    new_figure,
     plain,
+    shown_unit,
+    stacked_axes,
 )
 
 # Setpoint and angle of each axis, as ArduPilot logs them.
@@ -67,13 +67,14 @@ def traces(
         span = min(segment.duration, periods * 2 * math.pi / segment.band[0])
         record = record.between(segment.end - span, segment.end)
     units = list(dict.fromkeys(record.units.get(name, "") for name in record.signals))
-    drawn = _stacked_axes(axes, [unit or "no unit" for unit in units], "this record", (9.0, 1.2 + 2.0 * len(units)))
+    drawn = stacked_axes(axes, [unit or "no unit" for unit in units], "this record", 9.0, 1.2 + 2.0 * len(units))
 
     for ax, unit in zip(drawn, units, strict=True):
         names = [name for name in record.signals if record.units.get(name, "") == unit]
+        scale, shown = shown_unit(unit)
         for k, name in enumerate(names):
-            _line(ax, record.time, record[name] * (180 / math.pi if unit == "rad" else 1), plain(name), k)
-        _finish(ax, f"{', '.join(names)}, {'°' if unit == 'rad' else unit or '-'}", legend)
+            _line(ax, record.time, scale * record[name], plain(name), k)
+        _finish(ax, f"{', '.join(names)}, {shown or '-'}", legend)
 
     text = record.name or "record"
     if segment is not None and segment.kind == "sine":
@@ -119,7 +120,7 @@ def recording(
         panels = [[name] for name in everything[:PANELS]]
     if not panels:
         raise ValueError(f"{recording.source or 'the recording'} holds no signal to draw.")
-    drawn = _stacked_axes(axes, [names[-1] for names in panels], "this log", (10.0, 1.2 + 1.8 * len(panels)))
+    drawn = stacked_axes(axes, [names[-1] for names in panels], "this log", 10.0, 1.2 + 1.8 * len(panels))
 
     for ax, names in zip(drawn, panels, strict=True):
         for k, signal in enumerate(names):
@@ -142,13 +143,6 @@ def _holds(recording: Recording, signal: str) -> bool:
     except KeyError:
         return False
     return True
-
-
-def _stacked_axes(axes: GivenAxes | None, names: Sequence[str], drawing: str, size: tuple[float, float]) -> AxesArray:
-    """Return the given axes, or those of a new figure of this size in inches, one below the other."""
-    if axes is not None:
-        return given_axes(axes, names, drawing)
-    return new_figure(*size).subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
 
 
 def _line(ax: Axes, time: np.ndarray, values: np.ndarray, label: str, k: int) -> None:

@@ -31,11 +31,13 @@ from greybox.plotting.style import (
     AxesArray,
     GivenAxes,
     finish,
-    given_axes,
     label_horizontal,
     legend_below,
     new_figure,
     plain,
+    shown_unit,
+    signal_label,
+    stacked_axes,
     symbol,
 )
 from greybox.spectral.demodulation import least_squares, whole_periods
@@ -193,21 +195,18 @@ def demodulated(
     part = record.between(segment.start, segment.end)
     rows, _ = whole_periods(part.time, segment.omega, 0.0, None)
     time = part.time[rows]
-    if axes is None:
-        drawn = new_figure(8.0, 0.8 + SINES * len(signals)).subplots(len(signals), 1, sharex=True, squeeze=False)[:, 0]
-    else:
-        drawn = given_axes(axes, list(signals), "this test")
+    drawn = stacked_axes(axes, list(signals), "this test", 8.0, 0.8 + SINES * len(signals))
     shown = time >= time[-1] - PERIODS * 2 * math.pi / segment.omega
     for k, (ax, name) in enumerate(zip(drawn, signals, strict=True)):
-        scale = 180 / math.pi if record.units.get(name) == "rad" else 1.0
-        x = scale * part[name][rows]
+        unit = record.units.get(name, "")
+        x = shown_unit(unit)[0] * part[name][rows]
         amplitude, drift, _ = least_squares(time, x[None], segment.omega, float(time[0]), 1)
         phase = segment.omega * (time - time[0])
         line = x.mean() + drift[0] * (time - time.mean()) / (time[-1] - time[0])
         sine = line + amplitude[0, 0].real * np.sin(phase) + amplitude[0, 0].imag * np.cos(phase)
         ax.plot(time[shown], x[shown], ".", ms=3, color=COLORS[k % len(COLORS)], label="raw")
         ax.plot(time[shown], sine[shown], color=DARK, lw=1.2, label="demodulated")
-        finish(ax, _label(record, name))
+        finish(ax, signal_label(name, unit))
     if legend:
         drawn[0].legend(fontsize=8, loc="upper right", ncols=2)
     label_horizontal(drawn, "Time, s")
@@ -215,20 +214,15 @@ def demodulated(
 
 
 def _draw_signal(ax: Axes, record: Record, name: str, tests: Sequence[Segment], color: str, *, limited: bool) -> None:
-    in_degrees = record.units.get(name) == "rad"
-    values = record[name] * (180 / math.pi if in_degrees else 1)
+    unit = record.units.get(name, "")
+    values = record[name] * shown_unit(unit)[0]
     ax.plot(*drawn_line(record.time, values, pieces(record.time, 2.5 * record.step)), color=color, linewidth=0.8)
     for test in tests:
         ax.axvspan(test.start, test.end, color="0.5" if test.usable else "tab:red", alpha=0.12, lw=0)
     if limited:
         rows = at_limit(record[name])
         ax.plot(record.time[rows], values[rows], "|", color=LIMIT, ms=8)
-    finish(ax, _label(record, name))
-
-
-def _label(record: Record, name: str) -> str:
-    unit = plain(record.units.get(name, ""))
-    return f"{symbol(name)}, {'°' if unit == 'rad' else unit}" if unit else symbol(name)
+    finish(ax, signal_label(name, unit))
 
 
 def _draw_motors(ax: Axes, motors: Record, ends: tuple[float, float], tests: Sequence[Segment]) -> None:

@@ -17,10 +17,12 @@ from greybox.plotting.style import (
     TITLE_SIZE,
     AxesArray,
     GivenAxes,
+    chosen,
     finish,
     given_axes,
     new_figure,
     plain,
+    shown_unit,
     symbol,
 )
 from greybox.statistics.metrics import CorrelationTest, input_correlation, whiteness
@@ -68,14 +70,11 @@ def residuals(fit: Fit, record: int = 0, *, axes: GivenAxes | None = None) -> Ax
     """
     if not isinstance(fit, Fit):
         raise TypeError(f"cannot draw {fit!r:.80}: give a Fit.")
-    count = len(fit.records)
-    if not count:
+    if not fit.records:
         raise ValueError(f"the fit {fit.name!r} has no record: gb.plotting.bode shows the errors of its responses.")
-    if not -count <= record < count:
-        raise ValueError(f"there is no record {record}: the fit has {count}, counted from 0.")
+    part = chosen(fit.records, record, "record")
     if not fit.converged:
         raise ValueError(f"the fit {fit.name!r} has no estimate: {fit.status}.")
-    part = fit.records[record]
     rows = [residual_panels(part, output) for output in part.outputs]
 
     if axes is not None:
@@ -121,9 +120,8 @@ def _pieces(record: Record, values: Array) -> Sequence[Array]:
 
 
 def _draw_histogram(ax: Axes, part: FittedRecord, output: str) -> None:
-    unit = part.data.units.get(output, "")
-    in_degrees = unit in ("rad", "rad/s")
-    e = part.residual(output) * (180 / np.pi if in_degrees else 1.0)
+    scale, unit = shown_unit(part.data.units.get(output, ""))
+    e = scale * part.residual(output)
     e = e[np.isfinite(e)]
     if e.size:
         bins = min(BINS, max(5, math.ceil(math.sqrt(e.size))))
@@ -132,11 +130,10 @@ def _draw_histogram(ax: Axes, part: FittedRecord, output: str) -> None:
         if spread > 0:
             x = np.linspace(e.min(), e.max(), 200)
             ax.plot(x, np.exp(-0.5 * ((x - e.mean()) / spread) ** 2) / (spread * math.sqrt(2 * math.pi)), color=DARK)
-    shown = {"rad": "°", "rad/s": "°/s"}.get(unit, unit)
     finish(ax, "Density")
     ax.set_yticks([])
     ax.xaxis.set_major_locator(MaxNLocator(4))
-    ax.set_xlabel(f"Residual of {symbol(output)}{f', {plain(shown)}' if shown else ''}", fontsize=11)
+    ax.set_xlabel(f"Residual of {symbol(output)}{f', {plain(unit)}' if unit else ''}", fontsize=11)
 
 
 def _draw_correlations(ax: Axes, panel: ResidualPanel, test: CorrelationTest) -> None:

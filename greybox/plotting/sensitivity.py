@@ -14,13 +14,11 @@ from greybox.plotting.style import (
     AxesArray,
     Entries,
     GivenAxes,
+    align_and_explain,
     finish,
-    given_axes,
     label_horizontal,
-    legend_below,
-    legend_inside,
-    new_figure,
     plain,
+    stacked_axes,
     symbol,
 )
 
@@ -57,22 +55,12 @@ def sensitivity(fit: Fit, part: int = 0, *, axes: GivenAxes | None = None, legen
     if not isinstance(fit, Fit):
         raise TypeError(f"cannot draw {fit!r:.80}: give a Fit.")
     found = fit.sensitivity(part)
-    if axes is not None:
-        drawn = given_axes(axes, found.names, "this figure of sensitivities")
-    else:
-        figure = new_figure(7.0, 1.0 + 1.15 * len(found.names))
-        drawn = figure.subplots(len(found.names), 1, sharex=True, squeeze=False)[:, 0]
+    drawn = stacked_axes(axes, found.names, "this figure of sensitivities", 7.0, 1.0 + 1.15 * len(found.names))
     for k, ax in enumerate(drawn):
         _draw(ax, found, k)
     drawn[0].set_title(plain(fit.parts[part].name), fontsize=TITLE_SIZE)
     label_horizontal(drawn, {"rad/s": "ω, rad/s", "s": "Time, s", "row": "Row"}[found.unit])
-
-    if axes is None:
-        drawn[0].figure.align_ylabels(drawn)
-        if legend:
-            legend_below(drawn[0].figure, _legend(found))
-    elif legend:
-        legend_inside(drawn[0], _legend(found))
+    align_and_explain(drawn, _legend(found), given=axes is not None, legend=legend)
     return drawn
 
 

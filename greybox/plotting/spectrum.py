@@ -20,13 +20,15 @@ from greybox.plotting.style import (
     TITLE_SIZE,
     AxesArray,
     GivenAxes,
+    align_and_explain,
+    chosen,
     finish,
     given_axes,
     label_horizontal,
-    legend_below,
-    legend_inside,
     new_figure,
     plain,
+    shown_unit,
+    stacked,
     symbol,
 )
 
@@ -79,12 +81,7 @@ def spectrum(
     else:
         places = spectrum_axes(new_figure(WIDTH, spectrum_height(drawn)), drawn)
     draw_spectrum(places, drawn)
-    if axes is None:
-        places[0].figure.align_ylabels(places)
-        if legend:
-            legend_below(places[0].figure, spectrum_legend(drawn))
-    elif legend:
-        legend_inside(places[0], spectrum_legend(drawn))
+    align_and_explain(places, spectrum_legend(drawn), given=axes is not None, legend=legend)
     return places
 
 
@@ -100,12 +97,9 @@ def as_drawn(item: Fit | TransientSpectrum, part: int = 0) -> Drawn:
         return Drawn(item, None, tuple(item.outputs), tuple(item.inputs))
     if not isinstance(item, Fit):
         raise TypeError(f"cannot draw {item!r:.80}: give a Fit or a TransientSpectrum.")
-    count = len(item.spectra)
-    if not count:
+    if not item.spectra:
         raise ValueError(f"the fit {item.name!r} has no manoeuvre: draw it with gb.plot.")
-    if not -count <= part < count:
-        raise ValueError(f"there is no manoeuvre {part}: the fit has {count}, counted from 0.")
-    fitted = item.spectra[part]
+    fitted = chosen(item.spectra, part, "manoeuvre")
     return Drawn(fitted.data, fitted, fitted.outputs, tuple(fitted.data.inputs))
 
 
@@ -117,7 +111,7 @@ def spectrum_height(drawn: Drawn) -> float:
 def spectrum_axes(figure: Figure | SubFigure, drawn: Drawn) -> AxesArray:
     """Make the axes in a figure or a part of one: magnitude and phase of each output, then the inputs."""
     heights = [*(height for _ in drawn.outputs for height in (2.2, 1.1)), *(1.2 for _ in drawn.inputs)]
-    return figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
+    return stacked(figure, heights)
 
 
 def draw_spectrum(places: AxesArray, drawn: Drawn) -> None:
@@ -183,8 +177,6 @@ def _points(color: str) -> dict:
 
 
 def _unit(data: TransientSpectrum, name: str) -> tuple[float, str]:
-    """Return the factor to the unit that a person reads, degrees for radians, and that unit of the integral."""
-    unit = data.units.get(name, "")
-    angle = unit in ("rad", "rad/s")
-    shown = {"rad": "°", "rad/s": "°/s", "": "1", "1": "1"}.get(unit, unit)
-    return (180 / math.pi if angle else 1.0), "s" if shown == "1" else f"({plain(shown)}) s"
+    """Return the factor to the unit that a person reads, and that unit of the integral."""
+    scale, unit = shown_unit(data.units.get(name, ""))
+    return scale, "s" if unit in ("", "1") else f"({plain(unit)}) s"

@@ -1,7 +1,9 @@
 """What all figures share: colors, symbols for signal names, the frame of a diagram, legends, and given axes."""
 
 import io
+import math
 from collections.abc import Iterable, Mapping, Sequence
+from typing import TypeVar
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -19,6 +21,8 @@ DARK = "#222222"
 GRAYS = ("#222222", "#777777", "#AAAAAA")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 TITLE_SIZE = 12  # points
+
+Item = TypeVar("Item")
 
 AxesArray = NDArray[np.object_]
 """Matplotlib Axes, in one dimension."""
@@ -75,6 +79,43 @@ def flat_axes(axes: GivenAxes) -> AxesArray:
     return flat
 
 
+def stacked_axes(axes: GivenAxes | None, names: Sequence[str], drawing: str, width: float, height: float) -> AxesArray:
+    """Return the given axes, or those of a new figure of this size in inches, one for each name below the other."""
+    if axes is not None:
+        return given_axes(axes, names, drawing)
+    return stacked(new_figure(width, height), [1.0] * len(names))
+
+
+def stacked(figure: Figure | SubFigure, heights: Sequence[float]) -> AxesArray:
+    """Make axes of these relative heights, one below the other, over one horizontal axis."""
+    return figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
+
+
+def chosen(items: Sequence[Item], number: int, kind: str) -> Item:
+    """Return the item of this number, counted from 0, or from the end where it is negative.
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
+    if not -len(items) <= number < len(items):
+        raise ValueError(f"there is no {kind} {number}: the fit has {len(items)}, counted from 0.")
+    return items[number]
+
+
+def shown_unit(unit: str) -> tuple[float, str]:
+    """Return the factor to the unit that a person reads, degrees for radians, and that unit."""
+    degrees = {"rad": "°", "rad/s": "°/s"}.get(unit)
+    return (1.0, unit) if degrees is None else (180 / math.pi, degrees)
+
+
+def signal_label(name: str, unit: str) -> str:
+    """Return the label of a signal: its symbol and the unit that a person reads."""
+    shown = plain(shown_unit(unit)[1])
+    return f"{symbol(name)}, {shown}" if shown else symbol(name)
+
+
 def plain(text: str) -> str:
     """Return `text` as matplotlib is to show it: no mathematics, and no underscore that hides it from a legend."""
     return text.lstrip("_").replace("$", r"\$")
@@ -114,6 +155,16 @@ def legend_below(figure: Figure | SubFigure, entries: Entries) -> None:
         frameon=False,
         **_keys_side_by_side(entries),
     )
+
+
+def align_and_explain(places: AxesArray, entries: Entries, *, given: bool, legend: bool) -> None:
+    """Align the labels of a new figure and draw its legend below it; given axes have theirs inside the first."""
+    if not given:
+        places[0].figure.align_ylabels(places)
+    if legend and given:
+        legend_inside(places[0], entries)
+    elif legend:
+        legend_below(places[0].figure, entries)
 
 
 def legend_inside(ax: Axes, entries: Entries) -> None:

@@ -20,14 +20,16 @@ from greybox.plotting.style import (
     TITLE_SIZE,
     AxesArray,
     GivenAxes,
+    align_and_explain,
+    chosen,
     finish,
     given_axes,
     label_horizontal,
-    legend_below,
-    legend_inside,
     new_figure,
     plain,
-    symbol,
+    shown_unit,
+    signal_label,
+    stacked,
 )
 from greybox.simulation.prediction import Prediction
 
@@ -100,12 +102,7 @@ def time_history(
     names = dict.fromkeys(history.data.name for history in drawn if history.data.name)
     places[0].set_title(plain(", ".join(names) or "time history"), fontsize=TITLE_SIZE)
 
-    if axes is None:
-        places[0].figure.align_ylabels(places)
-        if legend:
-            legend_below(places[0].figure, history_legend(drawn))
-    elif legend:
-        legend_inside(places[0], history_legend(drawn))
+    align_and_explain(places, history_legend(drawn), given=axes is not None, legend=legend)
     return places
 
 
@@ -147,7 +144,7 @@ def history_height(drawn: Sequence[History]) -> float:
 def history_axes(figure: Figure | SubFigure, drawn: Sequence[History]) -> AxesArray:
     """Make the axes in a figure or a part of one: output and residual for each output, then the inputs."""
     heights = [*(height for _ in _outputs(drawn) for height in (1.9, 0.8)), *(0.9 for _ in _inputs(drawn))]
-    return figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
+    return stacked(figure, heights)
 
 
 def draw_history(places: AxesArray, drawn: Sequence[History]) -> None:
@@ -160,7 +157,7 @@ def draw_history(places: AxesArray, drawn: Sequence[History]) -> None:
         data = next(history.data for history in drawn if name in history.data.signals)
         values = data[name] * shown_scale(data, name)
         ax.plot(*drawn_line(along(data), values, gapless_rows(data)), color=INPUT, **_look(data, 1.0))
-        finish(ax, _label(data, name))
+        finish(ax, signal_label(name, data.units.get(name, "")))
 
     label_horizontal(places, "Time, s" if drawn[0].data.has_time else "Row")
 
@@ -176,12 +173,9 @@ def history_legend(drawn: Sequence[History]) -> dict[str, tuple[Artist, ...]]:
 
 
 def _of_fit(fit: Fit, record: int) -> History:
-    count = len(fit.records)
-    if not count:
+    if not fit.records:
         raise ValueError(f"the fit {fit.name!r} has no record: draw its responses with gb.plot or gb.plotting.bode.")
-    if not -count <= record < count:
-        raise ValueError(f"there is no record {record}: the fit has {count}, counted from 0.")
-    part: FittedRecord = fit.records[record]
+    part = chosen(fit.records, record, "record")
     return History(
         label=f"fit of {part.label}",
         data=part.data,
@@ -275,7 +269,7 @@ def _draw_output(ax: Axes, residual_ax: Axes, drawn: Sequence[History], name: st
             _draw_item(ax, residual_ax, history, name, COLORS[k % len(COLORS)], scale)
 
     residual_ax.axhline(0, color="0.6", linewidth=0.8)
-    finish(ax, _label(data, name))
+    finish(ax, signal_label(name, data.units.get(name, "")))
     finish(residual_ax, "residual")
 
 
@@ -304,11 +298,5 @@ def _draw_item(ax: Axes, residual_ax: Axes, history: History, name: str, color: 
 
 
 def shown_scale(data: Record, name: str) -> float:
-    """Return the factor to what a person reads: degrees for radians."""
-    return 180 / np.pi if data.units.get(name, "") in ("rad", "rad/s") else 1.0
-
-
-def _label(data: Record, name: str) -> str:
-    unit = data.units.get(name, "")
-    shown = {"rad": "°", "rad/s": "°/s"}.get(unit, unit)
-    return f"{symbol(name)}, {plain(shown)}" if shown else symbol(name)
+    """Return the factor to the unit in which a signal is drawn."""
+    return shown_unit(data.units.get(name, ""))[0]

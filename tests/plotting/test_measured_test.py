@@ -41,7 +41,7 @@ def test_signals_have_axes_of_their_own_and_limits_are_marked(measured):
     log, found = measured
     figure = gb.plotting.measurement(found, log)
     labels = [ax.get_ylabel() for ax in figure.axes]
-    assert labels[:3] == ["u", "q, rad/s", "motors, µs"]
+    assert labels[:3] == ["u", "q, °/s", "motors, µs"]
     marked = [
         line.get_xdata() for ax in (figure.axes[0], figure.axes[2]) for line in ax.lines if line.get_marker() == "|"
     ]
