@@ -38,12 +38,13 @@ from greybox.estimate.diagnostics.outlying_points import outlying_points
 from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
 from greybox.estimate.diagnostics.unused_noise import unused_noise
 from greybox.estimate.equivalent_minima import equivalent_estimates
+from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.fitted_record import fitted_record, stated
 from greybox.estimate.fitted_spectrum import fitted_spectrum
 from greybox.estimate.harmonic_numbers import are_open, with_enough_harmonics, with_more_harmonics
 from greybox.estimate.profile import profiled_where_misleading
 from greybox.estimate.quantities import quantities, slopes_of_parameters
-from greybox.estimate.result import Fit, FittedRecord, FittedResponse, FittedSpectrum
+from greybox.estimate.result import Fit
 from greybox.formulation.frequency_criteria import evaluate
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.prior_part import stated_priors

@@ -3,7 +3,8 @@
 from typing import Any
 
 from greybox.compiled.compiled_problem import AnyProblem
-from greybox.estimate.result import Fit, FittedPart, FittedRecord, FittedResponse
+from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedResponse
+from greybox.estimate.result import Fit
 from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum

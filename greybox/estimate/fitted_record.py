@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.data.record import Record
-from greybox.estimate.result import FittedRecord
+from greybox.estimate.fitted_part import FittedRecord
 from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.problem import Problem
 from greybox.modeling.model import equation

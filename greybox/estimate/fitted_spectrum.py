@@ -4,8 +4,8 @@ import numpy as np
 
 from greybox.compiled.part import Trajectory
 from greybox.compiled.transient_part import Along, TransientPart
+from greybox.estimate.fitted_part import FittedSpectrum
 from greybox.estimate.fitted_record import covariance_unknowns, stated
-from greybox.estimate.result import FittedSpectrum
 
 
 def fitted_spectrum(part: TransientPart, trajectory: Trajectory | None) -> FittedSpectrum:

@@ -16,15 +16,14 @@ from greybox.data.html_text import html_list, html_table, html_text
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.record import Record, share_samples
 from greybox.data.text_table import alternatives, counted, number, one_line, some, text_table, with_error
-from greybox.data.transient_spectrum import TransientSpectrum
+from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.identifiability import Identifiability, KnownDirections, correlation, identifiability
 from greybox.estimate.profiles import Profiles
 from greybox.estimate.response_band import ResponseBand, band_of, require_level, response_and_slope, t_quantile
 from greybox.estimate.sensitivity import Sensitivity, sensitivity
 from greybox.estimate.summary import summary
 from greybox.formulation.included_criteria import CRITERIA
-from greybox.formulation.input_assumptions import Inputs, described_inputs
-from greybox.formulation.prior import Prior
+from greybox.formulation.input_assumptions import Inputs
 from greybox.formulation.restated_parameter import restated
 from greybox.formulation.spectrum_criteria import EquationError
 from greybox.modeling.model import Model
@@ -32,15 +31,12 @@ from greybox.modeling.model_reference import reference, resolve
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.periodic_motions import response_of_test
 from greybox.modeling.realization import dynamics
-from greybox.modeling.sine import Sine
 from greybox.simulation.model_at_estimate import ModelAtEstimate, criterion_of
 from greybox.solve.minima import Minimum, Multistart, agreeing_runs, best_unfinished
 from greybox.solve.outcome import Run
-from greybox.statistics.metrics import fit_percent, rms
+from greybox.statistics.metrics import rms
 
 # The included criteria in words, by name: `Fit.costs` has names alone.
-PRIOR = Prior(noise={}).class_path
-
 RULES = {criterion.name: criterion.description for criterion in CRITERIA}
 
 MANY = 10  # records up to which the text has a line for each; what it leaves out is in `Fit.records` and `quantities`
@@ -76,202 +72,6 @@ class Quantity:
     def __repr__(self) -> str:
         value, error = with_error(self.value, self.standard_error)
         return one_line(self, f"{self.name} = {value} ± {error} {self.unit}", self.kind)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class FittedPart:
-    """One problem of the sum with its data, in plain values: `FittedResponse`, `FittedRecord` or `FittedSpectrum`.
-
-    Attributes
-    ----------
-    name, delay : str
-    criterion : str
-        The name of the criterion, such as ``relative-error``; `rule` says it in words.
-    criterion_class, settings : str, mapping of name to value
-        Its class, ``module:Class``, and its fields in plain values: what makes two criteria the same.
-    is_likelihood : bool
-        Whether the cost is a negative log-likelihood.
-    rule : str
-    condition : str
-        What the errors of the data must be like for the standard errors to hold.
-    weight : float
-    rename : mapping of name to name
-        From the model's parameter names to those of the estimate.
-    tied, constraints : mapping of name to str, tuple of str
-        Their source text, for the record.
-    model : mapping
-        The model's reference (module, class, arguments), see `greybox.modeling.model_reference`.
-    label, equation : str
-        Name and docstring of the model.
-    information, information_alone : (p, m) array or None
-        Which share every point of the data has in what all data tell of each free parameter, with the others estimated
-        along or known, for independent errors; NaN for a parameter without a standard error. The points are the
-        frequencies of a response; of a record its outputs, one after the other, each over equal parts of its rows.
-    """
-
-    name: str
-    criterion: str
-    criterion_class: str
-    settings: Mapping[str, Any]
-    is_likelihood: bool
-    rule: str
-    condition: str
-    delay: str
-    data: FrequencyResponse | Record | TransientSpectrum
-    weight: float
-    rename: Mapping[str, str]
-    tied: Mapping[str, str]
-    constraints: tuple[str, ...]
-    model: Mapping[str, Any]
-    label: str
-    equation: str
-    information: NDArray[np.float64] | None = None
-    information_alone: NDArray[np.float64] | None = None
-
-    def __repr__(self) -> str:
-        return one_line(self, repr(self.name), self.label, self.criterion)
-
-    @property
-    def is_prior(self) -> bool:
-        """Whether it stands for a-priori knowledge of the parameters, not for data."""
-        return self.criterion_class == PRIOR
-
-    def has_criterion_of(self, other: "FittedPart") -> bool:
-        """Tell whether both were fitted by the same criterion: one class with the same settings."""
-        return (self.criterion_class, self.settings) == (other.criterion_class, other.settings)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class FittedResponse(FittedPart):
-    """A frequency response with the fitted one.
-
-    Attributes
-    ----------
-    response : (n,) complex array
-        The fitted model at the data's frequencies; NaN when no start converged.
-    curve : FrequencyResponse or None
-        The fitted model on a fine grid over the band, for figures.
-    at : mapping of name to float
-    pade_error : float or None
-        Largest phase error of the Padé approximation over the band, degrees; None with exact delay.
-    sine : Sine or None
-        The sine of finite amplitude that the model was given; None where it was linearized.
-    nuisances : int
-        Variances of the errors that were estimated along, as the criterion says.
-    """
-
-    data: FrequencyResponse
-    response: NDArray[np.complex128]
-    curve: FrequencyResponse | None
-    at: Mapping[str, float]
-    pade_error: float | None
-    sine: Sine | None = None
-    nuisances: int = 0
-
-
-@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class FittedRecord(FittedPart):
-    """A record with the fitted outputs.
-
-    Attributes
-    ----------
-    data : Record
-        The signals that the fit used.
-    simulated : Record
-        The fitted outputs at the same times; NaN where none was compared (gaps, the past of a delay) or no start
-        converged.
-    outputs : tuple of str
-    noise : (k, k) array
-        Covariance of the residuals of the outputs, given or estimated.
-    initial : mapping of state to (stretches,) array
-        The states at the first sample of every gapless stretch.
-    method : str
-        Transcription and integrator, with what they chose.
-    inputs : "record", "linear" or "held"
-        How the inputs ran between their samples: as the record says (`Record.hold`), or all of them in one way.
-    biases : tuple of str
-        Signals whose constant error was estimated, as the parameter ``<name>_bias``.
-    gains : tuple of (state, output)
-        Of the innovations, as parameters ``K_<state>_<output>``; empty for output error.
-    nuisances : int
-        Initial states, and variances and covariances of the noise, that were estimated along.
-    is_static : bool
-        Whether the outputs depend on the inputs of the same moment alone.
-    error : (outputs, n) array or None
-        Standard errors of the fitted outputs, from those of the parameters and of the initial states that were
-        estimated along; without the noise of the sensors. NaN where nothing was compared; None where none is known.
-    """
-
-    data: Record
-    simulated: Record
-    outputs: tuple[str, ...]
-    noise: NDArray[np.float64]
-    initial: Mapping[str, NDArray[np.float64]]
-    method: str
-    inputs: Inputs = "record"
-    biases: tuple[str, ...] = ()
-    gains: tuple[tuple[str, str], ...] = ()
-    nuisances: int = 0
-    is_static: bool = False
-    error: NDArray[np.float64] | None = None
-
-    @property
-    def compared(self) -> int:
-        """How many samples the fit used: those of which at least one output was compared."""
-        return int(np.any([np.isfinite(self.residual(name)) for name in self.outputs], axis=0).sum())
-
-    @property
-    def between(self) -> dict[str, str]:
-        """How every input ran between its samples, in words, and who says so; empty where it does not matter."""
-        if self.is_static:
-            return {}
-        names = [name for name in self.data.signals if name not in self.outputs]
-        return described_inputs(self.inputs, names, self.data)
-
-    def residual(self, output: str) -> NDArray[np.float64]:
-        """Return measured less fitted values of an output, (n,)."""
-        return self.data[output] - self.simulated[output]
-
-    def fit_percent(self, output: str) -> float:
-        """Return 100 (1 - |residual| / |measured - mean|), the normalized root mean square of MATLAB's `compare`."""
-        return fit_percent(self.data[output], self.simulated[output])
-
-
-@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class FittedSpectrum(FittedPart):
-    """The spectrum of a manoeuvre with the fitted outputs.
-
-    Attributes
-    ----------
-    fitted : mapping of output to (n,) complex array
-        The modelled outputs with their end terms; NaN when no start converged.
-    outputs : tuple of str
-    noise : (k, k) array
-        Covariance of the errors of one sample, given or estimated, as far as they lie in the band: of the outputs, or,
-        of equation error, of the equations.
-    ends : mapping of state to float
-        First less last value, which was estimated along.
-    at : mapping of name to float
-    nuisances : int
-        Values at the ends, and variances and covariances of the noise, that were estimated along.
-    """
-
-    data: TransientSpectrum
-    fitted: Mapping[str, NDArray[np.complex128]]
-    outputs: tuple[str, ...]
-    noise: NDArray[np.float64]
-    ends: Mapping[str, float]
-    at: Mapping[str, float]
-    nuisances: int = 0
-
-    def residual(self, output: str) -> NDArray[np.complex128]:
-        """Return the measured less the fitted transform of an output, (n,)."""
-        return self.data.outputs[output] - self.fitted[output]
-
-    def fit_percent(self, output: str) -> float:
-        """Return 100 (1 - |residual| / |measured|) over the band, without the mean value, as in time."""
-        size = float(np.linalg.norm(self.data.outputs[output]))
-        return 100 * (1 - float(np.linalg.norm(self.residual(output))) / size) if size else math.nan
 
 
 @dataclass(frozen=True, eq=False)

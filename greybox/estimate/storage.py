@@ -56,10 +56,11 @@ from greybox.data.sealed_files import Node, Stored, open_sealed, write_sealed
 from greybox.data.text_table import printable
 from greybox.data.transient_file import read_group as read_spectrum_group
 from greybox.data.transient_file import write_group as write_spectrum_group
+from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.fitted_record import criterion_values
 from greybox.estimate.identifiability import KnownDirections
 from greybox.estimate.profiles import End, ProfileOf, Profiles
-from greybox.estimate.result import Fit, FittedPart, FittedRecord, FittedResponse, FittedSpectrum, Quantity
+from greybox.estimate.result import Fit, Quantity
 from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
 from greybox.formulation.input_assumptions import Inputs
 from greybox.formulation.prior import as_prior

@@ -4,7 +4,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from xml.etree.ElementTree import Element
 
 from greybox.data.text_table import counted
-from greybox.estimate.result import Fit, FittedResponse
+from greybox.estimate.fitted_part import FittedResponse
+from greybox.estimate.result import Fit
 from greybox.html_report.elements import tag
 from greybox.html_report.entry import Entry
 from greybox.html_report.equation import equations

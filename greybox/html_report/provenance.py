@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from xml.etree.ElementTree import Element
 
 from greybox.data.text_table import counted, number
-from greybox.estimate.result import Fit, FittedRecord, FittedResponse, FittedSpectrum
+from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
+from greybox.estimate.result import Fit
 from greybox.html_report.elements import Child, tag
 from greybox.html_report.tables import Cell, number_cell, table
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.data.text_table import greek
-from greybox.estimate.result import FittedRecord
+from greybox.estimate.fitted_part import FittedRecord
 from greybox.html_report.figure import Figure, Panel, Series
 from greybox.plotting.residuals import residual_panels
 from greybox.statistics.metrics import CorrelationTest

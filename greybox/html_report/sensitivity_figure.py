@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.response_band import response_and_slope
-from greybox.estimate.result import Fit, FittedResponse
+from greybox.estimate.result import Fit
 from greybox.html_report.figure import Figure, Panel, Series
 from greybox.modeling.model import Model
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from greybox.data.text_table import greek
-from greybox.estimate.result import FittedSpectrum
+from greybox.estimate.fitted_part import FittedSpectrum
 from greybox.html_report.figure import Figure, Panel, Series
 
 GRAY, BLACK = -1, -2

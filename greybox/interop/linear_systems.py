@@ -8,7 +8,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.estimate.result import Fit, FittedResponse
+from greybox.estimate.fitted_part import FittedResponse
+from greybox.estimate.result import Fit
 from greybox.modeling.linearization import LinearSystem, linearize
 from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.pade_delay import pade_states

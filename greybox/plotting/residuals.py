@@ -10,7 +10,8 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from greybox.data.record import Record
-from greybox.estimate.result import Fit, FittedRecord
+from greybox.estimate.fitted_part import FittedRecord
+from greybox.estimate.result import Fit
 from greybox.plotting.style import (
     COLORS,
     DARK,

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from greybox.data.text_table import counted
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.estimate.result import Fit, FittedSpectrum
+from greybox.estimate.fitted_part import FittedSpectrum
+from greybox.estimate.result import Fit
 from greybox.plotting.style import (
     COLORS,
     DARK,

@@ -13,7 +13,8 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from greybox.data.record import GAP, Record
-from greybox.estimate.result import Fit, FittedRecord
+from greybox.estimate.fitted_part import FittedRecord
+from greybox.estimate.result import Fit
 from greybox.plotting.long_lines import Rows, drawn_line, pieces
 from greybox.plotting.style import (
     COLORS,

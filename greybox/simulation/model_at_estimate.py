@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 class FittedTo(Protocol):
-    """A record that values were fitted to, see `greybox.estimate.result.FittedRecord`."""
+    """A record that values were fitted to, see `greybox.estimate.fitted_part.FittedRecord`."""
 
     @property
     def data(self) -> Record:

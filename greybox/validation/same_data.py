@@ -6,7 +6,8 @@ import numpy as np
 
 from greybox.data.record import Record
 from greybox.data.text_table import number
-from greybox.estimate.result import Fit, FittedPart, FittedRecord, FittedResponse, FittedSpectrum
+from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedResponse, FittedSpectrum
+from greybox.estimate.result import Fit
 
 LIKELIHOOD = "negative log-likelihood"
 

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.text_table import counted, listed, number, with_error
-from greybox.estimate.result import Fit, FittedRecord
+from greybox.estimate.fitted_part import FittedRecord
+from greybox.estimate.result import Fit
 from greybox.simulation.prediction import Prediction
 from greybox.statistics.metrics import mean_test, whiteness
 from greybox.validation.common_likelihood import Likelihoods

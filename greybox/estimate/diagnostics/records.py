@@ -18,7 +18,7 @@ from greybox.data.record import Record
 from greybox.data.text_table import counted, some
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.repeated import Found, once
-from greybox.estimate.result import FittedPart, FittedRecord
+from greybox.estimate.fitted_part import FittedPart, FittedRecord
 from greybox.statistics.metrics import feedback_correlation, whiteness
 from greybox.statistics.noise_ratio import noise_ratio
 
