@@ -49,6 +49,21 @@ def add_command(commands: Any) -> None:
         metavar="FILE",
         help="records that none of two or more fits has seen: how well each predicts them",
     )
+    add(
+        "--bootstrap",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="what greybox bootstrap RESULT --json printed, to stand beside that result",
+    )
+    add(
+        "--details",
+        nargs="+",
+        default=[],
+        metavar="NAME",
+        help="members of a study to show in detail, names or patterns such as 'pitch*' (default: the best twelve)",
+    )
     add("--title", default="", help="heading of the page (default: the name of the fit)")
     add("--force", action="store_true", help="overwrite a file that exists")
     add_common_options(parser)
@@ -57,13 +72,13 @@ def add_command(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> Answer:
     """Read the results and write the page."""
-    from greybox.html_report.report import write_page  # noqa: PLC0415  (figures need matplotlib, which takes long)
+    from greybox.html_report.report import with_bootstraps, write_page  # noqa: PLC0415  (figures need matplotlib, which takes long)
 
     out = options.out or Path(f"{options.results[0].resolve().stem}.html")
     require_writable(out, options.force)
     if out.suffix.lower() not in PAGES:
         raise UsageError(f"--out {out} is not a page: end it in .html.")
-    entries = _entries(options)
+    entries = with_bootstraps(_entries(options), [read_json(path) for path in options.bootstrap])
     write_page(entries, out, _held_out(options.held_out, entries), options.title)
     size = out.stat().st_size
     answer = {"page": str(out), "bytes": size, "results": [entry.label for entry in entries]}
@@ -79,7 +94,7 @@ def _entries(options: argparse.Namespace) -> list[Any]:
     for path in options.results:
         if path.is_dir():
             command = _batch_command(path)
-            entries += [replace(entry, command=command) for entry in study_entries(read_study(path))]
+            entries += [replace(entry, command=command) for entry in study_entries(read_study(path), options.details)]
         else:
             entries.append(Entry(labels[path], loaded[path], file=str(path)))
     return entries

@@ -10,5 +10,6 @@ bread and meat differ from criterion to criterion: for responses they are the `s
 response, `structural_identifiability` asks the same before any data, `sensitivity` which frequencies or times tell of
 each parameter. `profile` follows the lowest cost along one quantity, for intervals that need not be symmetric, which
 are `profiles`; `fitted_problem` is the problem again from its answer. The folder `diagnostics` holds the warnings,
-`storage` writes and reads fits, and `summary` gives their numbers as plain values.
+`storage` writes and reads fits, `verdict` judges them in three sentences, and `summary` gives their numbers as plain
+values.
 """

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from greybox.data.json_numbers import all_finite, finite
+from greybox.estimate.verdict import verdict
 from greybox.solve.outcome import SCREENED
 
 
@@ -14,8 +15,11 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
     Intervals are of this `level`. `Fit.to_dict` is the same.
     """
     parameters = [q for q in result.quantities if q.kind != "derived"]
+    judged = verdict(result)
     return {
         "problem": result.name,
+        "model": list(dict.fromkeys(part.label for part in result.parts)),
+        "data": list(dict.fromkeys(part.data.name or part.name for part in result.parts)),
         "criterion": result.criterion,
         "rule": result.rule,
         "delay": result.delay,
@@ -28,6 +32,7 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
         "cost": finite(result.cost),
         "costs": all_finite(result.costs),
         "status": result.status,
+        "verdict": {"grade": judged.grade, "sentences": list(judged.sentences)},
         "estimate": all_finite(result.estimate),
         "best_effort": None if result.best_effort is None else all_finite(result.best_effort),
         "standard_error": all_finite(result.standard_error),

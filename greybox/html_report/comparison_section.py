@@ -1,6 +1,8 @@
 """Several results side by side: one table of all, how they compare, and their figures laid over one another."""
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 from xml.etree.ElementTree import Element
 
 from greybox.data.text_table import with_error
@@ -11,17 +13,17 @@ from greybox.html_report.figure import Figure, figure_grid
 from greybox.html_report.history_figures import history_figure
 from greybox.html_report.response_figures import response_figures
 from greybox.html_report.tables import Cell, number_cell, table
-from greybox.html_report.verdict import verdict
 from greybox.validation.compare import compare
 from greybox.validation.comparison import HELD_OUT, Comparison
 
 OVERLAID = 6  # fits in one figure: there are six colors
+WIDEST = 12  # quantities in one table: more do not fit beside one another
 
 
 def comparison_section(entries: Sequence[Entry], comparison: Comparison | None, columns: int) -> list[Element]:
     """Return what the results say beside one another: estimates, tests, and figures of all."""
     fits = [(entry.label, entry.fit) for entry in entries if entry.fit is not None and entry.fit.converged]
-    content = list(_estimates(fits))
+    content = list(_estimates(entries))
     labels, converged = [label for label, _ in fits], [fit for _, fit in fits]
     if comparison is None and 2 <= len(fits) <= OVERLAID:
         try:
@@ -41,46 +43,51 @@ def overview(entries: Sequence[Entry]) -> Element:
     rows = []
     for entry in entries:
         name = Cell(tag("a", entry.label, href=f"#{entry.anchor}") if entry.anchor else entry.label)
-        if entry.fit is None:
+        answer = entry.answer
+        if entry.error or not answer:
             rows.append([name, Cell(entry.error or "no result", mark="failed"), *[Cell("")] * 6])
             continue
-        fit = entry.fit
-        judged = verdict(fit).grade
+        grade = answer["verdict"]["grade"]
+        agreeing, warnings = answer["agreeing"], len(answer["warnings"])
         rows.append(
             [
                 name,
-                Cell({"good": "good", "doubt": "in doubt", "failed": "failed"}[judged], mark=judged),
-                Cell(", ".join(dict.fromkeys(part.label for part in fit.parts))),
-                Cell(fit.criterion),
-                number_cell(fit.cost, 6),
-                Cell(f"{fit.agreeing} of {len(fit.runs)}" if fit.converged else "–", float(fit.agreeing)),
-                Cell(str(len(fit.warnings)), float(len(fit.warnings))),
-                Cell(", ".join(dict.fromkeys(part.data.name or part.name for part in fit.parts))),
+                Cell({"good": "good", "doubt": "in doubt", "failed": "failed"}[grade], mark=grade),
+                Cell(", ".join(answer["model"])),
+                Cell(answer["criterion"]),
+                number_cell(answer["cost"], 6),
+                Cell(f"{agreeing} of {answer['starts']}" if answer["converged"] else "–", float(agreeing)),
+                Cell(str(warnings), float(warnings)),
+                Cell(", ".join(answer["data"])),
             ]
         )
     header = ["result", "verdict", "model", "criterion", "cost", "starts agreeing", "warnings", "data"]
     return table(header, rows)
 
 
-def _estimates(fits: Sequence[tuple[str, Fit]]) -> Iterator[Element]:
-    """Yield the table of all estimates with their errors, one row a result."""
-    names = list(dict.fromkeys(q.name for _, fit in fits for q in fit.quantities))
-    if not names:
-        return
-    rows = []
-    for label, fit in fits:
-        known = {q.name: q for q in fit.quantities}
-        row = [Cell(label)]
-        for name in names:
-            q = known.get(name)
-            if q is None:
-                row.append(Cell(""))
-                continue
-            value, error = with_error(q.value, q.standard_error)
-            row.append(Cell(value if error == "-" else f"{value} ± {error}", q.value))
-        rows.append(row)
-    yield tag("h3", "Estimates with standard errors")
-    yield table(["result", *names], rows)
+def _estimates(entries: Sequence[Entry]) -> Iterator[Element]:
+    """Yield the table of all estimates with their errors, or, of very different results, one for each structure."""
+    known = [entry for entry in entries if entry.answer.get("converged") and entry.answer["standard_error"]]
+    all_names = tuple(dict.fromkeys(name for entry in known for name in entry.answer["standard_error"]))
+    groups: dict[tuple[str, ...], list[Entry]] = {}
+    for entry in known:
+        names = all_names if len(all_names) <= WIDEST else tuple(entry.answer["standard_error"])
+        groups.setdefault(names, []).append(entry)
+    if groups:
+        yield tag("h3", "Estimates with standard errors")
+    for names, group in groups.items():
+        yield table(["result", *names], [[Cell(entry.label), *_estimate_cells(entry.answer, names)] for entry in group])
+
+
+def _estimate_cells(answer: Mapping[str, Any], names: Sequence[str]) -> Iterator[Cell]:
+    values = {**answer["derived"], **answer["estimate"]}
+    for name in names:
+        if values.get(name) is None:
+            yield Cell("–" if name in values else "")
+            continue
+        spread = answer["standard_error"][name]
+        value, error = with_error(values[name], math.nan if spread is None else spread)
+        yield Cell(value if error == "-" else f"{value} ± {error}", values[name])
 
 
 def _comparison(comparison: Comparison) -> Iterator[Element]:

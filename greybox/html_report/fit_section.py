@@ -3,14 +3,16 @@
 from collections.abc import Iterator, Mapping, Sequence
 from xml.etree.ElementTree import Element
 
-from greybox.data.text_table import counted
+from greybox.data.text_table import counted, listed
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
+from greybox.estimate.verdict import verdict
 from greybox.html_report.elements import tag
 from greybox.html_report.entry import Entry
 from greybox.html_report.equation import equations
 from greybox.html_report.figure import figure_grid
 from greybox.html_report.history_figures import history_figure
+from greybox.html_report.interval_section import interval_section
 from greybox.html_report.provenance import data_summary, provenance
 from greybox.html_report.residual_figures import residual_figures
 from greybox.html_report.response_figures import response_figures
@@ -18,7 +20,6 @@ from greybox.html_report.sensitivity_figure import information_figure, sensitivi
 from greybox.html_report.spectrum_figures import spectrum_figure
 from greybox.html_report.starts_figure import starts_figure
 from greybox.html_report.tables import parameter_table
-from greybox.html_report.verdict import verdict
 from greybox.modeling.model import Model
 
 HISTORIES = 6  # records of a fit that are drawn: the worst fitted ones
@@ -30,6 +31,9 @@ def fit_section(entry: Entry, columns: int) -> Iterator[tuple[str, list[Element]
     assert fit is not None
     yield "Verdict", [tag("p", data_summary(fit)), verdict_box(fit), *_warnings(fit)]
     yield "Parameters", [parameter_table(fit), *_remarks(fit)]
+    intervals = list(interval_section(fit, entry.bootstrap))
+    if intervals:
+        yield "Intervals", intervals
     yield "Equation", list(_equations(fit))
     drawn = response_figures([fit])
     if drawn:
@@ -65,6 +69,11 @@ def _remarks(fit: Fit) -> list[Element]:
         "insensitivity is what it would be if all other parameters were known (at most 10 %). An exclamation mark is "
         "beyond."
     ]
+    if fit.profiles is not None and fit.profiles.profiles:
+        told.append(
+            "The intervals here are those of the standard errors, which mislead for "
+            f"{listed([p.name for p in fit.profiles.profiles])}: see Intervals."
+        )
     try:
         judged = fit.identifiability
     except ValueError:

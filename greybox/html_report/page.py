@@ -22,7 +22,7 @@ LARGEST = 2_900_000  # bytes of a page, so that mail takes it: from there on res
 LINES = 1_200_000  # bytes for the lines of records, of LARGEST
 FEWEST = 200  # columns of a line, however many lines there are
 BYTES = 30  # of a column of a line: two points of two numbers
-LINKS = 12  # sections up to which all are linked at the top: two lines
+LINKS = 13  # sections up to which all are linked at the top: the table and the details of twelve results
 OPEN = 3  # results up to which the details of all are open
 
 HERE = Path(__file__).parent
@@ -40,6 +40,13 @@ def page(entries: Sequence[Entry], comparison: Comparison | None, title: str) ->
     sections, entries = _details(entries, columns, sum(len(html(part).encode()) for part in compared))
     content: list[Child] = [overview(entries), compared]
     left_out = sum(entry.fit is not None and not entry.anchor for entry in entries)
+    if any(entry.fit is None and not entry.error for entry in entries):
+        detailed = counted(sum(entry.fit is not None for entry in entries), "result")
+        text = (
+            f"Below are details of {detailed}, the best of each data set and criterion or those asked for; "
+            "greybox report STUDY --details NAME shows others."
+        )
+        content.insert(0, tag("p", text))
     if left_out:
         text = (
             f"The details of {counted(left_out, 'result')} are left out to keep the page below 3 MB: "
@@ -97,7 +104,7 @@ def _document(title: str, sections: Sequence[Element]) -> str:
         tag("title", title),
         tag("style", style),
     )
-    # The table of many results has links to all of them.
+    # The table of many results has links to those with details.
     linked = sections if len(sections) <= LINKS else sections[:1]
     links = [tag("a", _title(section), href=f"#{section.get('id')}") for section in linked]
     header = tag(

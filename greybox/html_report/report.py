@@ -1,7 +1,11 @@
 """A page about one or several fits, to look at and to hand on."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -9,10 +13,14 @@ from greybox.data.safe_files import write_text
 from greybox.data.text_table import counted
 from greybox.estimate.result import Fit
 from greybox.html_report.entry import Entry
+from greybox.html_report.interval_section import bootstrap_table
 from greybox.html_report.page import page
-from greybox.study.study import Study
+from greybox.study.bootstrap import Bootstrap
+from greybox.study.study import Study, StudyMember
 from greybox.validation.comparison import Comparison
 from greybox.validation.same_data import labels_of
+
+DETAILED = 12  # members of a study whose fits are loaded and shown: as many as one looks through
 
 
 def report(
@@ -20,6 +28,8 @@ def report(
     path: str | Path,
     *,
     comparison: Comparison | None = None,
+    bootstraps: Sequence[Bootstrap] = (),
+    details: Collection[str] = (),
     title: str = "",
 ) -> None:
     """Write a page about fits: one HTML file that needs nothing else, for a browser, for print, for a colleague.
@@ -34,6 +44,11 @@ def report(
     comparison : Comparison, optional
         With held-out results: ``gb.compare(a, b, records=flight)``. By default up to six fits are compared on their own
         data.
+    bootstraps : sequence of Bootstrap
+        Of some of the fits, which they stand beside; profiles are shown where a fit holds them.
+    details : collection of str
+        Members of studies to show in detail, names or patterns such as ``"pitch*"``. By default up to twelve: the
+        one of the lowest cost for each data set and criterion, then the next.
     title : str
         By default the name of the fit.
 
@@ -54,8 +69,9 @@ def report(
     labels = iter(labels_of(alone))
     entries: list[Entry] = []
     for thing in given:
-        entries += [Entry(next(labels), thing)] if isinstance(thing, Fit) else study_entries(thing)
-    write_page(entries, Path(path), comparison, title)
+        entries += [Entry(next(labels), thing)] if isinstance(thing, Fit) else study_entries(thing, details)
+    said = [found.summary() for found in bootstraps]
+    write_page(with_bootstraps(entries, said), Path(path), comparison, title)
 
 
 def write_page(entries: Sequence[Entry], path: Path, comparison: Comparison | None = None, title: str = "") -> None:
@@ -69,20 +85,84 @@ def write_page(entries: Sequence[Entry], path: Path, comparison: Comparison | No
     if not entries:
         raise ValueError("there is nothing to report: give at least one fit.")
     (first, *more) = entries
-    by_default = (
-        f"{counted(len(entries), 'result')} side by side" if more else first.fit.name if first.fit else first.label
-    )
+    by_default = f"{counted(len(entries), 'result')} side by side" if more else first.answer.get("problem", first.label)
     with np.errstate(all="ignore"):  # files come from anyone: what is not finite is not drawn
         text = page(entries, comparison, title or by_default)
     write_text(path, text)
 
 
-def study_entries(study: Study) -> list[Entry]:
-    """Return the members of a study; those that have no fit with the reason."""
-    entries = []
-    for member in study.members:
-        fit, error = None, member.error or "unfinished"
-        if member.status == "done":
-            fit, error = member.fit, ""
-        entries.append(Entry(member.name, fit, str(member.folder), error))
-    return entries
+def with_bootstraps(entries: Sequence[Entry], said: Sequence[Mapping[str, Any]]) -> list[Entry]:
+    """Return the entries, each with the bootstrap of its fit if one of these summaries is; names tell.
+
+    Raises
+    ------
+    ValueError
+        For what is no such summary, or of none of the fits.
+    """
+    found = {}
+    for summary in said:
+        try:
+            bootstrap_table(summary)
+            name = summary["problem"]
+        except (LookupError, TypeError, ValueError, AttributeError):
+            raise ValueError("a bootstrap is not understood: give what greybox bootstrap --json printed.") from None
+        if not any(entry.fit is not None and entry.fit.name == name for entry in entries):
+            raise ValueError(f"there is a bootstrap of {name!r:.60}, and no fit of that name on this page.")
+        found[name] = summary
+    return [
+        entry if entry.fit is None else replace(entry, bootstrap=found.get(entry.fit.name, {})) for entry in entries
+    ]
+
+
+def study_entries(study: Study, details: Collection[str] = ()) -> list[Entry]:
+    """Return the members of a study, with the fits of those whose `details` are shown.
+
+    Raises
+    ------
+    ValueError
+        If no member with an answer has one of these names.
+    """
+    done = [member for member in study.members if member.status == "done"]
+    shown = {member.name for member in _best(done)[:DETAILED]}
+    if details:
+        for name in details:
+            if not any(_is_called(member, name) for member in done):
+                raise ValueError(f"the study has no answer of a member {name!r}: its members are in its table.")
+        shown = {member.name for member in done if any(_is_called(member, name) for name in details)}
+    return [
+        Entry(
+            member.name,
+            member.fit if member.name in shown else None,
+            member.answer,
+            str(member.folder),
+            "" if member.status == "done" else member.error or "unfinished",
+        )
+        for member in study.members
+    ]
+
+
+def _is_called(member: StudyMember, name: str) -> bool:
+    return member.name == name or fnmatchcase(member.name, name)
+
+
+def _best(members: Sequence[StudyMember]) -> list[StudyMember]:
+    """Return the members by their place among those whose costs can be compared, which have data and criterion alike.
+
+    Of one place, those by the first criterion of each data set come first.
+    """
+    rules: dict[str, dict[str, int]] = {}  # of a data set, in the order of the study
+    for member in members:
+        of_data = rules.setdefault(member.answer["checksum"], {})
+        of_data.setdefault(member.answer["rule"], len(of_data))
+    places: dict[tuple[str, str], int] = {}
+    ranked = []
+    for k, member in sorted(enumerate(members), key=lambda pair: _cost(pair[1])):
+        data, rule = member.answer["checksum"], member.answer["rule"]
+        places[data, rule] = places.get((data, rule), 0) + 1
+        ranked.append((places[data, rule], rules[data][rule], k, member))
+    return [member for *_, member in sorted(ranked, key=lambda entry: entry[:3])]
+
+
+def _cost(member: StudyMember) -> float:
+    cost = member.answer["cost"]
+    return math.inf if cost is None else float(cost)

@@ -8,8 +8,8 @@ from xml.etree.ElementTree import Element
 from greybox.data.text_table import number, with_error
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
 from greybox.estimate.result import Fit, Quantity
+from greybox.estimate.verdict import percent
 from greybox.html_report.elements import Child, tag
-from greybox.html_report.verdict import percent
 
 PROSE = 24  # characters from which a text is broken into lines
 

@@ -117,10 +117,18 @@ def _member(name: str, folder: Path) -> StudyMember:
         if not error:
             _row(StudyMember(name, folder, "done", "", runs, answer))
             _cells(answer)
+            _require_labels(answer)
             runs = int(answer["starts"])
     except (LookupError, TypeError, ValueError, AttributeError):
         raise ValueError(f"{folder / ANSWER} is damaged: delete it to have it made again.") from None
     return StudyMember(name, folder, "failed" if error else "done", str(error), runs, answer)
+
+
+def _require_labels(answer: Mapping[str, Any]) -> None:
+    """Raise TypeError where a text that a report shows is none."""
+    texts = [answer["criterion"], answer["rule"], answer["checksum"], answer["verdict"]["grade"]]
+    if not all(isinstance(text, str) for text in (*texts, *answer["model"], *answer["data"])):
+        raise TypeError
 
 
 def _overview(members: tuple[StudyMember, ...]) -> str:

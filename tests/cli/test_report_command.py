@@ -1,6 +1,8 @@
 """`greybox report`: a page of saved results."""
 
 import json
+import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ QUICK = "--starts", "4"
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
-    """Two results, one of a model of the user's own, and a study of two members, one of which failed."""
+    """A result, and a study of three members, one of which failed."""
     from greybox.problems import roll_hover
 
     folder = tmp_path_factory.mktemp("results")
@@ -21,6 +23,7 @@ def results(tmp_path_factory):
     bad = roll_hover.problem().with_(name="bad", constraints=[lambda p: p.a2 - 1e6])
     members = [
         gb.study.Member(roll_hover.problem(), starts=4, name="good one"),
+        gb.study.Member(roll_hover.problem().with_(fixed={"a1": -10.0}), starts=4, name="worse one"),
         gb.study.Member(bad, starts=1, name="bad one"),
     ]
     gb.batch(members, folder / "study", progress=False)
@@ -45,11 +48,55 @@ def test_results_and_studies_stand_side_by_side(capsys, results, tmp_path):
     page = tmp_path / "all.html"
     status, out, _ = run(capsys, "report", results / "roll.h5", results / "study", "--out", page, "--json")
     assert status == 0
-    assert json.loads(out)["results"] == ["Tilt", "good one", "bad one"]
+    assert json.loads(out)["results"] == ["Tilt", "good one", "worse one", "bad one"]
     assert json.loads(out)["bytes"] == page.stat().st_size
     text = page.read_text(encoding="utf-8")
-    assert "3 results side by side" in text
+    assert "4 results side by side" in text
     assert "no start converged" in text
+
+
+def test_of_a_large_study_the_best_or_chosen_members_are_read_and_drawn(capsys, results, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys.modules["greybox.html_report.report"], "DETAILED", 1)
+    loaded = []
+    load = gb.load
+    monkeypatch.setattr(
+        "greybox.estimate.storage.load", lambda path, *a: loaded.append(path.parent.name) or load(path, *a)
+    )
+    page = tmp_path / "study.html"
+
+    def drawn(*options):
+        loaded.clear()
+        assert run(capsys, "report", results / "study", "--out", page, "--force", *options)[0] == 0
+        text = page.read_text(encoding="utf-8")
+        worse = gb.study.read_study(results / "study")["worse one"].answer
+        assert f"{worse['cost']:.6g}" in text  # the numbers of all stand in the tables
+        assert f"{worse['estimate']['a4']:.0f} ±" in text
+        assert "Below are details of 1 result," in text
+        return list(loaded)
+
+    assert drawn() == ["001-good-one"]
+    assert drawn("--details", "worse*") == ["002-worse-one"]
+    assert "no answer of a member 'bad one'" in refused(
+        capsys, "report", results / "study", "--out", "x.html", "--details", "bad one"
+    )
+
+
+def test_profiles_and_a_bootstrap_stand_beside_the_fit(capsys, results, tmp_path):
+    fit = gb.load(results / "roll.h5")
+    gb.save(replace(fit, profiles=gb.profile(fit, ["a1"])), tmp_path / "roll.h5")
+    status, out, _ = run(capsys, "bootstrap", results / "roll.h5", "--replicates", "20", "--json")
+    assert status == 0
+    (tmp_path / "bootstrap.json").write_text(out, encoding="utf-8")
+    page = "report", tmp_path / "roll.h5", "--out", tmp_path / "roll.html", "--force", "--bootstrap"
+    assert run(capsys, *page, tmp_path / "bootstrap.json")[0] == 0
+    text = (tmp_path / "roll.html").read_text(encoding="utf-8")
+    assert str(gb.load(tmp_path / "roll.h5").profiles["a1"]) in text
+    assert "Profile of a1" in text
+    assert f"{json.loads(out)['quantities']['a2']['standard_error']:.3g}" in text
+    (tmp_path / "other.json").write_text(out.replace('"problem": "', '"problem": "not '), encoding="utf-8")
+    assert "no fit of that name" in refused(capsys, *page, tmp_path / "other.json")
+    (tmp_path / "bad.json").write_text('{"failed": 3}', encoding="utf-8")
+    assert "is not understood" in refused(capsys, *page, tmp_path / "bad.json")
 
 
 def test_a_model_of_ones_own_is_drawn_where_its_file_is_given(capsys, own, tmp_path):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from page_results import lag
 
-from greybox.html_report.verdict import verdict
+from greybox.estimate.verdict import verdict
 
 
 @pytest.fixture(scope="module")

@@ -3,13 +3,12 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from greybox.data.text_table import counted, listed, number, some
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
-from greybox.estimate.result import Fit
 from greybox.solve.outcome import SCREENED
 from greybox.statistics.metrics import rms
 
@@ -32,8 +31,8 @@ class Verdict:
     sentences: tuple[str, ...]
 
 
-def verdict(fit: Fit) -> Verdict:
-    """Judge a fit by what it holds."""
+def verdict(fit: Any) -> Verdict:
+    """Judge a `Fit` by what it holds."""
     if not fit.converged:
         ended = "" if fit.best_effort is None else "The values below are those at which the best run ended."
         sentences = ("There is no estimate: " + fit.status + ".", *fit.warnings[:1], ended)
@@ -44,7 +43,7 @@ def verdict(fit: Fit) -> Verdict:
     return Verdict(grade, (minimum, _closeness(fit), determined))
 
 
-def _minimum(fit: Fit) -> tuple[str, bool]:
+def _minimum(fit: Any) -> tuple[str, bool]:
     """Say how many starts agree on the best minimum, and whether it was found more than once."""
     brought = [run for run in fit.runs if run.stage != SCREENED]
     count = counted(len(brought), "start")
@@ -57,7 +56,7 @@ def _minimum(fit: Fit) -> tuple[str, bool]:
     return f"{fit.agreeing} of {count} agree on the best minimum{rest}.", True
 
 
-def _closeness(fit: Fit) -> str:
+def _closeness(fit: Any) -> str:
     """Say how far the model is from the data, in the words that each kind of data has."""
     texts = []
     with np.errstate(divide="ignore", invalid="ignore"):  # measured zeros, which are left out
@@ -79,7 +78,7 @@ def _closeness(fit: Fit) -> str:
     return f"How closely the model follows the data: {'; '.join(texts)}." if texts else "Nothing was compared."
 
 
-def _determined(fit: Fit) -> tuple[str, bool]:
+def _determined(fit: Any) -> tuple[str, bool]:
     """Say how well the free parameters are determined, and whether all are."""
     at_bound = [q.name for q in fit.quantities if q.at_bound]
     if not fit.free:
