@@ -14,6 +14,7 @@ from greybox.data.text_table import alternatives, counted, number, one_line
 from greybox.data.units import to_si
 from greybox.identification.loop import DirectDifference, controller_in, direct_difference
 from greybox.identification.systematic_errors import motor_saturation, systematic_errors, with_systematic_errors
+from greybox.logs.ardupilot.truncated_angles import STEP, is_truncated
 from greybox.logs.flight_controllers import axis_of, named_filters
 from greybox.logs.known_filters import KnownFilter, in_series
 from greybox.logs.prepare import prepare
@@ -394,7 +395,9 @@ def _conversions(recording: Recording, signals: Mapping[str, str]) -> list[str]:
         except ValueError:
             continue
         if conversion.changes:
-            changed.append(f"{name} from {unit} to {conversion.si}")
+            cut = unit == "deg" and is_truncated(signal, log[field_name])
+            half = f" with half a step of {STEP} {unit} that the log cuts off" if cut else ""
+            changed.append(f"{name} from {unit} to {conversion.si}{half}")
     return changed
 
 

@@ -12,6 +12,7 @@ from greybox.data.intersample import HELD, intersample
 from greybox.data.record import GAP, Record, Recording, require_time
 from greybox.data.text_table import counted
 from greybox.data.units import to_si
+from greybox.logs.ardupilot.truncated_angles import untruncated
 from greybox.logs.flight_controllers import passed_filters
 
 Array = NDArray[np.float64]
@@ -78,6 +79,9 @@ def prepare(
     are not known or may mean two things. A signal without a unit remains as it is. Where a signal is sampled faster
     than `rate`, a zero-phase anti-alias filter comes first (flat to 0.35 of the new rate). Nothing is interpolated
     across a gap: there the record has a gap itself, and `Record.pieces` are the stretches between.
+
+    Angles of ArduPilot that the log cuts to whole hundredths of a degree get the lost half of one, see
+    `greybox.logs.ardupilot.truncated_angles`.
 
     A signal that is held from sample to sample, as the output of a controller, remains so at its own rate or above:
     each new sample is its mean until the next one. Below its rate the filter takes the steps away, and
@@ -204,6 +208,7 @@ def _source(recording: Recording, signal: str, start: float, end: float) -> _Sou
     except ValueError as error:
         findings += (f"{signal} is in {unit!r}, as in the log, not in SI: {error}.",)
     else:
+        values = untruncated(signal, values) if unit == "deg" else values
         values, unit = conversion.apply(values), conversion.si
         findings += (f"{signal}: {conversion.remark}.",) if conversion.remark else ()
     inside = time[(time >= start) & (time <= end)]

@@ -23,8 +23,8 @@ Complex = NDArray[np.complex128]
 BETWEEN, BEYOND = 0.1, 0.5
 
 # Of the output's sine, its harmonics that are put down to the sensor, not to the plant: far above the bandwidth of the
-# plant they would stand for large ones of the control. Two flights of the simulator, whose attitude is in steps of
-# 0.01°, have 0.4 and 0.6 % of two harmonics at their highest frequency.
+# plant they would stand for large ones of the control. A flight of the simulator, whose attitude is in steps of 0.01°,
+# has 0.4 % of two harmonics at its highest frequency.
 SENSOR = 0.005
 
 # Standard errors of noise that e_k must exceed: noise alone does with a probability of exp(-9) = 1e-4.

@@ -28,6 +28,7 @@ from greybox.spectral.frequency_points import (
     with_unexplained,
 )
 from greybox.spectral.harmonic_distortion import Harmonics, harmonics_of, unexplained
+from greybox.spectral.pooled_noise import pooled_levels
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -143,6 +144,8 @@ def finite_frequency(  # noqa: PLR0913 - one keyword for each choice
     if not points:
         reasons = "; ".join(dict.fromkeys(reason for _, reason in left_out)) or "there is none"
         raise ValueError(f"no segment gives a point of the response: {reasons}.")
+    if method == "least-squares":
+        points = _with_pooled_noise(points)
 
     frequencies = sorted({p.omega for p in points})
     merged = [averaged([p for p in points if p.omega == omega]) for omega in frequencies]
@@ -206,6 +209,17 @@ def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmo
     )
     missing = 1 - t.size * float(np.median(np.diff(t))) * omega / (q * 2 * math.pi)
     return with_findings(point, missing_samples(missing)), harmonics_of(t, amplitudes, residual, omega, q)
+
+
+def _with_pooled_noise(points: list[FrequencyPoint]) -> list[FrequencyPoint]:
+    """Return the points with standard errors from the noise of all of them, by its power for each Hz."""
+    level = [(p.standard_error * abs(p.u)) ** 2 * (p.end - p.start) for p in points]
+    pooled, dof = pooled_levels([p.omega for p in points], level, [p.dof for p in points])
+    factors = [math.sqrt(new / old) if old > 0 else 1.0 for new, old in zip(pooled, level, strict=True)]
+    return [
+        replace(p, standard_error=factor * p.standard_error, dof=float(d))
+        for p, factor, d in zip(points, factors, dof, strict=True)
+    ]
 
 
 def _frequency_error(t: Array, r: Array, omega: float) -> float:

@@ -60,13 +60,13 @@ def test_units_become_si_and_angles_are_unwrapped():
     time = stamps(100, 10)
     heading = np.degrees(1.5 * time) % 360
     log = recording(
-        ATT=(time, {"Yaw": heading, "Pitch": np.full(time.size, 3.0)}, {"Yaw": "deg", "Pitch": "deg"}),
+        ATT=(time, {"Yaw": heading, "Pitch": np.full(time.size, 3.001)}, {"Yaw": "deg", "Pitch": "deg"}),
         RATE=(time, {"P": np.full(time.size, 180.0)}, {"P": "deg/s"}),
     )
     record = gb.prepare(log, {"psi": "ATT.Yaw", "theta": "ATT.Pitch", "q": "RATE.P"}, rate=100, interpolation="linear")
     assert record.units == {"psi": "rad", "theta": "rad", "q": "rad/s"}
     assert record["psi"] == pytest.approx(1.5 * record.time, abs=1e-9)
-    assert record["theta"] == pytest.approx(np.radians(3.0))
+    assert record["theta"] == pytest.approx(np.radians(3.001))
     assert record["q"] == pytest.approx(np.pi)
 
 
