@@ -203,7 +203,7 @@ def test_what_was_chosen_and_dropped_is_said(capsys, tmp_path):
     out = tmp_path / "pitch.csv"
     text = run(capsys, "response", LOG, "--setpoint", "ATT.DesPitch", *PITCH[2:], "--out", out)[1]
     assert "closed loop (ATT.DesPitch is in the log): amplitudes at the frequency of the excitation" in text
-    assert "converted: theta from deg to rad." in text
+    assert "converted: theta from deg to rad with half a step of 0.01 deg that the log cuts off." in text
     assert "SINE looks like a message that announces tests too: use it with --announced SINE." in text
     about = gb.read_response(out).about
     assert about["log"] == "sitl_pitch.BIN"
