@@ -4,10 +4,9 @@ import argparse
 from pathlib import Path
 from typing import Any, get_args
 
-from greybox.cli.catalog import find_problem
 from greybox.cli.options import UsageError, add_common_options, add_parser, nonnegative, positive
 from greybox.cli.output import FAILED, USABLE, Answer
-from greybox.cli.saved_fits import add_model_option, saved_fit
+from greybox.cli.saved_fits import add_fit_argument, stated_fit
 from greybox.cli.startup import INTERRUPTED
 from greybox.cli.workers import add_worker_options, stated_executor
 from greybox.solve.executors import ExecutorLostError
@@ -23,9 +22,7 @@ def add_command(commands: Any) -> None:
     """Declare the command and its options."""
     parser = add_parser(commands, "bootstrap", "errors and intervals from data drawn anew", EXAMPLES)
     add = parser.add_argument
-    add("result", type=Path, metavar="RESULT", help="a fit that greybox fit --out wrote")
-    add("--problem", metavar="PROBLEM", help="what was fitted, where it has ties or constraints")
-    add_model_option(parser)
+    add_fit_argument(parser)
     add(
         "--resampling",
         choices=get_args(Resampling),
@@ -48,8 +45,7 @@ def run(options: argparse.Namespace) -> Answer:
         raise UsageError(f"--level {options.level} must lie between 0 and 1, e.g. 0.95.")
     if options.out is not None and options.out.exists() and not options.out.is_dir():
         raise UsageError(f"{options.out} is a file: give a folder.")
-    problem = None if options.problem is None else find_problem(options.problem)[0]
-    fit = saved_fit(options.result, options)
+    fit, problem = stated_fit(options)
     try:
         with stated_executor(options) as executor:
             found = bootstrap(

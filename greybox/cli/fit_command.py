@@ -5,7 +5,6 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from greybox.cli.options import (
@@ -17,11 +16,11 @@ from greybox.cli.options import (
     positive,
     probability,
 )
-from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
+from greybox.cli.output import FAILED, USABLE, Answer, require_figure, save_figure
+from greybox.cli.saved_fits import add_out_option, require_fit_file
 from greybox.cli.startup import INTERRUPTED
 from greybox.cli.stated_problem import add_problem_options, stated_problem
 from greybox.cli.workers import add_worker_options, stated_executor
-from greybox.data.response_file import HDF5
 from greybox.data.text_table import counted
 from greybox.estimate.fit import Interrupted, SolverChoice, fit_keeping
 from greybox.estimate.result import Fit
@@ -39,6 +38,7 @@ EXAMPLES = (
     "pitch_hover",
     "my.py --starts 400 --out pitch.h5 --plot pitch.png",
     "--model tilt:Tilt --data response.csv --fix a5=0.16 --bounds a1=-100:0",
+    "my.py --prior a4=5.6+-0.2 T_rotor=0.048+-0.005",
     "--model rate:DampedAngle --data bode.csv --columns frequency=f:Hz magnitude=mag:dB phase=ph:deg",
     "--model my.py:Drag --data flight.csv --columns time=t:ms theta=pitch:deg v=speed --method collocation",
 )
@@ -66,9 +66,7 @@ def add_command(commands: Any) -> None:
         help="batched (default): all starts at once, then IPOPT for every minimum; multistart: IPOPT from every start; "
         "global-search: the scatter search of MATLAB's GlobalSearch",
     )
-    parser.add_argument(
-        "--out", type=Path, metavar="FILE", help="save the result to this HDF5 file; killed, the same command goes on"
-    )
+    add_out_option(parser, "save the result to this HDF5 file; killed, the same command goes on")
     parser.add_argument(
         "--no-profiles", action="store_true", help="no profiles of parameters whose standard error misleads"
     )
@@ -81,9 +79,7 @@ def add_command(commands: Any) -> None:
 def run(options: argparse.Namespace) -> Answer:
     """Fit the stated problem; save and draw the result where asked to."""
     goes_on = options.out is not None and runs_beside(options.out).is_dir()
-    require_writable(options.out, options.force or goes_on)
-    if options.out is not None and options.out.suffix.lower() not in HDF5:
-        raise UsageError(f"--out {options.out} is not a known kind of file: a fit is saved as HDF5, end it in .h5.")
+    require_fit_file(options.out, options.force or goes_on)
     require_figure(options.plot, options.force or goes_on)
     make = _stated_fit(options)
     limits = TimeLimits.from_now(options.seconds, options.start_seconds)

@@ -106,6 +106,25 @@ def assignments(words: Sequence[str], flag: str) -> dict[str, float]:
     return result
 
 
+def uncertain_values(words: Sequence[str], flag: str) -> dict[str, tuple[float, float]]:
+    """Return values with their standard deviations by name from words such as ``a1=3.2+-0.1`` (or ±).
+
+    Raises
+    ------
+    UsageError
+        For a word of another form.
+    """
+    result = {}
+    for word in words:
+        name, _, text = word.replace("±", "+-").partition("=")
+        mean, _, sigma = text.partition("+-")
+        try:
+            result[name] = (float(mean), float(sigma))
+        except ValueError:
+            raise UsageError(f"{flag} {word!r} is not understood: write NAME=VALUE+-SIGMA, a1=3.2+-0.1.") from None
+    return result
+
+
 def intervals(words: Sequence[str], flag: str) -> dict[str, tuple[float, float]]:
     """Return intervals by name from words such as ``a1=-10:10``; what is left out is infinite, ``T=0:``.
 

@@ -1,10 +1,10 @@
-"""What options say of single parameters: fixed, free, bounds and starts, by their names in the answer."""
+"""What options say of single parameters: fixed, free, bounds, starts and priors, by their names in the answer."""
 
 import argparse
 from collections.abc import Mapping
 from typing import Any
 
-from greybox.cli.options import assignments, intervals
+from greybox.cli.options import UsageError, assignments, intervals, uncertain_values
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.data.text_table import alternatives
 from greybox.formulation.problem import Problem
@@ -30,6 +30,13 @@ def add_parameter_options(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=LOW:HIGH",
         help="where starts are drawn, instead of between the bounds",
     )
+    add(
+        "--prior",
+        nargs="+",
+        default=[],
+        metavar="NAME=VALUE+-SIGMA",
+        help="what is known before the data, with its standard deviation; the criterion must be a likelihood",
+    )
 
 
 def with_parameter_options(problem: AnyProblem, options: argparse.Namespace) -> AnyProblem:
@@ -46,6 +53,7 @@ def with_parameter_options(problem: AnyProblem, options: argparse.Namespace) -> 
         "bounds": intervals(options.bounds, "--bounds"),
         "start": assignments(options.start, "--start"),
         "starts": intervals(options.starts_box, "--starts-box"),
+        "prior": uncertain_values(options.prior, "--prior"),
     }
     for name in (name for names in stated.values() for name in names):
         if name not in problem.parameters:
@@ -62,10 +70,12 @@ def _restated(part: Problem, stated: Mapping[str, Mapping[str, Any]]) -> Problem
         what: {inside[name]: value for name, value in values.items() if name in inside}
         for what, values in stated.items()
     }
+    if own["prior"] and not isinstance(part.prior, Mapping):
+        raise UsageError(f"--prior goes with parameters, and {part.name} has an earlier fit as prior: leave it out.")
     held = {name: value for name, value in part.fixed_values.items() if name not in own["free"]}
     kept = [name for name in part.free if name not in own["fixed"]]
     return part.with_(
         fixed={**held, **own["fixed"]},
         free=tuple(dict.fromkeys([*kept, *own["free"]])),
-        **{what: {**getattr(part, what), **own[what]} for what in ("bounds", "start", "starts")},
+        **{what: {**getattr(part, what), **own[what]} for what in ("bounds", "start", "starts", "prior") if own[what]},
     )

@@ -1,30 +1,31 @@
-"""The command `greybox profile`: intervals of a saved fit that need not be symmetric."""
+"""The command `greybox profile`: intervals of a saved fit that need not be symmetric, and regions of two parameters."""
 
 import argparse
-from pathlib import Path
 from typing import Any
 
-from greybox.cli.catalog import find_problem
-from greybox.cli.options import add_common_options, add_parser, nonnegative
+from greybox.cli.options import UsageError, add_common_options, add_parser, nonnegative
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
-from greybox.cli.saved_fits import add_model_option, saved_fit
+from greybox.cli.saved_fits import add_fit_argument, stated_fit
 from greybox.cli.workers import add_worker_options, stated_executor
-from greybox.estimate.profile import profile
-from greybox.estimate.profiles import Profiles
+from greybox.data.json_numbers import finite
+from greybox.estimate.profile import contour, profile
+from greybox.estimate.profiles import Contour, Profiles
 
 EXAMPLES = (
     "pitch.h5",
     "pitch.h5 a1 a2 --level 0.9 --plot profiles.png",
+    "pitch.h5 --contour a1 a2 --plot contour.png",
 )
 
 
 def add_command(commands: Any) -> None:
     """Declare the command and its options."""
     parser = add_parser(commands, "profile", "intervals that need not be symmetric", EXAMPLES)
-    parser.add_argument("result", type=Path, metavar="RESULT", help="a fit that greybox fit --out wrote")
+    add_fit_argument(parser)
     parser.add_argument("names", nargs="*", metavar="NAME", help="parameters and derived quantities; all by default")
-    parser.add_argument("--problem", metavar="PROBLEM", help="what was fitted, where it has ties or constraints")
-    add_model_option(parser)
+    parser.add_argument(
+        "--contour", nargs=2, metavar="NAME", help="instead of intervals the region of two parameters together"
+    )
     parser.add_argument("--level", type=float, default=0.95, help="of the intervals, 0.95 by default")
     parser.add_argument(
         "--fresh-starts",
@@ -41,16 +42,35 @@ def add_command(commands: Any) -> None:
 def run(options: argparse.Namespace) -> Answer:
     """Read the fit and profile it."""
     require_figure(options.plot, options.force)
-    problem = None if options.problem is None else find_problem(options.problem)[0]
-    fit = saved_fit(options.result, options)
-    settings = {"level": options.level, "fresh_starts": options.fresh_starts}
-    with stated_executor(options) as executor:
-        found = profile(fit, options.names or None, problem=problem, executor=executor, **settings)
+    fit, problem = stated_fit(options)
+    if options.contour:
+        if options.names or options.workers or options.scheduler:
+            raise UsageError("--contour takes two parameters, in this process: leave out other names and workers.")
+        found = contour(fit, *options.contour, problem=problem, level=options.level)
+        answer = _region(found)
+    else:
+        settings = {"level": options.level, "fresh_starts": options.fresh_starts}
+        with stated_executor(options) as executor:
+            found = profile(fit, options.names or None, problem=problem, executor=executor, **settings)
+        answer = found.summary()
     lines = save_figure(options.plot, lambda: _figure(found))
-    return found.summary(), "\n".join([str(found), *lines]), USABLE
+    return answer, "\n".join([str(found), *lines]), USABLE
 
 
-def _figure(found: Profiles) -> Any:
-    from greybox.plotting.profile import profiles  # noqa: PLC0415  (matplotlib takes long to import)
+def _region(found: Contour) -> dict[str, Any]:
+    return {
+        "names": list(found.names),
+        "units": list(found.units),
+        "level": found.level,
+        "limit": finite(found.limit),
+        "estimate": found.estimate.tolist(),
+        "points": [[finite(value) for value in point] for point in found.points.tolist()],
+        "ends": list(found.ends),
+        "text": str(found),
+    }
 
-    return profiles(found)[0].figure
+
+def _figure(found: Profiles | Contour) -> Any:
+    from greybox.plotting import profile as drawn  # noqa: PLC0415  (matplotlib takes long to import)
+
+    return drawn.contour(found).figure if isinstance(found, Contour) else drawn.profiles(found)[0].figure

@@ -141,6 +141,7 @@ def _member(stated: Mapping[str, Any], varied: list[str], path: Path) -> tuple[s
         bounds=_bounded(stated),
         start=[],
         starts_box=[],
+        prior=[],
         columns=[],
         method=None,
         delay=_text(stated, "delay"),

@@ -1,0 +1,83 @@
+"""The command `greybox identifiability`: which parameters a structure could tell, or the data of a saved fit do."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from greybox.cli.catalog import find_model
+from greybox.cli.options import UsageError, add_common_options, add_parser, assignments, nonnegative, positive
+from greybox.cli.output import USABLE, Answer
+from greybox.cli.saved_fits import add_model_option, saved_fit
+from greybox.data.json_numbers import finite
+from greybox.data.response_file import HDF5
+from greybox.estimate.identifiability import Identifiability
+from greybox.estimate.structural_identifiability import StructuralIdentifiability, structural_identifiability
+
+EXAMPLES = (
+    "yaw:YawRate",
+    "tilt:NonlinearTilt --outputs theta --free T_rotor",
+    "yaw.h5",
+)
+
+
+def add_command(commands: Any) -> None:
+    """Declare the command and its options."""
+    about = "which parameters a structure could tell before any data, or a fit has told"
+    parser = add_parser(commands, "identifiability", about, EXAMPLES)
+    add = parser.add_argument
+    add(
+        "subject",
+        metavar="MODEL|RESULT",
+        help="a structure, tilt:Tilt or my.py:Class: the rank of its sensitivities at random points; or a fit that "
+        "greybox fit --out wrote: errors and insensitivities in percent, correlations, determined combinations",
+    )
+    add("--outputs", nargs="+", metavar="NAME", help="of a structure, what is measured (default: all)")
+    add("--at", nargs="+", default=[], metavar="NAME=VALUE", help="operating point at which an ODE is linearized")
+    add("--fix", nargs="+", default=[], metavar="NAME=VALUE", help="parameters that are known")
+    add("--free", nargs="+", default=[], metavar="NAME", help="parameters that the model declares fixed")
+    add("--points", type=positive, metavar="N", help="random points, 3 by default")
+    add("--seed", type=nonnegative, metavar="N", help="of the points, 0 by default")
+    add_model_option(parser)
+    add_common_options(parser)
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> Answer:
+    """Judge the structure, or read the fit and say what its data told."""
+    stated = {name: getattr(options, name) for name in ("outputs", "free", "points", "seed")}
+    stated |= {"at": assignments(options.at, "--at"), "fixed": assignments(options.fix, "--fix")}
+    stated = {name: value for name, value in stated.items() if value}
+    if Path(options.subject).suffix.lower() not in HDF5:
+        found = structural_identifiability(find_model(options.subject), **stated)
+        return _of_structure(found), str(found), USABLE
+    if stated:
+        flag = {"fixed": "fix"}.get(min(stated), min(stated))
+        raise UsageError(f"--{flag} is for a structure, and {options.subject} is a fit: leave it out.")
+    fit = saved_fit(Path(options.subject), options)
+    told = fit.identifiability
+    return {"problem": fit.name, **_of_fit(told)}, f"{fit.name}\n\n{told}", USABLE
+
+
+def _of_structure(found: StructuralIdentifiability) -> dict[str, Any]:
+    groups = [{"names": list(g.names), "initial_states": list(g.states), "to_fix": g.directions} for g in found.groups]
+    return {
+        "model": found.model,
+        "data": found.data,
+        "identifiable": list(found.identifiable),
+        "not_identifiable": groups,
+        "determined": list(found.combinations),
+    }
+
+
+def _of_fit(told: Identifiability) -> dict[str, Any]:
+    shares = zip(told.names, told.error.tolist(), told.insensitivity.tolist(), strict=True)
+    return {
+        "parameters": {n: {"error": finite(e), "insensitivity": finite(i)} for n, e, i in shares},
+        "beyond": list(told.beyond),
+        "at_bound": list(told.at_bound),
+        "correlated": [list(pair) for pair in told.correlated],
+        "condition": finite(told.condition),
+        "determined": {
+            c.formula: {"value": finite(c.value), "standard_error": finite(c.standard_error)} for c in told.combinations
+        },
+    }

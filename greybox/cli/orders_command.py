@@ -1,0 +1,70 @@
+"""The command `greybox orders`: the orders of a rational transfer function that a measured response supports."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from greybox.cli.columns import add_columns_option, stated_columns
+from greybox.cli.options import add_common_options, add_parser, nonnegative, positive
+from greybox.cli.output import USABLE, Answer, require_figure, save_figure
+from greybox.cli.saved_fits import add_out_option, require_fit_file, save_fit
+from greybox.data.json_numbers import finite
+from greybox.data.response_file import read_response
+from greybox.estimate.summary import summary
+from greybox.identification.orders import OrderSelection, select_orders
+
+EXAMPLES = (
+    "pitch_response.csv",
+    "pitch_response.csv --n 2 3 4 --integrators 1 --delays 0 0.1 --plot orders.png",
+    "bode.csv --columns frequency=f:Hz magnitude=mag:dB phase=ph:deg --out chosen.h5",
+)
+
+
+def add_command(commands: Any) -> None:
+    """Declare the command and its options."""
+    parser = add_parser(commands, "orders", "choose the orders of a rational transfer function", EXAMPLES)
+    add = parser.add_argument
+    add("response", type=Path, metavar="RESPONSE", help="a measured frequency response, as of greybox response")
+    add_columns_option(parser, "what the columns of a table are that names them otherwise")
+    add("--n", type=positive, nargs="+", default=[1, 2, 3, 4], help="orders of the denominator, 1 2 3 4 by default")
+    add("--m", type=nonnegative, nargs="+", help="orders of the numerator (default: all below n)")
+    add("--integrators", type=nonnegative, nargs="+", default=[0, 1], metavar="K", help="0 1 by default")
+    add(
+        "--delays",
+        type=float,
+        nargs="+",
+        default=[0.0],
+        metavar="S",
+        help="largest delays, in s; 0 is a structure without one: 0 0.1 tries both (default: 0)",
+    )
+    add("--starts", type=positive, default=8, help="of every structure, beside linear least squares; 8 by default")
+    add("--seed", type=nonnegative, default=0, help="of the starts, 0 by default")
+    add_out_option(parser, "save the fit of the chosen structure to this HDF5 file")
+    add_common_options(parser, "BIC over the number of parameters")
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> Answer:
+    """Read the response, fit every structure of the grid, and choose."""
+    require_fit_file(options.out, options.force)
+    require_figure(options.plot, options.force)
+    data = read_response(options.response, columns=stated_columns(options) or None)
+    grid = (options.n, options.m, options.integrators, options.delays)
+    found = select_orders(data, *grid, starts=options.starts, seed=options.seed)
+    notes = save_fit(found.fit, options.out) + save_figure(options.plot, lambda: _figure(found))
+    return _summary(found), "\n".join([str(found), "", str(found.fit), *notes]), USABLE
+
+
+def _summary(found: OrderSelection) -> dict[str, Any]:
+    structures = [
+        {"n": c.n, "m": c.m, "integrators": c.integrators, "delay": c.delay, "parameters": c.parameters}
+        | {"bic": finite(c.bic), "chosen": c is found.chosen}
+        for c in found.candidates
+    ]
+    return {"verdict": found.verdict, "structures": structures, "failed": found.failed, "fit": summary(found.fit)}
+
+
+def _figure(found: OrderSelection) -> Any:
+    from greybox.plotting.orders import orders  # noqa: PLC0415  (matplotlib takes long to import)
+
+    return orders(found).figure

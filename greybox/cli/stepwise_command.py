@@ -1,0 +1,75 @@
+"""The command `greybox stepwise`: terms of a model chosen from a list of candidates."""
+
+import argparse
+from dataclasses import asdict
+from typing import Any
+
+from greybox.cli.options import UsageError, add_common_options, add_parser, positive, probability
+from greybox.cli.output import USABLE, Answer
+from greybox.cli.saved_fits import add_out_option, require_fit_file, save_fit
+from greybox.cli.stated_problem import add_problem_options, stated_problem
+from greybox.data.json_numbers import finite
+from greybox.estimate.summary import summary
+from greybox.validation.comparison import SIGNIFICANT
+from greybox.validation.stepwise import StepwiseSelection, stepwise
+
+EXAMPLES = (
+    "pitch_moment --candidates b_vv b_vtheta b_vtau b_vq b_thetatheta b_thetaq",
+    "my.py --candidates k_v k_vv exponent=1 --size 0.01 --out chosen.h5",
+)
+
+
+def add_command(commands: Any) -> None:
+    """Declare the command and its options."""
+    parser = add_parser(commands, "stepwise", "choose terms of a model from a list of candidates, by tests", EXAMPLES)
+    add_problem_options(parser)
+    parser.add_argument(
+        "--candidates",
+        nargs="+",
+        required=True,
+        metavar="NAME[=VALUE]",
+        help="parameters that may be left out, and the value of each where its term is absent, 0 by default",
+    )
+    parser.add_argument(
+        "--size", type=probability, default=SIGNIFICANT, help=f"of the tests, {SIGNIFICANT:g} by default"
+    )
+    parser.add_argument(
+        "--starts", type=positive, default=4, help="of every structure, beside the one before; 4 by default"
+    )
+    add_out_option(parser, "save the fit of the chosen structure to this HDF5 file")
+    parser.add_argument("--force", action="store_true", help="overwrite files that exist")
+    add_common_options(parser)
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> Answer:
+    """State the problem and choose among its terms."""
+    require_fit_file(options.out, options.force)
+    candidates = _candidates(options.candidates)
+    problem, _ = stated_problem(options)
+    found = stepwise(problem, candidates, size=options.size, starts=options.starts)
+    notes = save_fit(found.fit, options.out)
+    return _summary(found), "\n".join([str(found), "", str(found.fit), *notes]), USABLE
+
+
+def _candidates(words: list[str]) -> dict[str, float]:
+    found = {}
+    for word in words:
+        name, _, value = word.partition("=")
+        try:
+            found[name] = float(value or 0.0)
+        except ValueError:
+            raise UsageError(f"--candidates {word!r} is not understood: write NAME or NAME=VALUE, e.g. n=1.") from None
+    return found
+
+
+def _summary(found: StepwiseSelection) -> dict[str, Any]:
+    trials = [asdict(t) | {"cost": finite(t.cost), "p_value": finite(t.p_value)} for t in found.trials]
+    return {
+        "terms": list(found.terms),
+        "candidates": list(found.candidates),
+        "verdict": found.verdict,
+        "trials": trials,
+        "alike": {term: dict(others) for term, others in found.alike.items()},
+        "fit": summary(found.fit),
+    }
