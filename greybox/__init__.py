@@ -100,7 +100,7 @@ from greybox.validation import compare as compare
 from greybox.validation import reduce as reduce
 from greybox.validation import stepwise as stepwise
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # These need h5py or matplotlib, which take longer to import than everything else together.
 _ON_FIRST_USE = {
