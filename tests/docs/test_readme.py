@@ -1,18 +1,17 @@
-"""What the README and the guide show runs, and their tables are what the code gives."""
+"""What the README and the guide show runs; tests/problems holds the generated tables against the fits."""
 
 import operator
 import re
 
 import pytest
 from PIL import Image
-from readme_blocks import INCLUDED, PICTURE, README, draw_picture, written
+from readme_blocks import NUMBER, PICTURE, README, draw_picture
 
 import greybox as gb
 from greybox.cli.study_file import read_study_file
 from greybox.problems import pitch_hover
 
 TEXT = README.read_text(encoding="utf-8")
-NUMBER = re.compile(r"-?\d+\.?\d*(?:e[+-]?\d+)?")
 
 
 PAGES = [README, *sorted((README.parent / "docs").rglob("*.md"))]
@@ -38,15 +37,6 @@ def test_links_lead_somewhere(page):
         if not target.startswith("http"):
             base = README.parent if target.startswith("benchmarks/") else page.parent
             assert (base / target).exists(), target
-
-
-def test_the_tables_are_what_the_code_gives():
-    text = INCLUDED.read_text(encoding="utf-8")
-    new = written(text)
-    assert NUMBER.sub("#", new) == NUMBER.sub("#", text), "run `python tests/support/readme_blocks.py`"
-    # The yaw problem's values lie in a flat valley: their last digits depend on the machine.
-    shown, found = ([float(n) for n in NUMBER.findall(text)] for text in (text, new))
-    assert found == pytest.approx(shown, rel=5e-3, abs=1e-6), "run `python tests/support/readme_blocks.py`"
 
 
 def test_the_picture_is_what_the_command_draws(tmp_path):

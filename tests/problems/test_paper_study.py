@@ -1,5 +1,7 @@
 """The study of every structure of the paper: `greybox batch paper`."""
 
+from dataclasses import replace
+
 import pytest
 
 import greybox as gb
@@ -26,7 +28,8 @@ def test_the_minima_are_those_of_the_problems(tmp_path):
     tables = ("roll", "pitch", "pitch 5 deg")
     wanted = [*known, *(f"{table} ({equation})" for table in tables for equation in ("2.5", "2.6"))]
     members = {member.name.removesuffix(", relative-error, exact, seed 0"): member for member in paper.members()}
-    study = gb.batch([members[name] for name in wanted], tmp_path, progress=False)
+    few = [replace(members[name], starts=8) for name in wanted]
+    study = gb.batch(few, tmp_path, progress=False)
     assert study.count("done") == len(wanted)
 
     def cost(name):

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from readme_blocks import INCLUDED, NUMBER, written
 
 import greybox as gb
 from greybox.cli.catalog import shipped
@@ -31,9 +32,10 @@ RULES = (
     gb.solve.LatinHypercube(20, seed=2),
     gb.solve.Uniform(20, seed=3),
 )
-# Harmonic balance makes this one the slowest by far, and one rule of starts shows the same as four.
+# Harmonic balance makes this one the slowest by far, and one rule of starts shows the same as two.
 SLOW = "pitch_hover_sines"
-CASES = [(name, rule) for name in MODULES for rule in RULES if name != SLOW or rule == RULES[0]]
+CASES = [(name, RULES[0]) for name in MODULES]
+CASES += [(name, RULES[1 + k % 3]) for k, name in enumerate(MODULES) if name != SLOW]
 PAPER = "Frequency Domain Identification of the Quadcopter Attitude Dynamics"
 TILTS = {"roll_hover": roll_hover, "pitch_hover": pitch_hover, "pitch_5deg": pitch_5deg}
 
@@ -44,7 +46,7 @@ every_tilt = pytest.mark.parametrize("name", TILTS)
 
 @cache
 def fitted(name, rule):
-    return gb.fit(MODULES[name].problem(), rule, progress=False)
+    return gb.fit(MODULES[name].problem(), rule, profiles=rule == RULES[0], progress=False)
 
 
 def as_states(name, **options):
@@ -212,3 +214,15 @@ def test_the_simulated_flight_gives_its_own_physics_back():
     truth, near = module.published["values"], {"K_phi": 0.91, "a": 1.0, "T_rotor": 0.002, "T_delay": 0.001}
     for name, value in truth.items():
         assert abs(fit.estimate[name] - value) < min(2.5 * fit.standard_error[name], near[name])
+
+
+# --- the tables of the documentation
+
+
+def test_the_tables_are_what_the_code_gives():
+    text = INCLUDED.read_text(encoding="utf-8")
+    new = written(text, lambda name: fitted(name, RULES[0]))
+    assert NUMBER.sub("#", new) == NUMBER.sub("#", text), "run `python tests/support/readme_blocks.py`"
+    # The yaw problem's values lie in a flat valley: their last digits depend on the machine.
+    shown, found = ([float(n) for n in NUMBER.findall(text)] for text in (text, new))
+    assert found == pytest.approx(shown, rel=5e-3, abs=1e-6), "run `python tests/support/readme_blocks.py`"
