@@ -109,14 +109,14 @@ def test_derived_quantities_follow_their_parameter():
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say():
-    # The one-sided model, whose standard error says nothing: of 20 intervals of 95 % at least 16 (99.7 % of the time).
+    # The one-sided model, whose standard error says nothing: of 10 intervals of 95 % at least 8 (98.8 % of the time).
     held = 0
-    for seed in range(20):
+    for seed in range(10):
         data = noisy(OneSided(), {"b": 800.0, "a": 400.0}, 0.05, seed)
         fit = gb.fit(gb.Problem(OneSided(), data), starts=3, profiles=False, progress=False)
         low, high = gb.profile(fit, "a", fresh_starts=0)["a"].interval
         held += low <= 400.0 <= high
-    assert held >= 16
+    assert held >= 8
 
 
 def test_a_saved_fit_is_profiled_too(tmp_path):

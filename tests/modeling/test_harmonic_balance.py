@@ -383,10 +383,10 @@ def test_the_standard_errors_are_those_of_repeated_tests():
             [TRUTH_FREE],
             progress=False,
         )
-        for seed in range(1, 7)
+        for seed in range(1, 4)
     ]
-    scatter = [(fit.estimate["C_x"] - TRUTH["C_x"]) / fit.standard_error["C_x"] for fit in fits]
-    assert 0.4 < np.sqrt(np.mean(np.square(scatter))) < 2.0
+    scatter = [(fit.estimate[n] - TRUTH[n]) / fit.standard_error[n] for fit in fits for n in fit.free]
+    assert 0.6 < np.sqrt(np.mean(np.square(scatter))) < 1.6
 
 
 @cache

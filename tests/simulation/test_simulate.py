@@ -117,7 +117,7 @@ def fitted(seed, duration=8.0):
 
 @pytest.fixture(scope="module")
 def repeats():
-    return [fitted(seed) for seed in range(30)]
+    return [fitted(seed) for seed in range(16)]
 
 
 def test_bands_of_simulations_cover_the_truth(repeats):

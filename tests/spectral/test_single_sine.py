@@ -122,11 +122,11 @@ def coverage(error, variance, dof):
     ],
 )
 def test_intervals_cover_in_closed_loop(omega, periods, sd, pole):
-    response, variance, dof = estimates(omega, periods, 500, sd, pole)
+    response, variance, dof = estimates(omega, periods, 250, sd, pole)
     error = response - truth(omega)
     assert 0.92 <= coverage(error, variance, dof) <= 0.97
     assert np.all(dof == dof[0])
-    assert abs(error.mean()) < 4 * np.sqrt(np.mean(np.abs(error) ** 2) / 500) + 1e-3 * abs(truth(omega))
+    assert abs(error.mean()) < 4 * np.sqrt(np.mean(np.abs(error) ** 2) / 250) + 1e-3 * abs(truth(omega))
     assert 0.9 < np.sqrt(variance.mean() / np.mean(np.abs(error) ** 2)) < 1.35
 
 
@@ -138,12 +138,12 @@ def test_intervals_cover_in_open_loop(method, periods, pole):
     omega = 2 * math.pi / (100 * STEP)
     t = np.arange((periods + 1) * 100) * STEP
     u, g = np.sin(omega * t), 2 * np.exp(-0.8j)
-    noise = colored(rng, (500, t.size), 0.3, pole)
+    noise = colored(rng, (200, t.size), 0.3, pole)
     found = [
         one_test(u, sine(t, omega, g) + v, t, omega, settle=0.1, periods=periods, method=method).response for v in noise
     ]
     response, variance, dof = (np.array([getattr(f, n)[0] for f in found]) for n in ("response", "variance", "dof"))
-    assert 0.92 <= coverage(response - g, variance, dof) <= 0.97
+    assert 0.92 <= coverage(response - g, variance, dof) <= 0.98  # 95 ± 3 %: three times its error by chance
     if method == "quadrature":
         assert dof[0] == 2 * (periods - 1)
 
