@@ -46,9 +46,9 @@ def test_every_parameter_of_a_flight_is_found(flight):
 def test_a_lag_that_has_changed_places_with_another_is_put_back(flight):
     """The rotor's lag and the slow pole of the tilt may swap, and nearly all wide starts end there."""
     problem = gb.Problem(FullTilt(), flight, HELD, free=("T_rotor", "T_delay"))
-    swapped = fit(problem, [{"T_rotor": 0.3}])
-    assert swapped.estimate["T_rotor"] > 3 * TILT["T_rotor"]
     found = fit(problem, [{"T_rotor": 0.3}, {"T_rotor": 0.5}])
+    swapped = found.runs[0]
+    assert swapped.estimate[found.free.index("T_rotor")] > 3 * TILT["T_rotor"]
     assert found.cost < swapped.cost - 10
     assert_true(found, TILT, 3.0)
     assert len(found.runs) == 3
@@ -57,9 +57,9 @@ def test_a_lag_that_has_changed_places_with_another_is_put_back(flight):
 
 def test_random_starts_in_wide_boxes_agree(flight):
     problem = gb.Problem(FullTilt(), flight, HELD, fixed={"T_rotor": TILT["T_rotor"]}, free=("T_delay",))
-    found = fit(problem, 30)
+    found = fit(problem, 16)
     assert_true(found, {k: v for k, v in TILT.items() if k != "T_rotor"}, 3.0)
-    assert found.agreeing >= 0.95 * 30
+    assert found.agreeing >= 15
 
 
 # --- delays -----------------------------------------------------------------------------------------------------------

@@ -163,7 +163,7 @@ def test_the_probability_of_another_minimum():
     assert probability_of_no_other(42, 1) == pytest.approx(40 / 42)
     random = np.random.default_rng(0)
     searches, found, alone = 30, 0, 0
-    for _ in range(60_000):  # numbers of minima equally likely, their regions uniform on the simplex
+    for _ in range(20_000):  # numbers of minima equally likely, their regions uniform on the simplex
         number = random.integers(1, 40)
         shares = random.dirichlet(np.ones(number))
         seen = np.unique(random.choice(number, searches, p=shares)).size
@@ -186,10 +186,11 @@ def test_starts_until_every_minimum_was_found_again():
         gb.solve.UntilFoundAgain(error=2)
 
 
-def test_batches_on_workers_give_the_same_runs():
-    alone = gb.fit(NOISY, 2500, progress=False)
+def test_batches_on_workers_give_the_same_runs(monkeypatch):
+    monkeypatch.setattr("greybox.solve.batched_solver.MOST", 64)
+    alone = gb.fit(NOISY, 200, progress=False)
     with gb.solve.WorkerPool(2) as workers:
-        fit = gb.fit(NOISY, 2500, executor=workers, progress=False)
+        fit = gb.fit(NOISY, 200, executor=workers, progress=False)
     for run, wanted in zip(fit.runs, alone.runs, strict=True):
         assert_array_equal(run.start, wanted.start)
         assert_array_equal(run.estimate, wanted.estimate)
