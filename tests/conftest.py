@@ -11,8 +11,15 @@ import signal
 import pytest
 from hypothesis import settings
 
+# Of few tests, but slow: they begin first, so that no core waits for them at the end.
+FIRST = ("test_notebooks.py", "test_nested_models.py", "test_hard_models.py", "test_kalman_gain.py")
+
 settings.register_profile("steady", derandomize=True, deadline=None, database=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steady"))
+
+
+def pytest_collection_modifyitems(items):
+    items.sort(key=lambda item: item.path.name not in FIRST)
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -21,15 +22,18 @@ SOURCES = sorted(path for folder in ("greybox", "models", "problems") for path i
 HOUSE = sorted(path for folder in FOLDERS for path in (ROOT / "greybox" / folder).rglob("*.py"))
 
 
+@cache
 def imported(path):
     """Names of the modules that a file imports, wherever in the file."""
+    names = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path.name} has a relative import"
-            yield node.module
-            yield from (f"{node.module}.{alias.name}" for alias in node.names if node.module == "greybox")
+            names += [node.module]
+            names += [f"{node.module}.{alias.name}" for alias in node.names if node.module == "greybox"]
+    return names
 
 
 def module(path):

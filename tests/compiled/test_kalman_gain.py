@@ -61,9 +61,9 @@ def test_a_predictor_follows_every_stretch_as_segments_that_join_do():
 
 def test_all_starts_end_in_one_minimum_with_all_gains_free():
     problem = gb.Problem(FullTilt(), windy_flight(2, {"q": 2.0}, 40), WIND, fixed=ROTOR)
-    found = fit(problem, starts=8)
+    found = fit(problem, starts=4)
     assert len([name for name in found.free if name.startswith("K_")]) == 12
-    assert (found.agreeing, found.converged) == (8, True)
+    assert (found.agreeing, found.converged) == (4, True)
     assert_true(found, {name: value for name, value in TILT.items() if name not in ROTOR})
 
 
@@ -96,7 +96,7 @@ def test_what_innovations_do_not_drive_need_not_be_forgotten():
 
 
 def test_a_fit_of_prediction_errors_takes_as_few_iterations_as_one_of_output_errors():
-    data = windy_flight(0, {"v": 0.5, "q": 0.5}, 60)
+    data = windy_flight(0, {"v": 0.5, "q": 0.5}, 25)
     output, prediction = (
         sum(run.iterations for run in fit(gb.Problem(FullTilt(), data, rule, fixed=ROTOR), starts=3).runs)
         for rule in (gb.OutputError(inputs="held"), WIND)

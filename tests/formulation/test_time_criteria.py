@@ -30,6 +30,11 @@ def flight():
     return tilt_flight()
 
 
+@pytest.fixture(scope="module")
+def short_flight():
+    return tilt_flight(25)
+
+
 # --- the tilt plant in closed loop ------------------------------------------------------------------------------------
 
 
@@ -43,9 +48,9 @@ def test_every_parameter_of_a_flight_is_found(flight):
     assert_allclose(np.sqrt(np.diag(found.records[0].noise)), [0.05, 0.02, 0.005], rtol=0.05)
 
 
-def test_a_lag_that_has_changed_places_with_another_is_put_back(flight):
+def test_a_lag_that_has_changed_places_with_another_is_put_back(short_flight):
     """The rotor's lag and the slow pole of the tilt may swap, and nearly all wide starts end there."""
-    problem = gb.Problem(FullTilt(), flight, HELD, free=("T_rotor", "T_delay"))
+    problem = gb.Problem(FullTilt(), short_flight, HELD, free=("T_rotor", "T_delay"))
     found = fit(problem, [{"T_rotor": 0.3}, {"T_rotor": 0.5}])
     swapped = found.runs[0]
     assert swapped.estimate[found.free.index("T_rotor")] > 3 * TILT["T_rotor"]
@@ -55,8 +60,8 @@ def test_a_lag_that_has_changed_places_with_another_is_put_back(flight):
     assert any("only 1 of 3 starts reached the best minimum" in text for text in found.warnings)
 
 
-def test_random_starts_in_wide_boxes_agree(flight):
-    problem = gb.Problem(FullTilt(), flight, HELD, fixed={"T_rotor": TILT["T_rotor"]}, free=("T_delay",))
+def test_random_starts_in_wide_boxes_agree(short_flight):
+    problem = gb.Problem(FullTilt(), short_flight, HELD, fixed={"T_rotor": TILT["T_rotor"]}, free=("T_delay",))
     found = fit(problem, 16)
     assert_true(found, {k: v for k, v in TILT.items() if k != "T_rotor"}, 3.0)
     assert found.agreeing >= 15

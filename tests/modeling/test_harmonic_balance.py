@@ -357,12 +357,12 @@ def made(swing, middle=0.0, noise=0.005, seed=0, omega=OMEGA):
 @cache
 def fitted():
     problem = gb.Problem(NonlinearTilt(), made(SWING), amplitude={"theta": SWING})
-    return gb.fit(problem, 4, progress=False, solver_options={"max_iter": 150})
+    return gb.fit(problem, 3, progress=False, solver_options={"max_iter": 150})
 
 
 def test_the_drag_shows_in_hover_at_finite_amplitude():
     fit = fitted()
-    assert fit.agreeing >= 3
+    assert fit.agreeing >= 2
     assert fit.warnings == ()
     for name in fit.free:
         assert abs(fit.estimate[name] - TRUTH[name]) < 3 * fit.standard_error[name]
@@ -433,7 +433,7 @@ def test_small_and_large_sines_and_two_operating_points_are_one_fit():
         gb.Problem(NonlinearTilt(), made(SWING / 6, seed=2), amplitude={"theta": np.full(OMEGA.size, SWING / 6)}),
         gb.Problem(NonlinearTilt(), made(SWING, middle, seed=3), amplitude={"theta": SWING}, at={"theta": middle}),
     ]
-    fit = gb.fit(parts[0] + parts[1], 2, progress=False)
+    fit = gb.fit(parts[0] + parts[1], 1, progress=False)
     for name in fit.free:
         assert abs(fit.estimate[name] - TRUTH[name]) < 3 * fit.standard_error[name]
 
