@@ -19,6 +19,7 @@ from greybox.modeling.parameter import Parameter
 # random point with probability zero; more than one point serves formulas that are undefined in places.
 TIE_POINTS = 4
 WIDEST_TIE_RANGE = 1e3  # stands for larger and for infinite bounds when those points are drawn
+MOST_NAMES = 8  # of parts, in the name of their sum: what a person reads in a line
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +51,10 @@ class Sum(Generic[Part]):
         object.__setattr__(self, "_as_added", self.parts)
         object.__setattr__(self, "parts", with_numbered_biases(with_costs_that_add(self.parts)))
         if not self.name:
-            object.__setattr__(self, "name", " + ".join(dict.fromkeys(part.name for part in self.parts)))
+            names = list(dict.fromkeys(part.name for part in self.parts))
+            if len(names) > MOST_NAMES:
+                names = [*names[:2], "...", f"{names[-1]} ({len(names)} in all)"]
+            object.__setattr__(self, "name", " + ".join(names))
 
         merged: dict[str, Parameter] = {}
         for part in self.parts:

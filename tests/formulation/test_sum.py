@@ -19,6 +19,11 @@ def test_sums_of_sums_are_one_list_of_parts():
     assert sum([both]) is both
 
 
+def test_the_name_of_many_is_short():
+    total = sum(gb.Problem(Lag(), DATA, name=f"flight {k}") for k in range(100))
+    assert total.name == "flight 0 + flight 1 + ... + flight 99 (100 in all)"
+
+
 def test_only_problems_add():
     for wrong in (1, "b", None, [B]):
         for first, second in ((A, wrong), (A + B, wrong), (wrong, A), (wrong, A + B)):

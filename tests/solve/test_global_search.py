@@ -1,5 +1,7 @@
 """The scatter search that the paper was made by: few runs of the solver, the same minima."""
 
+import time
+
 import numpy as np
 import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
@@ -25,6 +27,14 @@ def test_the_minimum_of_the_paper_is_found_with_few_runs():
     again = gb.fit(pitch_hover.problem(), 400, search="global-search", progress=False)
     for run, same in zip(fit.runs, again.runs, strict=True):
         assert_array_equal(run.start, same.start)
+
+
+@pytest.mark.parametrize("search", ["batched", "multistart", "global-search"])
+def test_the_time_that_is_told_passed_within_the_call(search):
+    began = time.perf_counter()
+    fit = gb.fit(gb.Problem(LagLagDelay(), DATA), 20, search=search, progress=False)
+    assert 0 < fit.seconds <= time.perf_counter() - began
+    assert all(0 <= run.seconds <= fit.seconds for run in fit.runs)
 
 
 def test_constraints_hold():
