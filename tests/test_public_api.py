@@ -31,8 +31,8 @@ NAMESPACES = {
     "virtual_flight write_excitation",
     "formulation": "Criterion EquationError MagnitudePhase MaximumLikelihood OutputError PredictionError Problem "
     "RelativeError RelativeLikelihood SquaredRelativeError Starts Sum TimeCriterion several",
-    "identification": "Identification ManoeuvreMeasurement Measurement OrderSelection Settings identify measure "
-    "measure_manoeuvre select_orders",
+    "identification": "Identification ManoeuvreMeasurement MatrixMeasurement Measurement OrderSelection Settings "
+    "identify measure measure_manoeuvre measure_matrix select_orders",
     "interop": "from_control from_scipy to_casadi to_control to_scipy write_c write_mat",
     "logs": "find_manoeuvres find_segments horizontal_velocity negative prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "

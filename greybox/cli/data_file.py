@@ -38,8 +38,7 @@ def read_data(
     if not columns and holds_spectrum(path):
         return read_spectrum(path)
     if "frequency" in columns if columns else _is_response(path):
-        response = read_response(path, input=input, output=output, columns=columns)
-        return response if input or output else as_the_only_pair(model, response)
+        return as_the_only_pair(model, read_response(path, input=input, output=output, columns=columns))
     try:
         log = read(path, columns=columns or None)
     except ValueError as error:

@@ -2,20 +2,19 @@
 
 import argparse
 import shlex
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.log_tests import read_log, stated_fields
+from greybox.cli.log_tests import read_log
 from greybox.cli.options import add_common_options, add_parser, nonnegative, positive
 from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
-from greybox.cli.response_command import add_measurement_options, response_json, stated_band
+from greybox.cli.response_command import add_measurement_options, response_json, stated_choices
 from greybox.data.json_numbers import finite
 from greybox.data.response_file import write_response
 from greybox.estimate.storage import save
 from greybox.estimate.summary import summary
 from greybox.identification.identify import STARTS, Identification, identify
-from greybox.identification.measurement import Settings
 
 EXAMPLES = (
     "flight.BIN",
@@ -57,10 +56,9 @@ def run(options: argparse.Namespace) -> Answer:
     for path in (response, result):
         require_writable(path, options.force)
     require_figure(figure, options.force)
-    names = {field.name for field in fields(Settings)}
-    stated = {name: value for name, value in vars(options).items() if name in names}
-    stated |= {"fields": stated_fields(options), "band": stated_band(options.band)}
-    found = identify(read_log(options), through=options.through, starts=options.starts, seed=options.seed, **stated)
+    found = identify(
+        read_log(options), through=options.through, starts=options.starts, seed=options.seed, **stated_choices(options)
+    )
 
     commands = tuple(_with_columns(line, options.columns) for line in found.commands(options.log, prefix))
     answer = _json(found, commands)

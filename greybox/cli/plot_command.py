@@ -1,16 +1,15 @@
 """The command `greybox plot`: the figures of a log."""
 
 import argparse
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.log_tests import read_log, stated_fields
+from greybox.cli.log_tests import read_log
 from greybox.cli.options import add_common_options, add_parser
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
-from greybox.cli.response_command import add_measurement_options, response_json, stated_band
+from greybox.cli.response_command import add_measurement_options, response_json, stated_choices
 from greybox.identification.choices import choose
-from greybox.identification.measurement import Settings, measure
+from greybox.identification.measurement import measure
 
 EXAMPLES = (
     "flight.BIN",
@@ -36,11 +35,8 @@ def run(options: argparse.Namespace) -> Answer:
     """Measure the response, as `identify` does, and draw signals, tests and response."""
     figure = options.out or Path(f"{Path(options.log).stem}_tests.png")
     require_figure(figure, options.force)
-    names = {field.name for field in fields(Settings)}
-    stated = {name: value for name, value in vars(options).items() if name in names}
-    stated |= {"fields": stated_fields(options), "band": stated_band(options.band)}
     recording = read_log(options)
-    settings, choices = choose(recording, **stated)
+    settings, choices = choose(recording, **stated_choices(options))
     measured = measure(recording, settings)
 
     def draw() -> Any:

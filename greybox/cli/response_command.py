@@ -1,9 +1,9 @@
-"""The command `greybox response`: from a log to a measured frequency response, or the spectrum of a manoeuvre."""
+"""The command `greybox response`: from a log to a frequency response, a matrix of them, or a manoeuvre's spectrum."""
 
 import argparse
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +14,16 @@ from greybox.cli.options import UsageError, add_common_options, add_parser
 from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
 from greybox.data.json_numbers import finite
 from greybox.data.record import Recording
-from greybox.data.response_file import HDF5, write_response
+from greybox.data.response_file import HDF5, write_response, write_responses
 from greybox.data.transient_file import write_spectrum
 from greybox.identification.manoeuvre import ManoeuvreMeasurement, measure_manoeuvre
+from greybox.identification.matrix import MatrixMeasurement, measure_matrix
 from greybox.identification.measurement import INSTRUMENT, Measurement, Settings, measure
 
 EXAMPLES = (
     "flight.BIN --input u=RATE.POut --output theta=ATT.Pitch --out pitch.csv --plot bode.png",
     "flight.csv --input u --output theta --whole --band 1 40",
+    "flight.csv --input da dr --output p r --period 20 --instrument e_a e_r --out matrix.csv",
     "flight.csv --manoeuvre 2-1-1 --input da dr --output p r --out manoeuvre.csv",
 )
 
@@ -52,9 +54,11 @@ def add_measurement_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add(
         "--instrument",
-        default="",
+        nargs="+",
+        default=[],
         metavar="SIGNAL",
-        help="the injected signal, for the joint estimate in closed loop (default: what the log says was injected)",
+        help="the injected signal, for the joint estimate in closed loop (default: what the log says was injected); of "
+        "several inputs, one for each",
     )
     add("--open-loop", action="store_true", help="direct estimate, whatever controller the log shows")
     add("--rate", type=float, metavar="HZ", help="common sampling rate (default: that of the slowest signal)")
@@ -78,7 +82,8 @@ def add_measurement_options(parser: argparse.ArgumentParser) -> None:
         "--period",
         type=float,
         metavar="SECONDS",
-        help="period of a multisine, to evaluate its lines exactly, without windows",
+        help="period of a multisine, to evaluate its lines exactly, without windows; with several inputs or outputs, "
+        "of the multisines on all inputs at once, for the matrix of responses",
     )
     add("--whole", action="store_true", help="use the whole log if no test is found")
     add("--method", default="least-squares", help="for sines: least-squares or quadrature (default: least-squares)")
@@ -86,17 +91,14 @@ def add_measurement_options(parser: argparse.ArgumentParser) -> None:
     add_test_options(parser)
 
 
-def stated_settings(options: argparse.Namespace, input: str, output: str) -> Settings:
-    """Return the settings that the options state.
-
-    Raises
-    ------
-    ValueError
-        For options that make no sense.
-    """
-    same = ("instrument", "announced", "setpoint", "axis", "tests", "rate", "settle", "period", "whole", "open_loop")
-    values = {name: getattr(options, name) for name in (*same, "method", "points")}
-    return Settings(input, output, fields=stated_fields(options), band=stated_band(options.band), **values)
+def stated_choices(options: argparse.Namespace) -> dict[str, Any]:
+    """Return what the options state of a measurement of one input and one output, by the names of `Settings`."""
+    if len(options.instrument) > 1:
+        raise UsageError(f"--instrument {' '.join(options.instrument)} are several signals: give one for each input.")
+    names = {field.name for field in fields(Settings)}
+    values = {name: value for name, value in vars(options).items() if name in names}
+    parsed = {"fields": stated_fields(options), "band": stated_band(options.band)}
+    return values | parsed | {"instrument": "".join(options.instrument)}
 
 
 def stated_band(words: list[str]) -> tuple[float, float] | None:
@@ -122,10 +124,10 @@ def run(options: argparse.Namespace) -> Answer:
     require_figure(options.traces, options.force)
     if options.manoeuvre is not None:
         return _run_manoeuvre(options)
-    for flag, words in (("--input", options.input), ("--output", options.output)):
-        if len(words) > 1:
-            raise UsageError(f"{flag} {' '.join(words)} are several signals, which --manoeuvre alone takes: give one.")
-    settings = stated_settings(options, options.input[0], options.output[0])
+    if len(options.input) > 1 or len(options.output) > 1:
+        return _run_matrix(options)
+    stated = stated_choices(options) | {"input": options.input[0], "output": options.output[0]}
+    settings = Settings(**stated)
     recording = read_log(options)
     measured = measure(recording, settings)
 
@@ -184,6 +186,54 @@ def _run_manoeuvre(options: argparse.Namespace) -> Answer:
     return answer, "\n".join([text, *notes]), USABLE
 
 
+def _run_matrix(options: argparse.Namespace) -> Answer:
+    """Measure all outputs against all inputs; save and draw the matrix where asked to."""
+    if options.period is None:
+        several = [(f"--{name}", words) for name in ("input", "output") if len(words := getattr(options, name)) > 1]
+        said = " and ".join(f"{flag} {' '.join(words)}" for flag, words in several)
+        raise UsageError(
+            f"{said} are several signals: give one, or the --period of the multisines that excite all inputs at once, "
+            "or a --manoeuvre."
+        )
+    if options.out is not None and options.out.suffix.lower() != ".csv":
+        raise UsageError(f"--out {options.out} is not a table: a matrix of responses is kept in one .csv file.")
+    recording = read_log(options)
+    measured = measure_matrix(
+        recording,
+        options.input,
+        options.output,
+        options.period,
+        excitations=options.instrument,
+        rate=options.rate,
+        band=stated_band(options.band),
+        settle=options.settle,
+    )
+    notes = []
+    if options.out is not None:
+        write_responses(measured.responses, options.out)
+        notes.append(f"saved {options.out}")
+        first = measured.responses[0]
+        notes.append(
+            f"  fit one: greybox fit --data {options.out} --prefix {first.output}_{first.input}_ --model MODEL"
+        )
+    notes += save_figure(options.plot, lambda: _matrix(measured))
+    notes += save_figure(options.traces, lambda: _matrix_traces(measured))
+    answer = {
+        "log": recording.source,
+        "checksum": recording.checksum,
+        "responses": [
+            {name: getattr(r, name) for name in ("input", "output")}
+            | {name: np.asarray(getattr(r, name)).tolist() for name in ("omega", "alpha", "beta", "variance", "dof")}
+            for r in measured.responses
+        ],
+        "units": {name: unit for name, unit in measured.record.units.items() if unit},
+        "choices": list(measured.choices),
+        "log_findings": list(recording.findings),
+    }
+    text = "\n\n".join(part for part in (str(measured), "\n".join(recording.findings)) if part)
+    return answer, "\n".join([text, *notes]), USABLE
+
+
 def require_response_file(path: Path | None, force: bool) -> None:
     """Refuse a file of a response that exists, or that is neither CSV nor HDF5.
 
@@ -208,6 +258,18 @@ def _spectrum(measured: ManoeuvreMeasurement) -> Any:
     from greybox.plotting import spectrum  # noqa: PLC0415  (imports matplotlib)
 
     return spectrum(measured.spectrum)[0].figure
+
+
+def _matrix(measured: MatrixMeasurement) -> Any:
+    from greybox.plotting import response_matrix  # noqa: PLC0415  (imports matplotlib)
+
+    return response_matrix(measured.responses)[0].figure
+
+
+def _matrix_traces(measured: MatrixMeasurement) -> Any:
+    from greybox.plotting import traces  # noqa: PLC0415  (imports matplotlib)
+
+    return traces(measured.record)[0].figure
 
 
 def _record_traces(measured: ManoeuvreMeasurement) -> Any:

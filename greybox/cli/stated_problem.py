@@ -58,8 +58,9 @@ def add_problem_options(parser: argparse.ArgumentParser) -> None:
         help="with --model: filters between the output and its log: 'filters:LowPass(20, 0.71)', or by the names that "
         "the response states, gyro-filter, gyro-notch ...",
     )
-    add("--input", default="", metavar="NAME", help="input of a frequency response, if the model has several")
-    add("--output", default="", metavar="NAME", help="output of a frequency response, if the model has several")
+    several = "of a frequency response, if the model or the file has several"
+    add("--input", default="", metavar="NAME", help=f"input {several}")
+    add("--output", default="", metavar="NAME", help=f"output {several}")
     add(
         "--at",
         nargs="+",

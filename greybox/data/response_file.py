@@ -39,7 +39,8 @@ def read_response(
 
     The columns of a CSV file are ``omega_rad_s, alpha, beta`` and, if known, ``coherence, variance, dof``; their order
     and further columns do not matter. A table of several responses names them ``<prefix>alpha`` and so on, with one
-    common ``omega_rad_s``; rows in which the chosen response is blank are left out. Tables with other columns are read
+    common ``omega_rad_s``; rows in which the chosen response is blank are left out. `input` and `output` choose one of
+    a matrix that `write_responses` wrote. Tables with other columns are read
     with ``columns={"frequency": "f:Hz", "magnitude": "mag:dB", "phase": "ph:deg", "coherence": "coh"}``: the name
     of each in the header and, unless it stands there, its unit; ``alpha`` and ``beta`` may stand for magnitude and
     phase, rad/s, rad and ``absolute`` for the units. Cells are separated by commas,
@@ -62,6 +63,8 @@ def read_response(
     stated = {} if prefix else comments(raw)
     table = read_delimited(path, raw)
     header = table.header
+    if f"{output}_{input}_alpha" in header and "alpha" not in header:
+        prefix = prefix or f"{output}_{input}_"
     try:
         found = stated_columns(columns, header) if columns else _own_columns(header, prefix)
     except ValueError as error:
@@ -92,6 +95,11 @@ def _own_columns(header: Sequence[str], prefix: str) -> dict[str, Column]:
     """
     names = {name: _column(name, prefix) for name in COLUMNS}
     missing = [names[name] for name in COLUMNS[:3] if names[name] not in header]
+    pairs = [name.removesuffix("_alpha") for name in header if name.endswith("_alpha")]
+    if missing and pairs and not prefix:
+        raise ValueError(
+            f"holds several responses, {', '.join(pairs)}: choose one by the names of its input and output."
+        )
     if missing:
         raise ValueError(
             f"has no column {missing[0]!r}; it has {', '.join(header) or 'no header line'}: the columns must be "
@@ -133,7 +141,7 @@ def write_responses(responses: Sequence[FrequencyResponse], path: str | Path) ->
     """Write several responses, as the matrix of a plant, into one CSV file with one common ``omega_rad_s``.
 
     The columns of a response are ``<output>_<input>_alpha`` and so on, blank at the frequencies of others; it is read
-    back by ``read_response(path, "<output>_<input>_", input, output)``.
+    back by ``read_response(path, input=input, output=output)``.
 
     Raises
     ------

@@ -41,17 +41,21 @@ class DirectDifference:
         )
 
 
-def controller_in(recording: Recording, control: str) -> str:
-    """Return the signal or message that shows a controller of the axis of `control` at work; empty without one."""
+def controller_in(recording: Recording, control: str, measured: Sequence[str] = ()) -> str:
+    """Return the signal or message that shows a controller of the axis of `control` at work; empty without one.
+
+    What is `measured` as an output is no setpoint: a column r may be a setpoint or a yaw rate.
+    """
     axis = axis_of(control)
     wanted = [AXES[axis]] if axis else list(AXES.values())
     for names in wanted:
         for signal in (*names.setpoints, *names.terms):
             message, _, field = signal.rpartition(".")
-            if message in recording and field in recording[message].signals:
+            if signal not in measured and message in recording and field in recording[message].signals:
                 return signal
     table = set(next(iter(recording.values())).signals) if len(recording) == 1 else set()
-    return next((name for name in (*CONTROLLER_MESSAGES, *SETPOINTS) if name in recording.records or name in table), "")
+    known = [name for name in (*CONTROLLER_MESSAGES, *SETPOINTS) if name in recording.records or name in table]
+    return next((name for name in known if name not in measured), "")
 
 
 def direct_difference(

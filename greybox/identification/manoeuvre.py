@@ -9,6 +9,7 @@ from greybox.data.test_segment import Segment, segment_table
 from greybox.data.text_table import counted, one_line
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.identification.loop import controller_in
+from greybox.identification.measurement import named_signal
 from greybox.logs.manoeuvre_detection import chosen_manoeuvre, find_manoeuvres
 from greybox.logs.prepare import prepare
 from greybox.spectral.transients import HIGHEST, transient_spectrum
@@ -89,7 +90,7 @@ def measure_manoeuvre(
     ValueError, KeyError
         If there is no such manoeuvre or signal, or it has gaps.
     """
-    named = {which: dict(map(_named, words)) for which, words in (("inputs", inputs), ("outputs", outputs))}
+    named = {which: dict(map(named_signal, words)) for which, words in (("inputs", inputs), ("outputs", outputs))}
     twice = [name for name in named["inputs"] if name in named["outputs"]]
     if twice or len(named["inputs"]) < len(inputs) or len(named["outputs"]) < len(outputs):
         raise ValueError("two signals have one name: give them names of your own, NAME=SIGNAL.")
@@ -118,16 +119,12 @@ def measure_manoeuvre(
             f"{', '.join(unknown)} is taken as linear between samples, as nothing is known: --held {unknown[0]} if it "
             f"keeps its values, which makes delays {500 * record.step:.3g} ms shorter."
         )
-    controller = next((c for c in (controller_in(recording, s) for s in named["inputs"].values()) if c), "")
+    measured = tuple(named["outputs"].values())
+    controllers = (controller_in(recording, s, measured) for s in named["inputs"].values())
+    controller = next(filter(None, controllers), "")
     if controller:
         said.append(
             f"closed loop ({controller} is in the log): noise of the outputs returns to the inputs, which are taken as "
             "known; where it is not small, estimates are biased."
         )
     return ManoeuvreMeasurement(found, chosen, record, spectrum, tuple(said))
-
-
-def _named(word: str) -> tuple[str, str]:
-    """Return name and signal; the name is that of the field where none is given."""
-    name, equals, signal = word.partition("=")
-    return (name, signal) if equals else (word.rpartition(".")[2], word)

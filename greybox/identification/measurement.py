@@ -110,9 +110,13 @@ class Settings:
     @property
     def names(self) -> tuple[tuple[str, str], tuple[str, str]]:
         """Name and signal of input and output; the name is that of the field where none is given."""
-        pairs = [text.partition("=") for text in (self.input, self.output)]
-        (u, y) = ((name, signal) if equals else (name.rpartition(".")[2], name) for name, equals, signal in pairs)
-        return u, y
+        return named_signal(self.input), named_signal(self.output)
+
+
+def named_signal(text: str) -> tuple[str, str]:
+    """Return name and signal of ``"u=RATE.POut"``; the name is that of the field where none is given."""
+    name, equals, signal = text.partition("=")
+    return (name, signal) if equals else (text.rpartition(".")[2], text)
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +191,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         used = _within_band(sines, settings.band)
 
     (u, control), (y, output) = settings.names
-    controller = "" if settings.open_loop else controller_in(recording, control) or settings.setpoint
+    controller = "" if settings.open_loop else controller_in(recording, control, [output]) or settings.setpoint
     instrument = _instrument(recording, settings, used)
     if controller and not (sines or instrument or settings.period):
         for name in (control, output):

@@ -50,7 +50,7 @@ NOISE = 8.0  # standard deviations of the noise, which a second of samples does 
 BRIEF, PAUSE = 0.2, 0.6
 STRONG = 0.1  # of the largest magnitude of the input's spectrum, -20 dB, down to which its band is excited
 HIGHEST = 0.4  # of the sampling rate, see `greybox.spectral.transients`
-GRID = 400  # frequencies at which that spectrum is looked at
+FINER = 4  # times as many frequencies as the spectrum has of its own: between two, it falls by 10 % at most
 
 
 class _Rest(NamedTuple):
@@ -224,13 +224,17 @@ def _band(time: Array, values: Array, before: _Rest, after: _Rest, kind: str) ->
     first, last = np.searchsorted(time, [time[before.last] - REST, time[after.first] + REST])
     rows = slice(int(first), min(int(last) + 1, time.size))
     t, x = time[rows], values[rows] - before.ends
-    step = float(np.median(np.diff(time)))
-    duration = max(float(t[-1] - t[0]), 2 * step)
-    low, high = 2 * math.pi / duration, max(HIGHEST * 2 * math.pi / step, 2 * 2 * math.pi / duration)
-    omega = np.linspace(low, high, GRID)
+    uniform = np.linspace(t[0], t[-1], t.size)
+    step = float(uniform[1] - uniform[0])
+    x = np.interp(uniform, t, x)
     if kind == STEP:
-        t, x = t[1:], np.diff(x)
-    size = np.abs(np.exp(-1j * np.outer(omega, t - t[0])) @ x)
+        x = np.diff(x)
+    low, high = 2 * math.pi / (t[-1] - t[0]), HIGHEST * 2 * math.pi / step
+    omega = 2 * math.pi * np.fft.rfftfreq(FINER * t.size, step)
+    inside = (omega >= low) & (omega <= max(high, 2 * low))
+    if not inside.any():  # hardly more samples than those of the rests
+        return low, 2 * low
+    omega, size = omega[inside], np.abs(np.fft.rfft(x, FINER * t.size))[inside]
     strong = np.flatnonzero(size >= STRONG * size.max())
     # Up to the first hole beyond which nothing is strong for an octave.
     weak = np.flatnonzero(np.diff(strong) > 1)

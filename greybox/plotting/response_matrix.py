@@ -37,6 +37,7 @@ def response_matrix(responses: Sequence[FrequencyResponse]) -> AxesArray:
     inputs = list(dict.fromkeys(response.input for response in responses))
     figure = new_figure(1.0 + 3.6 * len(inputs), 0.8 + 4.2 * len(outputs))
     axes = figure.subplots(2 * len(outputs), len(inputs), sharex=True, squeeze=False)
+    ranges = []
     for i, output in enumerate(outputs):
         for j, name in enumerate(inputs):
             pair = axes[2 * i : 2 * i + 2, j]
@@ -46,9 +47,13 @@ def response_matrix(responses: Sequence[FrequencyResponse]) -> AxesArray:
                     ax.set_axis_off()
                 continue
             bode(*found, axes=pair, legend=False)
+            ranges.append(pair[0].get_xlim())
             pair[0].set_title(f"{symbol(name)} to {symbol(output)}", fontsize=TITLE_SIZE)
             for ax, label in zip(pair, ("|.|, dB", "∠, °"), strict=True):
                 ax.set_ylabel(label if j == 0 else "")
                 ax.set_xlabel("")
+    # The axes share one range, which each diagram has set to that of its own.
+    low, high = zip(*ranges, strict=True)
+    axes[0, 0].set_xlim(min(low), max(high))
     label_horizontal(axes[-1], "ω, rad/s")
     return np.asarray(axes.ravel())

@@ -240,4 +240,41 @@ def test_a_manoeuvre_from_the_log_to_its_model(capsys, tmp_path):
     _, out, _ = run(capsys, *command, "--json")
     assert "half a sample" in out or "linear between samples" in out
     assert "there is no manoeuvre 5" in refused(capsys, *command[:3], "5", *command[4:])
-    assert "which --manoeuvre alone takes" in refused(capsys, "response", log, "--input", "u", "q", "--output", "q")
+    assert "or a --manoeuvre" in refused(capsys, "response", log, "--input", "u", "q", "--output", "q")
+
+
+def test_a_matrix_of_responses_from_the_log_to_a_model(capsys, tmp_path):
+    """Two multisines at once, each of which moves both inputs; p = 4/(s + 2) da + 1.5/(s + 1) dr by simulation."""
+    test = gb.experiment.multisine(1.0, 15.0, 20.0, 25.0, signals=("da", "dr"), periods=1).record()
+    pure = np.tile([test["da"][:500], test["dr"][:500]], 5)
+    moved = np.array([[1, 0.4], [-0.4, 1]]) @ pure
+    omega = 2 * np.pi / 20 * np.arange(251)
+    plant = np.array([4 / (1j * omega + 2), 1.5 / (1j * omega + 1)])
+    p = np.tile(np.fft.irfft((plant * np.fft.rfft(moved[:, :500])).sum(axis=0)), 5)
+    rest = np.zeros((5, 250))
+    flown = np.hstack([rest, [*moved, *pure, p], rest])
+    flown[4] += 0.02 * np.random.default_rng(1).standard_normal(3000)
+    log, out = tmp_path / "flight.csv", tmp_path / "matrix.csv"
+    rows = np.column_stack([0.04 * np.arange(3000), flown.T])
+    np.savetxt(log, rows, delimiter=",", header="time (s),da,dr,e_a,e_r,p", comments="")
+    command = ["response", log, "--input", "da", "dr", "--output", "p", "--period", "20", "--instrument", "e_a", "e_r"]
+    status, text, _ = run(capsys, *command, "--out", out, "--plot", tmp_path / "matrix.png", "--json")
+    answer = json.loads(text)
+    assert status == 0
+    assert [(one["output"], one["input"]) for one in answer["responses"]] == [("p", "da"), ("p", "dr")]
+    assert "from 12.00 to 110.00 s at 25 Hz: 4 periods of 20 s, after 2 s of settling." in answer["choices"]
+    assert (tmp_path / "matrix.png").read_bytes().startswith(b"\x89PNG")
+    for one, truth in zip(answer["responses"], [(4.0, 2.0), (1.5, 1.0)], strict=True):
+        s = 1j * np.array(one["omega"])
+        errors = np.array(one["alpha"]) + 1j * np.array(one["beta"]) - truth[0] / (s + truth[1])
+        assert 0.6 < np.sqrt(np.mean((np.abs(errors) ** 2 / one["variance"])[2:-2])) < 1.6
+
+    read = gb.read_response(out, input="dr", output="p")
+    assert read.alpha.tolist() == answer["responses"][1]["alpha"]
+    fit = ["fit", "--model", "rotor:Rotor", "--data", out]
+    assert "holds several responses, p_da, p_dr: choose one" in refused(capsys, *fit)
+    fitted = run(capsys, *fit, "--input", "da", "--output", "p", "--starts", "4", "--json")
+    assert json.loads(fitted[1])["estimate"]["T_rotor"] == pytest.approx(0.5, rel=0.02)
+    assert "--period of the multisines" in refused(capsys, *command[:7])
+    assert "one .csv file" in refused(capsys, *command, "--out", tmp_path / "matrix.h5")
+    assert "there are 1 excitations for 2 inputs" in refused(capsys, *command[:-1])

@@ -72,3 +72,16 @@ def test_records_and_logs_are_searched_in_their_usual_inputs():
         chosen_manoeuvre(found, "doublet")
     with pytest.raises(ValueError, match="there is no manoeuvre 9; the log has 7"):
         chosen_manoeuvre(found, "9")
+
+
+def test_the_band_of_a_long_input_is_that_of_its_transform():
+    """Random levels, 0.8 s each: the band ends where a sum over all samples falls to a tenth."""
+    time = np.arange(30_000) / 50
+    levels = np.random.default_rng(3).choice([-1.0, 1.0], 700) * 200
+    values = 1500 + np.where((time > 10) & (time < 560), levels[(time / 0.8).astype(int) % 700], 0.0)
+    found = max(manoeuvres_in(time, values), key=lambda s: s.duration)
+    inside = (time >= found.start - 1) & (time <= found.end + 1)
+    omega = np.linspace(0.9, 1.1, 41) * found.band[1]
+    size = np.abs(np.exp(-1j * np.outer(omega, time[inside])) @ (values[inside] - found.offset))
+    usual = np.abs(np.fft.rfft(values[inside] - found.offset)).max()
+    assert size[omega <= found.band[1]].max() > 0.095 * usual

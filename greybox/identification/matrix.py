@@ -1,0 +1,126 @@
+"""From multisines on several inputs at once to the matrix of responses, with what was chosen."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.record import Record, Recording
+from greybox.data.text_table import counted, number, one_line, text_table
+from greybox.identification.loop import controller_in
+from greybox.identification.measurement import named_signal
+from greybox.logs.prepare import prepare
+from greybox.spectral.orthogonal_multisines import response_matrix
+
+# Name of the injected signal of the k-th input in the record.
+EXCITATION = "excitation {}"
+
+SETTLED = 2.0  # s, as long as sines settle by default
+
+
+@dataclass(frozen=True, eq=False)
+class MatrixMeasurement:
+    """What was measured of several inputs at once.
+
+    Attributes
+    ----------
+    record : Record
+        The signals on one time base, cut to the test.
+    responses : tuple of FrequencyResponse
+        Output by output, for each the inputs in turn.
+    choices : tuple of str
+        What was chosen and why, in sentences.
+    """
+
+    record: Record
+    responses: tuple[FrequencyResponse, ...]
+    choices: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return one_line(self, counted(len(self.responses), "response"))
+
+    def __str__(self) -> str:
+        header = ("output", "input", "points", "from rad/s", "to rad/s", "error %")
+        return "\n".join([text_table(header, [_row(r) for r in self.responses], left=(0, 1)), "", *self.choices])
+
+
+def measure_matrix(
+    recording: Recording,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    period: float,
+    *,
+    excitations: Sequence[str] = (),
+    rate: float | None = None,
+    band: tuple[float, float] | None = None,
+    settle: float = SETTLED,
+) -> MatrixMeasurement:
+    """Return the responses of all outputs to all inputs from a test with a multisine on every input.
+
+    Parameters
+    ----------
+    recording : Recording
+    inputs, outputs : sequence of str
+        ``"MESSAGE.Field"``, or with names of one's own ``"u=RATE.POut"``.
+    period : float, s
+        Of the multisines.
+    excitations : sequence of str
+        The injected signals, one for each input: the test is where they move, and they tell whose lines are whose. By
+        default the inputs, of the whole log.
+    rate : float, Hz, optional
+        By default that of the slowest signal, or a little less, so that a period is a whole number of samples.
+    band : (low, high), rad/s, optional
+    settle : float, s
+        Left out at the beginning of the test, at least.
+
+    Raises
+    ------
+    ValueError, KeyError
+        For signals that are not there, and for what `greybox.spectral.response_matrix` refuses.
+    """
+    pairs = [named_signal(word) for word in (*inputs, *outputs)]
+    pairs += [(EXCITATION.format(k), signal) for k, signal in enumerate(excitations, start=1)]
+    signals = dict(pairs)
+    if len(signals) < len(pairs):
+        raise ValueError("two signals have one name: give them names of your own, NAME=SIGNAL.")
+    names = list(signals)
+    u, y, e = names[: len(inputs)], names[len(inputs) : len(inputs) + len(outputs)], names[len(inputs) + len(outputs) :]
+    record = prepare(recording, signals, rate)
+    if rate is None and period * record.rate >= 2:
+        record = prepare(recording, signals, math.floor(period * record.rate * (1 + 1e-9)) / period)
+    start, end = _moving(record, e) if e else (float(record.time[0]), float(record.time[-1]))
+    record = record.between(start + settle, end)
+    responses = response_matrix(record, period, u, y, excitations=e, name=record.name)
+    if band is not None:
+        responses = tuple(r.where((r.omega >= band[0]) & (r.omega <= band[1])) for r in responses)
+    used = math.floor((len(record) / record.rate) / period + 1e-9)
+    said = [
+        f"from {record.time[0]:.2f} to {record.time[-1]:.2f} s at {record.rate:.5g} Hz: {counted(used, 'period')} of "
+        f"{period:g} s, after {settle:g} s of settling."
+    ]
+    measured = [signals[name] for name in (*u, *y)]
+    controllers = (controller_in(recording, s, measured) for s in measured[: len(u)])
+    controller = next(filter(None, controllers), "")
+    loop = f"closed loop ({controller} is in the log)" if controller else "open loop (no controller is seen in the log)"
+    by = f"the excitations {', '.join(excitations)} tell" if e else "the inputs themselves tell"
+    said.append(f"{loop}: averages over whole periods; {by} which lines are whose, --instrument names others.")
+    return MatrixMeasurement(record, responses, tuple(said))
+
+
+def _moving(record: Record, names: Sequence[str]) -> tuple[float, float]:
+    """Return from when to when a signal moves."""
+    steps = np.array([np.diff(record[name]) for name in names])
+    limit = 1e-9 * np.maximum(np.ptp([record[name] for name in names], axis=1), 1e-300)[:, None]
+    moves = np.flatnonzero((np.abs(steps) > limit).any(axis=0))
+    if not moves.size:
+        raise ValueError("no excitation moves in the log: name the injected signals, one --instrument for each input.")
+    return float(record.time[moves[0]]), float(record.time[moves[-1] + 1])
+
+
+def _row(response: FrequencyResponse) -> tuple[str, ...]:
+    assert response.variance is not None
+    error = float(np.median(np.sqrt(response.variance) / np.abs(response.response)))
+    ends = (number(float(response.omega[0]), 4), number(float(response.omega[-1]), 4))
+    return (response.output, response.input, str(len(response)), *ends, number(100 * error, 2))
