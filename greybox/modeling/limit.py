@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from greybox.data.units import to_si
-from greybox.modeling.model import Names
+from greybox.modeling.model import Model, Names
 from greybox.modeling.parameter import Parameter
+from greybox.modeling.state_space import StateSpace
 from greybox.modeling.transfer_function import TransferFunction
 
 # Of the size that the parameter had: half of the digits, so that what the limit leaves out and what rounding takes from
@@ -17,8 +18,8 @@ BEYOND = 2.0**26
 SPAN = 1e3
 
 
-class Limit(TransferFunction):
-    """A transfer function in the limit in which a parameter goes to zero or infinity.
+class _AtLimit(Model if TYPE_CHECKING else object):
+    """A structure in the limit in which a parameter goes to zero or infinity.
 
     Others may go with it: of each the product or ratio that stays is a parameter in its place, such as
     ``a1_per_a2`` for a₁/a₂. With a₂ → ∞ and a₁/a₂ and a₃/a₂ kept, a₃ (s + a₄)/((s + a₄)(s + a₂) + a₁) becomes
@@ -26,7 +27,7 @@ class Limit(TransferFunction):
 
     Parameters
     ----------
-    model : TransferFunction
+    model : TransferFunction or StateSpace
     name : str
         The parameter that goes to its limit.
     size : float
@@ -43,7 +44,7 @@ class Limit(TransferFunction):
 
     def __init__(
         self,
-        model: TransferFunction,
+        model: Any,
         name: str,
         size: float,
         end: str,
@@ -59,7 +60,7 @@ class Limit(TransferFunction):
         self.end = end
         self.kept = {member: int(power) for member, power, _ in kept}
         self.value = size * BEYOND if end == "infinity" else size / BEYOND if kept else 0.0
-        self.input, self.output, self.units = model.input, model.output, model.units
+        self.units = model.units
         self.parameters = {known: p for known, p in model.parameters.items() if known not in (name, *self.kept)}
         for member, power, value in kept:
             invariant = invariant_name(member, name, power)
@@ -72,10 +73,6 @@ class Limit(TransferFunction):
         """Those of what is left."""
         values = Names({name: p.start for name, p in self.parameters.items()})
         return {name: function for name, function in self.model.derived.items() if _is_defined(function, values)}
-
-    def response(self, s: Any, p: Any) -> Any:
-        """Return that of the model, half of the digits before the limit."""
-        return self.model.response(s, Names(self.values_before(p), self.model.label))
 
     def values_before(self, p: Mapping[str, Any], value: float | None = None) -> dict[str, Any]:
         """Return the values of the model's parameters where the first has a `value`, by default that of the limit."""
@@ -90,6 +87,61 @@ class Limit(TransferFunction):
         """The structure and what goes where."""
         return f"{self.model.label}, {self.name} {'→ ∞' if self.end == 'infinity' else '→ 0' if self.kept else '= 0'}"
 
+    def _before(self, p: Mapping[str, Any]) -> Names:
+        return Names(self.values_before(p), self.model.label)
+
+
+class Limit(_AtLimit, TransferFunction):  # type: ignore[misc]
+    """A transfer function in the limit in which a parameter goes to zero or infinity, see `at_limit`."""
+
+    def __init__(self, model: TransferFunction, *limit: Any) -> None:
+        super().__init__(model, *limit)
+        self.input, self.output = model.input, model.output
+
+    def response(self, s: Any, p: Any) -> Any:
+        """Return that of the model, half of the digits before the limit."""
+        return self.model.response(s, self._before(p))
+
+
+class StateSpaceLimit(_AtLimit, StateSpace):  # type: ignore[misc]
+    """An ODE or a static model in the limit in which a parameter goes to zero or infinity, see `at_limit`."""
+
+    def __init__(self, model: StateSpace, *limit: Any) -> None:
+        super().__init__(model, *limit)
+        self.states, self.inputs, self.outputs = model.states, model.inputs, model.outputs
+        gone = {self.name, *self.kept}
+        if any(name in gone for name in model.delays.values()) and (self.kept or self.end == "infinity"):
+            raise ValueError(f"{self.name} delays an input of {model.label}: a delay can go to zero alone.")
+        self.delays = {signal: name for signal, name in model.delays.items() if name not in gone}
+
+    def derivative(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
+        """Return that of the model at the limit."""
+        return self.model.derivative(x, u, self._before(p))
+
+    def output(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
+        """Return that of the model at the limit."""
+        return self.model.output(x, u, self._before(p))
+
+    @property
+    def trim(self) -> Any:  # type: ignore[override]
+        """That of the model, where it has one."""
+        return None if self.model.trim is None else self._trim
+
+    def _trim(self, at: Any, p: Any) -> Mapping[str, Any]:
+        return self.model.trim(at, self._before(p))
+
+
+def at_limit(model: Model, name: str, size: float, end: str, kept: Sequence[tuple[str, int, float]] = ()) -> Model:
+    """Return a structure in the limit in which a parameter goes to zero or infinity.
+
+    Raises
+    ------
+    ValueError
+        For names that the model does not have, and a delay that goes elsewhere than to zero.
+    """
+    kind: Any = Limit if isinstance(model, TransferFunction) else StateSpaceLimit
+    return kind(model, name, size, end, kept)
+
 
 def invariant_name(member: str, of: str, power: int) -> str:
     """Return a name for what stays where a `member` goes as this power of another parameter."""
@@ -97,7 +149,7 @@ def invariant_name(member: str, of: str, power: int) -> str:
     return f"{member}_{'per' if power > 0 else 'times'}_{of}{times}"
 
 
-def _invariant(model: TransferFunction, name: str, size: float, member: str, power: int, value: float) -> Parameter:
+def _invariant(model: Model, name: str, size: float, member: str, power: int, value: float) -> Parameter:
     declared, other = model.parameters[member], model.parameters[name]
     start = value / size**power
     reach = SPAN * abs(start)

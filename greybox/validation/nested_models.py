@@ -192,7 +192,7 @@ def nested_test_at(place: Nesting, small: Fit, large: Fit, labels: tuple[str, st
 
 
 def ratio_test(small: Fit, large: Fit, terms: tuple[str, ...], labels: tuple[str, str]) -> NestedTest:
-    """Test a fit of responses against a larger one that is known to contain it, if only as a limit.
+    """Test a fit against a larger one that is known to contain it, if only as a limit.
 
     There the larger one has no direction that leaves the smaller, so the scale is the mean over all that it determines.
     """
@@ -203,7 +203,7 @@ def ratio_test(small: Fit, large: Fit, terms: tuple[str, ...], labels: tuple[str
     ratio = 2 * (small.cost - large.cost)
     statistic = max(ratio, 0.0) / (scale * removed)
     p_value = _p_value(statistic, removed, large.dof, on_bound=False)
-    return NestedTest(*labels, terms, ratio, scale, statistic, (removed, large.dof), p_value, SIZE)
+    return NestedTest(*labels, terms, ratio, scale, statistic, (removed, large.dof), p_value, _scaled_for(large))
 
 
 def cost_scale(fit: Fit) -> float:

@@ -15,21 +15,24 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import AnyProblem
-from greybox.data.text_table import number, one_line, text_table
+from greybox.data.record import Record
+from greybox.data.text_table import counted, number, one_line, text_table
 from greybox.estimate.fit import fit as fit_problem
 from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.identifiability import ERROR_GUIDELINE
-from greybox.estimate.result import Fit
+from greybox.estimate.result import Fit, FittedRecord
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol
-from greybox.modeling.limit import Limit, invariant_name
+from greybox.modeling.limit import at_limit, invariant_name
 from greybox.modeling.linear_response import frequency_response
-from greybox.modeling.transfer_function import TransferFunction
-from greybox.validation.common_likelihood import has_responses_alone
+from greybox.modeling.model import Model
+from greybox.modeling.realization import dynamics
+from greybox.simulation.simulate import simulate
 from greybox.validation.compare import compare
 from greybox.validation.comparison import SIGNIFICANT, Comparison, p_text
 from greybox.validation.nested_models import NestedTest, ratio_test
@@ -37,6 +40,10 @@ from greybox.validation.nested_models import NestedTest, ratio_test
 # Relative difference of two responses a factor of ten apart on the way to a limit, below which there is one: a hundred
 # times what `Limit` leaves out.
 ARRIVED = 1e-6
+
+# Times the fastest pole that there was: a limit with a faster one is too stiff for records. The limit is 2^26 away.
+STIFF = 1e3
+STIFF_IN_TIME = "too stiff in time"
 
 Direction = dict[str, int]
 
@@ -66,13 +73,14 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Tried:
-    """One candidate, with its fit and the test of it, and what was fitted; None where it failed."""
+    """One candidate, with its fit and the test of it, and what was fitted; None where it failed, or why it was not."""
 
     candidate: Candidate
     fit: Fit | None
     test: NestedTest | None
     taken: bool = False
     problem: AnyProblem | None = None
+    why_not: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +94,7 @@ class Reduction:
     fit : Fit
         That of the reduced structure; the same where none was found.
     tried : tuple of Tried
-        All ends at which the response has a limit, in the order in which they were fitted.
+        All ends at which what the model says of the data has a limit, in the order in which they were fitted.
     test : NestedTest or None
         Of the reduced structure against the large one.
     comparison : Comparison or None
@@ -113,7 +121,7 @@ class Reduction:
             failed = one.fit is None or one.test is None
             cells = ["-", "-"] if failed else [number(one.fit.cost), p_text(one.test.p_value)]  # type: ignore[union-attr]
             rejected = not failed and one.test.p_value < SIGNIFICANT  # type: ignore[union-attr]
-            rows.append([str(one.candidate), *cells, "taken" if one.taken else "rejected" if rejected else ""])
+            rows.append([str(one.candidate), *cells, "taken" if one.taken else "rejected" if rejected else one.why_not])
         if rows:
             table = text_table(["limit", "cost", "test", ""], rows, left=(0, 3))
             lines += [*("  " + line for line in table.splitlines()), ""]
@@ -124,16 +132,21 @@ class Reduction:
     @property
     def _title(self) -> str:
         free = len(self.large.free)
+        stiff = [str(one.candidate) for one in self.tried if one.why_not]
         if not self.tried:
             return (
                 f"{self.large.name}: not reduced; no parameter with an error above {100 * ERROR_GUIDELINE:.0f} % has "
-                "an end at which the response has a limit."
+                "an end at which what the model says of the data has a limit."
             )
         if not self.taken:
-            return f"{self.large.name}: not reduced; the data reject every limit at {100 * SIGNIFICANT:.0f} %."
+            rejected = f"the data reject every {'other ' if stiff else ''}limit at {100 * SIGNIFICANT:.0f} %"
+            said = [] if len(stiff) == len(self.tried) else [rejected]
+            if stiff:
+                said.append(f"the equations are too stiff in time for {' or '.join(stiff)}: write those of the limit")
+            return f"{self.large.name}: not reduced; {', and '.join(said)}."
         return (
-            f"{self.large.name}: {len(self.fit.free)} parameters instead of {free}, cost {number(self.fit.cost, 4)} "
-            f"against {number(self.large.cost, 4)}: {'; '.join(map(str, self.taken))}."
+            f"{self.large.name}: {counted(len(self.fit.free), 'parameter')} instead of {free}, cost "
+            f"{number(self.fit.cost, 4)} against {number(self.large.cost, 4)}: {'; '.join(map(str, self.taken))}."
         )
 
 
@@ -143,7 +156,8 @@ def reduce(fit: Fit, *, problem: AnyProblem | None = None, starts: int = 8) -> R
     Parameters
     ----------
     fit : Fit
-        Of frequency responses.
+        Of frequency responses, of records, or of both. In time a limit with poles far above those of the structure is
+        told and not fitted: it asks for other equations.
     problem : Problem or Sum, optional
         What was fitted; needed where it has ties, constraints, or values fixed by an earlier fit.
     starts : int
@@ -159,15 +173,13 @@ def reduce(fit: Fit, *, problem: AnyProblem | None = None, starts: int = 8) -> R
     Raises
     ------
     ValueError
-        For a fit without an estimate, of records, or whose problem cannot be stated again.
+        For a fit without an estimate, with manoeuvres or a-priori knowledge, or whose problem cannot be stated again.
     """
     if not fit.converged:
         raise ValueError(f"the fit {fit.name!r} has no estimate to reduce: {fit.status}.")
-    if not has_responses_alone(fit):
-        raise ValueError(
-            f"the fit {fit.name!r} has other data than frequency responses, for which no structure is reduced: fix "
-            "parameters instead."
-        )
+    if fit.spectra or fit.priors:
+        what = "manoeuvres" if fit.spectra else "a-priori knowledge"
+        raise ValueError(f"the fit {fit.name!r} has {what}, with which nothing is reduced: fix parameters instead.")
     stated = problem_of(fit) if problem is None else problem
     if set(_free(stated)) != set(fit.free):
         raise ValueError(f"problem {stated.name!r} has other unknowns than the fit: give the one fitted.")
@@ -198,7 +210,12 @@ def _step(fit: Fit, problem: AnyProblem, starts: int) -> list[Tried]:
     found = []
     for candidate in _candidates(fit):
         smaller = _at_limit(problem, candidate, fit)
-        if smaller is None or not _has_limit(smaller, fit):
+        if smaller is None:
+            continue
+        if _is_stiff(smaller, problem, fit):
+            found.append(Tried(candidate, None, None, why_not=STIFF_IN_TIME))
+            continue
+        if not _has_limit(smaller, problem, fit):
             continue
         known = {name: value for name, value in fit.estimate.items() if name in _free(smaller)}
         reduced = fit_problem(smaller, [known, Sobol(starts, 0)], profiles=False, progress=False)
@@ -308,10 +325,10 @@ def _part_at_limit(part: Problem, candidate: Candidate, fit: Fit) -> Problem | N
     if not present:
         return part
     first, *others = candidate.powers
-    if first not in present or not isinstance(part.model, TransferFunction):
+    if not set(present) <= set(part.model.parameters) or first not in present:  # a bias of a sensor, or a gain
         return None
     kept = [(inside[name], candidate.powers[name], fit.estimate[name]) for name in others if name in present]
-    model = Limit(part.model, inside[first], fit.estimate[first], candidate.end, kept)
+    model = at_limit(part.model, inside[first], fit.estimate[first], candidate.end, kept)
     gone = {inside[name] for name in present}
     rename = {name: outside for name, outside in part.rename.items() if name not in gone}
     for name in others:
@@ -326,35 +343,85 @@ def _part_at_limit(part: Problem, candidate: Candidate, fit: Fit) -> Problem | N
     return part.with_(model=model, rename=rename, free=free, bounds=bounds, starts=box)
 
 
-def _has_limit(problem: AnyProblem, fit: Fit) -> bool:
-    """Tell whether the response has a finite limit that is not zero, of every part, at the estimate."""
-    for part in problem.parts:
-        if not isinstance(part.model, Limit):
+def _has_limit(problem: AnyProblem, before: AnyProblem, fit: Fit) -> bool:
+    """Tell whether what the model says of its data has a finite limit that is not zero, in every part."""
+    for k, (part, old) in enumerate(zip(problem.parts, before.parts, strict=True)):
+        if part.model is old.model:
             continue
-        model, data = part.model, part.response
-        p = {
-            name: fit.estimate.get(part.outside(name), parameter.start) for name, parameter in model.parameters.items()
-        }
+        model: Any = part.model
+        p = _values(part, fit)
         near = [
-            _response(model.model, model.values_before(p, value), data.omega)
+            _said(old, model.values_before(p, value), fit, k)
             for value in (model.value, model.value * (10 if model.end == "infinity" else 0.1))
         ]
         if not all(np.all(np.isfinite(r)) for r in near):
             return False
-        size = np.abs(data.response)
-        if np.any(np.abs(near[0] - near[1]) > ARRIVED * np.abs(near[0])) or np.all(np.abs(near[0]) < ARRIVED * size):
+        size, measured = np.abs(near[0]), _measured(part, fit, k)
+        if isinstance(part.data, Record):  # whose outputs pass through zero
+            size = np.broadcast_to(size.max(axis=-1, keepdims=True), size.shape)
+        if np.any(np.abs(near[0] - near[1]) > ARRIVED * size) or np.all(size < ARRIVED * measured):
             return False
     return True
 
 
-def _response(
-    model: TransferFunction, values: Mapping[str, float], omega: NDArray[np.float64]
-) -> NDArray[np.complex128]:
+def _measured(part: Problem, fit: Fit, k: int) -> NDArray[np.float64]:
+    """Return the size of what was measured: of every point of a response (n,), of every output (outputs, 1)."""
+    if not isinstance(part.data, Record):
+        return np.abs(part.response.response)
+    return np.array([[np.nanmax(np.abs(part.data[name]))] for name in _record(fit, k).outputs])
+
+
+def _record(fit: Fit, k: int) -> FittedRecord:
+    part = fit.parts[k]
+    assert isinstance(part, FittedRecord)
+    return part
+
+
+def _values(part: Problem, fit: Fit) -> dict[str, float]:
+    """Return the values of the model's parameters at the estimate, as far as it has them."""
+    return {
+        name: fit.estimate.get(part.outside(name), parameter.start) for name, parameter in part.model.parameters.items()
+    }
+
+
+def _said(part: Problem, values: Mapping[str, float], fit: Fit, k: int) -> NDArray[Any]:
+    """Return what the model says of the data of a part: a response (n,), or outputs (outputs, n); NaN if nothing.
+
+    Records are simulated from the initial states of the fit.
+    """
     with np.errstate(all="ignore"):
         try:
-            return frequency_response(model, values, omega).response
+            if isinstance(part.data, Record):
+                record, inputs = _record(fit, k), getattr(part.criterion, "inputs", None)
+                found = simulate(part.model, values, part.data, initial=record.initial, inputs=inputs)
+                return np.array([found[name] for name in record.outputs])
+            pair = {"input": part.response.input, "output": part.response.output}
+            return frequency_response(part.model, values, part.response.omega, **pair, at=part.at).response
         except (ValueError, ArithmeticError):
-            return np.full(len(omega), np.nan, dtype=complex)
+            return np.full(1, np.nan)
+
+
+def _is_stiff(problem: AnyProblem, before: AnyProblem, fit: Fit) -> bool:
+    """Tell whether the limit has poles far above those that there were, in a part that is a record."""
+    for k, (part, old) in enumerate(zip(problem.parts, before.parts, strict=True)):
+        if not isinstance(part.data, Record) or part.model is old.model:
+            continue
+        poles = [_fastest(each.model, _values(each, fit), _record(fit, k).initial) for each in (part, old)]
+        if not poles[0] <= STIFF * poles[1]:
+            return True
+    return False
+
+
+def _fastest(model: Model, values: Mapping[str, float], initial: Mapping[str, NDArray[np.float64]]) -> float:
+    """Return the largest |pole| about the first initial state, with the inputs at rest."""
+    system = dynamics(model)
+    x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
+    slope = ca.jacobian(system.derivative(x, u, [values[name] for name in system.parameters]), x)
+    state = [float(initial[name][0]) if name in initial else 0.0 for name in system.states]
+    matrix = ca.Function("A", [x, u], [ca.densify(slope)])(state, np.zeros(len(system.inputs))).full()
+    if not np.all(np.isfinite(matrix)):
+        return math.inf
+    return float(np.abs(np.linalg.eigvals(matrix)).max(initial=0.0)) if matrix.size else 0.0
 
 
 def _exponent(power: int) -> str:

@@ -5,8 +5,7 @@ import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 
 import greybox as gb
-from greybox.modeling.limit import Limit
-from greybox.models.tilt import LinearTilt
+from greybox.modeling.limit import Limit, at_limit
 from greybox.models.yaw import YawAngle
 from greybox.problems import pitch_hover, yaw_hover
 from greybox.validation.reduction import _directions
@@ -117,5 +116,86 @@ def test_what_cannot_be_reduced_is_told(yaw):
     tied = gb.fit(gb.Problem(YawAngle(), yaw_hover.data(), tied={"a4": lambda p: 0.01 * p.a2}), starts=2)
     with pytest.raises(ValueError, match="has ties"):
         gb.reduce(tied)
-    states = gb.Problem(LinearTilt(), pitch_hover.data(), at={"theta": 0.0}, free=["T_delay"])
-    assert gb.reduce(gb.fit(states, starts=2)).taken == ()  # an ODE has no such limits
+    known = gb.fit(gb.Problem(YawAngle(), yaw_hover.data(), prior={"a4": (5.6, 0.2)}), starts=2)
+    with pytest.raises(ValueError, match="has a-priori knowledge, with which nothing is reduced"):
+        gb.reduce(known)
+
+
+# --- equations in time
+
+
+class TwoGains(gb.StateSpace):
+    """A lag whose gain is a product."""
+
+    states, inputs, outputs = ("y",), ("u",), ("y",)
+    K = gb.Parameter(2.0, bounds=(0.01, 100))
+    M = gb.Parameter(1.5, bounds=(0.01, 100))
+    a = gb.Parameter(1.0, bounds=(0.01, 50))
+
+    def derivative(self, x, u, p):
+        return (p.K * p.M * u.u - p.a * x.y,)
+
+    def output(self, x, u, p):
+        return (x.y,)
+
+
+class FastLag(gb.StateSpace):
+    """A lag behind a delay and a lag that is too fast to be seen."""
+
+    states, inputs, outputs = ("y", "z"), ("u",), ("y",)
+    delays = {"u": "tau"}
+    a = gb.Parameter(1.0, bounds=(0.01, 50))
+    w = gb.Parameter(500.0, bounds=(1, 1e5))
+    tau = gb.Parameter(0.0, bounds=(0, 0.1), fixed=True)
+
+    def derivative(self, x, u, p):
+        return (x.z - p.a * x.y, p.w * (u.u - x.z))
+
+    def output(self, x, u, p):
+        return (x.y,)
+
+
+def flown(model, values):
+    time = np.arange(120) / 10
+    u = np.sin(time) + np.sin(2.7 * time)
+    y = gb.simulate(model, values, gb.Record(time, {"u": u}))["y"]
+    return gb.Record(time, {"u": u, "y": y + 0.02 * np.random.default_rng(0).normal(size=time.size)})
+
+
+def test_a_product_of_gains_in_time_is_one_parameter(tmp_path):
+    """Held against the fit of the structure written by hand."""
+    values = {"K": 2.0, "M": 1.5, "a": 1.0}
+    record, criterion = flown(TwoGains(), values), gb.OutputError(inputs="linear")
+    large = gb.fit(gb.Problem(TwoGains(), record, criterion), starts=[values], progress=False)
+    found = gb.reduce(large, starts=1)
+    by_hand = gb.fit(gb.Problem(TwoGains(), record, criterion, fixed={"M": 1.0}), starts=[{"K": 3.0, "a": 1.0}], progress=False)
+    assert [str(one) for one in found.taken] in (["K → ∞, M·K kept"], ["K → 0, M·K kept"])
+    assert found.fit.estimate["M_times_K"] == pytest.approx(by_hand.estimate["K"], rel=1e-5)
+    assert found.fit.standard_error["M_times_K"] == pytest.approx(by_hand.standard_error["K"], rel=1e-3)
+    assert found.fit.cost == pytest.approx(by_hand.cost, abs=1e-4)
+    assert "for residuals that are correlated in time" in str(found.test)
+    gb.save(found.fit, tmp_path / "gains.h5")
+    loaded = gb.load(tmp_path / "gains.h5", models=[TwoGains])
+    assert loaded.estimate == found.fit.estimate
+
+
+def test_an_ode_is_reduced_by_its_responses_and_its_stiff_limit_in_time_is_told():
+    values = {"a": 1.0, "w": 500.0}
+    omega = np.geomspace(0.1, 10, 15)
+    data = measured(FastLag(), omega, values, noise=0.03)
+    found = gb.reduce(gb.fit(gb.Problem(FastLag(), data), starts=[values]), starts=1)
+    assert [str(one) for one in found.taken] == ["w → ∞"]
+    by_hand = 1 / (1j * omega + found.fit.estimate["a"])
+    np.testing.assert_allclose(found.fit.responses[0].response, by_hand, rtol=2e-8)
+
+    in_time = gb.Problem(FastLag(), flown(FastLag(), values), gb.OutputError(inputs="linear"))
+    told = gb.reduce(gb.fit(in_time, starts=[values], progress=False), starts=1)
+    assert "the equations are too stiff in time for w → ∞: write those of the limit" in str(told)
+    assert next(one for one in told.tried if one.why_not).fit is None
+
+
+def test_a_delay_goes_to_zero_alone():
+    assert at_limit(FastLag(), "tau", 0.01, "zero").delays == {}
+    assert at_limit(FastLag(), "w", 1.0, "infinity").delays == {"u": "tau"}
+    with pytest.raises(ValueError, match="tau delays an input of FastLag: a delay can go to zero alone"):
+        at_limit(FastLag(), "tau", 0.01, "infinity")
