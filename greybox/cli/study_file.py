@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.cli.options import UsageError
-from greybox.cli.stated_problem import stated_problem
+from greybox.cli.stated_problem import METHODS, stated_problem
 from greybox.data.safe_files import require_file
 from greybox.data.text_table import alternatives
 from greybox.modeling.model_file import module_from_file
@@ -20,7 +20,10 @@ from greybox.study.batch import Member, require_distinct
 
 # What a [[member]] states: in a list, one value for each of several members.
 GRID = ("problem", "criterion", "delay", "fix", "seed", "search")
-SINGLE = ("name", "model", "through", "data", "input", "output", "at", "free", "starts", "bounds")
+SINGLE = (
+    *("name", "model", "through", "data", "input", "output", "at", "free", "bounds", "start", "starts_box", "prior"),
+    *("columns", "method", "starts"),
+)
 SETTINGS = ("starts", "seed")  # of the whole file
 
 
@@ -47,9 +50,9 @@ def read_study_file(path: Path, starts: int | None = None) -> list[Member]:
     """Return the members that a study file states; `starts`, if given, are those of every member.
 
     In TOML every ``[[member]]`` has a ``problem`` (an included one, or a file beside the study file, as of ``greybox
-    fit``) or a ``model`` with ``data``, and ``criterion, delay, fix, free, bounds, at, input, output, starts, seed,
-    search, name``. Lists of ``problem, criterion, delay, fix, seed, search`` make a grid. In Python ``members()``
-    returns a list of `greybox.study.Member`.
+    fit``) or a ``model`` with ``data``, and ``criterion, delay, fix, free, bounds, start, starts_box, prior, at,
+    input, output, columns, method, starts, seed, search, name``, as the options of ``greybox fit``. Lists of ``problem,
+    criterion, delay, fix, seed, search`` make a grid. In Python ``members()`` returns a list of `greybox.study.Member`.
 
     Raises
     ------
@@ -131,19 +134,19 @@ def _member(stated: Mapping[str, Any], varied: list[str], path: Path) -> tuple[s
     options = argparse.Namespace(
         problem=_beside(_text(stated, "problem"), folder),
         model=_beside(_text(stated, "model"), folder),
-        data=[folder / stated["data"]] if "data" in stated else None,
+        data=[folder / name for name in _data(stated)] or None,
         through=[filtered] if (filtered := _text(stated, "through")) else [],
         input=_text(stated, "input") or "",
         output=_text(stated, "output") or "",
         at=_assigned(stated, "at"),
         fix=_assigned(stated, "fix"),
         free=_list(stated, "free"),
-        bounds=_bounded(stated),
-        start=[],
-        starts_box=[],
-        prior=[],
-        columns=[],
-        method=None,
+        bounds=[f"{name}={low!r}:{high!r}" for name, (low, high) in _pairs(stated, "bounds").items()],
+        start=_assigned(stated, "start"),
+        starts_box=[f"{name}={low!r}:{high!r}" for name, (low, high) in _pairs(stated, "starts_box").items()],
+        prior=[f"{name}={mean!r}+-{sigma!r}" for name, (mean, sigma) in _pairs(stated, "prior", "mean, sigma").items()],
+        columns=_list(stated, "columns"),
+        method=_method(stated),
         delay=_text(stated, "delay"),
         criterion=_text(stated, "criterion"),
     )
@@ -195,19 +198,30 @@ def _list(stated: Mapping[str, Any], name: str) -> list[str]:
 
 
 def _assigned(stated: Mapping[str, Any], name: str) -> list[str]:
-    """Return what the command line would have after ``--fix`` or ``--at``."""
+    """Return what the command line would have after ``--fix``, ``--start`` or ``--at``."""
     value = stated.get(name, {})
     if not isinstance(value, dict) or not all(type(number) in (int, float) for number in value.values()):
         raise UsageError(f"{name} = {value!r:.40} is not understood: give a table {{name = number}}.")
     return [f"{key}={number!r}" for key, number in value.items()]
 
 
-def _bounded(stated: Mapping[str, Any]) -> list[str]:
-    """Return what the command line would have after ``--bounds``."""
-    value = stated.get("bounds", {})
+def _data(stated: Mapping[str, Any]) -> list[str]:
+    return [stated["data"]] if isinstance(stated.get("data"), str) else _list(stated, "data")
+
+
+def _method(stated: Mapping[str, Any]) -> str | None:
+    name = _text(stated, "method")
+    if name is not None and name not in METHODS:
+        raise UsageError(f"method {name!r:.40} is not known; use {alternatives(name, METHODS)}")
+    return name
+
+
+def _pairs(stated: Mapping[str, Any], name: str, ends: str = "low, high") -> dict[str, list[float]]:
+    """Return pairs of numbers by the names of parameters."""
+    value = stated.get(name, {})
     pairs = value.values() if isinstance(value, dict) else [None]
     if not all(
         isinstance(pair, list) and [type(end) in (int, float) for end in pair] == [True, True] for pair in pairs
     ):
-        raise UsageError(f"bounds = {value!r:.40} is not understood: give a table {{name = [low, high]}}.")
-    return [f"{name}={low!r}:{high!r}" for name, (low, high) in value.items()]
+        raise UsageError(f"{name} = {value!r:.40} is not understood: give a table {{name = [{ends}]}}.")
+    return value

@@ -6,6 +6,10 @@ import numpy as np
 import pytest
 from command_line import OWN, QUICK, RECORD, refused, run
 
+import greybox as gb
+from greybox.cli.options import UsageError
+from greybox.cli.study_file import read_study_file
+
 HERTZ = np.array([0.1, 0.3, 0.9, 2.0])
 RESPONSE = 3 / (0.2j * 2 * np.pi * HERTZ + 1)
 TRUTH = {"K": 3.0, "T": 0.2}
@@ -99,3 +103,22 @@ def test_a_study_states_bounds_too(capsys, own, tmp_path):
     assert json.loads(out)["members"][0]["answer"]["at_bound"] == ["K"]
     (tmp_path / "wrong.toml").write_text(f'[[member]]\nproblem = "{name}"\nbounds = {{K = 2}}\n')
     assert "give a table {name = [low, high]}" in refused(capsys, "batch", "wrong.toml", "--out", "other")
+
+
+def test_a_study_states_starts_boxes_and_methods_as_the_options_do(own, tmp_path):
+    stated = f"""[[member]]
+problem = "{own()}"
+start = {{K = 1.5}}
+starts_box = {{K = [1, 2]}}
+"""
+    (tmp_path / "study.toml").write_text(stated)
+    (member,) = read_study_file(tmp_path / "study.toml")
+    (part,) = member.problem.parts
+    assert part.parameters["K"].start == 1.5
+    assert part.parameters["K"].starts == (1.0, 2.0)
+    (tmp_path / "drag.toml").write_text('[[member]]\nproblem = "sitl_drag"\nmethod = "single-shooting"\n')
+    (drag,) = read_study_file(tmp_path / "drag.toml")
+    assert drag.method == gb.SingleShooting()
+    (tmp_path / "bad.toml").write_text('[[member]]\nproblem = "sitl_drag"\nmethod = "single"\n')
+    with pytest.raises(UsageError, match="use multiple-shooting, single-shooting"):
+        read_study_file(tmp_path / "bad.toml")

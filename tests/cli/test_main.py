@@ -43,7 +43,7 @@ def test_both_commands_are_the_same():
         (["list", "tilt:Tlit"], "did you mean 'Tilt'?"),
         (
             ["refit"],
-            "there is no 'refit'; there are list, inspect, identify, response, fit, plot, profile, bootstrap, batch,",
+            "there is no 'refit'; there are list, inspect, identify, response,",
         ),
         (["fit", "pitch_hover", "--stars", "5"], "unrecognized arguments: --stars 5, did you mean --starts?"),
         (["fit", "pitch_hover", "--fix", "t_delay=0"], "did you mean 'T_delay'?"),
