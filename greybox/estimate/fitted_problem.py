@@ -25,6 +25,7 @@ def problem_of(fit: Fit) -> AnyProblem:
     """
     held = {q.name: q for q in fit.quantities if q.kind == "fixed"}
     bounds = {q.name: q.bounds for q in fit.quantities if q.kind == "free"}
+    boxes = {q.name: q.box for q in fit.quantities if q.kind == "free" and q.box != q.bounds}
     uncertain = [q.name for q in held.values() if q.standard_error != 0]
     problems = []
     for k, part in enumerate(fit.parts):
@@ -56,6 +57,7 @@ def problem_of(fit: Fit) -> AnyProblem:
                 weight=part.weight,
                 name=part.name,
                 bounds={name: bounds[outside[name]] for name in declared if outside[name] in bounds},
+                starts={name: boxes[outside[name]] for name in declared if outside[name] in boxes},
                 **asked,
             )
         )

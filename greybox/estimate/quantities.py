@@ -81,6 +81,7 @@ def _parameter(nlp: Nlp, accuracy: Accuracy, name: str, value: float) -> Quantit
         unit=declared.unit,
         about=declared.about,
         bounds=declared.bounds,
+        box=declared.box,
         at_bound=name in accuracy.at_bound,
     )
 

@@ -53,7 +53,8 @@ class Quantity:
     value, standard_error : float
         NaN for what is not known.
     kind : "free", "fixed", "tied" or "derived"
-    bounds : (float, float)
+    bounds, box : (float, float)
+        Of the estimate, and of the starts that were drawn.
     at_bound : bool
     dof : float
         Degrees of freedom of Student's t for its interval.
@@ -68,6 +69,7 @@ class Quantity:
     bounds: tuple[float, float] = (-math.inf, math.inf)
     at_bound: bool = False
     dof: float = math.inf
+    box: tuple[float, float] = (-math.inf, math.inf)
 
     def __repr__(self) -> str:
         value, error = with_error(self.value, self.standard_error)

@@ -72,6 +72,7 @@ from greybox.solve.outcome import POLISHED, Run
 
 KIND = "fit"
 LAYOUT = 3
+_QUANTITY_NUMBERS = ("value", "standard_error", "bounds", "at_bound", "dof", "box")
 _PART_TEXTS = ("name", "rule", "condition", "delay", "label", "equation")
 _PROFILE_NUMBERS = ("estimate", "standard_error")
 _PROFILE_COLUMNS = ("values", "costs", "roots")
@@ -141,7 +142,7 @@ def _write(file: Node, fit: Fit) -> None:
     group = file.create_group("quantities")
     for column in ("name", "kind", "unit", "about"):
         _texts(group, column, [getattr(q, column) for q in fit.quantities])
-    for column in ("value", "standard_error", "bounds", "at_bound", "dof"):
+    for column in _QUANTITY_NUMBERS:
         group[column] = np.array([getattr(q, column) for q in fit.quantities])
     _texts(file, "covariance/names", fit.names)
     file["covariance/values"] = fit.covariance
@@ -385,7 +386,7 @@ def _read_costs(stored: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _read_quantities(group: Stored) -> tuple[Quantity, ...]:
-    rows = _rows(group, ("name", "kind", "unit", "about"), ("value", "standard_error", "bounds", "at_bound", "dof"))
+    rows = _rows(group, ("name", "kind", "unit", "about"), _QUANTITY_NUMBERS)
     for row in rows:
         _require(row["kind"] in ("free", "fixed", "tied", "derived"), f"{row['kind']!r:.40} is not a kind of quantity")
     return tuple(
@@ -394,6 +395,7 @@ def _read_quantities(group: Stored) -> tuple[Quantity, ...]:
             value=float(row["value"]),
             standard_error=float(row["standard_error"]),
             bounds=(float(row["bounds"][0]), float(row["bounds"][1])),
+            box=(float(row["box"][0]), float(row["box"][1])),
             at_bound=bool(row["at_bound"]),
             dof=float(row["dof"]),
         )

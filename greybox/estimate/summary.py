@@ -42,6 +42,7 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
         "dof": finite(result.dof),
         "covariance": {"names": list(result.names), "values": _rows(result.covariance)},
         "bounds": _pairs({q.name: q.bounds for q in parameters if q.kind == "free"}),
+        "starts_box": _pairs({q.name: q.box for q in parameters if q.kind == "free"}),
         "unit": {q.name: q.unit for q in parameters},
         "fixed": all_finite({q.name: q.value for q in parameters if q.kind == "fixed"}),
         "tied": [q.name for q in parameters if q.kind == "tied"],

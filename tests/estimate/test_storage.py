@@ -62,7 +62,8 @@ def assert_same(a, b):
     assert str(a) == str(b)
     for mine, other in zip(a.quantities, b.quantities, strict=True):
         assert_array_equal(
-            [mine.value, mine.standard_error, *mine.bounds], [other.value, other.standard_error, *other.bounds]
+            [mine.value, mine.standard_error, *mine.bounds, *mine.box],
+            [other.value, other.standard_error, *other.bounds, *other.box],
         )
         words = [(q.name, q.kind, q.unit, q.about, q.at_bound) for q in (mine, other)]
         assert words[0] == words[1]

@@ -67,10 +67,12 @@ def test_bounds_of_parts_intersect_and_names_are_those_of_the_model():
 
 
 def test_what_judges_a_fit_later_knows_its_bounds(tmp_path):
-    found = fit(gb.Problem(Lag(), LAG, bounds={"K": (2.5, 5)}))
+    found = fit(gb.Problem(Lag(), LAG, bounds={"K": (2.5, 5)}, starts={"K": (3, 4)}))
     gb.save(found, tmp_path / "fit.h5")
     loaded = gb.load(tmp_path / "fit.h5", models=[Lag])
     assert problem_of(loaded).parameters["K"].bounds == (2.5, 5)
+    assert problem_of(loaded).parameters["K"].box == (3, 4)
+    assert loaded.to_dict()["starts_box"]["K"] == [3, 4]
     assert loaded.at_estimate().declared["K"].bounds == (2.5, 5)
 
 
