@@ -16,17 +16,12 @@ from numpy.typing import NDArray
 
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import Placed, RecordPart
+from greybox.compiled.riccati import reached, steady_state_gain
 
 Array = NDArray[np.float64]
 
 # Excerpts, evenly over a record, on which candidates of a gain are compared.
 EXCERPTS = 3
-
-# Doublings of the time after which a filter counts as steady: 2^60 samples.
-DOUBLINGS = 60
-
-# Relative change of a covariance from one doubling to the next that is rounding.
-STEADY = 1e-12
 
 # Of the distance between the stability limit and the unit circle: a pole this close has come to the limit. Steps go at
 # most 0.9 of the way to it, and two of them come within 0.01.
@@ -41,15 +36,18 @@ class KalmanGain:
     ----------
     part : RecordPart
     states, outputs, places : (g,) arrays
-        State and output of every entry, and its place among the declared parameters.
+        State and output of every entry, and its place among the parameters of a sample.
+    unknowns : (u,) array
+        Places of what is estimated: these entries, or the sizes of the noise from which they follow.
     names : tuple of str
-        Of the entries, as the problem knows them.
+        Of what is estimated, as the problem knows it.
     """
 
     part: RecordPart
     states: NDArray[np.integer]
     outputs: NDArray[np.integer]
     places: NDArray[np.integer]
+    unknowns: NDArray[np.integer]
     names: tuple[str, ...]
 
     @cached_property
@@ -97,11 +95,9 @@ class KalmanGain:
         return np.real(np.conj(poles)[:, None] * slopes) / size[:, None], self.limit - np.abs(poles)
 
     def _reached(self, A: Array) -> Array:
-        reached = np.zeros(len(A), dtype=bool)
-        reached[self.states] = True
-        for _ in range(len(A)):
-            reached |= (A[:, reached] != 0).any(axis=1)
-        return A[np.ix_(reached, reached)]
+        noise = self.part.noise_model
+        found = reached(A, self.states if noise is None else noise.driven)
+        return A[np.ix_(found, found)]
 
     def excerpt_cost(self, nodes: Array, placed: Placed) -> float:
         """Return about what a simulation costs, by excerpts that begin at their own of the nodes (s, n)."""
@@ -126,31 +122,39 @@ class KalmanGain:
         return [(int(first), int(min(size, rest))) for first, rest in zip(firsts, left, strict=True)]
 
     def steady_state(self, trajectory: Trajectory, process: Sequence[Array]) -> list[Array | None]:
-        """Return the entries (g,) of steady Kalman filters, None where the predictor would not be stable.
+        """Return the unknowns (u,) of steady Kalman filters, None where the predictor would not be stable.
 
-        For process noise of variances (n,) a sample in the states that are corrected, and the residuals of the
-        trajectory as measurement noise.
+        For process noise of variances (n,) a sample in the states that are corrected, or driven, and the residuals of
+        the trajectory as measurement noise.
         """
         placed = trajectory.detail.placed
         q = placed.q.copy()
         q[self.places] = 0
         F, C = self.part.segments.mean_transition(trajectory.detail.states, q, placed.data)
-        root = self.part.covariance.weight(trajectory.products)
-        corrected = np.isin(np.arange(len(F)), self.states)
-        result: list[Array | None] = []
-        for variance in process:
-            gain = steady_state_gain(F, root @ C, np.where(corrected, variance, 0.0)) @ root
-            K = np.zeros_like(gain)
-            K[self.states, self.outputs] = entries = gain[self.states, self.outputs]
-            stable = spectral_radius(self._reached(F @ (np.eye(len(F)) - K @ C))) < self.limit
-            result.append(entries if stable else None)
-        return result
+        covariance = self.part.covariance.covariance(trajectory.products)
+        return [self._steady_state(F, C, covariance, q, variance) for variance in process]
 
-    def placed(self, trajectory: Trajectory, z: Array, entries: Array) -> Array:
-        """Return the point z (p,) with these entries (g,) of the gain, where a single variable sets them."""
+    def _steady_state(self, F: Array, C: Array, covariance: Array, q: Array, variance: Array) -> Array | None:
+        noise = self.part.noise_model
+        K = np.zeros((len(F), len(C)))
+        if noise is None:
+            root = np.linalg.inv(np.linalg.cholesky(covariance))
+            corrected = np.isin(np.arange(len(F)), self.states)
+            gain = steady_state_gain(F, root @ C, np.where(corrected, variance, 0.0)) @ root
+            K[self.states, self.outputs] = unknowns = gain[self.states, self.outputs]
+        else:
+            intensities, deviations = np.sqrt(variance[noise.driven] / noise.step), np.sqrt(np.diag(covariance))
+            unknowns, q = np.concatenate([intensities, deviations]), q.copy()
+            q[self.unknowns] = unknowns
+            K = noise.at(q).gain
+        stable = spectral_radius(self._reached(F @ (np.eye(len(F)) - K @ C))) < self.limit
+        return unknowns if stable else None
+
+    def placed(self, trajectory: Trajectory, z: Array, values: Array) -> Array:
+        """Return the point z (p,) with these values (u,) of the unknowns, where a single variable sets them."""
         slope, z = trajectory.detail.placed.slope, z.copy()
         active = self.part.model.active.tolist()
-        for k, value in zip(self.places.tolist(), entries, strict=True):
+        for k, value in zip(self.unknowns.tolist(), values, strict=True):
             row = slope[active.index(k)] if k in active else np.zeros(len(z))
             (of,) = np.nonzero(row)
             if len(of) == 1:
@@ -163,49 +167,18 @@ def kalman_gain(part: Part) -> KalmanGain | None:
     if not part.gains:
         return None
     part = cast(RecordPart, part)  # whose states the gain corrects
-    names = [f"K_{state}_{output}" for state, output in part.gains]
-    declared = list(part.model.parameters)
+    names = list(part.model.parameters)
+    places = np.array([names.index(f"K_{state}_{output}") for state, output in part.gains], dtype=int)
+    noise = part.noise_model
+    unknowns = places if noise is None else np.concatenate([noise.intensities, noise.deviations])
     return KalmanGain(
         part,
         states=np.array([part.system.states.index(state) for state, _ in part.gains], dtype=int),
         outputs=np.array([part.outputs.index(output) for _, output in part.gains], dtype=int),
-        places=np.array([declared.index(name) for name in names], dtype=int),
-        names=tuple(part.model.outside_names[declared.index(name)] for name in names),
+        places=places,
+        unknowns=unknowns,
+        names=tuple(part.model.outside_names[k] for k in unknowns),
     )
-
-
-@np.errstate(over="ignore", invalid="ignore")
-def steady_state_gain(F: Array, C: Array, process: Array) -> Array:
-    """Return the gain (n, k) of the steady Kalman filter of x[k+1] = F (x[k] + K e[k]) + w, y = C x + v; NaN without.
-
-    `process` (n,) are the variances of w; v has unit variances. By the structure-preserving doubling algorithm, which
-    needs as many iterations as the filter takes doublings of the sample to settle.
-    Source: Chu, Fan, Lin, Wang (2004), International Journal of Control 77(8); Simon (2006), Optimal State Estimation,
-    section 7.3.
-    """
-    n = len(F)
-    size = np.sqrt(np.where(process > 0, process, process.max(initial=0.0)))
-    A = F.T * size[:, None] / size
-    scaled = C * size
-    G = scaled.T @ scaled
-    H = np.diag(process / size**2)
-    eye = np.eye(n)
-    for _ in range(DOUBLINGS):
-        if not np.all(np.isfinite(A)) or not np.all(np.isfinite(H)):
-            break
-        try:
-            both = np.linalg.solve(eye + G @ H, np.hstack([A, G]))
-        except np.linalg.LinAlgError:
-            break
-        step, gramian = both[:, :n], both[:, n:]
-        change = A.T @ H @ step
-        G = G + A @ gramian @ A.T
-        A = A @ step
-        H = H + (change + change.T) / 2
-        if np.abs(change).max() <= STEADY * np.abs(H).max():
-            P = H * size * size[:, None]
-            return np.linalg.solve(C @ P @ C.T + np.eye(len(C)), C @ P).T.astype(float)
-    return np.full((n, len(C)), np.nan)
 
 
 def spectral_radius(A: Array) -> float:

@@ -25,6 +25,7 @@ from greybox.compiled.residual_covariance import (
     require_independent,
     residual_covariance_of,
 )
+from greybox.compiled.riccati import NoiseModel, SteadyFilter, noise_model
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.sampled_data import SampledData, joined, sampled_data
 from greybox.compiled.segments import Linearization, Segments
@@ -66,6 +67,8 @@ class Placed:
         The data, with the inputs placed for these delays.
     initial, initial_slope : (n,) and (n, active) arrays, with `records` before where they have their own
         Known initial states and their derivatives by the active parameters; NaN where a state is unknown.
+    filter : SteadyFilter or None
+        That of the process noise, where it is estimated; its gain is in `q` and `slope`.
     """
 
     q: Array
@@ -73,6 +76,7 @@ class Placed:
     data: Array
     initial: Array
     initial_slope: Array
+    filter: SteadyFilter | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,9 +100,13 @@ class RecordModel:
     between : tuple of Intersample
         How each input runs between its samples.
     parameters, outside_names : tuple of str
-        The declared parameters, by the model's names and the problem's.
+        The declared parameters, by the model's names and the problem's; then the gains that follow from process noise.
     gains : tuple of (str, str)
-        State and output of every estimated entry of the Kalman gain.
+        State and output of every entry of the Kalman gain that is estimated, or follows from process noise.
+    driven : tuple of str
+        States whose process noise is estimated.
+    begin : (m,) array
+        The start values of the model's parameters.
     active : (q,) array
         Places of the estimated parameters among the declared ones.
     has_time : bool
@@ -131,6 +139,8 @@ class RecordModel:
     parameters: tuple[str, ...]
     outside_names: tuple[str, ...]
     gains: tuple[tuple[str, str], ...]
+    driven: tuple[str, ...]
+    begin: Array
     active: NDArray[np.integer]
     locate: ca.Function
     initial: ca.Function
@@ -322,7 +332,26 @@ class RecordPart(Part):
         """Return the parameters and the data at z (p,)."""
         q, slope, delay = (value.full() for value in self.model.locate(z))
         initial, initial_slope = (value.full() for value in self.model.initial(q))
-        return Placed(q.ravel(), slope, self._data_at(delay.ravel()), initial.ravel(), initial_slope)
+        q, steady = q.ravel(), None
+        if self.noise_model is not None:
+            steady = self.noise_model.at(q)
+            count = len(self.gains)
+            own = len(slope) - count
+            q[len(q) - count :] = steady.gain.ravel()
+            slope[own:] = steady.gain_slope.reshape(count, own) @ slope[:own]
+        return Placed(q, slope, self._data_at(delay.ravel()), initial.ravel(), initial_slope, steady)
+
+    @cached_property
+    def noise_model(self) -> NoiseModel | None:
+        """What gains follow from, about the means of the record; None where they do not follow from process noise."""
+        model = self.model
+        if not model.driven:
+            return None
+        nodes = model.initial_states.at(*self.at_nodes, model.begin, np.full(self.states, np.nan))
+        data = np.vstack([*self.data.delayed_inputs(np.zeros(len(self.system.inputs))), _measured_rows(self.data)])
+        reference = nodes.mean(axis=1), data.mean(axis=1)
+        step = max(self.data.stretches, key=len).step
+        return noise_model(self.step, step, reference, model.parameters, model.active, model.driven, self.outputs)
 
     def _data_at(self, delays: Array) -> Array:
         """Return the data of all samples, (width, columns), inputs placed for these delays (m,).
@@ -422,7 +451,12 @@ class RecordPart(Part):
 
     def cost(self, trajectory: Trajectory, smoothing: float = 0.0) -> float:
         """Return the negative log-likelihood of the residuals along a trajectory."""
-        return self.covariance.cost(trajectory.products)
+        return self.covariance_along(trajectory).cost(trajectory.products)
+
+    def covariance_along(self, trajectory: Trajectory) -> ResidualCovariance:
+        """Return how residuals become a cost: by the covariance of the steady filter along a trajectory, if any."""
+        steady = trajectory.detail.placed.filter
+        return self.covariance if steady is None else replace(self.covariance, predicted=steady.covariance)
 
     def squared_cost(self, trajectory: Trajectory, weight: Array, smoothing: float) -> float:
         """Return half the sum of squares of the residuals times `weight`."""
@@ -430,7 +464,7 @@ class RecordPart(Part):
 
     def residual_weight(self, trajectory: Trajectory) -> Array:
         """Return W (k, k) with WᵀW the inverse of the residual covariance along a trajectory."""
-        return self.covariance.weight(trajectory.products)
+        return self.covariance_along(trajectory).weight(trajectory.products)
 
     def initial_weight(self, share: float) -> Array:
         """Return W (k, k) for residuals of a `share` of each signal's spread."""
@@ -440,12 +474,35 @@ class RecordPart(Part):
 
     def linearize(self, trajectory: Trajectory, weight: Array, *, covariance_curvature: bool = False) -> Linearization:
         """Linearize along a trajectory, known initial states eliminated."""
-        moments = covariance_curvature and self.covariance.known is None and len(self.outputs) > 1
         placed = trajectory.detail.placed
+        follows = covariance_curvature and self.covariance.known is None and len(self.outputs) > 1
+        moments = follows and placed.filter is None
         result = self.segments.linearize(trajectory.detail.states, placed.q, weight, placed.data, moments=moments)
         if result.moments is not None:
             result = self._with_covariance(result)
+        if placed.filter is not None and np.array_equal(weight, self.residual_weight(trajectory)):
+            rows = self._covariance_rows(placed.filter, weight)
+            excess = (np.eye(len(weight)) - weight @ trajectory.products @ weight.T / self._count).ravel()
+            result = replace(
+                result,
+                parameter_hessian=result.parameter_hessian + rows.T @ rows,
+                parameter_gradient=result.parameter_gradient + math.sqrt(self._count / 2) * rows.T @ excess,
+            )
         return self._without_known_states(result, placed) if self.model.known_states.any() else result
+
+    @property
+    def _count(self) -> int:
+        """Samples that are compared."""
+        return int(self.covariance.counts.max())
+
+    def _covariance_rows(self, steady: SteadyFilter, weight: Array) -> Array:
+        """Return J (k², active) with JᵀJ what the covariance of the prediction errors tells of the parameters.
+
+        Their Fisher information is n/2 tr(S⁻¹ dS S⁻¹ dS), beside that of the mean.
+        """
+        change = weight @ np.moveaxis(steady.covariance_slope, -1, 0) @ weight.T
+        rows = math.sqrt(self._count / 2) * change.reshape(len(change), -1).T
+        return np.pad(rows, ((0, 0), (0, len(self.model.active) - len(change))))
 
     def _with_covariance(self, b: Linearization) -> Linearization:
         """Let the covariance follow: variables t join the parameters, of cost t²/2 - t · uᵀx, at best -(uᵀx)²/2."""
@@ -671,7 +728,7 @@ class RecordPart(Part):
             trajectory = part.trajectory(values[list(columns)], trajectory.nodes, simulated=trajectory.simulated)
             dz_dx = np.ones(len(columns))
 
-        weight = part.covariance.weight(trajectory.products)
+        weight = part.residual_weight(trajectory)
         told = part._jacobian(trajectory, weight)
         white, weighted = told.white, told.weighted
         score = white
@@ -810,6 +867,11 @@ class RecordPart(Part):
             white += rows.T @ rows
             weighted[batch] = weight.T @ root
             by_initial[batch] = weight.T @ (weight @ (J[..., :n] @ initial_directions[batch, None]))
+        if placed.filter is not None:
+            rows = self._covariance_rows(placed.filter, weight) @ placed.slope
+            squares += (rows**2).sum(axis=0)
+            triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows]), mode="r"))
+            white += rows.T @ rows
         first = sensitivity[self.data.begins_stretch] * noticed[:, None]
         return _Sensitivity(
             triangle=triangle,
@@ -879,6 +941,11 @@ class RecordProgram(Program):
     def __init__(self, part: RecordPart, z: ca.MX) -> None:
         """Transcribe the record."""
         self._part = part
+        if part.model.driven:
+            raise ValueError(
+                f"{part.problem.name!r} has process_noise, whose gains {part.model.method.label} does not follow: "
+                "use MultipleShooting()."
+            )
         q = part.model.locate(z)[0]
         weight = ca.MX.sym("W", len(part.outputs), len(part.outputs))
         data = ca.MX.sym("data", part.step.width, part.data.samples)
@@ -950,7 +1017,7 @@ def compile_records(
             model.outputs,
             lead=_longest_delay(model.problem, model.system),
             segment_length=1,
-            complete=model.criterion.noise == "full",
+            complete=model.criterion.noise == "full" or bool(model.driven),
             static=model.problem.model.is_static,
         )
         for model in models
@@ -969,7 +1036,7 @@ def compile_records(
         looks = at_samples(every, max(every.segments // model.strategies.looks, 1), spread=True)
 
         def known_initial(q: Array, model: RecordModel = model) -> Array:
-            return model.initial(q)[0].full().ravel()
+            return model.initial(np.pad(q, (0, len(model.parameters) - len(q))))[0].full().ravel()
 
         substeps, segment_length = substeps_and_segment(
             model.problem, drawn[lot[0]], method, model.system, model.initial_states, looks, known_initial
@@ -988,6 +1055,7 @@ def record_model(
     What is the same as in one of the `others`, of the same z, is shared with it.
     """
     assert isinstance(problem.data, Record)
+    q = ca.vertcat(q, ca.SX.zeros(len(_parameters(problem)) - q.numel()))
     expressions = tuple(q[i].element_hash() for i in range(q.numel()))
     kin = next((other for other in others if _is_of_one_kind(problem, other)), None)
     twins = (other for other in others if kin and other.steps is kin.steps and other.expressions == expressions)
@@ -1004,14 +1072,17 @@ def record_model(
         kin = _first_of_its_kind(problem, method)
 
     slope = ca.jacobian(q, z)
-    active = [i for i in range(q.numel()) if slope[i, :].nnz()]
+    following = range(len(problem.declared), q.numel())
+    active = [i for i in range(q.numel()) if slope[i, :].nnz() or i in following]
     delay = kin.system.delay(q[: len(kin.system.parameters)])
     symbol = ca.SX.sym("q", q.numel())
     initial = kin.initial.call([symbol])[0]
     by_active = ca.densify(ca.jacobian(initial, symbol[active]))
+    begin = problem.local_values({name: p.start for name, p in problem.parameters.items()})
     return replace(
         kin,
         problem=problem,
+        begin=np.array([*begin.values()], dtype=float)[: len(kin.system.parameters)],
         record=problem.data,
         has_time=problem.data.has_time,
         outside_names=_outside_names(problem),
@@ -1031,8 +1102,9 @@ def _first_of_its_kind(problem: Problem, method: Transcription) -> RecordModel:
     between = between_samples(criterion.inputs, system.inputs, problem.data)
     system = system.later([one.late for one in between])
     outputs = criterion.compared(problem.model, problem.data)
-    symbol = ca.SX.sym("q", len(problem.declared))
-    local = Names(dict(zip(problem.declared, ca.vertsplit(symbol), strict=True)), problem.model.label)
+    parameters = _parameters(problem)
+    symbol = ca.SX.sym("q", len(parameters))
+    local = Names(dict(zip(problem.declared, ca.vertsplit(symbol), strict=False)), problem.model.label)
     states = [_called(f"initial[{name!r}]", known.get(name, math.nan), local) for name in system.states]
     return RecordModel(
         problem=problem,
@@ -1045,9 +1117,11 @@ def _first_of_its_kind(problem: Problem, method: Transcription) -> RecordModel:
         system=system,
         between=between,
         outputs=outputs,
-        parameters=tuple(problem.declared),
+        parameters=parameters,
         outside_names=(),
         gains=criterion.gains(problem.model, outputs),
+        driven=criterion.driven(),
+        begin=np.zeros(0),
         active=np.zeros(0, dtype=int),
         locate=ca.Function(),
         initial=ca.Function("initial", [symbol], [ca.vertcat(ca.SX(0, 1), *states)]),
@@ -1068,7 +1142,7 @@ def _is_of_one_kind(problem: Problem, other: RecordModel) -> bool:
     assert isinstance(problem.criterion, TimeCriterion)
     between = between_samples(problem.criterion.inputs, other.system.inputs, problem.data)
     compared = problem.criterion.compared(problem.model, problem.data)
-    return tuple(problem.declared) == other.parameters and compared == other.outputs and between == other.between
+    return _parameters(problem) == other.parameters and compared == other.outputs and between == other.between
 
 
 def _is_same_model(a: Model, b: Model) -> bool:
@@ -1084,8 +1158,19 @@ def _is_same_model(a: Model, b: Model) -> bool:
     return same and all(getattr(first, f).serialize() == getattr(second, f).serialize() for f in functions)
 
 
+def _parameters(problem: Problem) -> tuple[str, ...]:
+    """Return the names of the parameters of a sample: those declared, and gains that follow from process noise."""
+    assert isinstance(problem.data, Record)
+    assert isinstance(problem.criterion, TimeCriterion)
+    if not problem.criterion.driven():
+        return tuple(problem.declared)
+    outputs = problem.criterion.compared(problem.model, problem.data)
+    gains = problem.criterion.gains(problem.model, outputs)
+    return (*problem.declared, *(f"K_{state}_{output}" for state, output in gains))
+
+
 def _outside_names(problem: Problem) -> tuple[str, ...]:
-    return tuple(problem.outside(name) for name in problem.declared)
+    return tuple(problem.outside(name) if name in problem.declared else name for name in _parameters(problem))
 
 
 def _called(what: str, value: Any, local: Names) -> Any:

@@ -61,16 +61,19 @@ class ResidualCovariance:
 
     Leading axes are records, whose costs add. The cost is the negative logarithm of the likelihood of normal errors.
     With an estimated covariance it is that of the concentrated likelihood, n/2 log det R + constant, R the covariance
-    of the residuals.
+    of the residuals. One that is `predicted` (k, k), by a filter, is that of a single record.
     """
 
     counts: NDArray[np.integer]
     spread: Array
     known: Array | None
     full: bool
+    predicted: Array | None = None
 
     def covariance(self, products: Array) -> Array:
         """Return the covariance (k, k) that goes with these products."""
+        if self.predicted is not None:
+            return self.predicted
         if self.known is not None:
             return diagonal(self.known**2)
         floor = (ROUNDING * self.spread) ** 2
@@ -84,6 +87,9 @@ class ResidualCovariance:
         if not np.all(np.isfinite(products)):
             return math.inf
         covariance = self.covariance(products)
+        if self.predicted is not None:
+            logarithm = float(np.linalg.slogdet(2 * math.pi * covariance)[1] * self.counts.max())
+            return (logarithm + float(np.trace(np.linalg.solve(covariance, products)))) / 2
         if self.full and self.known is None:
             logarithm = float(np.sum(np.linalg.slogdet(covariance)[1] * self.counts.max(axis=-1))) / 2
             return logarithm + self.counts.sum() / 2 * (math.log(2 * math.pi) + 1)

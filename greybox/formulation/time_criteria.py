@@ -155,6 +155,10 @@ class TimeCriterion(AnyCriterion):
         """Return the pairs of state and output that have a gain, the parameter ``K_<state>_<output>``."""
         return ()
 
+    def driven(self) -> tuple[str, ...]:
+        """Return the states whose process noise is estimated, from which the gains then follow."""
+        return ()
+
 
 @dataclass(frozen=True, eq=False)
 class OutputError(TimeCriterion):
@@ -176,30 +180,76 @@ class PredictionError(TimeCriterion):
 
     Innovations form: x[k+1] = F(x[k] + K e[k], u), with e the difference of measured and predicted outputs and a
     constant gain K that is estimated with the parameters; its entries are named ``K_<state>_<output>``.
+    With `process_noise` (filter error) K is that of the steady Kalman filter instead, and the covariance of e its own:
+    estimated are one number for each of these states and one for each output, ``w_<state>`` and ``v_<output>``, instead
+    of a gain for every pair. Without process noise, ``w_<state>`` of zero, this is output error.
     Outputs at the beginning of a record that depend on a delayed input from before it are left out, unless that input
     is at rest there, see `TimeCriterion`.
 
-    Source: Ljung, System Identification, 2nd ed., section 4.3; Klein and Morelli, chapter 6.
+    Source: Ljung, System Identification, 2nd ed., section 4.3; Klein and Morelli, chapter 6; Jategaonkar, Flight
+    Vehicle System Identification, 2nd ed., chapter 5.
 
     Parameters
     ----------
     corrected : sequence of str
         The states that the innovations correct; by default all.
+    process_noise : sequence of str
+        The states whose derivatives have white noise, of an intensity ``w_<state>`` in units of the state per √s, as
+        `virtual_flight` takes it. The noise of the sensors is white too, with a standard deviation ``v_<output>``. The
+        filter is that of the linearization about the means of the record; a sample at which an output is missing is not
+        compared.
     """
 
     corrected: Sequence[str] = ()
+    process_noise: Sequence[str] = ()
     rule: ClassVar[str] = "prediction error, one sample ahead"
     condition: ClassVar[str] = "white innovations"
     errors_are_white: ClassVar[bool] = True
     corrects_states: ClassVar[bool] = True
 
+    def __post_init__(self) -> None:
+        """Check the options."""
+        super().__post_init__()
+        if isinstance(self.process_noise, str):
+            object.__setattr__(self, "process_noise", (self.process_noise,))
+        if self.process_noise and self.corrected:
+            raise ValueError("process_noise says which states are corrected: leave out corrected.")
+        if self.process_noise and self.noise != "diagonal":
+            raise ValueError(
+                f"with process_noise the sensors have the parameters v_<output>, and noise={self.noise!r} has no place: "
+                "leave it out, and give known deviations as fixed={'v_<output>': ...}."
+            )
+
+    def parameters(self, model: Model, record: Record) -> dict[str, Parameter]:
+        """Return the unknowns that the criterion adds: biases, then gains, or the sizes of the noise."""
+        result = super().parameters(model, record)
+        if not self.process_noise:
+            return result
+        outputs = self.compared(model, record)
+        result = {name: parameter for name, parameter in result.items() if not name.startswith("K_")}
+        for state in self.process_noise:
+            result[f"w_{state}"] = Parameter(
+                0.0,
+                bounds=(0.0, math.inf),
+                starts=(0.0, 0.0),
+                unit=f"[{state}]/√s",
+                about=f"process noise on the derivative of {state}",
+            )
+        for output in outputs:
+            result[f"v_{output}"] = _deviation_parameter(output, record)
+        return result
+
+    def driven(self) -> tuple[str, ...]:
+        """Return the states with process noise."""
+        return tuple(self.process_noise)
+
     def gains(self, model: Model, outputs: Sequence[str]) -> tuple[tuple[str, str], ...]:
-        """Return every pair of a corrected state and an output."""
+        """Return every pair of a corrected state and an output; with process noise, of any state."""
         if not isinstance(model, StateSpace):
             raise TypeError(f"{type(self).__name__} needs a StateSpace, whose states it corrects, not {model.label}.")
         if not model.states:
             raise ValueError(f"{model.label} has no states, which {type(self).__name__} corrects: use OutputError().")
-        require_known(self.corrected, model.states, "state", model.label)
+        require_known((*self.corrected, *self.process_noise), model.states, "state", model.label)
         return tuple((state, output) for state in self.corrected or model.states for output in outputs)
 
 
@@ -208,6 +258,24 @@ class PredictionError(TimeCriterion):
 # with biases of its position and its force).
 WIDEST_BIAS = 10.0
 USUAL_BIAS = 0.05
+
+# Of the deviation of a measured signal: that of its noise to begin with, until residuals tell it, and the least, far
+# below the resolution of sensors.
+USUAL_NOISE = 0.1
+LEAST_NOISE = 1e-5
+
+
+def _deviation_parameter(name: str, record: Record) -> Parameter:
+    """Return the unknown standard deviation of the noise of a sensor."""
+    spread = float(np.nanstd(record[name])) or 1.0
+    start = USUAL_NOISE * spread
+    return Parameter(
+        start,
+        bounds=(LEAST_NOISE * spread, math.inf),
+        starts=(start, start),
+        unit=record.units.get(name, "1"),
+        about=f"standard deviation of the noise of {name}",
+    )
 
 
 def bias_parameter(name: str, record: Record) -> Parameter:

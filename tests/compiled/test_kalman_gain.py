@@ -8,7 +8,7 @@ from spring_lag_tilt import SPRING, TILT, FullTilt, Spring, assert_true, fit, st
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.compiled.kalman_gain import steady_state_gain
+from greybox.compiled.riccati import steady_state_gain
 
 # --- the filter -------------------------------------------------------------------------------------------------------
 
