@@ -135,6 +135,11 @@ class FittedRecord(FittedPart):
         Signals whose constant error was estimated, as the parameter ``<name>_bias``.
     gains : tuple of (state, output)
         Of the innovations, as parameters ``K_<state>_<output>``; empty for output error.
+    driven : tuple of str
+        States whose process noise was estimated, ``w_<state>``, with that of the sensors, ``v_<output>``, so that the
+        gains follow.
+    gain : (gains,) array or None
+        The values of gains that follow from process noise.
     nuisances : int
         Initial states, and variances and covariances of the noise, that were estimated along.
     is_static : bool
@@ -153,6 +158,8 @@ class FittedRecord(FittedPart):
     inputs: Inputs = "record"
     biases: tuple[str, ...] = ()
     gains: tuple[tuple[str, str], ...] = ()
+    driven: tuple[str, ...] = ()
+    gain: NDArray[np.float64] | None = None
     nuisances: int = 0
     is_static: bool = False
     error: NDArray[np.float64] | None = None
@@ -161,6 +168,18 @@ class FittedRecord(FittedPart):
     def compared(self) -> int:
         """How many samples the fit used: those of which at least one output was compared."""
         return int(np.any([np.isfinite(self.residual(name)) for name in self.outputs], axis=0).sum())
+
+    @property
+    def added(self) -> tuple[str, ...]:
+        """Names of the parameters that the criterion added to those of the model, before any renaming."""
+        biases = tuple(f"{name}_bias" for name in self.biases)
+        if self.driven:
+            return (*biases, *(f"w_{state}" for state in self.driven), *(f"v_{output}" for output in self.outputs))
+        return (*biases, *(f"K_{state}_{output}" for state, output in self.gains))
+
+    def innovation_parameters(self, output: str) -> int:
+        """Return how many parameters of the noise were fitted to the correlation of the residuals of an output."""
+        return len(self.driven) or sum(of == output for _, of in self.gains)
 
     @property
     def between(self) -> dict[str, str]:

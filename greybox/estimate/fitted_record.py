@@ -61,10 +61,13 @@ def fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedReco
     )
     count = len(part.outputs)
     noise = np.full((count, count), np.nan)
+    gain = None
     nodes = np.full((part.data.segments, part.states), np.nan)
     signals = {name: np.full(len(data), np.nan) for name in part.outputs}
     if trajectory is not None:
-        noise = part.covariance.covariance(trajectory.products)
+        noise = part.covariance_along(trajectory).covariance(trajectory.products)
+        steady = trajectory.detail.placed.filter
+        gain = None if steady is None else steady.gain.ravel()
         nodes = trajectory.nodes
         signals = _simulated(part, trajectory)
     return FittedRecord(
@@ -78,8 +81,10 @@ def fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedReco
         inputs=model.criterion.inputs,
         biases=tuple(model.criterion.biases),
         gains=part.gains,
+        driven=model.driven,
+        gain=gain,
         nuisances=part.unknown_initial_states
-        + covariance_unknowns(count, known=part.covariance.known is not None, full=part.covariance.full),
+        + covariance_unknowns(count, known=part.covariance.known is not None or bool(model.driven), full=part.covariance.full),
         is_static=part.is_static,
     )
 

@@ -836,7 +836,9 @@ def _at_estimate(fit: Fit, model: Model, part: FittedPart, inputs: Inputs | None
 
     names = [*model.parameters, *(f"{b}_bias" for b in biases), *(f"K_{s}_{o}" for s, o in gains)]
     outside = [part.rename.get(name, name) for name in names]
-    for name in outside:
+    following = len(gains) if record and record.driven else 0
+    estimated = outside[: len(outside) - following]
+    for name in estimated:
         if name not in fit.estimate:
             raise ValueError(
                 f"the fit has no {name!r}, which {model.label} needs; it has {', '.join(fit.estimate)}: "
@@ -847,13 +849,19 @@ def _at_estimate(fit: Fit, model: Model, part: FittedPart, inputs: Inputs | None
 
     # Standard errors treat what ended at its bound as known, and so does everything that follows from them.
     at_bound = {q.name for q in fit.quantities if q.at_bound and q.kind == "free"}
-    known = np.array([name in at_bound for name in outside], dtype=bool)
+    known = np.array([name in at_bound for name in estimated], dtype=bool)
+    values = [fit.estimate[name] for name in estimated]
+    covariance = np.where(known | known[:, None], 0.0, fit.covariance_of(estimated))
+    if record and record.driven:
+        assert record.gain is not None
+        values += record.gain.tolist()
+        covariance = np.pad(covariance, (0, following))
     return ModelAtEstimate(
         label=model.label,
         system=dynamics(model, delay_order(part.delay)),
         names=tuple(names),
-        q=np.array([fit.estimate[name] for name in outside]),
-        covariance=np.where(known | known[:, None], 0.0, fit.covariance_of(outside)),
+        q=np.array(values),
+        covariance=covariance,
         criterion=criterion_of(inputs, biases, gains),
         part=record,
         declared={

@@ -27,10 +27,10 @@ Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``
                  Of a response: attributes ``pade_error, nuisances``, as JSON ``at`` and, if any, ``sine``; groups
                  ``data`` and ``curve`` (``omega, alpha, beta`` and, if known, ``coherence, variance, dof,
                  stretches``), the fitted ``response_alpha, response_beta`` at the data's frequencies.
-                 Of a record: attributes ``method, inputs, nuisances``, as JSON ``outputs, biases, gains``; groups
-                 ``data`` and ``simulated`` (``time`` and ``signals/...``, each with its ``unit`` and, if
-                 known, ``hold``), ``initial/...`` by state (stretches,), ``noise`` (k, k) and, if known, ``error``
-                 (k, n). Of all, if known, ``information`` and ``information_alone`` (p, m).
+                 Of a record: attributes ``method, inputs, nuisances``, as JSON ``outputs, biases, gains,
+                 driven``; groups ``data`` and ``simulated`` (``time`` and ``signals/...``, each with its ``unit`` and, if
+                 known, ``hold``), ``initial/...`` by state (stretches,), ``noise`` (k, k) and, if known, ``gain``
+                 (gains,) and ``error`` (k, n). Of all, if known, ``information`` and ``information_alone`` (p, m).
                  Of a manoeuvre: as JSON ``at, ends, outputs``, attribute ``nuisances``; group ``data``, see
                  `greybox.data.transient_file`, ``fitted/...`` by output (2, n), real and imaginary parts, and
                  ``noise`` (k, k).
@@ -265,10 +265,12 @@ def _write_fitted_response(group: Node, part: FittedResponse) -> None:
 
 def _write_fitted_record(group: Node, part: FittedRecord) -> None:
     _attributes(group, method=part.method, inputs=part.inputs, nuisances=part.nuisances, is_static=part.is_static)
-    _attributes(group, **{name: json.dumps(getattr(part, name)) for name in ("outputs", "biases", "gains")})
+    _attributes(group, **{name: json.dumps(getattr(part, name)) for name in ("outputs", "biases", "gains", "driven")})
     write_record(group.create_group("data"), part.data)
     write_record(group.create_group("simulated"), part.simulated)
     group["noise"] = part.noise
+    if part.gain is not None:
+        group["gain"] = part.gain
     if part.error is not None:
         group["error"] = part.error
     initial = group.create_group("initial", track_order=True)
@@ -535,6 +537,7 @@ def _read_fitted_record(group: Stored, stated: dict[str, Any]) -> FittedRecord:
     attributes = group.attrs
     outputs = _json_names(attributes["outputs"])
     inputs: Any = attributes["inputs"]
+    gains = tuple((_text(state), _text(output)) for state, output in json.loads(attributes["gains"]))
     return FittedRecord(
         **stated,
         data=read_record(group["data"]),
@@ -545,7 +548,9 @@ def _read_fitted_record(group: Stored, stated: dict[str, Any]) -> FittedRecord:
         method=_text(attributes["method"]),
         inputs=inputs,
         biases=_json_names(attributes["biases"]),
-        gains=tuple((_text(state), _text(output)) for state, output in json.loads(attributes["gains"])),
+        gains=gains,
+        driven=_json_names(attributes["driven"]),
+        gain=_array(group["gain"], (len(gains),)) if "gain" in group else None,
         nuisances=int(attributes["nuisances"]),
         is_static=bool(attributes.get("is_static", False)),
         error=_array(group["error"], (len(outputs), len(group["data/time"][()]))) if "error" in group else None,

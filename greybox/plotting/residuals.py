@@ -104,8 +104,8 @@ def residual_panels(part: FittedRecord, output: str) -> list[ResidualPanel]:
     if not part.data.has_time:
         return found
     pieces = _pieces(part.data, part.residual(output))
-    gains = sum(o == output for _, o in part.gains)
-    found.append(ResidualPanel(output, "autocorrelation", whiteness(pieces, fitted=gains)))
+    tested = whiteness(pieces, fitted=part.innovation_parameters(output))
+    found.append(ResidualPanel(output, "autocorrelation", tested))
     inputs = {}
     for name in part.data.signals:
         values = part.data[name]

@@ -240,5 +240,5 @@ def _pieces(record: Record, values: Array) -> list[Array]:
 
 
 def _gains(fit: Fit, output: str) -> int:
-    """Return how many gains of the innovations were estimated with this output: the whiteness test counts them."""
-    return max((sum(o == output for _, o in part.gains) for part in fit.records), default=0)
+    """Return how many parameters of the noise were fitted to the residuals of this output, for the whiteness test."""
+    return max((part.innovation_parameters(output) for part in fit.records), default=0)

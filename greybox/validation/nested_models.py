@@ -109,7 +109,8 @@ def nested_test(small: Fit, large: Fit, *, removed_at: Mapping[str, float] | Non
     give these parameters over the one that the curvature of the cost says. Where there is no such ratio, the estimates
     are compared with their values in `small` by their covariance (Wald).
     Where one of these values is on a bound, the statistic has half of its distribution at one degree of freedom less;
-    where several are, the p-value is an upper limit.
+    where several are, at least half (the weights of odd and of even degrees are equal), and the p-value is an upper
+    limit. So is decided whether there is process noise: `OutputError` is `PredictionError(process_noise=...)` with none.
 
     Parameters
     ----------
@@ -187,7 +188,7 @@ def nested_test_at(place: Nesting, small: Fit, large: Fit, labels: tuple[str, st
         moved = np.array([large.estimate[name] for name in large.free]) - place.point
         difference = H.T @ moved[inside]
         statistic = float(difference @ np.linalg.solve(C, difference)) / r if H.size else 0.0
-    p_value = _p_value(statistic, r, large.dof, on_bound=len(place.on_bound) == 1)
+    p_value = _p_value(statistic, r, large.dof, on_bound=bool(place.on_bound))
     return NestedTest(*labels, place.terms, ratio, scale, statistic, (r, large.dof), p_value, reason)
 
 
@@ -257,7 +258,7 @@ def _likelihood_ratio(small: Fit, large: Fit, labels: tuple[str, str]) -> float:
 
 
 def _p_value(statistic: float, r: int, dof: float, *, on_bound: bool) -> float:
-    """Return the probability of as large a statistic; of a term on its bound, half of it with that term at rest."""
+    """Return the probability of as large a statistic; with a term on its bound, half of it with that term at rest."""
     whole = _upper_tail(r * statistic, r, dof)
     return 0.5 * (whole + _upper_tail(r * statistic, r - 1, dof)) if on_bound else whole
 

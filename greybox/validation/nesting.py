@@ -118,7 +118,8 @@ def nesting(small: Fit, large: Fit, labels: tuple[str, str], removed_at: Mapping
     slots = _Slots.of(small, large)
 
     sources = _sources(slots, small, large, labels)
-    terms = tuple(name for name in large.free if name not in small.free)
+    deviations = _deviations(small, large)
+    terms = tuple(name for name in large.free if name not in small.free and name not in deviations)
     stated = {name: small.estimate[source] for name, source in sources.items() if source is not None and name in terms}
     absent = tuple(name for name, source in sources.items() if source is None)
     values = _removed(slots, small, large, labels, absent, stated, removed_at)
@@ -126,7 +127,17 @@ def nesting(small: Fit, large: Fit, labels: tuple[str, str], removed_at: Mapping
         raise NotNestedError(f"{labels[0]} and {labels[1]} differ in their noise, constraints or weights too", True)
     if not terms:
         raise NotNestedError(f"every free parameter of {labels[1]} is free in {labels[0]}")
-    return _embedding(small, large, labels, terms, sources, values)
+    return _embedding(small, large, labels, terms, sources, {**values, **deviations})
+
+
+def _deviations(small: Fit, large: Fit) -> dict[str, float]:
+    """Return the deviations of sensors, parameters beside process noise alone, that the smaller fit estimates along."""
+    found = {}
+    for a, b in zip(small.parts, large.parts, strict=True):
+        if isinstance(a, FittedRecord) and isinstance(b, FittedRecord) and b.driven and not a.driven:
+            sizes = dict(zip(a.outputs, np.sqrt(np.diag(a.noise)).tolist(), strict=True))
+            found |= {b.rename.get(f"v_{name}", f"v_{name}"): size for name, size in sizes.items()}
+    return {name: size for name, size in found.items() if name in large.free}
 
 
 # --- names ------------------------------------------------------------------------------------------------------------
@@ -181,7 +192,7 @@ def _outside(part: FittedPart, model: Model) -> dict[str, str]:
     """Return the names outside of the parameters of the model and of the criterion, by their names inside."""
     names = list(model.parameters)
     if isinstance(part, FittedRecord):
-        names += [f"{name}_bias" for name in part.biases] + [f"K_{s}_{o}" for s, o in part.gains]
+        names += part.added
     return {name: part.rename.get(name, name) for name in names}
 
 
@@ -208,14 +219,18 @@ def _require_same_assumptions(small: Fit, large: Fit, labels: tuple[str, str]) -
         if isinstance(a, FittedRecord) and isinstance(b, FittedRecord):
             if a.inputs != b.inputs:
                 raise NotNestedError(f"the inputs of {both} run differently between samples")
-            if not (set(a.gains) <= set(b.gains) and set(a.biases) <= set(b.biases)):
+            if a.gains and bool(a.driven) != bool(b.driven):
+                raise NotNestedError(f"the gains of {both} are free in one and follow from process noise in the other")
+            if not (set(a.driven) <= set(b.driven) or not b.driven):
+                raise NotNestedError(f"{labels[0]} has process noise that {labels[1]} has not")
+            if not ((b.driven or set(a.gains) <= set(b.gains)) and set(a.biases) <= set(b.biases)):
                 raise NotNestedError(f"{labels[0]} has gains or biases that {labels[1]} has not")
 
 
 def _same_noise(small: Fit, large: Fit) -> bool:
     """Tell whether the fits differ in their parameters alone: not in constraints, weights, or what is said of noise."""
     for a, b in zip(small.parts, large.parts, strict=True):
-        settings = [{k: v for k, v in part.settings.items() if k not in ("biases", "corrected")} for part in (a, b)]
+        settings = [{k: v for k, v in part.settings.items() if k not in ("biases", "corrected", "process_noise")} for part in (a, b)]
         if settings[0] != settings[1] or a.weight != b.weight or sorted(a.constraints) != sorted(b.constraints):
             return False
     return True
@@ -529,6 +544,8 @@ def _embedding(
             slope[i, small.free.index(source)] = 1.0
         elif source is not None and kinds[source] == "tied":
             slope[i] = _slope_of_tie(small, source)
+    along = [i for i, name in enumerate(large.free) if name not in terms and sources[name] is None]
+    slope = np.hstack([slope, np.eye(len(large.free))[:, along]])
 
     free = {q.name: q for q in large.quantities if q.kind == "free"}
     beyond = [n for n, v in zip(large.free, point, strict=True) if n in terms and _beyond(free[n], v)]
@@ -541,7 +558,7 @@ def _embedding(
         raise NotNestedError(f"the data do not determine what {labels[0]} ties to others", undecided=True)
 
     directions = _left_null_space(slope, point)
-    more = _initial_states(large) - _initial_states(small)
+    more = _initial_states(large) + len(along) - _initial_states(small)
     if more < 0 or not directions.shape[1]:
         fewer = counted(-more, "initial state") if more < 0 else "no parameter"
         raise NotNestedError(f"{labels[1]} has {fewer} {'less' if more < 0 else 'more'} than {labels[0]}")
