@@ -49,6 +49,10 @@ Array = NDArray[np.float64]
 # Share of records whose white residuals are not taken as such.
 WHITE = 0.01
 
+# Share of the samples at which all outputs are measured, from which a filter may be taken as steady: gaps of a tenth
+# leave it so nearly everywhere.
+COMPLETE = 0.9
+
 # Relative variance of a direction of initial states below which it counts as known.
 DIRECTIONS = 1e-12
 
@@ -347,6 +351,12 @@ class RecordPart(Part):
         model = self.model
         if not model.driven:
             return None
+        counts = [np.isfinite(stretch.outputs).all(axis=0).sum() for stretch in self.data.stretches]
+        if sum(counts) < COMPLETE * sum(len(stretch) - stretch.masked for stretch in self.data.stretches):
+            raise ValueError(
+                f"{self.name!r} has all of {', '.join(self.outputs)} at too few samples for process_noise, "
+                "whose filter is steady: resample the outputs to one rate, or leave process_noise out."
+            )
         nodes = model.initial_states.at(*self.at_nodes, model.begin, np.full(self.states, np.nan))
         data = np.vstack([*self.data.delayed_inputs(np.zeros(len(self.system.inputs))), _measured_rows(self.data)])
         reference = nodes.mean(axis=1), data.mean(axis=1)

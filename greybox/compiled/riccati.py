@@ -189,7 +189,10 @@ def reached(F: Array, states: NDArray[np.integer]) -> NDArray[np.bool_]:
 
 
 def _filter(
-    transition: tuple[Array, Array], output: tuple[Array, Array], process: tuple[Array, Array], noise: tuple[Array, Array]
+    transition: tuple[Array, Array],
+    output: tuple[Array, Array],
+    process: tuple[Array, Array],
+    noise: tuple[Array, Array],
 ) -> tuple[Array, Array, Array, Array]:
     """Return gain and covariance of the prediction errors, each with derivatives (free, rows, columns) behind it."""
     (F, dF), (C, dC), (Q, dQ), (V, dV) = transition, output, process, noise

@@ -84,7 +84,9 @@ def fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedReco
         driven=model.driven,
         gain=gain,
         nuisances=part.unknown_initial_states
-        + covariance_unknowns(count, known=part.covariance.known is not None or bool(model.driven), full=part.covariance.full),
+        + covariance_unknowns(
+            count, known=part.covariance.known is not None or bool(model.driven), full=part.covariance.full
+        ),
         is_static=part.is_static,
     )
 

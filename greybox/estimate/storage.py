@@ -28,8 +28,8 @@ Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``
                  ``data`` and ``curve`` (``omega, alpha, beta`` and, if known, ``coherence, variance, dof,
                  stretches``), the fitted ``response_alpha, response_beta`` at the data's frequencies.
                  Of a record: attributes ``method, inputs, nuisances``, as JSON ``outputs, biases, gains,
-                 driven``; groups ``data`` and ``simulated`` (``time`` and ``signals/...``, each with its ``unit`` and, if
-                 known, ``hold``), ``initial/...`` by state (stretches,), ``noise`` (k, k) and, if known, ``gain``
+                 driven``; groups ``data`` and ``simulated`` (``time`` and ``signals/...``, each with its ``unit`` and,
+                 if known, ``hold``), ``initial/...`` by state (stretches,), ``noise`` (k, k) and, if known, ``gain``
                  (gains,) and ``error`` (k, n). Of all, if known, ``information`` and ``information_alone`` (p, m).
                  Of a manoeuvre: as JSON ``at, ends, outputs``, attribute ``nuisances``; group ``data``, see
                  `greybox.data.transient_file`, ``fitted/...`` by output (2, n), real and imaginary parts, and

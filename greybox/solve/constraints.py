@@ -11,6 +11,7 @@ from greybox.solve.quadratic_program import solve_small_qp
 Array = NDArray[np.float64]
 ROUNDING = 1e-9  # of the terms of a constraint: it counts as satisfied
 RESTORATIONS = 20
+ON_BOUND = 1e-12  # of a step, which ends at the bound
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +32,13 @@ class Limits:
     def clipped(self, z: Array) -> Array:
         """Return the point within the bounds."""
         return np.clip(z, self.low, self.high)
+
+    def after(self, z: Array, step: Array) -> Array:
+        """Return the point after a step, within the bounds; what rounding leaves of the way to one is gone."""
+        there = self.clipped(z + step)
+        for bound in (self.low, self.high):
+            there = np.where(np.abs(there - bound) <= ON_BOUND * np.abs(step), bound, there)
+        return there
 
     def violation(self, z: Array) -> float:
         """Return by how much all constraints together are violated, beyond rounding."""

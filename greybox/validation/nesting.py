@@ -219,18 +219,26 @@ def _require_same_assumptions(small: Fit, large: Fit, labels: tuple[str, str]) -
         if isinstance(a, FittedRecord) and isinstance(b, FittedRecord):
             if a.inputs != b.inputs:
                 raise NotNestedError(f"the inputs of {both} run differently between samples")
-            if a.gains and bool(a.driven) != bool(b.driven):
-                raise NotNestedError(f"the gains of {both} are free in one and follow from process noise in the other")
-            if not (set(a.driven) <= set(b.driven) or not b.driven):
-                raise NotNestedError(f"{labels[0]} has process noise that {labels[1]} has not")
-            if not ((b.driven or set(a.gains) <= set(b.gains)) and set(a.biases) <= set(b.biases)):
-                raise NotNestedError(f"{labels[0]} has gains or biases that {labels[1]} has not")
+            _require_fewer_terms(a, b, labels)
+
+
+def _require_fewer_terms(small: FittedRecord, large: FittedRecord, labels: tuple[str, str]) -> None:
+    """Refuse what a criterion adds to the smaller fit and not to the larger one."""
+    if small.gains and bool(small.driven) != bool(large.driven):
+        both = f"{labels[0]} and {labels[1]}"
+        raise NotNestedError(f"the gains of {both} are free in one and follow from process noise in the other")
+    fewer = set(small.driven) <= set(large.driven) if large.driven else set(small.gains) <= set(large.gains)
+    if not (fewer and set(small.biases) <= set(large.biases)):
+        raise NotNestedError(f"{labels[0]} has process noise, gains or biases that {labels[1]} has not")
 
 
 def _same_noise(small: Fit, large: Fit) -> bool:
     """Tell whether the fits differ in their parameters alone: not in constraints, weights, or what is said of noise."""
     for a, b in zip(small.parts, large.parts, strict=True):
-        settings = [{k: v for k, v in part.settings.items() if k not in ("biases", "corrected", "process_noise")} for part in (a, b)]
+        settings = [
+            {k: v for k, v in part.settings.items() if k not in ("biases", "corrected", "process_noise")}
+            for part in (a, b)
+        ]
         if settings[0] != settings[1] or a.weight != b.weight or sorted(a.constraints) != sorted(b.constraints):
             return False
     return True

@@ -139,7 +139,7 @@ class AllParts:
         """Return the iterate after a step, of which the share `length` is taken."""
         each = zip(step.condensed, iterate.trajectories, strict=True)
         nodes = [condensed.nodes_after(t.nodes, step.dz, length) for condensed, t in each]
-        z = self.limits.clipped(iterate.z + length * step.dz) if step.dz.any() else iterate.z
+        z = self.limits.after(iterate.z, length * step.dz) if step.dz.any() else iterate.z
         return self.at(z, nodes, iterate)
 
     def close_gaps(self, iterate: Iterate, step: Step, multipliers: Sequence[Array], length: float) -> Iterate:

@@ -1,0 +1,145 @@
+"""Process noise of estimated variance, held against a Kalman filter written here, a truth, and output error."""
+
+import numpy as np
+import pytest
+from lateral_aircraft import LATERAL, Lateral, discretized, disturbed, doublets
+from numpy.testing import assert_allclose
+from scipy.linalg import solve_discrete_are
+from scipy.optimize import minimize
+from spring_lag_tilt import SPRING, Spring, fit
+
+import greybox as gb
+from greybox.compiled.compiled_problem import compile_problem
+
+WIND = gb.PredictionError(process_noise=("v",), inputs="held")
+TRUTH = {name: SPRING[name] for name in ("k", "c", "b")}
+SENSORS = {"x": 0.05, "v": 0.15}
+STEP = 0.05
+
+
+def flown(wind, seed=1, n=300):
+    return disturbed(Spring(), TRUTH, doublets(1, n, 1.0, seed), STEP, {"v": wind}, SENSORS, seed)
+
+
+@pytest.fixture(scope="module")
+def windy():
+    record = flown(0.3)
+    return record, fit(gb.Problem(Spring(), record, WIND))
+
+
+def steady_filter(k, c, b, w, v_x, v_v):
+    A, B = np.array([[0.0, 1.0], [-k, -c]]), np.array([[0.0], [b]])
+    F, G, Q = discretized(A, B, [0.0, w], STEP)
+    P = solve_discrete_are(F.T, np.eye(2), Q, np.diag([v_x**2, v_v**2]))
+    S = P + np.diag([v_x**2, v_v**2])
+    return F, G[:, 0], P @ np.linalg.inv(S), S
+
+
+def negative_log_likelihood(values, record):
+    """Of the innovations of the steady filter from a free first state, the last two of the values."""
+    F, G, K, S = steady_filter(*values[:6])
+    y, force = np.array([record["x"], record["v"]]).T, record["F"]
+    x, errors = values[6:], []
+    for k in range(len(force)):
+        errors.append(y[k] - x)
+        x = F @ (x + K @ errors[-1]) + G * force[k]
+    squares = np.einsum("ki,ij,kj->", errors, np.linalg.inv(S), errors)
+    return 0.5 * (len(force) * np.linalg.slogdet(2 * np.pi * S)[1] + squares)
+
+
+def test_gain_and_covariance_follow_the_parameters_as_the_equation_of_riccati_says():
+    problem = gb.Problem(Spring(), flown(0.3, n=50), WIND)
+    nlp = compile_problem(problem)
+    (part,) = nlp.parts
+    values = TRUTH | {"w_v": 0.3, "v_x": 0.05, "v_v": 0.15}
+    at = np.array([values[name] for name in nlp.free])
+    found = part.place(nlp.scaling.to_solver(at)).filter
+    _, _, K, S = steady_filter(*at)
+    assert_allclose(found.gain, K, rtol=1e-5, atol=1e-7)
+    assert_allclose(found.covariance, S, rtol=1e-5)
+    for i in range(len(at)):
+        step = 1e-4 * at[i] * np.eye(len(at))[i]
+        (_, _, K1, S1), (_, _, K0, S0) = steady_filter(*(at + step)), steady_filter(*(at - step))
+        assert_allclose(found.gain_slope[:, :, i], (K1 - K0) / (2 * step[i]), rtol=1e-3, atol=1e-6)
+        assert_allclose(found.covariance_slope[:, :, i], (S1 - S0) / (2 * step[i]), rtol=1e-3, atol=1e-8)
+
+
+def test_the_estimate_is_the_minimum_of_the_likelihood_of_a_kalman_filter(windy):
+    record, found = windy
+    names = ("k", "c", "b", "w_v", "v_x", "v_v")
+    first = [found.records[0].initial[state][0] for state in ("x", "v")]
+    at = np.array([*(found.estimate[name] for name in names), *first])
+    cost = negative_log_likelihood(at, record)
+    assert found.cost == pytest.approx(cost, abs=1e-3)
+    lower = minimize(negative_log_likelihood, at, (record,), "BFGS", options={"maxiter": 3})
+    assert lower.fun > cost - 1e-3
+    error = np.array([found.standard_error[name] for name in names])
+    assert_allclose(lower.x[:6], at[:6], atol=0.02 * error.min(), rtol=0.02)
+    # BFGS's approximation is far off: the curvature by differences.
+    size = 0.1 * np.array([*error, 0.02, 0.05])
+    H = np.zeros((8, 8))
+    for i, j in np.ndindex(8, 8):
+        e, f = size * np.eye(8)[i], size * np.eye(8)[j]
+        corners = [(e + f, 1), (e - f, -1), (f - e, -1), (-e - f, 1)]
+        H[i, j] = sum(s * negative_log_likelihood(at + d, record) for d, s in corners) / (4 * size[i] * size[j])
+    assert_allclose(error, np.sqrt(np.diag(np.linalg.inv(H)))[:6], rtol=0.15)
+
+
+def test_a_test_against_output_error_tells_whether_there_is_process_noise(windy):
+    record, found = windy
+    calm = flown(0.0, seed=2)
+    rule = gb.OutputError(inputs="held")
+    needed = gb.validation.nested_test(fit(gb.Problem(Spring(), record, rule)), found)
+    assert needed.terms == ("w_v",)
+    assert needed.p_value < 1e-6
+    small, large = fit(gb.Problem(Spring(), calm, rule)), fit(gb.Problem(Spring(), calm, WIND))
+    assert gb.validation.nested_test(small, large).p_value > 0.05
+    assert large.cost <= small.cost + 1e-2
+    free = fit(gb.Problem(Spring(), calm, gb.PredictionError(inputs="held")))
+    with pytest.raises(ValueError, match="free in one and follow from process noise in the other"):
+        gb.validation.nested_test(free, large)
+
+
+def test_five_outputs_need_a_few_numbers():
+    wind = {"beta": 0.01, "p": 0.15}
+    sensors = {"beta": 0.005, "p": 0.01, "r": 0.005, "phi": 0.004, "a_y": 0.02}
+    record = disturbed(Lateral(), LATERAL, doublets(2, 300, 0.1, 3), 0.04, wind, sensors, 3)
+    found = fit(gb.Problem(Lateral(), record, gb.PredictionError(process_noise=("beta", "p"), inputs="held")))
+    assert found.converged
+    assert len(found.free) == len(LATERAL) + 7
+    truth = LATERAL | {f"w_{name}": size for name, size in wind.items()}
+    truth |= {f"v_{name}": size for name, size in sensors.items()}
+    for name, value in truth.items():
+        assert abs(found.estimate[name] - value) < 4 * found.standard_error[name], name
+
+
+def test_a_saved_fit_predicts_by_its_filter(windy, tmp_path):
+    record, found = windy
+    gb.save(found, tmp_path / "fit.h5")
+    loaded = gb.load(tmp_path / "fit.h5")
+    assert loaded.records[0].driven == ("v",)
+    assert loaded.records[0].added == ("w_v", "v_x", "v_v")
+    assert_allclose(loaded.records[0].gain, found.records[0].gain)
+    _, _, K, S = steady_filter(*(found.estimate[name] for name in ("k", "c", "b", "w_v", "v_x", "v_v")))
+    assert_allclose(np.reshape(found.records[0].gain, (2, 2)), K, rtol=1e-4, atol=1e-6)
+    assert_allclose(found.records[0].noise, S, rtol=1e-4)
+    ahead = gb.predict(found, record=record, window=2 * STEP)
+    assert all(np.isfinite(ahead.simulated[name]).any() for name in ("x", "v"))
+
+
+def test_what_process_noise_does_not_go_with_is_refused():
+    record = flown(0.3, n=50)
+    for options, reason in (
+        ({"corrected": ("x",)}, "leave out corrected"),
+        ({"noise": "full"}, "leave out noise='full'"),
+        ({"noise": {"x": 0.1, "v": 0.1}}, "fixed="),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            gb.PredictionError(process_noise="v", **options)
+    with pytest.raises(ValueError, match="state 'y'"):
+        gb.Problem(Spring(), record, gb.PredictionError(process_noise="y"))
+    slow = record.with_signals(x=np.where(np.arange(50) % 5, np.nan, record["x"]))
+    with pytest.raises(ValueError, match="at too few samples for process_noise"):
+        compile_problem(gb.Problem(Spring(), slow, WIND)).parts[0].place(np.ones(6))
+    with pytest.raises(ValueError, match="use MultipleShooting"):
+        gb.fit(gb.Problem(Spring(), record, WIND), starts=1, method=gb.Collocation(), progress=False)
