@@ -17,7 +17,7 @@ SENSORS = {"x": 0.05, "v": 0.15}
 STEP = 0.05
 
 
-def flown(wind, seed=1, n=300):
+def flown(wind, seed=1, n=200):
     return disturbed(Spring(), TRUTH, doublets(1, n, 1.0, seed), STEP, {"v": wind}, SENSORS, seed)
 
 
@@ -95,15 +95,12 @@ def test_a_test_against_output_error_tells_whether_there_is_process_noise(windy)
     small, large = fit(gb.Problem(Spring(), calm, rule)), fit(gb.Problem(Spring(), calm, WIND))
     assert gb.validation.nested_test(small, large).p_value > 0.05
     assert large.cost <= small.cost + 1e-2
-    free = fit(gb.Problem(Spring(), calm, gb.PredictionError(inputs="held")))
-    with pytest.raises(ValueError, match="free in one and follow from process noise in the other"):
-        gb.validation.nested_test(free, large)
 
 
 def test_five_outputs_need_a_few_numbers():
     wind = {"beta": 0.01, "p": 0.15}
     sensors = {"beta": 0.005, "p": 0.01, "r": 0.005, "phi": 0.004, "a_y": 0.02}
-    record = disturbed(Lateral(), LATERAL, doublets(2, 300, 0.1, 3), 0.04, wind, sensors, 3)
+    record = disturbed(Lateral(), LATERAL, doublets(2, 200, 0.1, 3), 0.04, wind, sensors, 3)
     found = fit(gb.Problem(Lateral(), record, gb.PredictionError(process_noise=("beta", "p"), inputs="held")))
     assert found.converged
     assert len(found.free) == len(LATERAL) + 7
@@ -123,8 +120,8 @@ def test_a_saved_fit_predicts_by_its_filter(windy, tmp_path):
     _, _, K, S = steady_filter(*(found.estimate[name] for name in ("k", "c", "b", "w_v", "v_x", "v_v")))
     assert_allclose(np.reshape(found.records[0].gain, (2, 2)), K, rtol=1e-4, atol=1e-6)
     assert_allclose(found.records[0].noise, S, rtol=1e-4)
-    ahead = gb.predict(found, record=record, window=2 * STEP)
-    assert all(np.isfinite(ahead.simulated[name]).any() for name in ("x", "v"))
+    ahead = gb.predict(found, record=record, lead=2.0, horizon=0.5)
+    assert abs(np.nanstd(ahead.one_step) - 1) < 0.1  # with the covariance of the filter
 
 
 def test_what_process_noise_does_not_go_with_is_refused():

@@ -70,4 +70,6 @@ def disturbed(model, truth, inputs, step, process, sensors, seed):
 def doublets(count, samples, size, seed):
     """Return random doublets (count, samples) of twelve samples each."""
     random = np.random.default_rng([seed, 7])
-    return np.array([size * np.repeat(random.choice([-1, 0, 1], samples // 12 + 1), 12)[:samples] for _ in range(count)])
+    return np.array(
+        [size * np.repeat(random.choice([-1, 0, 1], samples // 12 + 1), 12)[:samples] for _ in range(count)]
+    )
