@@ -1,4 +1,4 @@
-"""Filter error: are its intervals right, and how often is process noise found where there is none?
+"""Filter error: coverage of its intervals, and how often process noise is found where there is none.
 
 python benchmarks/process_noise.py [--repeats 200] [--output benchmarks/results/process_noise.txt]
 
@@ -21,8 +21,8 @@ import numpy as np
 import greybox as gb
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
-from lateral_aircraft import LATERAL, Lateral, disturbed, doublets  # noqa: E402
-from spring_lag_tilt import SPRING, Spring  # noqa: E402
+from lateral_aircraft import LATERAL, Lateral, disturbed, doublets
+from spring_lag_tilt import SPRING, Spring
 
 TRUTH = {name: SPRING[name] for name in ("k", "c", "b")}
 SENSORS = {"x": 0.05, "v": 0.15}

@@ -9,7 +9,8 @@ A record is cut into segments (`sampled_data`), as many steps per sample as it n
 CasADi function (`sample_step`), which `segments` evaluates and linearizes for all segments at once, those of several
 records that share it together (`record_group`); `condensing` eliminates the continuity of multiple shooting: the states
 at the nodes, where segments begin, and its multipliers. `initial_states` gives the first ones, `residual_covariance`
-the weights, `kalman_gain` the gain of a predictor, `record_information` the numbers that correlated residuals are
+the weights, `kalman_gain` the gain of a predictor, `riccati` the one that follows from process noise,
+`record_information` the numbers that correlated residuals are
 worth. `transcription/` holds the methods by which the states of a record become unknowns, one method a file (multiple
 shooting is the above), and `strategies` all settings.
 `vectorized` evaluates CasADi functions in numpy over many columns, `code_generation` compiles them to C,

@@ -216,8 +216,8 @@ class PredictionError(TimeCriterion):
             raise ValueError("process_noise says which states are corrected: leave out corrected.")
         if self.process_noise and self.noise != "diagonal":
             raise ValueError(
-                f"with process_noise the noise of the sensors is estimated as v_<output>: leave out noise={self.noise!r}, "
-                "and give deviations that are known as fixed={'v_<output>': ...}."
+                f"with process_noise sensors have the parameters v_<output>: leave out noise={self.noise!r}, and "
+                "give deviations that are known as fixed={'v_<output>': ...}."
             )
 
     def parameters(self, model: Model, record: Record) -> dict[str, Parameter]:

@@ -110,8 +110,8 @@ def nested_test(small: Fit, large: Fit, *, removed_at: Mapping[str, float] | Non
     give these parameters over the one that the curvature of the cost says. Where there is no such ratio, the estimates
     are compared with their values in `small` by their covariance (Wald).
     Where one of these values is on a bound, the statistic has half of its distribution at one degree of freedom less;
-    where several are, half of it at most has them all, and the p-value is an upper limit. So is decided whether there is
-    process noise: `OutputError` is `PredictionError(process_noise=...)` with none.
+    where several are, half of it at most has them all, and the p-value is an upper limit. So is decided whether there
+    is process noise: `OutputError` is `PredictionError(process_noise=...)` with none.
 
     Parameters
     ----------

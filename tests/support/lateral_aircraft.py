@@ -34,14 +34,12 @@ class Lateral(gb.StateSpace):
         return (x.beta, x.p, x.r, x.phi, 40 / gb.g * (p.Y_beta * x.beta + p.Y_rudder * u.rudder))
 
 
-LATERAL = {
-    **{"Y_beta": -0.3, "L_beta": -12.0, "L_p": -3.5, "L_r": 1.2, "N_beta": 4.5, "N_p": -0.25, "N_r": -0.7},
-    **{"L_aileron": 22.0, "N_rudder": -5.5, "Y_rudder": 0.06},
-}
+NAMES = ("Y_beta", "L_beta", "L_p", "L_r", "N_beta", "N_p", "N_r", "L_aileron", "N_rudder", "Y_rudder")
+LATERAL = dict(zip(NAMES, (-0.3, -12.0, -3.5, 1.2, 4.5, -0.25, -0.7, 22.0, -5.5, 0.06), strict=True))
 
 
 def discretized(A, B, intensity, step):
-    """Return transition, input matrix and covariance of the noise over a step, exactly. Van Loan (1978), IEEE TAC 23."""
+    """Return transition, input matrix and covariance of the noise over a step. Van Loan (1978), IEEE TAC 23."""
     n, m = B.shape
     held = np.zeros((n + m, n + m))
     held[:n, :n], held[:n, n:] = A, B
