@@ -30,9 +30,8 @@ def add_command(commands: Any) -> None:
     parser.add_argument(
         "--fresh-starts",
         type=nonnegative,
-        default=2,
         metavar="N",
-        help="of every point, beside its neighbors; 2 by default",
+        help="of every point, beside its neighbors; 2 by default, 0 of records",
     )
     add_worker_options(parser)
     add_common_options(parser, figure="the profiles")

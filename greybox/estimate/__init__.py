@@ -9,7 +9,7 @@ bread and meat differ from criterion to criterion: for responses they are the `s
 `equivalent_minima` finds the parameter vectors of one response, `response_band` has the confidence band of a fitted
 response, `structural_identifiability` asks the same before any data, `sensitivity` which frequencies or times tell of
 each parameter. `profile` follows the lowest cost along one quantity, for intervals that need not be symmetric, which
-are `profiles`; `fitted_problem` is the problem again from its answer. The folder `diagnostics` holds the warnings,
-`storage` writes and reads fits, `verdict` judges them in three sentences, and `summary` gives their numbers as plain
-values.
+are `profiles`, of records by `held_records`; `fitted_problem` is the problem again from its answer. The folder
+`diagnostics` holds the warnings, `storage` writes and reads fits, `verdict` judges them in three sentences, and
+`summary` gives their numbers as plain values.
 """

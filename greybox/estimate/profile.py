@@ -8,8 +8,11 @@ standard error agree where the cost is quadratic. Sources: Bates and Watts (1988
 Applications, section 6.1; Chandler and Bate (2007), Inference for clustered data using the independence loglikelihood,
 Biometrika 94.
 
+With N numbers whose variance is estimated along, as of records, the cost is N/2 log of a sum of squares, and r² is the
+F statistic that this sum gives, N c (exp(2 (C - Ĉ) / N) - 1): exact where the model is linear, however few the numbers.
+
 A parameter is held by its two bounds, any other quantity by an equation: one program for each quantity, whatever the
-number of points.
+number of points. Of records, parameters alone are held (`held_records`).
 """
 
 import math
@@ -24,12 +27,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import AnyProblem, Nlp, compile_problem
+from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
 from greybox.data.progress import counted_off
 from greybox.data.text_table import alternatives, number
 from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.harmonic_numbers import with_enough_harmonics
+from greybox.estimate.held_records import HeldRecords, best_of_records
 from greybox.estimate.profiles import Contour, End, ProfileOf, Profiles
 from greybox.estimate.quantities import Formula, formulas
 from greybox.estimate.result import Fit, Quantity
@@ -47,6 +52,7 @@ GROWTH = 3.0
 FEWEST_DIRECTIONS = 8  # of a contour: fewer show no shape
 WIDER = 1.5  # from one point of a ray to the next: two or three to the crossing where the cost is quadratic
 CROSSING = 1e-3  # of its distance, to which a crossing is found: less than a line is wide
+FRESH_STARTS = 2  # of a point of frequency responses
 LEVEL = 0.95  # of the profiles that a fit makes by itself
 LARGE_ERROR = 0.5  # of a value: its interval by the standard error reaches to zero and beyond
 FAR = 1e6  # in sizes of the quantity: what does not change the cost up to there is not limited
@@ -54,6 +60,7 @@ EVEN = 1e-6  # relative, up to which errors of the points count as equal in size
 SWEEPS = 3  # over the points, while neighbors improve one another
 CLOSE = 1e-4  # relative, within which IPOPT's barrier leaves what a bound holds
 LOWER = 1e-4  # relative: the smoothing moves costs by up to 6e-5
+LARGEST = 100.0  # logarithm of a ratio of squares, beyond any limit
 
 
 def profile(
@@ -62,10 +69,10 @@ def profile(
     *,
     problem: AnyProblem | None = None,
     level: float = 0.95,
-    fresh_starts: int = 2,
+    fresh_starts: int | None = None,
     executor: Executor | None = None,
 ) -> Profiles:
-    """Profile the likelihood along parameters and derived quantities of a fit of frequency responses.
+    """Profile the likelihood along parameters and derived quantities of a fit; of records along parameters alone.
 
     What the cost says as a likelihood depends on the criterion:
 
@@ -75,8 +82,11 @@ def profile(
     `RelativeLikelihood`                                  the same errors
     `MaximumLikelihood`                                   errors of the given variances, scaled up if the residuals
                                                           are larger
+    `OutputError`, `PredictionError`                      normal errors of the outputs, of the variances that the
+                                                          residuals show; where these are correlated in time, scaled so
+                                                          that small changes have the standard errors of the fit
     `MagnitudePhase`; one of your own that weighs points  none: refused
-    otherwise than their errors; records
+    otherwise than their errors; manoeuvres
     ====================================================  ===========================================================
 
     Parameters
@@ -88,15 +98,17 @@ def profile(
         What was fitted; needed where it has ties, constraints, or values fixed by an earlier fit.
     level : float
         Of the intervals.
-    fresh_starts : int
-        Sobol points from which every point of a profile is solved again, beside its neighbors on both sides.
+    fresh_starts : int, optional
+        Sobol points from which every point of a profile is solved again, beside its neighbors on both sides; by default
+        two, and none of records, whose neighbors' states lead to the minimum.
     executor : concurrent.futures.Executor, optional
         What makes the profiles, one a task, as of `greybox.fit`; this process by default. They are the same.
 
     Raises
     ------
     ValueError
-        Where the criterion admits no likelihood ratio, for records, and for a problem that is not the fit's.
+        Where the criterion admits no likelihood ratio, for manoeuvres, for derived quantities of records, and for a
+        problem that is not the fit's.
     LookupError
         If a loaded fit does not know its model.
     RuntimeError
@@ -106,11 +118,14 @@ def profile(
     nlp = _compiled(fit, problem, level)
     # What follows from constants alone has the error zero, and no profile.
     known = {q.name: q for q in fit.quantities if q.kind != "fixed" and q.standard_error != 0}
+    if fit.records:
+        known = {name: q for name, q in known.items() if q.kind == "free" and not q.at_bound}
     wanted = list(known) if names is None else [names] if isinstance(names, str) else list(names)
     for name in wanted:
         if name not in known:
             raise ValueError(f"there is no {name!r} to profile; there are {alternatives(name, list(known))}.")
-    return _profiles(nlp, fit, [known[name] for name in wanted], level, fresh_starts, executor)
+    fresh = (0 if fit.records else FRESH_STARTS) if fresh_starts is None else fresh_starts
+    return _profiles(nlp, fit, [known[name] for name in wanted], level, fresh, executor)
 
 
 def _compiled(fit: Fit, problem: AnyProblem | None, level: float) -> Nlp:
@@ -123,10 +138,9 @@ def _compiled(fit: Fit, problem: AnyProblem | None, level: float) -> Nlp:
         raise ValueError(
             f"the fit {fit.name!r} has a-priori knowledge, with which its cost is no likelihood: use fit.interval()."
         )
-    if len(fit.responses) < len(fit.parts):
+    if len(fit.responses) + len(fit.records) < len(fit.parts):
         raise ValueError(
-            f"the fit {fit.name!r} has {'records' if fit.records else 'manoeuvres'}, of which no profiles are made "
-            "yet: use fit.interval(), which is Wald's."
+            f"the fit {fit.name!r} has manoeuvres, of which no profiles are made: use fit.interval(), which is Wald's."
         )
     problem = with_enough_harmonics(problem_of(fit) if problem is None else problem)
     nlp = compile_problem(problem)
@@ -166,7 +180,8 @@ def ratio_refusal(nlp: Nlp, x: Array) -> str:
     """Return why the costs of a problem admit no likelihood ratio at the estimate x (p,); empty where they do."""
     values = nlp.all_values(x)
     for part in nlp.parts:
-        assert isinstance(part, ResponsePart)
+        if not isinstance(part, ResponsePart):
+            continue
         bread, meat = part.criterion.spread(part.response(values), part.data, 1.0)
         if not np.isfinite(bread) or not meat.size or not np.all(meat > 0):
             return f"{part.problem.name!r} is fitted exactly, so that the size of its errors is not known"
@@ -255,6 +270,16 @@ class _Held:
         return z, cost if math.isfinite(cost) else math.inf
 
 
+def _numbers(nlp: Nlp) -> float:
+    """Return how many numbers there are of whose variance the cost is a logarithm; infinite where it is not."""
+    numbers = 0
+    for part in nlp.parts:
+        if not isinstance(part, RecordPart) or part.covariance.known is not None or part.model.driven:
+            return math.inf
+        numbers += part.numbers
+    return numbers
+
+
 @dataclass(frozen=True, eq=False)
 class _Point:
     value: float
@@ -266,9 +291,10 @@ class _Point:
 class _Search:
     """What the points of one profile share."""
 
-    held: _Held
+    held: _Held | HeldRecords
     best: _Point
     factor: float
+    numbers: float
     limit: float
     bounds: tuple[float, float]
     size: float
@@ -277,7 +303,10 @@ class _Search:
 
     def root(self, point: _Point) -> float:
         """Return |r|."""
-        return math.sqrt(max(2 * self.factor * (point.cost - self.best.cost), 0.0))
+        more = 2 * max(point.cost - self.best.cost, 0.0)
+        if math.isfinite(self.numbers) and math.isfinite(more):
+            more = self.numbers * math.expm1(min(more / self.numbers, LARGEST))
+        return math.sqrt(self.factor * more)
 
     def point(self, value: float, *starts: Array) -> _Point:
         """Return the best of what these starts reach."""
@@ -327,7 +356,7 @@ class _Search:
                         continue
                     again = self.point(points[k].value, points[k + neighbor].z)
                     if again.cost < points[k].cost:
-                        improved |= again.cost < (1 - LOWER) * points[k].cost
+                        improved |= again.cost < points[k].cost - LOWER * abs(points[k].cost)
                         points[k] = again
             if not improved:
                 break
@@ -436,15 +465,17 @@ def contour(
 def _contour(nlp: Nlp, fit: Fit, first: Quantity, second: Quantity, level: float, directions: int) -> Contour:
     from scipy.special import fdtri  # noqa: PLC0415  (takes a tenth of a second to import)
 
-    x, accuracy = _assessed(nlp, fit)
+    best = _best(nlp, fit)
+    x, accuracy = best.x, best.accuracy
     places = [nlp.free.index(first.name), nlp.free.index(second.name)]
     limit = math.sqrt(2 * float(fdtri(2, min(first.dof, second.dof, 1e9), level)))
     block = accuracy.covariance[np.ix_(places, places)]
     axes = np.linalg.cholesky(block) if np.linalg.det(block) > 0 else np.diag(accuracy.size[places])
     search = _Search(
-        held=_Held(nlp, places, None),
-        best=_Point(0.0, nlp.scaling.to_solver(x), nlp.cost(nlp.all_values(x))),
+        held=best.held.of(*places),
+        best=_Point(0.0, best.point, best.cost),
         factor=float(np.mean([_factor(accuracy, np.eye(len(x))[place]) for place in places])),
+        numbers=_numbers(nlp),
         limit=limit,
         bounds=(0.0, math.inf),
         size=1.0,
@@ -470,14 +501,32 @@ def _contour(nlp: Nlp, fit: Fit, first: Quantity, second: Quantity, level: float
     )
 
 
-def _assessed(nlp: Nlp, fit: Fit) -> tuple[Array, Accuracy]:
-    """Return the estimate (p,) and its accuracy, if costs are ratios of likelihoods there."""
+@dataclass(frozen=True, eq=False)
+class _Best:
+    """The estimate: its parameters x (p,) and their accuracy, its cost, and what minimizes beside it, from a point."""
+
+    x: Array
+    accuracy: Accuracy
+    cost: float
+    point: Array
+    held: _Held | HeldRecords
+
+
+def _best(nlp: Nlp, fit: Fit) -> _Best:
+    """Return the estimate of a fit, if costs are ratios of likelihoods there."""
     x = np.array([fit.estimate[name] for name in nlp.free])
     refusal = ratio_refusal(nlp, x)
-    accuracy = assess(nlp, x, tuple(part.initial_trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts))
-    if refusal or accuracy.white is None:
+    if any(part.has_states for part in nlp.parts):
+        held, point, cost, trajectories = best_of_records(nlp, x)
+        x = nlp.scaling.to_parameters(point[: len(x)])
+        best = _Best(x, assess(nlp, x, trajectories), cost, point, held)
+    else:
+        point = nlp.scaling.to_solver(x)
+        accuracy = assess(nlp, x, tuple(part.initial_trajectory(point) for part in nlp.parts))
+        best = _Best(x, accuracy, nlp.cost(nlp.all_values(x)), point, _Held(nlp, (), None))
+    if refusal or best.accuracy.white is None:
         raise ValueError(f"no profile of {fit.name!r}: {refusal or 'its errors are not known'}.")
-    return x, accuracy
+    return best
 
 
 def _profiles(
@@ -485,17 +534,16 @@ def _profiles(
 ) -> Profiles:
     from scipy.special import stdtrit  # noqa: PLC0415
 
-    x, accuracy = _assessed(nlp, fit)
-    z, cost = nlp.scaling.to_solver(x), nlp.cost(nlp.all_values(x))
+    best = _best(nlp, fit)
+    x, accuracy, cost = best.x, best.accuracy, best.cost
     parameters = nlp.problem.parameters
     drawn = Sobol(fresh, 0).draw({name: parameters[name] for name in nlp.free}) if fresh else np.zeros((0, len(x)))
     starts = nlp.scaling.to_solver(drawn)
     by_name = {formula.name: formula for formula in formulas(nlp.problem)}
-    shared = _Held(nlp, (), None)
     searches, limits = [], {}
     for line in lines:
         place = nlp.free.index(line.name) if line.name in nlp.free else None
-        held = _Held(nlp, (), _value_of(nlp, by_name[line.name])) if place is None else shared.of(place)
+        held = _Held(nlp, (), _value_of(nlp, by_name[line.name])) if place is None else best.held.of(place)
         slope = np.eye(len(x))[place] if place is not None else held.slope(x)
         dof = accuracy.dof if not math.isfinite(line.dof) else line.dof
         limit = float(stdtrit(min(dof, 1e9), 0.5 + level / 2))
@@ -506,8 +554,9 @@ def _profiles(
         first = STEP * limit * error if math.isfinite(error) and error > 0 else 0.02 * size
         search = _Search(
             held=held,
-            best=_Point(line.value, z, cost),
+            best=_Point(line.value if place is None else x[place], best.point, cost),
             factor=_factor(accuracy, slope),
+            numbers=_numbers(nlp),
             limit=limit,
             bounds=bounds,
             size=size,
@@ -518,7 +567,7 @@ def _profiles(
     found = call_all(_profile_of, searches, executor, lambda each: counted_off(each, "profiles", "profile"))
     lower = min((float(one.costs.min()) for one in found), default=math.inf)
     warnings = ()
-    if lower < (1 - LOWER) * cost:
+    if lower < cost - LOWER * max(abs(cost), 1.0):
         warnings = (f"a profile found the cost {number(lower)} below the fit's {number(cost)}: fit from more starts.",)
     return Profiles(fit.name, level, limits, nlp.free, tuple(found), warnings)
 
@@ -536,7 +585,7 @@ def _profile_of(nlp: Nlp, search: _Search, line: Quantity) -> ProfileOf:
 
     def held(point: _Point, is_open: bool) -> tuple[str, ...]:
         """Name the parameters at a bound, but for the one that is held and those that the estimate has there too."""
-        x, best = (nlp.scaling.to_parameters(z) for z in (point.z, search.best.z))
+        x, best = (nlp.scaling.to_parameters(z[: len(nlp.free)]) for z in (point.z, search.best.z))
         room, was = (np.minimum(v - nlp.lower, nlp.upper - v) for v in (x, best))
         near = (room <= CLOSE * np.abs(x)) & (was > CLOSE * np.abs(best))
         names = [name for name, at in zip(nlp.free, near, strict=True) if at and name != line.name]
@@ -551,7 +600,7 @@ def _profile_of(nlp: Nlp, search: _Search, line: Quantity) -> ProfileOf:
         values=np.array([point.value for point in points]),
         costs=np.array([point.cost for point in points]),
         roots=np.where(np.arange(len(points)) < center, -roots, roots),
-        others=nlp.scaling.to_parameters(np.array([point.z for point in points])),
+        others=nlp.scaling.to_parameters(np.array([point.z[: len(nlp.free)] for point in points])),
         interval=(low, high),
         ends=ends,
         bounds=line.bounds,

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,12 @@ class AllParts:
         self.gains = [kalman_gain(part) for part in self.parts]
         self.limits = limits
         self.settings = settings
+
+    def within(self, limits: Limits) -> "AllParts":
+        """Return the same parts with other limits."""
+        other = copy(self)
+        other.limits = limits
+        return other
 
     # --- iterates -----------------------------------------------------------------------------------------------------
 

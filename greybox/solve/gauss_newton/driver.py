@@ -97,6 +97,14 @@ class GaussNewton(LocalSolver):
         parts = tuple(excerpts(self._nlp.parts, settings.long_record // 2))
         return GaussNewton(self._nlp, parts, settings=settings)
 
+    def within(self, low: Array, high: Array) -> "GaussNewton":
+        """Return the same solver with other bounds of the variables z (p,)."""
+        other = copy(self)
+        other._limits = replace(self._limits, low=low, high=high)
+        other._parts = self._parts.within(other._limits)
+        other._coarse = None if self._coarse is None else self._coarse.within(low, high)
+        return other
+
     def refined(self, nlp: Nlp) -> "GaussNewton":
         """Return the solver of the same problem with finer steps."""
         return GaussNewton(nlp, settings=self._settings)
@@ -132,6 +140,13 @@ class GaussNewton(LocalSolver):
         if not self._parts.stays_near_data(iterate) or not are_stable(self._parts, iterate):
             return None
         outcome = self._solve(iterate, Progress.exact(self._settings), iterations)
+        return replace(outcome, seconds=time.perf_counter() - began)
+
+    @DIVERGING
+    def solved_from(self, x: Array, nodes: Nodes) -> Outcome:
+        """Solve from the parameters x (p,) and nodes that are about those of the solution."""
+        began = time.perf_counter()
+        outcome = self._solve(self._at(x, nodes), Progress.exact(self._settings), None)
         return replace(outcome, seconds=time.perf_counter() - began)
 
     @DIVERGING

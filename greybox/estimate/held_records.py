@@ -1,0 +1,80 @@
+"""Problems with records, minimized with some parameters held: what a profile of records asks for."""
+
+import math
+from collections.abc import Sequence
+from copy import copy
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.compiled.compiled_problem import Nlp
+from greybox.compiled.part import Trajectory
+from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.outcome import Outcome
+
+Array = NDArray[np.float64]
+
+
+class HeldRecords:
+    """The solver of records with the parameters at some places held by their bounds.
+
+    A point is the solver's variables (p,), alone or with the states at the nodes of all parts behind them: from those
+    of a neighbor a solution takes a few iterations. Pickled, it is the problem and the places.
+
+    Parameters
+    ----------
+    nlp : Nlp
+    shapes : sequence of (int, int)
+        Of the nodes of every part.
+    places : sequence of int
+    """
+
+    def __init__(self, nlp: Nlp, shapes: Sequence[tuple[int, ...]], places: Sequence[int] = ()) -> None:
+        """Build the solver."""
+        self._nlp, self._shapes, self._places = nlp, list(shapes), list(places)
+        self._solver = GaussNewton(nlp)
+
+    def __reduce__(self) -> tuple[type["HeldRecords"], tuple[Nlp, list[tuple[int, ...]], list[int]]]:
+        return HeldRecords, (self._nlp, self._shapes, self._places)
+
+    def of(self, *places: int) -> "HeldRecords":
+        """Return the same for the parameters at these places."""
+        other = copy(self)
+        other._places = list(places)
+        return other
+
+    def solve(self, start: Array, value: float | Array) -> tuple[Array, float]:
+        """Return the best point with the parameters at a value, or at as many values, and its cost; inf without one."""
+        scaling, p = self._nlp.scaling, len(self._nlp.free)
+        x = scaling.to_parameters(start[:p])
+        x[self._places] = value
+        lower, upper = self._nlp.lower.copy(), self._nlp.upper.copy()
+        lower[self._places] = upper[self._places] = x[self._places]
+        solver = self._solver.within(scaling.to_solver(lower), scaling.to_solver(upper))
+        x = np.clip(x, lower, upper)
+        sizes = [math.prod(shape) for shape in self._shapes]
+        found = None
+        if len(start) > p:
+            pieces = np.split(start[p:], np.cumsum(sizes)[:-1])
+            nodes = [piece.reshape(shape) for piece, shape in zip(pieces, self._shapes, strict=True)]
+            found = solver.solved_from(x, nodes)
+        if found is None or not found.converged:
+            found = solver.run(x)
+        return point_of(self._nlp, found), found.cost if found.converged else math.inf
+
+
+def best_of_records(nlp: Nlp, x: Array) -> tuple[HeldRecords, Array, float, tuple[Trajectory, ...]]:
+    """Return the solver of a problem, its best point from an estimate x (p,), the cost and the trajectories there."""
+    solver = GaussNewton(nlp)
+    states = solver.profile(x)
+    found = solver.solved_from(x, [trajectory.nodes for trajectory in states.trajectories])
+    if not found.converged or found.nodes is None:
+        raise ValueError(f"no minimum of {nlp.problem.name!r} is found at the estimate again: {found.status}.")
+    held = HeldRecords(nlp, [nodes.shape for nodes in found.nodes])
+    return held, point_of(nlp, found), found.cost, solver.profile(found.estimate, found.nodes).trajectories
+
+
+def point_of(nlp: Nlp, outcome: Outcome) -> Array:
+    """Return where a run ended as a point."""
+    nodes = [] if outcome.nodes is None else [each.ravel() for each in outcome.nodes]
+    return np.concatenate([nlp.scaling.to_solver(outcome.estimate), *nodes])

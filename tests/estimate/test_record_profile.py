@@ -1,0 +1,103 @@
+"""Profiles of records and rows, against dense grids by scipy and fits with the parameter fixed."""
+
+import numpy as np
+import pytest
+from lateral_aircraft import disturbed, doublets
+from nist import FORMULAS, certified
+from numpy.testing import assert_allclose
+from scipy.optimize import least_squares
+from scipy.stats import f as fisher
+from scipy.stats import t as student
+from spring_lag_tilt import SPRING, Spring, fit
+
+import greybox as gb
+
+TRUTH = {name: SPRING[name] for name in ("k", "c", "b")}
+WIND = gb.PredictionError(process_noise=("v",), inputs="held")
+
+
+@pytest.fixture(scope="module")
+def windy():
+    record = disturbed(Spring(), TRUTH, doublets(1, 150, 1.0, 1), 0.05, {"v": 0.3}, {"x": 0.05, "v": 0.15}, 1)
+    return record, fit(gb.Problem(Spring(), record, WIND))
+
+
+class _Values:
+    def __init__(self, values):
+        vars(self).update(values)
+
+
+def dense_grid(name, parameter, level=0.95):
+    """The ends of the interval where the F statistic of the squares, on a grid of six errors, crosses its limit."""
+    known = certified(name)
+    record = known.problem.data
+    others = [key for key in known.values if key != parameter]
+    dof = len(record["y"]) - len(known.values)
+    limit, variance = student.ppf(0.5 + level / 2, dof), known.squares / dof
+    ends = []
+    for direction in (-1, 1):
+        x, roots = np.array([known.values[key] for key in others]), [0.0]
+        grid = known.values[parameter] + direction * np.linspace(0, 7 * known.errors[parameter], 36)
+        for value in grid[1:]:
+            found = least_squares(
+                lambda x, value=value: (
+                    FORMULAS[name](_Values({parameter: value, **dict(zip(others, x, strict=True))}), record["x"])
+                    - record["y"]
+                ),
+                x,
+                x_scale=np.abs(x),
+                xtol=1e-12,
+                ftol=1e-12,
+            )
+            x = found.x
+            roots.append(np.sqrt(max(2 * found.cost - known.squares, 0) / variance))
+            if roots[-1] > 1.3 * limit:
+                break
+        near = np.searchsorted(roots, limit)
+        assert near < len(roots)
+        places = slice(max(near - 2, 0), near + 2)
+        ends.append(np.polyval(np.polyfit(roots[places], grid[: len(roots)][places], 2), limit))
+    return ends
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter"), [("Misra1a", "b2"), ("DanWood", "b2"), ("Rat42", "b3"), ("BoxBOD", "b2"), ("Chwirut2", "b1")]
+)
+def test_intervals_of_nists_problems_are_those_of_a_dense_grid(name, parameter):
+    known = certified(name)
+    found = gb.profile(fit(known.problem, [known.starts[1]]), parameter, problem=known.problem)
+    assert_allclose(found[parameter].interval, dense_grid(name, parameter), atol=5e-3 * known.errors[parameter])
+    assert not found.warnings
+
+
+def test_refits_with_the_parameter_fixed_cost_as_much_at_both_ends(windy):
+    record, found = windy
+    profile = gb.profile(found, "w_v")["w_v"]
+    low, high = profile.interval
+    best = found.estimate["w_v"]
+    assert high - best > 1.15 * (best - low)  # noise of few records is not known evenly
+    limit = student.ppf(0.975, found.dof)
+    for end in (low, high):
+        held = fit(gb.Problem(Spring(), record, WIND, fixed={"w_v": end}))
+        assert np.sqrt(2 * (held.cost - found.cost)) == pytest.approx(limit, rel=0.03)
+
+
+def test_regions_of_two_parameters_are_those_of_refits():
+    record = disturbed(Spring(), TRUTH, doublets(1, 150, 1.0, 1), 0.05, {}, {"x": 0.2, "v": 0.5}, 1)
+    rule = gb.OutputError(noise={"x": 0.2, "v": 0.5}, inputs="held")
+    found = fit(gb.Problem(Spring(), record, rule))
+    region = gb.contour(found, "k", "c", directions=8)
+    assert set(region.ends) == {"crossed"}
+    k, c = region.points[1]
+    held = fit(gb.Problem(Spring(), record, rule, fixed={"k": k, "c": c}))
+    ratio = 2 * (held.cost - found.cost)
+    # By the standard errors, which follow from the correlation of the residuals.
+    free = [found.free.index(name) for name in ("k", "c")]
+    moved = region.points[1] - region.estimate
+    scale = moved @ np.linalg.solve(found.covariance_of(found.free)[np.ix_(free, free)], moved) / ratio
+    assert scale * ratio == pytest.approx(2 * fisher.ppf(0.95, 2, found.dof), rel=0.15)
+
+
+def test_derived_quantities_of_records_are_not_profiled(windy):
+    with pytest.raises(ValueError, match="there is no 'd' to profile"):
+        gb.profile(windy[1], "d")
