@@ -229,7 +229,8 @@ def _require_fewer_terms(small: FittedRecord, large: FittedRecord, labels: tuple
         raise NotNestedError(f"the gains of {both} are free in one and follow from process noise in the other")
     fewer = set(small.driven) <= set(large.driven) if large.driven else set(small.gains) <= set(large.gains)
     if not (fewer and set(small.biases) <= set(large.biases)):
-        raise NotNestedError(f"{labels[0]} has process noise, gains or biases that {labels[1]} has not")
+        kind = "process noise" if small.driven else "gains"
+        raise NotNestedError(f"{labels[0]} has {kind} or biases that {labels[1]} has not")
 
 
 def _same_noise(small: Fit, large: Fit) -> bool:
