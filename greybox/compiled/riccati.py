@@ -54,7 +54,7 @@ def steady_covariance(F: Array, C: Array, process: Array) -> Array:
         A = A @ step
         H = H + (change + change.T) / 2
         if np.abs(change).max(initial=0.0) <= STEADY * np.abs(H).max(initial=0.0):
-            return H * size * size[:, None]
+            return (H * size * size[:, None]).astype(float)
     return np.full((n, n), np.nan)
 
 
