@@ -54,7 +54,7 @@ def steady_covariance(F: Array, C: Array, process: Array) -> Array:
         A = A @ step
         H = H + (change + change.T) / 2
         if np.abs(change).max(initial=0.0) <= STEADY * np.abs(H).max(initial=0.0):
-            return (H * size * size[:, None]).astype(float)
+            return H * size * size[:, None]
     return np.full((n, n), np.nan)
 
 
@@ -201,7 +201,7 @@ def _filter(
     S = C @ P @ C.T + V
     if not np.all(np.isfinite(S)):
         return np.full((n, len(C)), np.nan), np.full((len(dF), n, len(C)), np.nan), V, dV
-    K = np.linalg.solve(S, C @ P).T
+    K = np.linalg.solve(S, C @ P).T.astype(float)
     rest = np.eye(n) - K @ C
     updated = P - K @ C @ P
 
@@ -221,7 +221,8 @@ def _filter(
     mixed = dC @ P @ C.T
     dS = C @ dP @ C.T + mixed + mixed.transpose(0, 2, 1) + dV
     dPC = dP @ C.T + P @ dC.transpose(0, 2, 1) - K @ dS
-    return K, np.linalg.solve(S, dPC.transpose(0, 2, 1)).transpose(0, 2, 1), S, dS
+    dK = np.linalg.solve(S, dPC.transpose(0, 2, 1)).transpose(0, 2, 1).astype(float)
+    return K, dK, S, dS
 
 
 def _congruence(F: Array, dF: Array, W: Array, dW: Array) -> Array:
