@@ -543,8 +543,11 @@ def _profiles(
     searches, limits = [], {}
     for line in lines:
         place = nlp.free.index(line.name) if line.name in nlp.free else None
-        held = _Held(nlp, (), _value_of(nlp, by_name[line.name])) if place is None else best.held.of(place)
-        slope = np.eye(len(x))[place] if place is not None else held.slope(x)
+        if place is None:
+            held = _Held(nlp, (), _value_of(nlp, by_name[line.name]))
+            slope = held.slope(x)
+        else:
+            held, slope = best.held.of(place), np.eye(len(x))[place]
         dof = accuracy.dof if not math.isfinite(line.dof) else line.dof
         limit = float(stdtrit(min(dof, 1e9), 0.5 + level / 2))
         limits[line.name] = limit
