@@ -8,7 +8,6 @@ one resolves it, and the combination weighs them.
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -16,10 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.data.text_table import counted
 from greybox.spectral.local_polynomials import Lines, lines_of, points_at, tiled_points
 from greybox.spectral.uniform_stretches import UniformStretch, uniform_stretches
-from greybox.spectral.welch import HZ, PERIODS, WindowedPoint, estimates, response_at, transforms
+from greybox.spectral.welch import HZ, PERIODS, WindowedPoint, estimates, response_at, transforms, without_incoherent
 
 Array = NDArray[np.float64]
 
@@ -36,8 +34,6 @@ LEAKAGE_TERMS = 2  # with one 4.8 % (1.1 %), with none 9.3 % (2.2 %)
 # Weight of a window length by its relative random error ε: (ε / ε_min)**-4, COMPOSITE of CIFER. With the exponent 1,
 # 6.1 % (1.2 %); with 8 and more it makes no difference.
 SHARPNESS = 4
-
-COHERENT = 0.6  # below, a point of the automatic grid is left out: Tischler and Remple, section 5.5
 
 SAMPLES = 8  # in a window, at least: two periods (`PERIODS`) of four samples
 
@@ -154,13 +150,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
         found = points_at(lines, grid)
 
     response = response_at(grid, found, (input, output, name), stretches)
-    coherent = response.coherence >= COHERENT  # type: ignore[operator]
-    if omega is not None or not coherent.any() or coherent.all():
-        return response
-    low, high = response.omega[~coherent].min(), response.omega[~coherent].max()
-    where = f"{low:.4g} to {high:.4g} rad/s" if high > low else f"{low:.4g} rad/s"
-    text = f"{(~coherent).sum()} of {counted(len(response), 'point')}, of a coherence below {COHERENT}, at {where}"
-    return replace(response.where(coherent), about={"dropped": text})
+    return response if omega is not None else without_incoherent(response)
 
 
 def _within(band: tuple[float, float], lowest: float, highest: float) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.spectral.uniform_stretches import UniformStretch, uniform_stretches
-from greybox.spectral.welch import HZ, estimates, response_at, transforms
+from greybox.spectral.welch import HZ, estimates, response_at, transforms, without_incoherent
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ def periodic_response(
     period : float, s
         A whole number of samples.
     omega : (n,) array, rad/s, optional
-        Multiples of 2π / period; by default those that are excited.
+        Multiples of 2π / period; by default those that are excited, without those of low coherence.
 
     Raises
     ------
@@ -67,7 +67,8 @@ def periodic_response(
 
     spectra = transforms(stretches, period, 0.0, np.rint(multiple) * fundamental, taper=False)
     points = estimates(spectra, np.full(grid.size, np.inf))
-    return response_at(grid, points, (input, output, name), stretches)
+    response = response_at(grid, points, (input, output, name), stretches)
+    return response if omega is not None else without_incoherent(response)
 
 
 def whole_periods(stretch: UniformStretch, period: float) -> UniformStretch:

@@ -19,12 +19,14 @@ averages of overlapping windows (Welch 1967); it also holds for a sweep, which e
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.text_table import counted
 from greybox.spectral.uniform_stretches import UniformStretch
 
 Array = NDArray[np.float64]
@@ -40,6 +42,8 @@ PERIODS = 2
 # Of an estimate that is used: the smallest number for which Student's t, the error over its estimated standard
 # deviation, has a finite variance.
 LEAST_DOF = 3
+
+COHERENT = 0.6  # below, a point of the automatic grid is left out: Tischler and Remple, section 5.5
 
 # Of ZᴴX with columns of length one. Rounding errors of the solution reach this times 2e-16; beyond it, the leakage
 # terms are taken as dependent.
@@ -191,6 +195,17 @@ def response_at(
         [s.origin for s in stretches if s.origin is not None],
         {n: u for s in stretches[:1] for n, u in s.units.items() if n in (input, output) and u},
     )
+
+
+def without_incoherent(response: FrequencyResponse) -> FrequencyResponse:
+    """Leave the points out whose coherence is low, and say so in `about`; where all are, they remain to be judged."""
+    coherent = response.coherence >= COHERENT  # type: ignore[operator]
+    if not coherent.any() or coherent.all():
+        return response
+    low, high = response.omega[~coherent].min(), response.omega[~coherent].max()
+    where = f"{low:.4g} to {high:.4g} rad/s" if high > low else f"{low:.4g} rad/s"
+    text = f"{(~coherent).sum()} of {counted(len(response), 'point')}, of a coherence below {COHERENT}, at {where}"
+    return replace(response.where(coherent), about={"dropped": text})
 
 
 def _hann_tapers(count: int, derivatives: int) -> Array:

@@ -5,6 +5,7 @@ import pytest
 from resonance_records import RATE, covered, record, resonance
 from scipy.signal import freqz, lfilter
 
+from greybox.data.record import Record
 from greybox.experiment.multisine import multisine
 from greybox.spectral.composite_windows import spectral_response
 from greybox.spectral.multisine_lines import periodic_response
@@ -69,3 +70,17 @@ def test_mistakes_are_sentences(call, words):
     u = np.random.default_rng(0).standard_normal(30 * RATE)
     with pytest.raises(ValueError, match=words):
         call(record(u=u, theta=u))
+
+
+def test_lines_that_the_output_does_not_answer_are_left_out():
+    """A notch of the plant at three of the lines leaves noise there, which is said; asked for, they are given."""
+    time = np.arange(6000) / 50
+    lines = np.arange(2, 30)
+    passed = lines[(lines < 10) | (lines > 12)]
+    phase = np.random.default_rng(4).uniform(0, 2 * np.pi, 30)
+    u, y = (sum(np.sin(2 * np.pi * k / 10 * time + phase[k]) for k in some) for some in (lines, passed))
+    data = Record(time, {"u": u, "y": y + 0.3 * np.random.default_rng(5).standard_normal(time.size)})
+    found = periodic_response(data, 10.0, "u", "y")
+    assert found.about["dropped"] == "3 of 28 points, of a coherence below 0.6, at 6.283 to 7.54 rad/s"
+    assert len(found) == 25
+    assert len(periodic_response(data, 10.0, "u", "y", omega=2 * np.pi / 10 * lines)) == 28
