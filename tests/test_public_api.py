@@ -39,7 +39,7 @@ NAMESPACES = {
     "TransferFunction feedback frequency_response harmonic_response linearize rational",
     "planning": "ExpectedErrors SinePlan expected_errors plan_sines",
     "plotting": "bode contour demodulated measurement nyquist orders plot profiles recording residuals response_matrix "
-    "sensitivity spectrogram spectrum starts time_history traces",
+    "sensitivity spectrogram spectrum starts time_history traces vibration",
     "regression": "EquationErrorEstimate equation_error levy order_path",
     "simulation": "Prediction predict simulate",
     "solve": "LatinHypercube Listed Sobol Starts Strategies Uniform UntilFoundAgain WorkerPool",

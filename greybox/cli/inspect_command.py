@@ -4,6 +4,7 @@ import argparse
 import shlex
 from collections.abc import Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from greybox.cli.log_tests import add_test_options, read_log, segment_as_json, segments_of
@@ -21,6 +22,7 @@ from greybox.spectral.vibration import vibration, vibration_table
 EXAMPLES = (
     "flight.BIN",
     "flight.BIN --setpoint ATT.DesPitch --plot tests.png",
+    "flight.BIN --vibration spectra.png",
 )
 
 BURSTS = (
@@ -33,6 +35,7 @@ def add_command(commands: Any) -> None:
     parser = add_parser(commands, "inspect", "show what a log holds, its test segments and its defects", EXAMPLES)
     parser.add_argument("log", metavar="LOG", help="a flight log, or a table of signals")
     add_test_options(parser)
+    parser.add_argument("--vibration", type=Path, metavar="FILE", help="draw spectra of gyros and accelerometers")
     add_common_options(parser, "setpoints, angles and tests")
     parser.set_defaults(command=run)
 
@@ -40,6 +43,7 @@ def add_command(commands: Any) -> None:
 def run(options: argparse.Namespace) -> Answer:
     """Return what a log holds, and draw it where asked to."""
     require_figure(options.plot, options.force)
+    require_figure(options.vibration, options.force)
     recording = read_log(options)
     segments = segments_of(recording, options)
 
@@ -51,6 +55,7 @@ def run(options: argparse.Namespace) -> Answer:
     found += f"\n\nmanoeuvres\n{segment_table(manoeuvres)}" if manoeuvres else ""
     findings = [f"  {finding}" for finding in recording.findings]
     notes = save_figure(options.plot, lambda: _figure(recording, (*segments, *manoeuvres)))
+    notes += save_figure(options.vibration, lambda: _vibration(recording))
     shaking = [one for name, record in recording.items() if name.startswith("ISBD[") for one in vibration(name, record)]
     parts = [_about(recording), _contents(recording), *([vibration_table(shaking)] if shaking else []), found]
     text = "\n\n".join(parts) + "\n" + "\n".join([*findings])
@@ -101,6 +106,12 @@ def _figure(recording: Recording, segments: tuple[Segment, ...]) -> Any:
     from greybox.plotting import recording as draw  # noqa: PLC0415  (imports matplotlib)
 
     return draw(recording, segments)[0].figure
+
+
+def _vibration(recording: Recording) -> Any:
+    from greybox.plotting import vibration as draw  # noqa: PLC0415  (imports matplotlib)
+
+    return draw(recording)[0].figure
 
 
 def _about(recording: Recording) -> str:

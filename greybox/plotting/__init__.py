@@ -11,8 +11,9 @@ composes several diagrams and returns the Figure.
 one for each parameter with what tells of it, `orders` the structures of an order selection; `response_series` collects
 the points and curves of the first two, `response_matrix` draws those of several inputs and outputs. `time_history`
 draws fitted and predicted records, `residuals` what is left of fitted ones, `spectrum` the transforms of manoeuvres,
-`flight_log` logs and their tests, `measured_test` what was measured from a log; `long_lines` draws no more points than
-can be seen. `overview` composes them into one figure, `style` holds colors, legends and the frame of a diagram.
+`flight_log` logs and their tests, `measured_test` what was measured from a log, `vibration` spectra of its IMU;
+`long_lines` draws no more points than can be seen. `overview` composes them into one figure, `style` holds colors,
+legends and the frame of a diagram.
 """
 
 from greybox.plotting.bode import bode as bode
@@ -32,3 +33,4 @@ from greybox.plotting.sensitivity import sensitivity as sensitivity
 from greybox.plotting.spectrum import spectrum as spectrum
 from greybox.plotting.starts import starts as starts
 from greybox.plotting.time_history import time_history as time_history
+from greybox.plotting.vibration import vibration as vibration

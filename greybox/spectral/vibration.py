@@ -5,12 +5,15 @@ them where no filter stands before.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from greybox.data.record import Record
+from greybox.data.record import Record, Recording
 from greybox.data.text_table import number, text_table
+
+Array = NDArray[np.float64]
 
 WINDOW = 1024  # samples, or less where the batches are shorter or few: 1 Hz at 1 kHz
 AVERAGES = 12  # windows, half overlapping, at least: the spectrum of noise then scatters by ±1.5 dB
@@ -18,6 +21,7 @@ LEAST = 64  # samples of a stretch that a spectrum is made of
 PROMINENT = 10.0  # dB above its surroundings, of a peak: more than six times that scatter
 MOST = 3  # peaks of a signal
 LOWEST = 10.0  # Hz, below which the motion of the vehicle lies
+FASTER = 10  # times that, the rate from which an octave and more of vibration is resolved
 
 
 @dataclass(frozen=True)
@@ -32,19 +36,44 @@ class Vibration:
     peaks: tuple[float, ...]
 
 
+def sensors(recording: Recording) -> dict[str, Record]:
+    """Return gyros and accelerometers that were logged fast enough for vibration: raw batches, and the IMU messages."""
+    found = {}
+    for name, record in recording.items():
+        kind = name.partition("[")[0]
+        names = [n for n in record.signals if kind == "ISBD" or (kind == "IMU" and n.startswith(("Gyr", "Acc")))]
+        if names and record.has_time and record.rate > FASTER * LOWEST and _long_enough(record):
+            found[name] = replace(record, signals={n: record[n] for n in names}, checksum="")
+    return found
+
+
+def power_density(record: Record) -> tuple[Array, Array] | None:
+    """Return frequencies (n,), Hz, and the power density of every signal (signals, n), averaged over the stretches.
+
+    None where the stretches are too short.
+    """
+    from scipy.signal import welch  # noqa: PLC0415  (takes a third of a second to import)
+
+    pieces = _long_enough(record)
+    if not pieces:
+        return None
+    count = min(WINDOW, 2 * sum(len(piece) for piece in pieces) // AVERAGES, *(len(piece) for piece in pieces))
+    every = [np.array([*piece.signals.values()]) for piece in pieces]
+    spectra = [welch(values, record.rate, nperseg=count, detrend="linear") for values in every]
+    density = np.average([power for _, power in spectra], axis=0, weights=[len(piece) for piece in pieces])
+    return spectra[0][0], density
+
+
 def vibration(message: str, record: Record) -> list[Vibration]:
     """Return the vibration in every signal of a record of fast samples; none if its stretches are too short."""
-    from scipy.signal import find_peaks, welch  # noqa: PLC0415  (takes a third of a second to import)
+    from scipy.signal import find_peaks  # noqa: PLC0415  (as above)
 
-    pieces = [piece for piece in record.pieces if len(piece) >= LEAST]
-    if not pieces:
+    spectra = power_density(record)
+    if spectra is None:
         return []
-    count = min(WINDOW, 2 * sum(len(piece) for piece in pieces) // AVERAGES, *(len(piece) for piece in pieces))
+    hz, densities = spectra
     found = []
-    for name in record.signals:
-        spectra = [welch(piece[name], record.rate, nperseg=count, detrend="linear") for piece in pieces]
-        hz = spectra[0][0]
-        density = np.average([power for _, power in spectra], axis=0, weights=[len(piece) for piece in pieces])
+    for name, density in zip(record.signals, densities, strict=True):
         above = hz >= LOWEST
         rms = float(np.sqrt(np.sum(density[above]) * (hz[1] - hz[0])))
         level = 10 * np.log10(np.maximum(density, 1e-300))
@@ -53,6 +82,10 @@ def vibration(message: str, record: Record) -> list[Vibration]:
         peaks = tuple(float(hz[place]) for place in highest)
         found.append(Vibration(message, name, record.rate, rms, record.units.get(name, ""), peaks))
     return found
+
+
+def _long_enough(record: Record) -> list[Record]:
+    return [piece for piece in record.pieces if len(piece) >= LEAST]
 
 
 def vibration_table(found: Sequence[Vibration]) -> str:
