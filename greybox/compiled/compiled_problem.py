@@ -3,12 +3,13 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.compiled.explicit_program import derivatives_at, responses_at, roots_of
 from greybox.compiled.part import Part
 from greybox.compiled.record_part import compile_records
 from greybox.compiled.response_map import LARGE, Mapped, lagrangian_hessian
@@ -27,7 +28,7 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.harmonic_balance import harmonic_function
-from greybox.modeling.linear_response import formula_at_one_frequency, response_function
+from greybox.modeling.linear_response import ResponseFormula, formula_at_one_frequency, response_formula
 from greybox.modeling.model import Names
 from greybox.modeling.pade_delay import delay_order
 
@@ -52,6 +53,8 @@ class Nlp:
         Bounds of the unknowns, in their own units.
     scaling : Scaling
         Between the unknowns and the solver's variables.
+    origin : (p,) array
+        The declared start values, as the solver sees them.
     method : Transcription
         Of the records.
     parts : tuple of Part
@@ -60,8 +63,13 @@ class Nlp:
         (z, smoothing) -> the cost of the frequency responses, and what must be >= 0.
     locating : casadi.Function or None
         The same with the criteria that locate the minimum, where they differ.
-    locating_hessian, program_hessian : casadi.Function or None
-        Of their Lagrangians, where responses are mapped; see `response_map`.
+    locating_derivatives, program_derivatives : dict of casadi.Function
+        Of both, as options of `casadi.nlpsol`, where CasADi's own take longer: see `response_map`, `explicit_program`.
+    explicit : tuple of casadi.Function
+        `locating`, if any, and `program` as SX functions (z, smoothing), or (z, smoothing, w) with roots that are
+        given; none where responses exist as MX only.
+    roots : casadi.Function or None
+        (z) -> w, the unknowns of all trims that are found by Newton's method.
     constraint : casadi.Function
         (all values) -> what must be >= 0, stacked.
     limits : tuple of str
@@ -81,12 +89,15 @@ class Nlp:
     lower: Array
     upper: Array
     scaling: Scaling
+    origin: Array
     method: Transcription
     parts: tuple[Part, ...]
     program: ca.Function
     locating: ca.Function | None
-    locating_hessian: ca.Function | None
-    program_hessian: ca.Function | None
+    locating_derivatives: dict[str, ca.Function]
+    program_derivatives: dict[str, ca.Function]
+    explicit: tuple[ca.Function, ...]
+    roots: ca.Function | None
     constraint: ca.Function
     limits: tuple[str, ...]
     response_cost: ca.Function
@@ -158,7 +169,8 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     constant_values = np.array([parameters[name].start for name in constants])
     responding = [part for part in problem.parts if isinstance(part.data, FrequencyResponse)]
     mapped = _mapped(responding)
-    models = [m.function() for m in mapped] if mapped else [_response(part) for part in responding]
+    formulas = [] if mapped else [_formula(part) for part in responding]
+    models = [m.function() for m in mapped] if mapped else [_closed(formula) for formula in formulas]
     # A trim that is found by Newton's method and a mapped response exist as MX only; everything else is faster as SX.
     kind: Any = ca.SX if all(f.is_a("SXFunction") for f in models) else ca.MX
 
@@ -179,18 +191,20 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     scaled, scaled_limits = trace([*scaling.expressions(z), *constant_values])
     scaled_limit = ca.vertcat(kind(0, 1), *scaled_limits.values())
     own_cost = _costs(responding, scaled, smoothing, _criterion)
-    total = _weighted(responding, own_cost)
     point = ca.SX.sym("z", len(free))
     named = dict(zip((*free, *constants), [*scaling.expressions(point), *constant_values], strict=True))
 
-    def hessian(choose: Callable[[Problem], Criterion]) -> ca.Function | None:
-        return _composed_hessian(problem, responding, mapped, named, point, choose) if mapped else None
-
-    locating, locating_hessian = None, None
+    trimmed = [formula for formula in formulas if isinstance(formula, ResponseFormula)] if kind is ca.MX else []
+    roots = None
+    if trimmed and len(trimmed) == len(responding):
+        values = dict(zip((*free, *constants), [*scaling.expressions(z), *constant_values], strict=True))
+        roots = ca.Function("roots", [z], [roots_of(responding, trimmed, values)])
+    statement = _Statement(
+        problem, responding, mapped, trimmed, roots, z, smoothing, scaled, scaled_limit, point, named
+    )
+    own, located = statement.in_criterion("program", _criterion), None
     if any(_criterion(part).locator is not None for part in responding):
-        locating_hessian = hessian(_locator)
-        located = _costs(responding, scaled, smoothing, _locator)
-        locating = ca.Function("locating", [z, smoothing], [kind(_weighted(responding, located)), scaled_limit])
+        located = statement.in_criterion("locating", _locator)
 
     compiled_responses = {
         part: ResponsePart(
@@ -214,12 +228,15 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         lower=np.array([parameters[name].bounds[0] for name in free]),
         upper=np.array([parameters[name].bounds[1] for name in free]),
         scaling=scaling,
+        origin=scaling.to_solver(np.array([parameters[name].start for name in free])),
         method=method,
         parts=tuple(compiled[part] for part in problem.parts),
-        program=ca.Function("program", [z, smoothing], [kind(total), scaled_limit]),
-        locating=locating,
-        locating_hessian=locating_hessian,
-        program_hessian=hessian(_criterion),
+        program=own.program,
+        locating=located.program if located else None,
+        locating_derivatives=located.derivatives if located else {},
+        program_derivatives=own.derivatives,
+        explicit=(*(located.explicit if located else ()), *own.explicit),
+        roots=roots,
         constraint=ca.Function("constraint", [x], [ca.vertcat(kind(0, 1), *limits.values())]),
         limits=tuple(limits),
         response_cost=ca.Function("cost", [x], [ca.vertcat(kind(0, 1), *costs)]),
@@ -228,6 +245,57 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         ),
         magnitudes=np.concatenate([np.zeros(0), *[part.magnitude for part in compiled_responses.values()]]),
     )
+
+
+class _Stated(NamedTuple):
+    """A program with its derivatives for IPOPT and, where there is one, its explicit form; see `Nlp`."""
+
+    program: ca.Function
+    derivatives: dict[str, ca.Function]
+    explicit: tuple[ca.Function, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Statement:
+    """Responses and constraints, from which programs in several criteria are made.
+
+    Those of (z, smoothing) are SX or MX; `point` and the `named` values are SX in any case.
+    """
+
+    problem: AnyProblem
+    responding: list[Problem]
+    mapped: list[Mapped] | None
+    trimmed: list[ResponseFormula]
+    roots: ca.Function | None
+    z: Any
+    smoothing: Any
+    responses: list[Complex]
+    limits: Any
+    point: ca.SX
+    named: Mapping[str, Any]
+
+    def in_criterion(self, name: str, choose: Callable[[Problem], Criterion]) -> _Stated:
+        """Return the program in one criterion."""
+        kind, parts = type(self.z), self.responding
+        cost = _weighted(parts, _costs(parts, self.responses, self.smoothing, choose))
+        program = ca.Function(name, [self.z, self.smoothing], [kind(cost), self.limits])
+        if self.mapped:
+            hessian = _composed_hessian(self.problem, parts, self.mapped, self.named, self.point, choose)
+            return _Stated(program, {"hess_lag": hessian}, ())
+        if self.roots is None:
+            return _Stated(program, {}, (program,) if kind is ca.SX else ())
+        smoothing, w = ca.SX.sym("smoothing"), ca.SX.sym("w", self.roots.numel_out(0))
+        responses = responses_at(parts, self.trimmed, self.named, w)
+        cost = ca.SX(_weighted(parts, _costs(parts, responses, smoothing, choose)))
+        limits = _stacked_limits(self.problem, self.named)
+        explicit = ca.Function("explicit", [self.point, smoothing, w], [cost, limits])
+        return _Stated(program, derivatives_at(self.roots, explicit), (explicit,))
+
+
+def _stacked_limits(problem: AnyProblem, named: Mapping[str, Any]) -> ca.SX:
+    local = {part: part.local_values(named) for part in problem.parts}
+    limits = dict(item for part, p in local.items() for item in limits_of(part, p).items())
+    return ca.SX(ca.vertcat(ca.SX(0, 1), *limits.values()))
 
 
 def limits_of(part: Problem, p: Names) -> dict[str, Any]:
@@ -266,10 +334,14 @@ def _locator(part: Problem) -> Criterion:
     return _criterion(part).locator or _criterion(part)
 
 
-def _response(part: Problem) -> ca.Function:
+def _formula(part: Problem) -> ResponseFormula | ca.Function:
     if part.amplitude is not None:
         return harmonic_function(part.model, part.response.omega, part.amplitude, **response_options(part))
-    return response_function(part.model, part.response.omega, **response_options(part))
+    return response_formula(part.model, part.response.omega, **response_options(part))
+
+
+def _closed(formula: ResponseFormula | ca.Function) -> ca.Function:
+    return formula.closed() if isinstance(formula, ResponseFormula) else formula
 
 
 def response_options(part: Problem) -> dict[str, Any]:
@@ -295,10 +367,9 @@ def _composed_hessian(
     named: Mapping[str, Any],
     z: ca.SX,
     choose: Callable[[Problem], Criterion],
-) -> ca.Function | None:
+) -> ca.Function:
     """Return the Hessian of the weighted costs of mapped responses and of the constraints."""
     local = {part: part.local_values(named) for part in problem.parts}
-    limits = dict(item for part, p in local.items() for item in limits_of(part, p).items())
     parts = [
         (
             response,
@@ -308,4 +379,4 @@ def _composed_hessian(
         )
         for part, response in zip(responding, mapped, strict=True)
     ]
-    return lagrangian_hessian(parts, z, ca.SX(ca.vertcat(ca.SX(0, 1), *limits.values())))
+    return lagrangian_hessian(parts, z, _stacked_limits(problem, named))

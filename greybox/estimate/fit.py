@@ -108,23 +108,22 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     """Fit a problem from many starts: by IPOPT, or, where data are records, by Gauss-Newton steps.
 
     Frequency responses are searched from all starts at once by Newton's method (``search="batched"``), and IPOPT solves
-    every minimum that was found once more. What a batch does not serve (constraints, large problems) is solved by IPOPT
-    from every start, which ``search="multistart"`` asks for. ``search="global-search"`` is the scatter search of
-    MATLAB's GlobalSearch, with 1000 trial points by default, see `greybox.solve.global_search`.
+    every minimum that was found once more. What a batch does not serve (finite amplitudes, large problems) is solved by
+    IPOPT from every start that is tried, as ``search="multistart"`` does. ``search="global-search"`` is the scatter
+    search of MATLAB's GlobalSearch, with 1000 trial points by default, see `greybox.solve.global_search`.
 
     Parameters
     ----------
     problem : Problem or a sum of problems
     starts : int, Starts, or list
         A number of Sobol points, all of which are brought to a minimum, a rule such as `LatinHypercube(200)` or
-        `UntilFoundAgain(error=0.01)`, or a list of ``{name: value}``. By default 200 Sobol points: in a batched search
-        the 8 with the lowest costs, and all if fewer than half of these end at the best minimum. Where data are
-        records, the declared values and those 3 of 19 Sobol points that promise most over short segments, where they
-        are improved first (`Run.start` stays the point itself); all, if fewer than 3 of these 4 end at the best
-        minimum, or with constraints. Drawn points at which a model of
-        records is not finite move toward the first at which it is. Of several starts on records, the search goes on
-        from the best end with every parameter whose lower bound is above zero made four times larger and smaller; a
-        lower cost is reported as an extra run.
+        `UntilFoundAgain(error=0.01)`, or a list of ``{name: value}``. By default 200 Sobol points: in a multistart all,
+        otherwise the 8 with the lowest costs, and all if fewer than half of these end at the best minimum. Of records,
+        the declared values and those 3 of 19 Sobol points that promise most over short segments, where they are
+        improved first (`Run.start` stays the point itself); all, if fewer than 3 of these 4 end at the best minimum, or
+        with constraints. Drawn points at which a model of records is not finite move toward the first at which it is.
+        Of several starts on records, the search goes on from the best end with every parameter whose lower bound is
+        above zero made four times larger and smaller; a lower cost is reported as an extra run.
     seed : int, optional
         Of the Sobol points, 0 by default; a rule has its own. More starts of one seed begin with the same points.
     method : MultipleShooting, SingleShooting or Collocation, optional
@@ -144,8 +143,8 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
         The same for the runs from each start.
     profiles : bool
         Profile the likelihood of responses, as `greybox.profile` does, along parameters whose interval by the standard
-        error leaves the bounds, or whose error exceeds half the value: `Fit.profiles`. Problems that the batched
-        search does not serve (trims inside the optimization, finite amplitudes) are left out: profile these by name.
+        error leaves the bounds, or whose error exceeds half the value: `Fit.profiles`. Problems that take long (trims
+        inside the optimization, finite amplitudes) or have constraints are left out: profile these by name.
     progress : bool or function
         A bar on a terminal for anything longer than two seconds; or a function of finished and all runs.
 

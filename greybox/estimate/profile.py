@@ -159,7 +159,9 @@ def profiled_where_misleading(nlp: Nlp, fit: Fit) -> Profiles | None:
     That is where the interval of the standard error leaves the bounds, or the error exceeds half the value. A profile
     takes some forty solves: problems too large for the batched search are not profiled unasked.
     """
-    if len(fit.responses) < len(fit.parts) or fit.white is None or not BatchedSolver.serves(nlp):
+    if len(fit.responses) < len(fit.parts) or fit.white is None or nlp.limits or nlp.roots is not None:
+        return None
+    if not BatchedSolver.serves(nlp):
         return None
     intervals = fit.interval(LEVEL)
     lines = [q for q in fit.quantities if q.kind == "free" and not q.at_bound and _misleads(q, intervals[q.name])]

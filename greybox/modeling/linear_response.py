@@ -1,6 +1,7 @@
 """The frequency response of a model, linearized where it is an ODE: in numbers, and compiled for a solver."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -17,12 +18,35 @@ from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import parameter_names, require_no_nan, traced
 from greybox.modeling.transfer_function import TransferFunction, require_no_operating_point
-from greybox.modeling.trim import trim_function
+from greybox.modeling.trim import Trim, trim_of
 
 # The order of elimination is checked with this many draws of the parameters besides the start values, and at this many
 # frequencies: a pivot that vanishes whatever the parameters vanishes with any of them.
 DRAWS = 3
 FREQUENCIES = 50
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseFormula:
+    """A compiled frequency response, its trim by Newton's method apart from the rest.
+
+    Attributes
+    ----------
+    function : casadi.Function
+        (p, w, ...) -> real and imaginary part, an SX function; its derivatives by p hold w, see `Trim`.
+    root : casadi.Function or None
+        (p) -> w; None where there is no such trim, and w is empty.
+    """
+
+    function: ca.Function
+    root: ca.Function | None
+
+    def closed(self) -> ca.Function:
+        """Return (p, ...) -> real and imaginary part."""
+        kind: Any = ca.SX if self.root is None else ca.MX
+        p, _, *others = (kind.sym("v", self.function.numel_in(k)) for k in range(self.function.n_in()))
+        w = kind(0, 1) if self.root is None else self.root(p)
+        return ca.Function("response", [p, *others], self.function(p, w, *others))
 
 
 def frequency_response(
@@ -101,6 +125,19 @@ def response_function(
     pade: int | None = None,
 ) -> ca.Function:
     """Compile the frequency response: the CasADi function from the parameter vector to real and imaginary part (n,)."""
+    return response_formula(model, omega, input=input, output=output, at=at, pade=pade).closed()
+
+
+def response_formula(
+    model: Model,
+    omega: NDArray[np.float64],
+    *,
+    input: str = "",
+    output: str = "",
+    at: Mapping[str, float] | None = None,
+    pade: int | None = None,
+) -> ResponseFormula:
+    """Compile the frequency response at `omega` (n,)."""
     s = Complex(ca.SX.zeros(len(omega)), ca.SX(ca.DM(omega)), pade)
     return _compiled(model, s, omega, [], input, output, at)
 
@@ -124,7 +161,7 @@ def formula_at_one_frequency(
         formula = _compiled(model, Complex(ca.SX.zeros(1), symbol, pade), omega, [symbol], input, output, at)
     except ValueError:  # told with the reason by `response_function`
         return None
-    return formula if formula.is_a("SXFunction") else None
+    return formula.closed() if formula.root is None else None
 
 
 def _compiled(
@@ -135,14 +172,16 @@ def _compiled(
     input: str,
     output: str,
     at: Mapping[str, float] | None,
-) -> ca.Function:
+) -> ResponseFormula:
     """Compile the response at `s`, which may contain the `symbols`; `omega` are the frequencies that occur."""
     input, output = pick_signals(model, input, output)
     p = ca.SX.sym("p", len(model.parameters))
     if isinstance(model, TransferFunction):
         require_no_operating_point(model, at)
         result = traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
-        return ca.Function("response", [p, *symbols], _parts(result, s, model.label))
+        return ResponseFormula(
+            ca.Function("response", [p, ca.SX(0, 1), *symbols], _parts(result, s, model.label)), None
+        )
 
     assert isinstance(model, StateSpace)
     x = ca.SX.sym("x", len(model.states))
@@ -150,7 +189,7 @@ def _compiled(
     i = model.input_names.index(input)
     k = model.output_names.index(output)
     matrices = jacobians(model)
-    trim = trim_function(model, at or {})
+    trim = trim_of(model, at or {})
 
     # C (s I - A)⁻¹ B + D, then the delay
     A, B, C, D = matrices(p, x, u)
@@ -162,20 +201,21 @@ def _compiled(
     if input in model.delays:
         result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
     at_point = ca.Function("response", [p, x, u, *symbols], _parts(result, s, model.label))
-    kind: Any = ca.SX if trim.is_a("SXFunction") else ca.MX
-    q = kind.sym("p", p.numel())
-    others = [kind.sym("omega") for _ in symbols]
-    return ca.Function("response", [q, *others], at_point(q, *trim(q), *others))
+    w = ca.SX.sym("w", trim.point.numel_in(1))
+    both: Any = at_point(p, *trim.point(p, w), *symbols)
+    return ResponseFormula(ca.Function("response", [p, w, *symbols], both), trim.root)
 
 
 def _elimination_order(
-    model: StateSpace, matrices: ca.Function, trim: ca.Function, input: int, omega: NDArray[np.float64]
+    model: StateSpace, matrices: ca.Function, trim: Trim, input: int, omega: NDArray[np.float64]
 ) -> tuple[int, ...]:
     """Choose the order of elimination from the matrices at the start values and at draws from the start boxes."""
     random = np.random.default_rng(0)
     points = [[q.start for q in model.parameters.values()]]
     points += [[q.draw(random) for q in model.parameters.values()] for _ in range(DRAWS)]
-    blocks = [[np.asarray(ca.DM(block)) for block in matrices(point, *trim(point))[:2]] for point in points]
+    found = [trim.point(point, [] if trim.root is None else trim.root(point)) for point in points]
+    each = (matrices(point, *at)[:2] for point, at in zip(points, found, strict=True))
+    blocks = [[np.asarray(ca.DM(block)) for block in pair] for pair in each]
     usable = [(A, B[:, input]) for A, B in blocks if np.all(np.isfinite(A)) and np.all(np.isfinite(B))]
     if not usable:
         return tuple(range(len(model.states)))

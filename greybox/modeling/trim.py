@@ -1,6 +1,7 @@
 """The operating point of an ODE: states and inputs at which its derivative is zero, as a function of the parameters."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -23,8 +24,34 @@ SINGULAR = 1e-9  # pivot of a Jacobian, relative to the largest, that is roundin
 VANISHING = 1e-6  # pivot relative to its value a tenth of the point away: it vanishes at the trim, as at a double root
 
 
+@dataclass(frozen=True, eq=False)
+class Trim:
+    """An operating point in two steps, of which the first alone needs an iteration.
+
+    Attributes
+    ----------
+    root : casadi.Function or None
+        (p) -> the unknowns w of ``derivative = 0``, by Newton's method; None where there are none.
+    point : casadi.Function
+        (p, w) -> states and inputs, an SX function. Its first and second derivatives by p are those of the operating
+        point, with w held: from a root, a step of Newton's method gives the root with its first derivatives, and a
+        second step has the second ones too. They take a fraction of the time of CasADi's through its root finder.
+    """
+
+    root: ca.Function | None
+    point: ca.Function
+
+
 def trim_function(model: StateSpace, at: Mapping[str, float]) -> ca.Function:
-    """Return the function from the parameter vector to the states and inputs at the operating point `at`.
+    """Return the function from the parameter vector to the states and inputs at the operating point, see `trim_of`."""
+    trim = trim_of(model, at)
+    kind: Any = ca.SX if trim.root is None else ca.MX
+    p = kind.sym("p", trim.point.numel_in(0))
+    return ca.Function("trim", [p], trim.point(p, kind(0, 1) if trim.root is None else trim.root(p)))
+
+
+def trim_of(model: StateSpace, at: Mapping[str, float]) -> Trim:
+    """Return the states and inputs at the operating point `at` as functions of the parameter vector.
 
     The point is, in this order: what the model's own `trim` says; the origin, where that is an equilibrium for every
     parameter value (so a hover, where ``C_x |v| v = 0`` has a double root, has finite derivatives); otherwise the
@@ -44,27 +71,25 @@ def trim_function(model: StateSpace, at: Mapping[str, float]) -> ca.Function:
         return _own_trim(model, at, p)
     point = [at.get(name, 0.0) for name in (*model.states, *model.inputs)]
     if _is_always_equilibrium(model, point):
-        return _as_function(model, p, [ca.SX(v) for v in point])
+        return _closed_form(model, p, [ca.SX(v) for v in point])
     return _implicit_trim(model, at)
 
 
-def _as_function(model: StateSpace, p: ca.SX, point: Sequence[Any]) -> ca.Function:
-    n = len(model.states)
-    return ca.Function(
-        "trim", [p], [column(f"{model.label}.trim", point[:n]), column(f"{model.label}.trim", point[n:])]
-    )
+def _closed_form(model: StateSpace, p: ca.SX, point: Sequence[Any]) -> Trim:
+    n, owner = len(model.states), f"{model.label}.trim"
+    return Trim(None, ca.Function("trim", [p, ca.SX(0, 1)], [column(owner, point[:n]), column(owner, point[n:])]))
 
 
-def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> ca.Function:
+def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> Trim:
     assert model.trim is not None
     returned = traced(f"{model.label}.trim", model.trim, Names(at, "at"), parameter_names(model, p))
     if not isinstance(returned, Mapping):
         raise ValueError(f"{model.label}.trim returns {returned!r:.60}: return the other states and inputs by name.")
     given = dict(returned)
     require_known(given, (*model.states, *model.inputs), "state or input", model.label)
-    trim = _as_function(model, p, [{**given, **at}.get(n, 0.0) for n in (*model.states, *model.inputs)])
+    trim = _closed_form(model, p, [{**given, **at}.get(n, 0.0) for n in (*model.states, *model.inputs)])
     start = [q.start for q in model.parameters.values()]
-    point = ca.vertcat(*trim(start))
+    point = ca.vertcat(*trim.point(start, []))
     rest = np.asarray(derivative_function(model)(point, start)).ravel()
     if not np.all(np.abs(rest) < OWN_TOLERANCE * (1 + np.abs(np.asarray(point)).max(initial=0))):
         worst = int(np.argmax(np.abs(np.nan_to_num(rest, nan=np.inf))))
@@ -87,7 +112,7 @@ def _is_always_equilibrium(model: StateSpace, point: Sequence[float]) -> bool:
     return True
 
 
-def _implicit_trim(model: StateSpace, at: Mapping[str, float]) -> ca.Function:
+def _implicit_trim(model: StateSpace, at: Mapping[str, float]) -> Trim:
     names = (*model.states, *model.inputs)
     z = ca.SX.sym("z", len(names))
     p = ca.SX.sym("p", len(model.parameters))
@@ -162,12 +187,12 @@ def _pivots(jacobian: ca.DM) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
 
 def _rootfinder(
     model: StateSpace, w: ca.SX, p: ca.SX, point: ca.SX, rest: ca.SX, guess: NDArray[np.float64], rows: list[int]
-) -> ca.Function:
+) -> Trim:
     options = {"error_on_fail": False, "abstol": 1e-12, "max_iter": 50, "show_eval_warnings": False}
     equations = ca.vertcat(*[rest[k] for k in rows])
     newton = ca.rootfinder("newton", "newton", {"x": w, "p": p, "g": equations}, options)
     size = ca.sqrt(ca.sumsqr(rest)) / (1 + ca.sqrt(ca.sumsqr(w)))
-    finish = ca.Function("finish", [w, p], [point, size < TOLERANCE])
+    found = ca.Function("found", [w, p], [size < TOLERANCE])
 
     parameters = ca.MX.sym("p", p.numel())
     direct = newton(x0=guess, p=parameters)["x"]
@@ -176,10 +201,14 @@ def _rootfinder(
     for step in range(1, STEPS + 1):
         root = newton(x0=root, p=start + (parameters - start) * step / STEPS)["x"]
     in_steps = ca.Function("in_steps", [parameters], [root])
-    root = ca.if_else(finish(direct, parameters)[1], direct, in_steps(parameters), True)
+    root = ca.if_else(found(direct, parameters), direct, in_steps(parameters), True)
 
     # A root that was not found becomes infinite, so that the run that met it fails instead of using it.
-    full, converged = finish(root, parameters)
-    full = full / converged
+    step = ca.Function("step", [w, p], [w - ca.solve(ca.jacobian(equations, w), equations)])
+    exact = step(step(w, p), p)
+    full = ca.substitute(point, w, exact) / found(w, p)
     n = len(model.states)
-    return ca.Function("trim", [parameters], [full[:n], full[n:]])
+    return Trim(
+        ca.Function("root", [parameters], [root]),
+        ca.Function("trim", [p, w], [full[:n], full[n:]], {"cse": True}),
+    )

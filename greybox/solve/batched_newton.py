@@ -110,11 +110,11 @@ class _Points:
 class BatchedNewton:
     """Minimizes a function of z within bounds, from many points at once."""
 
-    def __init__(self, program: ca.Function, lower: Array, upper: Array) -> None:
+    def __init__(self, program: ca.Function, lower: Array, upper: Array, roots: ca.Function | None = None) -> None:
         """Take the program and the bounds (p,) of z.
 
-        It is an SX function (z, smoothing) -> cost, ..., or (z, smoothing, given) -> ... where searches differ in what
-        is given.
+        It is an SX function (z, smoothing, ...) -> cost, ..., which takes besides: the `roots` of z, if there are any,
+        which its derivatives may hold; then, if searches differ in it, what is given.
         """
         inputs = [ca.SX.sym("v", program.numel_in(k)) for k in range(program.n_in())]
         z, cost = inputs[0], program(*inputs)[0]
@@ -122,6 +122,7 @@ class BatchedNewton:
         outputs = [cost, ca.densify(gradient), ca.vec(ca.densify(hessian))]
         derivatives = ca.Function("derivatives", inputs, outputs, {"cse": True})
         self._function = Columns(derivatives, fewest=MANY)
+        self._roots = None if roots is None else Columns(roots)
         self._lower, self._upper = lower[:, None], upper[:, None]
 
     def minimize(
@@ -165,8 +166,10 @@ class BatchedNewton:
         self, z: Array, path: NDArray[np.int_], level: NDArray[np.int_], given: Array
     ) -> tuple[Array, Array, Array]:
         """Return cost (m,), gradient (p, m) and Hessian (m, p, p), those of the barrier included."""
-        inputs = (z, np.take(SMOOTHINGS, level)[None], given)
-        costs, gradient, hessians = self._function(*inputs[: 3 if len(given) else 2])
+        inputs = [z, np.take(SMOOTHINGS, level)[None]]
+        inputs += [] if self._roots is None else self._roots(z)
+        inputs += [given] if len(given) else []
+        costs, gradient, hessians = self._function(*inputs)
         p, m = z.shape
         cost, hessian = costs[0], hessians.reshape(p, p, m).transpose(2, 0, 1)
         barrier = BARRIERS[path, level]

@@ -5,7 +5,7 @@ IPOPT solves one run once more: a minimum counts only when IPOPT's conditions of
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.compiled.response_part import SMOOTHING
+from greybox.solve.augmented_lagrangian import ConstrainedNewton
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.interruption import reason_to_end, stop_requested
 from greybox.solve.ipopt import IpoptSolver
-from greybox.solve.local_solver import Screened
 from greybox.solve.minima import Minimum, same_cost
 from greybox.solve.outcome import IMPROVED, Outcome
+from greybox.solve.screened_ipopt import ScreenedIpopt
 from greybox.solve.time_limits import one_run
 
 Array = NDArray[np.float64]
@@ -53,10 +53,8 @@ MOST_UNKNOWNS = 20
 TRIES = 3  # runs of one minimum that IPOPT solves once more, until one is confirmed
 
 
-class BatchedSolver(IpoptSolver):
+class BatchedSolver(ScreenedIpopt):
     """Newton's method on all starts of a batch; IPOPT for what it leaves, and for the certificate."""
-
-    promising = (8, 4)
 
     def __init__(
         self, nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({}), like: "IpoptSolver | None" = None
@@ -64,31 +62,14 @@ class BatchedSolver(IpoptSolver):
         """Build IPOPT; the functions of the batch are built when the first one is run."""
         super().__init__(nlp, options, like)
         self.together = _power_of_two(min(max(MOST_AT_ONCE // _instructions(nlp), FEWEST_AT_ONCE), MOST))
-        self._batches: list[BatchedNewton] = []
-
-    def __reduce__(self) -> tuple[Callable[..., "BatchedSolver"], tuple[Any, ...]]:
-        """Return what builds the same solver."""
-        return BatchedSolver, (self._nlp, dict(self._options))
+        self._batches: list[BatchedNewton | ConstrainedNewton] = []
 
     @staticmethod
     def serves(nlp: Nlp) -> bool:
-        """Tell whether a problem has the form that a batch takes: small, without states or constraints."""
-        program = nlp.program
-        if any(part.has_states for part in nlp.parts) or nlp.limits or not program.is_a("SXFunction"):
+        """Tell whether a problem has the form that a batch takes: small, without states, and explicit."""
+        if any(part.has_states for part in nlp.parts) or not nlp.explicit:
             return False
         return len(nlp.free) <= MOST_UNKNOWNS and _instructions(nlp) <= MOST_INSTRUCTIONS
-
-    def refined(self, nlp: Nlp) -> "BatchedSolver":
-        """Return the solver of another problem with the same options."""
-        return BatchedSolver(nlp, self._options)
-
-    def screened(self, starts: Array) -> Screened:
-        """Compare the starts (r, p) by their smoothed costs."""
-        program = self._nlp.locating or self._nlp.program
-        z = self._nlp.scaling.to_solver(starts).T
-        cost = np.asarray(program.map(len(starts))(z, np.full((1, len(starts)), SMOOTHING))[0]).ravel()
-        cost = np.where(np.isfinite(cost), cost, np.inf)
-        return Screened(np.argsort(cost, kind="stable"), cost, starts)
 
     def run_together(self, starts: Array) -> list[Outcome]:
         """Bring all starts (r, p) to a minimum together; those that do not get there are IPOPT's."""
@@ -111,13 +92,16 @@ class BatchedSolver(IpoptSolver):
             for x, n, at_minimum in zip(estimates, iterations.tolist(), arrived, strict=True)
         ]
 
-    def _built(self) -> list[BatchedNewton]:
+    def _built(self) -> "list[BatchedNewton | ConstrainedNewton]":
         """Return the criterion that locates the minimum, if any, then the problem's own."""
         if not self._batches:
-            lower, upper = self._bounds["lbx"], self._bounds["ubx"]
-            if self._nlp.locating is not None:
-                self._batches.append(BatchedNewton(self._nlp.locating, lower, upper))
-            self._batches.append(BatchedNewton(self._nlp.program, lower, upper))
+            nlp, bounds = self._nlp, (self._bounds["lbx"], self._bounds["ubx"])
+            self._batches = [
+                ConstrainedNewton(program, *bounds, nlp.origin, nlp.roots)
+                if nlp.limits
+                else BatchedNewton(program, *bounds, nlp.roots)
+                for program in nlp.explicit
+            ]
         return self._batches
 
     def _gone_on(self, x: Array, iterations: int, seconds: float) -> Outcome:
@@ -168,7 +152,7 @@ class BatchedSolver(IpoptSolver):
 
 def _instructions(nlp: Nlp) -> int:
     """Return those of cost, gradient and Hessian: some two for every operation of the cost and unknown."""
-    return max(nlp.program.n_instructions() * 2 * len(nlp.free), 1)
+    return max(nlp.explicit[-1].n_instructions() * 2 * len(nlp.free), 1)
 
 
 def _power_of_two(count: int) -> int:

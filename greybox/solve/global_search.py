@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.compiled.response_part import SMOOTHING
 from greybox.solve.executors import packed
 from greybox.solve.interruption import stop_requested
 from greybox.solve.ipopt import IpoptSolver
 from greybox.solve.kept_runs import KeptRuns, Memory
 from greybox.solve.minima import Multistart, find_minima
 from greybox.solve.outcome import SCREENED, Outcome, Run
+from greybox.solve.screened_ipopt import merits
 from greybox.solve.time_limits import one_run
 
 Array = NDArray[np.float64]
@@ -34,7 +34,6 @@ REFERENCES = 10  # points of the reference set, half of them good and half diver
 DISTANCE_FACTOR = 0.75  # of the largest distance from which a minimum was reached
 WAIT_CYCLE = 20  # trial points that a filter turns down before it gives way
 THRESHOLD_FACTOR = 0.2
-VIOLATION_WEIGHT = 1e3  # of a constraint in the merit
 
 
 def global_search(
@@ -52,7 +51,10 @@ def global_search(
     """
     began = time.perf_counter()
     memory = Memory() if kept is None else Memory(kept, packed(solver)[0])
-    merit = _Merit(nlp)
+
+    def merit(z: Array) -> float:
+        return float(merits(nlp, z[:, None])[0])
+
     count, first = len(drawn), max(int(STAGE_ONE * len(drawn)), 1)
     trials = _ScatterSearch(nlp, drawn, merit, np.random.default_rng(seed))
     filters = _Filters()
@@ -103,18 +105,6 @@ def _run(index: int, start: Array, outcome: Outcome) -> Run:
         seconds=outcome.seconds,
         stage=outcome.stage,
     )
-
-
-class _Merit:
-    """The cost with what constraints are missed by, at z (p,)."""
-
-    def __init__(self, nlp: Nlp) -> None:
-        self._program = nlp.locating or nlp.program
-
-    def __call__(self, z: Array) -> float:
-        cost, limits = self._program(z, SMOOTHING)
-        value = float(cost) + VIOLATION_WEIGHT * float(np.maximum(-np.asarray(limits), 0).sum())
-        return value if np.isfinite(value) else np.inf
 
 
 @dataclass

@@ -130,9 +130,9 @@ class IpoptSolver(LocalSolver):
         """Build the solver; one `like` it lends its derivatives."""
         self._nlp = nlp
         self._options = options
-        programs = ((nlp.locating, nlp.locating_hessian), (nlp.program, nlp.program_hessian))
+        programs = ((nlp.locating, nlp.locating_derivatives), (nlp.program, nlp.program_derivatives))
         statements = [_statement(program) for program, _ in programs if program is not None]
-        known = [{"hess_lag": h} if h is not None else {} for program, h in programs if program is not None]
+        known = [derivatives for program, derivatives in programs if program is not None]
         if like:
             known = [_derivatives(stage) for stage in like._stages]
         self._statements = statements

@@ -23,6 +23,7 @@ from greybox.solve.local_search import LocalSearch
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Minimum, Multistart, find_minima
 from greybox.solve.outcome import SCREENED, Outcome, Run
+from greybox.solve.screened_ipopt import ScreenedIpopt
 from greybox.solve.transcribed_program import TranscribedProgram
 from greybox.solve.waves import AllAtOnce, Waves
 
@@ -42,8 +43,8 @@ SEARCHES = (BATCHED, MULTISTART, GLOBAL_SEARCH)
 def solver_for(nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({}), search: str = BATCHED) -> LocalSolver:
     """Return the solver of a problem.
 
-    That is Gauss-Newton steps or IPOPT where parts have hidden unknowns; else IPOPT, behind Newton's method from many
-    starts at once where the search is ``"batched"`` and the problem has the form for it.
+    That is Gauss-Newton steps or IPOPT where parts have hidden unknowns; else IPOPT. Where the search is ``"batched"``
+    that compares the starts first and is behind Newton's method from many of them at once, if the problem has the form.
 
     Raises
     ------
@@ -51,8 +52,9 @@ def solver_for(nlp: Nlp, options: Mapping[str, Any] = MappingProxyType({}), sear
         For options that the solver does not take.
     """
     if not any(part.has_states for part in nlp.parts):
-        serves = search == BATCHED and BatchedSolver.serves(nlp)
-        return BatchedSolver(nlp, options) if serves else IpoptSolver(nlp, options)
+        if search != BATCHED:
+            return IpoptSolver(nlp, options)
+        return BatchedSolver(nlp, options) if BatchedSolver.serves(nlp) else ScreenedIpopt(nlp, options)
     if nlp.by_ipopt:
         return TranscribedProgram(nlp, GaussNewton(nlp), options)
     return GaussNewton(nlp, settings=with_options(nlp.strategies, options))

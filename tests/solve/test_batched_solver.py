@@ -64,11 +64,63 @@ def test_joint_problems_are_searched_together_too():
     assert fit.agreeing == 20
 
 
-def test_what_it_does_not_serve_is_solved_from_every_start():
-    ordered = gb.Problem(LagLagDelay(), NOISY.data, constraints=[lambda p: p.T1 - p.T2])
-    for problem in (ordered, pitch_operating_points.problem()):
-        assert not BatchedSolver.serves(compile_problem(problem))
-    assert set(stages(gb.fit(ordered, 8, progress=False))) == {"polished"}
+def both_searches(problem, starts):
+    return [gb.fit(problem, starts, search=s, progress=False, profiles=False) for s in ("batched", "multistart")]
+
+
+def test_constraints_that_part_the_box_are_respected_from_every_start():
+    """Where a1 a2 >= 100 the best minimum is at negative values, and every one of them at the constraint."""
+    problem = gb.Problem(Tilt(), pitch_hover.data(), constraints=[lambda p: p.a1 * p.a2 / 100 - 1])
+    fit, wanted = both_searches(problem, 40)
+    assert stages(fit).count("improved") >= 30
+    assert fit.cost == pytest.approx(wanted.cost, rel=1e-6)
+    assert fit.estimate == pytest.approx(wanted.estimate, rel=1e-3)
+    assert fit.agreeing >= wanted.agreeing - 6
+    for run in fit.runs:
+        if run.converged:
+            values = dict(zip(fit.free, run.estimate, strict=True))
+            assert values["a1"] * values["a2"] >= 100 * (1 - 1e-6)
+
+
+def test_bounds_of_tied_parameters_are_constraints():
+    """Of two lags in a ratio of 5 instead of 10, the longer one ends at its bound."""
+    problem = gb.Problem(LagLagDelay(), NOISY.data, tied={"T1": lambda p: 5 * p.T2})
+    assert compile_problem(problem).limits
+    fit, wanted = both_searches(problem, 20)
+    assert stages(fit).count("improved") >= 15
+    assert fit.cost == pytest.approx(wanted.cost, rel=1e-6)
+    assert fit.estimate == pytest.approx(wanted.estimate, rel=1e-4)
+
+
+def test_trims_within_the_optimization_are_searched_together_too():
+    fit, wanted = both_searches(pitch_operating_points.problem(), 20)
+    assert stages(fit).count("improved") >= 15
+    assert fit.cost == pytest.approx(wanted.cost, rel=1e-7)
+    assert fit.estimate == pytest.approx(wanted.estimate, rel=1e-4)
+    assert fit.agreeing >= wanted.agreeing - 1
+
+
+def test_derivatives_with_the_roots_held_are_those_through_the_root_finder():
+    import casadi as ca
+
+    nlp = compile_problem(pitch_operating_points.problem())
+    z, p = ca.MX.sym("z", len(nlp.free)), ca.MX.sym("p")
+    hessian, gradient = ca.hessian(nlp.program(z, p)[0], z)
+    wanted = ca.Function("derivatives", [z, p], [gradient, ca.triu(hessian)])
+    point = 0.3 + 0.5 * np.random.default_rng(0).random(len(nlp.free))
+    slope = nlp.program_derivatives["grad_f"](point, 1e-8)[1]
+    curvature = nlp.program_derivatives["hess_lag"](point, 1e-8, 1.0, [])
+    for found, exact in zip((slope, curvature), wanted(point, 1e-8), strict=True):
+        np.testing.assert_allclose(found.full(), exact.full(), rtol=1e-9, atol=1e-9 * np.abs(exact.full()).max())
+
+
+def test_what_it_does_not_serve_is_solved_from_the_promising_starts_or_from_all(monkeypatch):
+    monkeypatch.setattr("greybox.solve.batched_solver.MOST_UNKNOWNS", 1)
+    assert not BatchedSolver.serves(compile_problem(NOISY))
+    assert set(stages(gb.fit(NOISY, 8, progress=False))) == {"polished"}
+    few = gb.fit(NOISY, progress=False)
+    assert [stages(few).count(stage) for stage in ("screened", "polished")] == [192, 8]
+    assert few.cost == pytest.approx(gb.fit(NOISY, 20, search="multistart", progress=False).cost, rel=1e-7)
 
 
 def test_every_end_is_a_minimum_within_the_bounds():

@@ -1,0 +1,57 @@
+"""Programs of responses whose trims are found by Newton's method: with the roots given, their formulas are explicit.
+
+A root finder is no SX function, and CasADi's second derivatives through one take twenty times as long as the cost. With
+the roots given, cost and constraints are an SX function whose derivatives hold the roots, see `modeling.trim.Trim`: it
+is evaluated for many points at once, and IPOPT's derivatives are its own behind the root finder.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+
+from greybox.formulation.problem import Problem
+from greybox.modeling.complex_arithmetic import Complex
+from greybox.modeling.linear_response import ResponseFormula
+
+
+def roots_of(parts: Sequence[Problem], formulas: Sequence[ResponseFormula], named: Mapping[str, Any]) -> ca.MX:
+    """Return the roots of all responses, stacked, as expressions of the `named` values."""
+    found = [
+        ca.MX(0, 1) if formula.root is None else formula.root(ca.vertcat(*part.local_values(named).values()))
+        for part, formula in zip(parts, formulas, strict=True)
+    ]
+    return ca.vertcat(*found)
+
+
+def responses_at(
+    parts: Sequence[Problem], formulas: Sequence[ResponseFormula], named: Mapping[str, Any], roots: ca.SX
+) -> list[Complex]:
+    """Return the responses of all parts, as expressions of the `named` values and of the stacked roots."""
+    responses, begin = [], 0
+    for part, formula in zip(parts, formulas, strict=True):
+        end = begin + formula.function.numel_in(1)
+        re, im = formula.function(ca.vertcat(*part.local_values(named).values()), roots[begin:end])
+        responses.append(Complex(re, im))
+        begin = end
+    return responses
+
+
+def derivatives_at(roots: ca.Function, explicit: ca.Function) -> dict[str, ca.Function]:
+    """Return gradient and Hessian of an explicit program (z, smoothing, w) -> cost, limits, as options of `nlpsol`."""
+    z, smoothing, w = (ca.SX.sym("v", explicit.numel_in(k)) for k in range(3))
+    cost, limits = explicit(z, smoothing, w)
+    factor, multipliers = ca.SX.sym("factor"), ca.SX.sym("multipliers", limits.numel())
+    hessian, _ = ca.hessian(factor * cost + ca.dot(multipliers, limits), z)
+    upper = [ca.triu(ca.densify(hessian))]
+    slope = ca.Function("slope", [z, smoothing, w], [cost, ca.densify(ca.gradient(cost, z))], {"cse": True})
+    curvature = ca.Function("curvature", [z, smoothing, factor, multipliers, w], upper, {"cse": True})
+    x, p, f, m = (ca.MX.sym("v", count) for count in (z.numel(), 1, 1, limits.numel()))
+    given: Any = curvature(x, p, f, m, roots(x))
+    both: Any = slope(x, p, roots(x))
+    return {
+        "grad_f": ca.Function("nlp_grad_f", [x, p], both, ["x", "p"], ["f", "grad_f_x"]),
+        "hess_lag": ca.Function(
+            "nlp_hess_l", [x, p, f, m], [given], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
+        ),
+    }
