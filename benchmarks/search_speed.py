@@ -7,10 +7,11 @@ default options, from Latin hypercube starts. A start counts when it ended at a 
 of at most 1e-6 in units of the starts' box), and is a success when its cost is within 0.1 % of the lowest that anything
 found.
 
-Times are those of the processor, since machines are shared. Time per success: `gb.fit` with that many starts, everything included but the imports, against the bare loop without the
-building of its solver. Time to the global minimum: the default search, from a problem and a solver that are built,
-against as many starts of the bare loop as reach the minimum in 997 of 1000 cases. The first five are the fits of the
-paper; from a plain start the others reach their minimum in less than half of the cases.
+Times are those of the processor, since machines are shared. Time per success: `gb.fit` with that many starts,
+everything included but the imports, against the bare loop without the building of its solver. Time to the global
+minimum: the default search, from a problem and a solver that are built, against as many starts of the bare loop as
+reach the minimum in 997 of 1000 cases. The first five are the fits of the paper; from a plain start the others reach
+their minimum in less than half of the cases.
 """
 
 import argparse
