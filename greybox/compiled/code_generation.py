@@ -1,4 +1,4 @@
-"""The linearization of all segments as one C function, compiled once and kept for the next time."""
+"""CasADi functions as C, compiled once and kept for the next time: that of a search, the linearization of records."""
 
 import hashlib
 import os
@@ -6,6 +6,7 @@ import platform
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -34,24 +35,19 @@ class CompiledLinearization:
 
         With `each`, every segment has parameters and a weight for itself.
 
-        The cache is ``greybox`` in the folder that XDG_CACHE_HOME names, by default ``~/.cache``. What is loaded runs
-        with all rights of the user, so nobody else may write there; see `library_cache`.
-
         Raises
         ------
         RuntimeError
-            If there is no C compiler or it fails, or the cache belongs to somebody else.
+            See `compiled`.
         """
         n, v = sample.size1_in(0), sample.size1_in(0) + len(active)
         self._segments, self._sizes = segments, [n, n * v, v * (v + 1) // 2, v]
-        what = (sample.serialize(), active, segments, length, each, FLAGS, ca.CasadiMeta.version(), platform.machine())
-        key = hashlib.sha256(repr(what).encode()).hexdigest()[:32]
-        kept = kept_library(key)
-        if kept is None:
-            shared = [] if each else [1, 2]
+
+        def linearization() -> ca.Function:
             one = _linearization(sample, active, length)
-            kept = keep_library(key, _compiled(one.map(NAME, "serial", segments, shared, [])))
-        self._function = ca.external(NAME, str(kept))
+            return one.map(NAME, "serial", segments, [] if each else [1, 2], [])
+
+        self._function = _kept(NAME, (sample.serialize(), active, segments, length, each), linearization)
 
     def __call__(self, nodes: Array, q: Array, weight: Array, data: Array) -> list[Array]:
         """Return ends (s, n), derivatives (s, v, n), products (s, v (v + 1) / 2) and gradients (s, v).
@@ -69,6 +65,28 @@ class CompiledLinearization:
             buffer.set_res(k, value.data)
         evaluate()
         return results
+
+
+def compiled(function: ca.Function) -> ca.Function:
+    """Return a function as C.
+
+    Taken from the cache where it was compiled before: ``greybox`` in the folder that XDG_CACHE_HOME names, by default
+    ``~/.cache``. What is loaded runs with all rights of the user, so nobody else may write there; see `library_cache`.
+
+    Raises
+    ------
+    RuntimeError
+        If there is no C compiler or it fails, or the cache belongs to somebody else.
+    """
+    return _kept(function.name(), (function.serialize(),), lambda: function)
+
+
+def _kept(name: str, what: tuple[Any, ...], build: Callable[[], ca.Function]) -> ca.Function:
+    """Return the compiled function that `what` identifies; it is built where it is not in the cache."""
+    identity = (*what, FLAGS, ca.CasadiMeta.version(), platform.machine())
+    key = hashlib.sha256(repr(identity).encode()).hexdigest()[:32]
+    path = kept_library(key) or keep_library(key, _library(build()))
+    return ca.external(name, str(path))
 
 
 def _linearization(sample: ca.Function, active: list[int], length: int) -> ca.Function:
@@ -106,7 +124,7 @@ def _pattern(A: ca.SX, n: int, v: int) -> ca.Sparsity:
     return pattern.sparsity()
 
 
-def _compiled(function: ca.Function) -> bytes:
+def _library(function: ca.Function) -> bytes:
     """Translate the function to C, compile it, and return the library."""
     compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
     if compiler is None:

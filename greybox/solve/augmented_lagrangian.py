@@ -39,7 +39,14 @@ class ConstrainedNewton:
     """Minimizes a function of z within bounds and under constraints, from many points at once."""
 
     def __init__(
-        self, program: ca.Function, lower: Array, upper: Array, origin: Array, roots: ca.Function | None = None
+        self,
+        program: ca.Function,
+        lower: Array,
+        upper: Array,
+        origin: Array,
+        roots: ca.Function | None = None,
+        *,
+        as_c: bool = False,
     ) -> None:
         """Take what `BatchedNewton` takes; the program returns what must be >= 0 after the cost.
 
@@ -60,7 +67,7 @@ class ConstrainedNewton:
         whole = ca.Function("whole", [*inputs, ca.vertcat(barrier, penalty, multipliers)], [cost])
         self._limits = ca.Function("limits", [z], [limits])
         self._missing = BatchedNewton(missing, lower, upper)
-        self._newton = BatchedNewton(whole, lower, upper, roots)
+        self._newton = BatchedNewton(whole, lower, upper, roots, as_c=as_c)
 
     def minimize(self, z: Array, *, max_iterations: int, tolerance: float, from_near: bool = False) -> Ends:
         """Search from the columns of z (p, m), see `BatchedNewton.minimize`; at a minimum the constraints are met."""

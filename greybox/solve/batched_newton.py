@@ -18,6 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.compiled.code_generation import compiled
 from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.vectorized import Columns
 from greybox.solve.interruption import reason_to_end
@@ -110,18 +111,31 @@ class _Points:
 class BatchedNewton:
     """Minimizes a function of z within bounds, from many points at once."""
 
-    def __init__(self, program: ca.Function, lower: Array, upper: Array, roots: ca.Function | None = None) -> None:
+    def __init__(
+        self,
+        program: ca.Function,
+        lower: Array,
+        upper: Array,
+        roots: ca.Function | None = None,
+        *,
+        as_c: bool = False,
+    ) -> None:
         """Take the program and the bounds (p,) of z.
 
         It is an SX function (z, smoothing, ...) -> cost, ..., which takes besides: the `roots` of z, if there are any,
-        which its derivatives may hold; then, if searches differ in it, what is given.
+        which its derivatives may hold; then, if searches differ in it, what is given. With `as_c` it is compiled.
+
+        Raises
+        ------
+        RuntimeError
+            Where it cannot be compiled, see `greybox.compiled.code_generation.compiled`.
         """
         inputs = [ca.SX.sym("v", program.numel_in(k)) for k in range(program.n_in())]
         z, cost = inputs[0], program(*inputs)[0]
         hessian, gradient = ca.hessian(cost, z)
         outputs = [cost, ca.densify(gradient), ca.vec(ca.densify(hessian))]
         derivatives = ca.Function("derivatives", inputs, outputs, {"cse": True})
-        self._function = Columns(derivatives, fewest=MANY)
+        self._function = Columns(compiled(derivatives) if as_c else derivatives, fewest=MANY)
         self._roots = None if roots is None else Columns(roots)
         self._lower, self._upper = lower[:, None], upper[:, None]
 
