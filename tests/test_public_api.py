@@ -36,7 +36,7 @@ NAMESPACES = {
     "interop": "from_control from_scipy to_casadi to_control to_scipy write_c write_mat",
     "logs": "find_manoeuvres find_segments horizontal_velocity negative prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "
-    "TransferFunction feedback frequency_response harmonic_response linearize rational",
+    "TransferFunction feedback frequency_response harmonic_response late_sensors linearize rational",
     "planning": "ExpectedErrors SinePlan expected_errors plan_sines",
     "plotting": "bode contour demodulated measurement nyquist orders plot profiles recording residuals response_matrix "
     "sensitivity spectrogram spectrum starts time_history traces vibration",

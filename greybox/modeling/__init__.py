@@ -15,14 +15,15 @@ written with `functions`. One formula has several readings:
   them, and `step_size` is the rule for the number of their steps.
 
 `known_systems` are linear models whose numbers are known, such as a filter; `limit` is a transfer function with a
-parameter at zero or infinity; `model_reference` names a model in a stored result, `model_file` finds the models in a
-file of one's own.
+parameter at zero or infinity, `late_sensors` an ODE with outputs that are measured late; `model_reference` names a
+model in a stored result, `model_file` finds the models in a file of one's own.
 """
 
 from greybox.modeling.implicit_integrators import ImplicitIntegrator as ImplicitIntegrator
 from greybox.modeling.integrators import Integrator as Integrator
 from greybox.modeling.integrators import Rosenbrock as Rosenbrock
 from greybox.modeling.integrators import RungeKutta as RungeKutta
+from greybox.modeling.late_sensors import late_sensors as late_sensors
 from greybox.modeling.linear_response import frequency_response as frequency_response
 from greybox.modeling.linearization import LinearSystem as LinearSystem
 from greybox.modeling.linearization import linearize as linearize

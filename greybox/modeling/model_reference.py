@@ -8,6 +8,7 @@ from typing import Any
 
 from greybox.data.text_table import printable
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
+from greybox.modeling.late_sensors import LateSensors
 from greybox.modeling.limit import Limit, StateSpaceLimit
 from greybox.modeling.model import Model
 from greybox.modeling.model_file import models_of
@@ -76,8 +77,16 @@ def _given(name: str, given: Sequence[Model | type[Model]]) -> Model | type[Mode
 
 
 def _included(module_name: str, class_name: str) -> type[Model] | None:
-    """Return an included model, a connection or a limit of models, or a system whose numbers are its arguments."""
-    kinds = (SeriesConnection, FeedbackLoop, KnownTransferFunction, KnownStateSpace, Limit, StateSpaceLimit)
+    """Return an included model, what is made of models, or a system whose numbers are its arguments."""
+    kinds = (
+        SeriesConnection,
+        FeedbackLoop,
+        KnownTransferFunction,
+        KnownStateSpace,
+        Limit,
+        StateSpaceLimit,
+        LateSensors,
+    )
     general: dict[str, type[Model]] = {f"{kind.__module__}:{kind.__qualname__}": kind for kind in kinds}
     if f"{module_name}:{class_name}" in general:
         return general[f"{module_name}:{class_name}"]

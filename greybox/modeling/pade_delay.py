@@ -7,6 +7,7 @@ input by the output of `pade_states`.
 
 import math
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -49,14 +50,32 @@ def pade_states(x: ca.SX, u: ca.SX, delay: ca.SX, order: int) -> tuple[ca.SX, ca
 
     Time is in units of the delay, so that the states are of the input's size whatever the delay.
     """
+    delayed, rows = pade_rows(ca.vertsplit(x), u, delay, order)
+    return delayed, ca.vertcat(*rows)
+
+
+def pade_rows(x: Sequence[Any], u: Any, delay: Any, order: int) -> tuple[Any, list[Any]]:
+    """Return what `pade_states` does of states one by one, in any arithmetic."""
+    a, b, feedthrough = _observer_form(order)
+    rows = [
+        ((x[k + 1] if k + 1 < order else 0) - a[k + 1] * x[0] + (b[k + 1] - feedthrough * a[k + 1]) * u) / delay
+        for k in range(order)
+    ]
+    return x[0] + feedthrough * u, rows
+
+
+def pade_steady(u: Any, order: int) -> list[Any]:
+    """Return the states at which `pade_rows` is zero for a constant input."""
+    a, b, feedthrough = _observer_form(order)
+    first = (1 - feedthrough) * u
+    return [first, *(a[k] * first - (b[k] - feedthrough * a[k]) * u for k in range(1, order))]
+
+
+def _observer_form(order: int) -> tuple[list[float], list[float], float]:
+    """Return the coefficients of denominator and numerator, highest power first, and the feedthrough."""
     c = pade_coefficients(order)
     leading = c[order] * (-1) ** order
     # exp(-z) ≈ Σ c_k (-z)^k / Σ c_k z^k with z = s · delay, divided by c_n; highest power first.
     a = [c[order - k] / c[order] for k in range(order + 1)]
     b = [c[order - k] * (-1) ** (order - k) / c[order] for k in range(order + 1)]
-    feedthrough = leading / c[order]
-    rows = [
-        ((x[k + 1] if k + 1 < order else 0) - a[k + 1] * x[0] + (b[k + 1] - feedthrough * a[k + 1]) * u) / delay
-        for k in range(order)
-    ]
-    return x[0] + feedthrough * u, ca.vertcat(*rows)
+    return a, b, leading / c[order]

@@ -168,7 +168,9 @@ def test_a_product_of_gains_in_time_is_one_parameter(tmp_path):
     record, criterion = flown(TwoGains(), values), gb.OutputError(inputs="linear")
     large = gb.fit(gb.Problem(TwoGains(), record, criterion), starts=[values], progress=False)
     found = gb.reduce(large, starts=1)
-    by_hand = gb.fit(gb.Problem(TwoGains(), record, criterion, fixed={"M": 1.0}), starts=[{"K": 3.0, "a": 1.0}], progress=False)
+    by_hand = gb.fit(
+        gb.Problem(TwoGains(), record, criterion, fixed={"M": 1.0}), starts=[{"K": 3.0, "a": 1.0}], progress=False
+    )
     assert [str(one) for one in found.taken] in (["K → ∞, M·K kept"], ["K → 0, M·K kept"])
     assert found.fit.estimate["M_times_K"] == pytest.approx(by_hand.estimate["K"], rel=1e-5)
     assert found.fit.standard_error["M_times_K"] == pytest.approx(by_hand.standard_error["K"], rel=1e-3)

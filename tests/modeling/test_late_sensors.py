@@ -1,0 +1,87 @@
+"""Outputs that are measured late: exact shifts, the response of a delay, and delays that are found again."""
+
+import numpy as np
+import pytest
+from lateral_aircraft import LATERAL, Lateral, disturbed, doublets
+from numpy.testing import assert_allclose
+from spring_lag_tilt import SPRING, Spring, fit
+
+import greybox as gb
+from greybox.modeling.model_reference import reference, resolve
+
+LATE = gb.modeling.late_sensors(Lateral(), delays={"beta": (0.01, 0.3)}, lags={"a_y": (0.01, 0.3)})
+TIMES = {"beta_delay": 0.1, "a_y_lag": 0.06}
+
+
+def test_in_the_frequency_domain_they_are_a_delay_and_a_lag():
+    omega = np.geomspace(0.1, 10, 20)  # up to one radian of the delay
+    for output, factor in (("beta", np.exp(-0.1j * omega)), ("a_y", 1 / (0.06j * omega + 1)), ("r", 1.0)):
+        late, prompt = (
+            gb.modeling.frequency_response(model, values, omega, input="rudder", output=output).response
+            for model, values in ((LATE, LATERAL | TIMES), (Lateral(), LATERAL))
+        )
+        assert_allclose(late, factor * prompt, rtol=0.01)
+
+
+def test_the_delay_of_a_vane_is_found_again_with_the_aircraft():
+    n, late = 200, 3
+    inputs = doublets(2, n + late, 0.1, 3)
+    sensors = {"beta": 0.003, "p": 0.01, "r": 0.005, "phi": 0.004, "a_y": 0.02}
+    prompt = disturbed(Lateral(), LATERAL, inputs, 0.04, {}, sensors, 3)
+    signals = {name: prompt[name][late:] for name in prompt.signals} | {"beta": prompt["beta"][:-late]}
+    record = gb.Record(prompt.time[:-late], signals)
+    model = gb.modeling.late_sensors(Lateral(), delays={"beta": (0.02, 0.3)})
+    found = fit(gb.Problem(model, record, gb.OutputError(inputs="held")))
+    for name, value in (LATERAL | {"beta_delay": late * 0.04}).items():
+        assert abs(found.estimate[name] - value) < 4 * found.standard_error[name], name
+    assert found.standard_error["beta_delay"] < 0.01
+
+
+def test_a_stored_model_is_the_same_and_sensors_at_rest_show_what_is():
+    again = resolve(reference(LATE), [Lateral])
+    assert (again.states, list(again.parameters)) == (LATE.states, list(LATE.parameters))
+    model = gb.modeling.late_sensors(Spring(), delays={"x": (0.01, 0.2)}, lags={"v": (0.01, 0.2)})
+    values = SPRING | {"x_delay": 0.1, "v_lag": 0.05}
+    rest = gb.modeling.linearize(model, values, {"F": 2.0})
+    assert_allclose(np.linalg.eigvals(rest.A).real.max(), -0.6)  # the spring's, of half its damping
+    flown = gb.virtual_flight(model, values, excitation={"F": np.full(600, 2.0)}, rate=20.0)
+    assert_allclose(flown["x"][-1], 2.0 * SPRING["b"] / SPRING["k"], rtol=1e-3)
+
+
+class Pendulum(gb.StateSpace):
+    """With a trim of its own."""
+
+    states, inputs, outputs = ("angle", "rate"), ("torque",), ("angle",)
+    k = gb.Parameter(2.0, bounds=(0, 10))
+
+    def derivative(self, x, u, p):
+        return (x.rate, u.torque - p.k * gb.sin(x.angle) - x.rate)
+
+    def output(self, x, u, p):
+        return (x.angle,)
+
+    def trim(self, at, p):
+        return {"torque": p.k * gb.sin(at.angle)}
+
+
+def test_at_a_trim_of_the_model_sensors_rest_too():
+    for kind in ("delays", "lags"):
+        model = gb.modeling.late_sensors(Pendulum(), **{kind: {"angle": (0.01, 0.2)}})
+        values = {"k": 2.0, f"angle_{kind[:-1]}": 0.05}
+        point = gb.modeling.linearize(model, values, {"angle": 0.5}).point
+        shown = model.output(_Names(point), _Names(point), _Names(values))
+        assert float(shown[0]) == pytest.approx(0.5)
+
+
+class _Names(dict):
+    __getattr__ = dict.__getitem__
+
+
+def test_what_is_no_late_sensor_is_refused():
+    for options, reason in (
+        ({"delays": {"alpha": (0.1, 0.2)}}, "no output 'alpha'"),
+        ({"lags": {"beta": (0.0, 0.2)}}, "give 0 < low < high"),
+        ({"lags": {"p": (0.1, 0.2)}, "delays": {"p": (0.1, 0.2)}}, "a delay and a lag"),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            gb.modeling.late_sensors(Lateral(), **options)
