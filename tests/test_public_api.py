@@ -37,7 +37,7 @@ NAMESPACES = {
     "logs": "find_manoeuvres find_segments horizontal_velocity negative prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response late_sensors linearize rational",
-    "planning": "ExpectedErrors SinePlan expected_errors plan_sines",
+    "planning": "ChosenTests ExpectedErrors SinePlan choose_tests expected_errors plan_sines",
     "plotting": "bode contour demodulated measurement nyquist orders plot profiles recording residuals response_matrix "
     "sensitivity spectrogram spectrum starts time_history traces vibration",
     "regression": "EquationErrorEstimate equation_error levy order_path",

@@ -16,6 +16,8 @@ from greybox.solve.multistart import solver_for
 
 Array = NDArray[np.float64]
 
+SMALLEST = 1e-13  # of the largest variance, in units that the data notice: rounding is below, knowledge above
+
 
 @dataclass(frozen=True, eq=False)
 class ExpectedErrors:
@@ -29,6 +31,8 @@ class ExpectedErrors:
         Of every free parameter; NaN where the test would not determine it.
     covariance : (p, p) array
         In the order of `standard_error`.
+    information : (p, p) array
+        Fisher information: the inverse of the covariance, and zero in directions that the test would not determine.
     undetermined : tuple of str
         Parameters that take part in a combination which the test would not, or hardly, determine.
     units : mapping of name to str
@@ -37,6 +41,7 @@ class ExpectedErrors:
     values: Mapping[str, float]
     standard_error: Mapping[str, float]
     covariance: Array
+    information: Array
     undetermined: tuple[str, ...]
     units: Mapping[str, str]
 
@@ -84,11 +89,13 @@ def expected_errors(
     accuracy = assess(nlp, x, solver_for(nlp, {}).profile(x).trajectories)
     count = len(nlp.free)
     covariance = accuracy.covariance[:count, :count]
+    scale = np.outer(accuracy.size[:count], accuracy.size[:count])
+    information = np.linalg.pinv(covariance / scale, rcond=SMALLEST, hermitian=True) / scale
     errors = np.sqrt(np.diag(covariance))
     errors[np.linalg.norm(accuracy.blind[:count], axis=1) > 0] = np.nan
     named = tuple(dict.fromkeys(name for c in accuracy.combinations for name in c.names))
     units = {name: nlp.problem.parameters[name].unit for name in nlp.free}
-    return ExpectedErrors(at, dict(zip(nlp.free, errors.tolist(), strict=True)), covariance, named, units)
+    return ExpectedErrors(at, dict(zip(nlp.free, errors.tolist(), strict=True)), covariance, information, named, units)
 
 
 def _percent(error: float, value: float) -> str:

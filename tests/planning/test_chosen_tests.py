@@ -1,0 +1,97 @@
+"""Which tests to fly, against trying all numbers of repeats, and against fits of what was chosen."""
+
+import itertools
+
+import numpy as np
+import pytest
+from declared_models import TWO_LAGS, LagLagDelay
+
+import greybox as gb
+from greybox.planning import choose_tests, expected_errors
+from greybox.planning.optimal_design import optimal_shares, size_of_errors
+
+
+def response(low, high, noise=0.02, rename=None):
+    omega = np.geomspace(low, high, 8)
+    exact = gb.frequency_response(LagLagDelay(), TWO_LAGS, omega).response
+    data = gb.FrequencyResponse(omega, exact, input="u", output="y", variance=(noise * np.abs(exact)) ** 2)
+    return gb.Problem(LagLagDelay(), data, gb.MaximumLikelihood(), rename=rename or {})
+
+
+TESTS = {"slow": (response(0.1, 2), 60.0), "middle": (response(0.5, 8), 30.0), "fast": (response(3, 30), 20.0)}
+
+
+def errors_of(repeats):
+    parts = [
+        problem for count, (problem, _) in zip(repeats, TESTS.values(), strict=True) for problem in [problem] * count
+    ]
+    whole = parts[0] if len(parts) == 1 else gb.formulation.Sum(tuple(parts))
+    return expected_errors(whole, TWO_LAGS)
+
+
+def test_the_wanted_errors_are_reached_and_nothing_shorter_does():
+    wanted = {"T1": 0.012, "tau": 0.0012}
+    found = choose_tests(TESTS, TWO_LAGS, wanted=wanted)
+    assert all(found.standard_error[name] <= error * (1 + 1e-6) for name, error in wanted.items())
+    together = errors_of(found.repeats.values())
+    for name, error in found.standard_error.items():
+        assert error == pytest.approx(together.standard_error[name], rel=1e-4)
+    once = [expected_errors(problem, TWO_LAGS).information for problem, _ in TESTS.values()]
+    at = [list(TWO_LAGS).index(name) for name in wanted]
+    shortest = np.inf
+    for tried in itertools.product(range(8), repeat=3):
+        information = np.tensordot(tried, once, 1)
+        if any(tried) and np.linalg.cond(information) < 1e14:
+            errors = np.sqrt(np.diag(np.linalg.inv(information)))[at]
+            if (errors <= list(wanted.values())).all():
+                shortest = min(shortest, tried @ np.array([60, 30, 20]))
+    assert shortest <= found.flight_time <= shortest + 60  # whole tests: at most one more than needed
+    assert "equally often would take" in str(found)
+
+
+@pytest.mark.parametrize("optimal", ["A", "D"])
+def test_no_other_shares_and_no_other_repeats_in_that_time_are_much_better(optimal):
+    random = np.random.default_rng(0)
+    slopes = random.normal(size=(6, 2, 3))
+    informations = np.einsum("kai,kaj->kij", slopes, slopes)
+    best = size_of_errors(np.tensordot(optimal_shares(informations, optimal), informations, 1), optimal)
+    for tried in random.dirichlet(np.full(6, 0.3), size=2000):
+        assert size_of_errors(np.tensordot(tried, informations, 1), optimal) > best - 1e-4 * abs(best)
+
+    found = choose_tests(TESTS, TWO_LAGS, seconds=300, optimal=optimal)
+    assert found.flight_time <= 300
+    scale = np.array(list(TWO_LAGS.values()))
+    once = np.array([expected_errors(problem, TWO_LAGS).information for problem, _ in TESTS.values()])
+    once = once * np.outer(scale, scale)
+    size = {
+        tried: size_of_errors(np.tensordot(tried, once, 1), optimal)
+        for tried in itertools.product(range(6), range(11), range(16))
+        if any(tried) and tried @ np.array([60, 30, 20]) <= 300
+    }
+    mine, best = size[tuple(found.repeats.values())], min(size.values())
+    assert (mine / best if optimal == "A" else np.exp((mine - best) / 4)) < 1.03  # in the variance of a parameter
+
+
+def test_axes_share_what_they_have_in_common():
+    own = {name: f"{name}_roll" for name in ("K", "T1", "T2")}
+    axes = {"pitch": (response(0.1, 30), 40.0), "roll": (response(0.1, 30, 0.05, own), 40.0)}
+    values = {**TWO_LAGS, **{own[name]: TWO_LAGS[name] for name in own}}
+    found = choose_tests(axes, values, wanted={"tau": 0.002})
+    assert found.repeats["roll"] <= found.repeats["pitch"]
+    both = choose_tests(axes, values, seconds=160, optimal="D")
+    assert all(np.isfinite(list(both.standard_error.values())))
+    assert set(both.repeats.values()) == {2}  # what each tells is its own, but for the delay
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({}, "either wanted standard errors or the seconds"),
+        ({"wanted": {"Q": 1.0}}, "Q is not estimated"),
+        ({"seconds": 10}, "too short"),
+        ({"seconds": 100, "optimal": "E"}, "give 'A' or 'D'"),
+    ],
+)
+def test_bad_requests_are_named(change, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        choose_tests(TESTS, TWO_LAGS, **change)
