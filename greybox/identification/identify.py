@@ -22,7 +22,6 @@ from greybox.logs.readers import read
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.validation.compare import compare
 from greybox.validation.comparison import Comparison
-from greybox.validation.parsimony import BARE_MENTION
 
 STARTS = 20
 
@@ -54,7 +53,7 @@ class Identification:
     comparison : Comparison or None
         None where fewer than two structures converged.
     chosen : FittedStep or None
-        The simplest structure that no other one describes the data better than; None where none converged.
+        The smallest structure that the data support, see `gb.compare`; None where none converged.
     unfiltered : FittedStep or None
         The same structure without the filters of the log: their lag is then part of its own lag and delay.
     starts, seed : int
@@ -131,7 +130,7 @@ def identify(
     Returns
     -------
     Identification
-        `chosen` is the simplest structure whose BIC is within 2 of the least: a larger one is not worth its parameters.
+        `chosen` is the smallest structure whose BIC is within 2 of the least: a larger one is not worth its parameters.
 
     Raises
     ------
@@ -207,27 +206,13 @@ def _fitted(
 
 
 def _chosen(steps: Sequence[FittedStep], comparison: Comparison | None) -> tuple[FittedStep | None, str]:
-    """Return the simplest structure of the ladder that describes the data as well as any, and why."""
+    """Return the smallest structure of the ladder that the data support, by the verdict of all comparisons, and why."""
     converged = [step for step in steps if step.fit.converged]
     if comparison is None:
         return (converged[0], "Only one structure converged.") if converged else (None, "No structure converged.")
-    above = [comparison.value("BIC less the least", label) for label in comparison.labels]
-    if any(value is None for value in above):
+    if not comparison.supported:
         return converged[0], "The costs cannot be compared: the simplest structure is shown."
-    known = [float(value) for value in above if value is not None]
-    k = next(i for i, value in enumerate(known) if value <= BARE_MENTION)
-    best = known.index(min(known))
-    label = comparison.labels[k]
-    if k == best == 0:
-        return converged[0], f"Structure {label} is chosen: it is the simplest, and has the least BIC."
-    if k == best:
-        return converged[
-            k
-        ], f"Structure {label} is chosen: it has the least BIC, and simpler ones have at least {BARE_MENTION:g} more."
-    return converged[k], (
-        f"Structure {label} is chosen: it is the simplest whose BIC is within {BARE_MENTION:g} of the least "
-        f"(structure {comparison.labels[best]}, {known[k]:.2g} less), which is not worth more than a bare mention."
-    )
+    return converged[comparison.labels.index(comparison.supported)], f"Structure {comparison.verdict}"
 
 
 def _ladder(result: Identification) -> str:

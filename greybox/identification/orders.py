@@ -17,7 +17,8 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol
 from greybox.regression.levy import levy
 from greybox.regression.poles_and_zeros import NearPair, near_pairs
-from greybox.validation.parsimony import BARE_MENTION, smallest_supported
+from greybox.validation.parsimony import parsimony, smallest_supported
+from greybox.validation.same_data import count_numbers, count_unknowns
 
 # Poles and zeros may lie this many times above the highest frequency: beyond it they are constants there.
 REACH = 10.0
@@ -96,18 +97,11 @@ class OrderSelection:
 
     @property
     def verdict(self) -> str:
-        """Which structure the data support, in one sentence."""
-        text = f"The data support {self.chosen.label}: {counted(self.chosen.parameters, 'parameter')}"
-        if self.chosen is self.least:
-            others = sorted(c.bic - self.chosen.bic for c in self.candidates if c is not self.chosen)
-            text += f", the least BIC{f' by {number(others[0], 3)}' if others else ''}"
-        else:
-            text += (
-                f", the smallest whose BIC is within {BARE_MENTION:g} of the least ({self.least.label}, "
-                f"{number(self.chosen.bic - self.least.bic, 2)} less)"
-            )
+        """Which structure the data support, in one sentence as `gb.compare` says it, and whether it is too large."""
+        of = self.candidates
+        _, text = parsimony([c.label for c in of], [c.bic for c in of], [c.parameters for c in of], {})
         pairs = f"; but {self.chosen.pairs[0]}" if self.chosen.pairs else ", and no pole and zero nearly cancel"
-        return f"{text}{pairs}."
+        return f"{text.removesuffix('.')}{pairs}."
 
     def __repr__(self) -> str:
         return one_line(self, counted(len(self.candidates), "structure"), self.chosen.label)
@@ -202,8 +196,7 @@ def _fitted(
     found = fit(problem, [*listed, Sobol(starts, seed)], profiles=False, progress=False)
     if not found.converged:
         return OrderCandidate(n, m, integrators, delay > 0, None, math.nan)
-    unknowns = len(found.free) + criterion.nuisances
-    bic = unknowns * math.log(2 * len(data)) + 2 * found.cost
+    bic = count_unknowns(found) * math.log(sum(map(count_numbers, found.parts))) + 2 * found.cost
     zeros = np.roots([found.estimate[f"b{k}"] for k in range(m, -1, -1)])
     poles = np.roots([1.0, *(found.estimate[f"a{k}"] for k in range(n - 1, integrators - 1, -1))])
     return OrderCandidate(n, m, integrators, delay > 0, found, bic, near_pairs(zeros, poles))

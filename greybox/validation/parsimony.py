@@ -33,7 +33,7 @@ def parsimony(
         )
     elif k == best:
         others = sorted(value - bic[k] for i, value in enumerate(bic) if i != k)
-        text = f"{counts} is supported: it has the least BIC, by {number(others[0], 3)}"
+        text = f"{counts} is supported: it has the least BIC{f', by {number(others[0], 3)}' if others else ''}"
     else:
         text = (
             f"{counts} is supported: it is the smallest whose BIC is within {BARE_MENTION:g} of the least, that of "

@@ -31,7 +31,7 @@ def test_the_chain_says_what_it_chose(flown):
         "input u=RATE.POut: the control of pitch (--input)",
         "output theta=ATT.Pitch: the pitch angle, at 5",
         "closed loop (ATT.DesPitch is in the log)",
-        "Structure 3 is chosen",
+        "Structure 3 (4 free) is supported",
         "Hold the model against a flight that it has not seen",
     ):
         assert words in text

@@ -32,7 +32,9 @@ def test_the_structure_of_the_truth_is_chosen(found):
     assert estimate["b0"] == pytest.approx(900 / 0.2, rel=0.03)
     assert estimate["a1"] == pytest.approx(5.0, rel=0.03)
     assert estimate["T_delay"] == pytest.approx(0.05, rel=0.05)
-    assert found.verdict.startswith("The data support n = 2, m = 0, 1 integrator, delay: 3 parameters")
+    assert found.verdict.startswith(
+        "n = 2, m = 0, 1 integrator, delay (3 free) is supported: it has the least BIC, by "
+    )
     assert "<- chosen" in str(found)
     for c in found.candidates:
         assert c.bic == pytest.approx((c.parameters + 1) * math.log(40) + 2 * c.fit.cost)
