@@ -20,6 +20,7 @@ from greybox.identification.measurement import Measurement, measure
 from greybox.logs.known_filters import KnownFilter
 from greybox.logs.readers import read
 from greybox.modeling.transfer_function import TransferFunction
+from greybox.solve.minima import best_unfinished
 from greybox.validation.compare import compare
 from greybox.validation.comparison import Comparison
 
@@ -152,6 +153,7 @@ def identify(
     labels = [str(1 + steps.index(step)) for step in converged]
     comparison = compare(*(step.fit for step in converged), labels=labels) if len(converged) > 1 else None
     chosen, reason = _chosen(steps, comparison)
+    reason = " ".join([reason, *_closer(steps, chosen)])
     unfiltered = _fitted(measurement, chosen[:3], {}, starts, seed) if filters and chosen else None
     return Identification(recording, choices, measurement, steps, comparison, chosen, unfiltered, starts, seed, reason)
 
@@ -213,6 +215,19 @@ def _chosen(steps: Sequence[FittedStep], comparison: Comparison | None) -> tuple
     if not comparison.supported:
         return converged[0], "The costs cannot be compared: the simplest structure is shown."
     return converged[comparison.labels.index(comparison.supported)], f"Structure {comparison.verdict}"
+
+
+def _closer(steps: Sequence[FittedStep], chosen: FittedStep | None) -> list[str]:
+    """Name the structures that did not converge, although a run of theirs came closer to the data than the chosen."""
+    runs = [
+        (k, step, best_unfinished(step.fit.runs)) for k, step in enumerate(steps, start=1) if not step.fit.converged
+    ]
+    return [
+        f"Structure {k} did not converge, but came to a cost of {number(run.cost, 4)} where the chosen one has "
+        f"{number(chosen.fit.cost, 4)}: fit {step.model} by itself, with another --search or more --starts."
+        for k, step, run in runs
+        if run is not None and chosen is not None and run.cost < chosen.fit.cost + BARE_MENTION
+    ]
 
 
 def _ladder(result: Identification) -> str:

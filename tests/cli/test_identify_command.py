@@ -6,6 +6,7 @@ from importlib.resources import files
 
 import pytest
 from command_line import run
+from synthetic_logs import px4_flight
 
 import greybox as gb
 
@@ -46,3 +47,22 @@ def test_a_choice_is_an_option(capsys, tmp_path, monkeypatch):
 
 def test_inspect_ends_with_the_command_to_type_next(capsys):
     assert run(capsys, "inspect", LOG)[1].endswith(f"next: greybox identify {LOG}\n")
+
+
+def test_a_log_of_px4_from_response_to_model(capsys, tmp_path, monkeypatch):
+    """A made ULog of sines in closed loop: gain, damping and lag are within three standard errors of the plant's."""
+    pytest.importorskip("pyulog")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "flight.ulg").write_bytes(px4_flight())
+    status, out, _ = run(capsys, "identify", "flight.ulg", "--starts", "4", "--json")
+    answer = json.loads(out)
+    assert status == 0
+    assert (answer["measurement"]["input"], answer["measurement"]["output"]) == ("u", "theta")
+    assert answer["measurement"]["closed_loop"]
+    response, fit = (shlex.split(line)[1:] for line in answer["commands"][1:])
+    assert run(capsys, *response, "--force")[0] == 0
+    alone = json.loads(run(capsys, *fit, "--force", "--json")[1])
+    assert fit[2] == "rate:DampedAngle"
+    for name, truth in (("K_phi", 60.0), ("a", 2.0), ("T_rotor", 0.05)):
+        for found in (answer["fit"], alone):
+            assert abs(found["estimate"][name] - truth) < 3 * found["standard_error"][name]

@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from scipy.io import savemat
+from scipy.signal import cont2discrete
 
 from greybox.logs.readers.dataflash_index import FORMAT_TO_STRUCT
 
@@ -241,6 +242,53 @@ def ulog(seconds=2.0, rate=100):
         if i == 10:
             put("L", struct.pack("<BQ", ord("6"), at) + b"[commander] Takeoff detected")
             key("P", b"float MC_PITCH_P", struct.pack("<f", 7.0))
+    return out.getvalue()
+
+
+def px4_flight():
+    """A PX4 log of five pitch sines in closed loop: the plant 60 / ((0.05 s + 1) s (s + 2)), exact for a held torque.
+
+    The controller is u = 0.3 (r - θ) - 0.06 q with noise of angle and rate, 125 Hz.
+    """
+    rate, omega = 125, (2.0, 3.5, 6.0, 10.0, 17.0)
+    plant = np.array([[0.0, 1.0, 0.0], [0.0, -2.0, 60.0], [0.0, 0.0, -20.0]])
+    a, b, *_ = cont2discrete((plant, np.array([[0.0], [0.0], [20.0]]), np.eye(3), np.zeros((3, 1))), 1 / rate)
+    setpoint = []
+    for w in omega:
+        t = np.arange(round(max(7 * 2 * np.pi / w, 10) * rate)) / rate
+        setpoint += [*np.zeros(2 * rate), *(0.05 * np.sin(w * t))]
+    setpoint += [0.0] * rate
+    random = np.random.default_rng(0)
+    noise = np.array([5e-3, 0.02]) * random.standard_normal((len(setpoint), 2))
+
+    out = io.BytesIO()
+
+    def put(kind, body):
+        out.write(struct.pack("<HB", len(body), ord(kind)) + body)
+
+    out.write(b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1_000_000))
+    put("B", bytes(40))
+    topics = {
+        "vehicle_attitude": "float[4] q",
+        "vehicle_attitude_setpoint": "float[4] q_d",
+        "vehicle_angular_velocity": "float[3] xyz",
+        "vehicle_torque_setpoint": "float[3] xyz",
+    }
+    for name, fields in topics.items():
+        put("F", f"{name}:uint64_t timestamp;{fields};".encode())
+    put("I", b"\x10char[3] sys_namePX4")
+    for number, name in enumerate(topics):
+        put("A", struct.pack("<BH", 0, number) + name.encode())
+    x = np.zeros(3)
+    for k, (r, (angle, gyro)) in enumerate(zip(setpoint, noise, strict=True)):
+        at = 2_000_000 + k * 1_000_000 // rate
+        torque = 0.3 * (r - x[0] - angle) - 0.06 * (x[1] + gyro)
+        tilted = [(np.cos(one / 2), 0.0, np.sin(one / 2), 0.0) for one in (x[0] + angle, r)]
+        put("D", struct.pack("<HQ4f", 0, at, *tilted[0]))
+        put("D", struct.pack("<HQ4f", 1, at, *tilted[1]))
+        put("D", struct.pack("<HQ3f", 2, at, 0.0, x[1] + gyro, 0.0))
+        put("D", struct.pack("<HQ3f", 3, at, 0.0, torque, 0.0))
+        x = a @ x + b[:, 0] * torque
     return out.getvalue()
 
 
