@@ -8,6 +8,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import Nlp
 from greybox.data.text_table import counted, listed, text_table
 from greybox.estimate.covariance import Accuracy, Combination
+from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.realization import has_branches
 from greybox.solve.minima import Minimum
 
@@ -17,7 +18,8 @@ FEW_COMBINATIONS = 3
 
 def not_determined(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
     """Name the combinations of parameters that the data determine poorly or not at all."""
-    every = accuracy.combinations
+    absent = _absent_noise(nlp, accuracy)
+    every = [c for c in accuracy.combinations if not set(c.names) <= absent]
     invisible = [c for c in every if math.isinf(c.index)]
     collinear = sorted((c for c in every if not math.isinf(c.index)), key=lambda c: -c.index)
     if len(every) > FEW_COMBINATIONS:
@@ -84,6 +86,17 @@ def _inactive_branch(nlp: Nlp, names: tuple[str, ...]) -> str:
     )
 
 
+def _absent_noise(nlp: Nlp, accuracy: Accuracy) -> set[str]:
+    """Return the sizes of process noise that ended at zero, where they have no effect to first order."""
+    sizes = {
+        part.outside(f"w_{state}")
+        for part in nlp.problem.parts
+        if isinstance(part.criterion, TimeCriterion)
+        for state in part.criterion.driven()
+    }
+    return sizes & set(accuracy.at_bound)
+
+
 def held_without_error(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
     """Name values held from an earlier fit that gives them no standard error."""
     errors = np.diag(accuracy.covariance)[len(nlp.free) :]
@@ -113,8 +126,14 @@ def no_degrees_of_freedom(nlp: Nlp) -> Iterator[str]:
 def at_bounds(nlp: Nlp, best: Minimum, accuracy: Accuracy) -> Iterator[str]:
     """Name parameters at their bounds and constraints that hold with equality; both are treated as known."""
     without_effect = [c.names[0] for c in accuracy.combinations if len(c.names) == 1]
+    absent = _absent_noise(nlp, accuracy)
+    if absent:
+        yield (
+            f"these data show no process noise of the size {listed(sorted(absent))}, which ended at zero: OutputError, "
+            "or process_noise without it, says as much with fewer unknowns."
+        )
     for name in accuracy.at_bound:
-        if name in without_effect:
+        if name in without_effect or name in absent:
             continue
         k = nlp.free.index(name)
         at_lower = best.estimate[k] - nlp.lower[k] < nlp.upper[k] - best.estimate[k]
