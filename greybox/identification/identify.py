@@ -226,7 +226,7 @@ def _closer(steps: Sequence[FittedStep], chosen: FittedStep | None) -> list[str]
         f"Structure {k} did not converge, but came to a cost of {number(run.cost, 4)} where the chosen one has "
         f"{number(chosen.fit.cost, 4)}: fit {step.model} by itself, with another --search or more --starts."
         for k, step, run in runs
-        if run is not None and chosen is not None and run.cost < chosen.fit.cost + BARE_MENTION
+        if run is not None and chosen is not None and run.cost < chosen.fit.cost
     ]
 
 

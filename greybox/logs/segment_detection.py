@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.record import Record, Recording, require_time
+from greybox.data.record import GAP, Record, Recording, require_time
 from greybox.data.test_segment import Segment
 from greybox.data.units import to_si
 from greybox.logs.ardupilot import ATTITUDE_SETPOINTS, SYSTEMID_AXES, SYSTEMID_DELAY
@@ -243,10 +243,11 @@ def _in_setpoint(data: Recording | Record, name: str) -> list[Segment]:
     found = []
     unit = record.units.get(field, "")
     turn = whole_turn(unit)
-    for piece in record.pieces:
-        known = np.isfinite(piece[field])
-        values = piece[field][known]
-        found += sines_and_sweeps(piece.time[known], np.unwrap(values, period=turn) if turn else values)
+    known = np.isfinite(record[field])
+    # A shorter gap ends no test: what is sought are crossings in time, and one that is lost ends a sine by itself.
+    cuts = np.flatnonzero(np.diff(record.time[known]) > max(PAUSE, GAP * record.step)) + 1
+    for time, values in zip(np.split(record.time[known], cuts), np.split(record[field][known], cuts), strict=True):
+        found += sines_and_sweeps(time, np.unwrap(values, period=turn) if turn else values)
     return [replace(s, axis=name, unit=unit, source=f"setpoint {name}") for s in found]
 
 

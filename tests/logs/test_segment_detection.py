@@ -175,3 +175,17 @@ def test_a_sine_of_the_stick_is_no_usable_sine():
     assert "flown by hand: the stick RCIN.C1 moves with it" in flown.findings[0]
     (commanded,) = find_segments(flown_by(stick=0.0))
     assert commanded.usable
+
+
+def test_lost_samples_and_slow_logging_before_do_not_hide_a_sine():
+    """Fifty gaps of five samples, and a tenth of the rate until the test; a gap of two seconds ends it."""
+    time = np.arange(0, 80, 0.01)
+    kept = (time > 20) | (np.arange(time.size) % 10 == 0)
+    for start in np.random.default_rng(0).choice(np.arange(2600, 7400), 50):
+        kept[start : start + 5] = False
+    setpoint = np.where((time > 25) & (time < 75), np.sin(3 * (time - 25)), 0)
+    (found,) = find_segments(Record(time[kept], {"r": setpoint[kept]}))
+    assert (found.start, found.end) == pytest.approx((25, 75), abs=1.1)
+    assert found.omega == pytest.approx(3, rel=1e-3)
+    kept &= (time < 49) | (time > 51)
+    assert len(find_segments(Record(time[kept], {"r": setpoint[kept]}))) == 2
