@@ -58,6 +58,7 @@ def test_the_best_end_is_given_without_errors_with_what_blocks_it():
     closest, *blocking = fit.warnings
     assert closest.startswith("run 0 came closest")
     assert "solver_options={'max_iter': ...}" in closest
+    assert "leave out method" not in closest
     # The gain belongs at twice its upper bound, and nothing shows the mass.
     assert any(text.startswith("k ended at a bound") for text in blocking)
     assert any(text.startswith("mass is not determined") for text in blocking)
@@ -93,6 +94,15 @@ def best_slope(best):
     """Return the derivative of the simulated output by k, in which the model is linear."""
     values = best.estimate | {"k": 1.0}
     return gb.simulate(Lag(), values, best.records[0].data, inputs="held", initial={"x": 0.0})["x"]
+
+
+def test_of_a_failure_by_ipopt_the_damped_method_is_proposed():
+    clean = gb.simulate(Lag(), {"a": 3.0, "k": 6.0}, gb.Record(TIME, {"u": U}), inputs="held")["x"]
+    problem = gb.Problem(Lag(), gb.Record(TIME, {"u": U, "x": clean + NOISE}), fixed={"mass": 1.0})
+    options = {"method": gb.SingleShooting(), "solver_options": {"max_iter": 1}}
+    fit = gb.fit(problem, starts=[{}], **options, progress=False)
+    assert not fit.converged
+    assert "or leave out method" in fit.warnings[0]
 
 
 def test_an_estimate_leaves_no_best_effort():

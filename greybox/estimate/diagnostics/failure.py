@@ -11,10 +11,14 @@ from greybox.estimate.diagnostics.identifiability import not_determined
 from greybox.solve.local_solver import LocalSolver, Profile
 from greybox.solve.minima import Multistart, best_unfinished
 from greybox.solve.outcome import CUT_SHORT, Run
+from greybox.solve.transcribed_program import TranscribedProgram
 
 # Standard errors that a minimum along one parameter alone must be away for the cost to count as falling there: a tenth
 # is what "converged" allows.
 STEEP = 0.1
+
+# IPOPT's steps are not damped along initial states and parameters that the outputs hardly show.
+UNDAMPED = ", or leave out method: the steps of the default one are damped where the data determine little"
 
 # Parameters named in a sentence, the steepest first.
 NAMED = 4
@@ -27,7 +31,8 @@ def failure_warnings(nlp: Nlp, search: Multistart, solver: LocalSolver) -> Itera
         return
     yield (
         f"run {run.index} came closest, cost {run.cost:.6g} after {counted(run.iterations, 'iteration')} "
-        f"({run.status}); its values, no estimate and without errors, are in best_effort: {_cure(run)}."
+        f"({run.status}); its values, no estimate and without errors, are in best_effort: {_cure(run)}"
+        f"{UNDAMPED if isinstance(solver, TranscribedProgram) else ''}."
     )
     if run.status in CUT_SHORT:
         return
