@@ -1,9 +1,11 @@
 """ArduPilot DataFlash logs as text (.log): one message per line, ``ATT, 42079828, 0.01, ...``, and FMT lines."""
 
 import hashlib
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,32 +14,46 @@ from pymavlink.DFReader import FORMAT_TO_STRUCT
 from greybox.data.record import Recording
 from greybox.data.text_table import is_number
 from greybox.logs.readers import ardupilot_metadata
-from greybox.logs.readers.dataflash import CLOCKS, TABLES, clock_column, recording
+from greybox.logs.readers.dataflash import ALWAYS, CLOCKS, TABLES, clock_column, recording
 from greybox.logs.readers.dataflash_index import Layout
 from greybox.logs.readers.dataflash_units import Units, UnitTables
 from greybox.logs.readers.messages import Messages, bare, on_one_clock
 from greybox.logs.readers.time_stamps import increasing
 
 FMT_FIELDS = 5  # type, length, name, format, columns
+TEXTS = "anNZM"  # letters of text; a mode, M, is a name or a number
+BATCH = 10_000  # lines of a message that are text at a time, a megabyte or two
+
+Column = Any  # an array of numbers, or a list of text
 
 
 class Lines:
-    """The lines of a log by message name, with their numbers, and the layouts that FMT lines describe."""
+    """The lines of a log by message name: the columns of those that are wanted, of the others the times.
 
-    def __init__(self, text: str) -> None:
+    Attributes
+    ----------
+    layouts : dict of str to Layout
+        By message name, as FMT lines describe them.
+    each : dict of str to _Columns
+    banner : str
+        The line in which an old log names its firmware; empty if there is none.
+    """
+
+    def __init__(self, lines: Iterable[str], wanted: Collection[str] | None) -> None:
         self.layouts: dict[str, Layout] = {}
-        self.numbers: dict[str, list[int]] = {}
-        self.bodies: dict[str, list[str]] = {}
-        self.other: list[str] = []
-        for number, line in enumerate(text.split("\n")):
+        self.each: dict[str, _Columns] = {}
+        self.banner = ""
+        for number, line in enumerate(lines):
             name, comma, body = line.partition(",")
             if not comma:
-                self.other += [line.strip()] if line.strip() else []
+                self.banner = self.banner or (line.strip() if ardupilot_metadata.vehicle_in(line) else "")
                 continue
             if name == "FMT":
                 self._define(body)
-            self.numbers.setdefault(name, []).append(number)
-            self.bodies.setdefault(name, []).append(body)
+            columns = self.each.get(name)
+            if columns is None:
+                columns = self.each[name] = _Columns(wanted is None or name in wanted)
+            columns.take(number, body, self.layouts.get(name))
 
     def _define(self, body: str) -> None:
         fields = [field.strip() for field in body.split(",", FMT_FIELDS - 1)]
@@ -46,6 +62,64 @@ class Lines:
         columns = tuple(column.strip() for column in fields[4].split(",") if column.strip())
         if len(columns) == len(fields[3]) == len(set(columns)) and fields[2] != "FMT":
             self.layouts[fields[2]] = Layout(int(fields[0]), fields[2], 0, fields[3], columns)
+
+
+class _Columns:
+    """The columns of all lines of one name, numbers from batch to batch, so that little of the log is text at a time.
+
+    Of those that are not wanted as a `whole` the times are kept alone.
+    """
+
+    def __init__(self, whole: bool) -> None:
+        self.count = 0
+        self._whole = whole
+        self._numbers: list[int] = []
+        self._bodies: list[str] = []
+        self._batches: list[tuple[Layout, NDArray[np.int64], dict[str, Column]]] = []
+
+    def take(self, number: int, body: str, layout: Layout | None) -> None:
+        """Keep a line."""
+        self.count += 1
+        self._numbers.append(number)
+        self._bodies.append(body)
+        if len(self._bodies) >= BATCH and layout is not None:
+            self._convert(layout)
+
+    def _convert(self, layout: Layout) -> None:
+        width = len(layout.columns)
+        split = [body.split(",", width - 1) for body in self._bodies]
+        sound = [i for i, fields in enumerate(split) if len(fields) == width]
+        timer = clock_column(layout)
+        columns: dict[str, Column] = {}
+        for i, (letter, name) in enumerate(zip(layout.format, layout.columns, strict=True)):
+            if self._whole or name == timer:
+                values = [split[row][i].strip() for row in sound]
+                columns[name] = values if letter in TEXTS and name != timer else _numbers(values)
+        self._batches.append((layout, np.array(self._numbers, dtype=np.int64)[sound], columns))
+        self._numbers, self._bodies = [], []
+
+    def messages(self, layout: Layout, units: Units, damaged: dict[str, int]) -> Messages:
+        """Return the messages; lines with too few fields, or of another layout, are counted as damaged."""
+        self._convert(layout)
+        batches = [(order, columns) for own, order, columns in self._batches if own == layout]
+        order = np.concatenate([order for order, _ in batches])
+        timer = clock_column(layout)
+        time, numbers, texts = None, {}, {}
+        for letter, name in zip(layout.format, layout.columns, strict=True):
+            parts = [columns[name] for _, columns in batches if name in columns]
+            if name == timer:
+                time = np.concatenate(parts) / CLOCKS.get(name, 1e3)
+            elif parts and letter in TEXTS:
+                values = [*chain.from_iterable(parts)]
+                if letter == "M" and values and is_number(values[0]):
+                    numbers[name] = _numbers(values)
+                else:
+                    texts[name] = values
+            elif parts:
+                numbers[name] = np.concatenate(parts)
+        if order.size < self.count:
+            damaged[layout.name] = self.count - order.size
+        return Messages(layout.name, order, time, numbers, texts, units.columns, units.instance if self._whole else "")
 
 
 def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
@@ -71,19 +145,22 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     """
     path = Path(path)
     messages = bare(messages)
-    raw = path.read_bytes()
-    lines = Lines(raw.decode("utf-8-sig", "replace").replace("\r", "\n"))
+    with path.open("rb") as file:
+        checksum = hashlib.file_digest(file, "sha256").hexdigest()
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        lines = Lines(file, None if messages is None else {*messages, *ALWAYS, *TABLES})
     damaged: dict[str, int] = {}
-    tables = UnitTables(_messages(lines, name, Units({}, ""), damaged) for name in TABLES if name in lines.layouts)
-    groups = [
-        _messages(lines, name, tables.of(layout), damaged)
-        for name, layout in lines.layouts.items()
-        if name not in TABLES and name in lines.bodies
-    ]
-    unknown = sum(len(bodies) for name, bodies in lines.bodies.items() if name not in lines.layouts and name != "FMT")
+
+    def messages_of(name: str, units: Units) -> Messages:
+        return lines.each[name].messages(lines.layouts[name], units, damaged)
+
+    known = [name for name in lines.layouts if name in lines.each]
+    tables = UnitTables(messages_of(name, Units({}, "")) for name in TABLES if name in known)
+    groups = [messages_of(name, tables.of(lines.layouts[name])) for name in known if name not in TABLES]
+    unknown = sum(one.count for name, one in lines.each.items() if name not in lines.layouts and name != "FMT")
     groups, interpolated = _with_times(groups)
     findings = [*_damage(damaged, unknown), *tables.findings, *interpolated]
-    return recording(on_one_clock(groups + _banner(lines)), path, hashlib.sha256(raw).hexdigest(), messages, findings)
+    return recording(on_one_clock(groups + _banner(lines)), path, checksum, messages, findings)
 
 
 def _with_times(groups: list[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
@@ -108,34 +185,6 @@ def _with_times(groups: list[Messages]) -> tuple[list[Messages], tuple[str, ...]
     )
 
 
-def _messages(lines: Lines, name: str, units: Units, damaged: dict[str, int]) -> Messages:
-    """Return the messages of one name; lines with too few fields, or no time, are counted as damaged."""
-    layout = lines.layouts[name]
-    bodies = lines.bodies.get(name, [])
-    width = len(layout.columns)
-    split = [[field.strip() for field in body.split(",", width - 1)] for body in bodies]
-    sound = [i for i, fields in enumerate(split) if len(fields) == width]
-    fields = dict(zip(layout.columns, zip(*(split[i] for i in sound), strict=True), strict=True)) if sound else {}
-
-    timer = clock_column(layout)
-    time = None
-    columns = {}
-    texts = {}
-    for letter, column in zip(layout.format, layout.columns, strict=True):
-        values = fields.get(column, ())
-        if column == timer:
-            time = _numbers(values) / CLOCKS.get(column, 1e3)
-        elif letter in "anNZ" or (letter == "M" and values and not is_number(values[0])):
-            texts[column] = values
-        else:
-            columns[column] = _numbers(values)
-
-    if len(sound) < len(split):
-        damaged[name] = len(split) - len(sound)
-    order = np.array([lines.numbers[name][i] for i in sound], dtype=np.int64)
-    return Messages(name, order, time, columns, texts, units.columns, units.instance)
-
-
 def _numbers(values: Sequence[str]) -> NDArray[np.float64]:
     """Convert a column, NaN where it is not a number."""
     try:
@@ -146,10 +195,9 @@ def _numbers(values: Sequence[str]) -> NDArray[np.float64]:
 
 def _banner(lines: Lines) -> list[Messages]:
     """Return the line in which an old log names its firmware, as a text message."""
-    said = [line for line in lines.other if ardupilot_metadata.vehicle_in(line)][:1]
-    if not said or "MSG" in lines.bodies:
+    if not lines.banner or "MSG" in lines.each:
         return []
-    return [Messages("MSG", np.zeros(1, dtype=np.int64), None, {}, {"Message": said})]
+    return [Messages("MSG", np.zeros(1, dtype=np.int64), None, {}, {"Message": [lines.banner]})]
 
 
 def _damage(damaged: dict[str, int], unknown: int) -> list[str]:
