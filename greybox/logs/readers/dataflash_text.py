@@ -22,7 +22,7 @@ from greybox.logs.readers.time_stamps import increasing
 
 FMT_FIELDS = 5  # type, length, name, format, columns
 TEXTS = "anNZM"  # letters of text; a mode, M, is a name or a number
-BATCH = 10_000  # lines of a message that are text at a time, a megabyte or two
+BATCH = 1000  # lines of a message that are text at a time, a megabyte as fields
 
 Column = Any  # an array of numbers, or a list of text
 
@@ -86,14 +86,15 @@ class _Columns:
             self._convert(layout)
 
     def _convert(self, layout: Layout) -> None:
-        width = len(layout.columns)
-        split = [body.split(",", width - 1) for body in self._bodies]
-        sound = [i for i, fields in enumerate(split) if len(fields) == width]
-        timer = clock_column(layout)
+        commas, timer = len(layout.columns) - 1, clock_column(layout)
+        kept = layout.columns if self._whole else (timer,) if timer else ()
+        splits = max((layout.columns.index(name) + 1 for name in kept), default=0)
+        sound = [i for i, body in enumerate(self._bodies) if body.count(",") >= commas]
+        split = [self._bodies[i].split(",", min(splits, commas)) for i in sound]
         columns: dict[str, Column] = {}
         for i, (letter, name) in enumerate(zip(layout.format, layout.columns, strict=True)):
-            if self._whole or name == timer:
-                values = [split[row][i].strip() for row in sound]
+            if name in kept:
+                values = [fields[i].strip() for fields in split]
                 columns[name] = values if letter in TEXTS and name != timer else _numbers(values)
         self._batches.append((layout, np.array(self._numbers, dtype=np.int64)[sound], columns))
         self._numbers, self._bodies = [], []

@@ -1,10 +1,46 @@
-"""Text logs of before 2014, whose messages have no times, and tables of units that contradict themselves."""
+"""Text logs: of any size, of before 2014, whose messages have no times, with units that contradict themselves."""
+
+import tracemalloc
 
 import numpy as np
 import pytest
 from synthetic_logs import Log
 
 from greybox.logs.readers import read
+
+
+def long_log(lines):
+    """Attitudes at 100 Hz, as every fourth line; what lies between is longer."""
+    made = Log().fmt("ATT", "Qf", "TimeUS,Roll").fmt("BULK", "Q" + "f" * 12, "TimeUS," + ",".join("ABCDEFGHIJKL"))
+    text = [made.text.rstrip("\n")]
+    for k in range(lines):
+        name, values = ("ATT", "0.5") if k % 4 == 0 else ("BULK", ", ".join(12 * ["-1.234567"]))
+        text.append(f"{name}, {2500 * k}, {values}")
+    return "\n".join(text) + "\n"
+
+
+def test_what_is_not_asked_for_is_not_in_memory(tmp_path):
+    path = tmp_path / "long.log"
+    path.write_text(long_log(20_000))
+    tracemalloc.start()
+    recording = read(path, ["ATT"])
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert len(recording["ATT"]) == 5000
+    assert peak < path.stat().st_size  # 2.3 MB, of which half are text at a time
+
+
+def test_batches_of_lines_are_one_message(tmp_path, monkeypatch):
+    """Lines that are cut short are skipped and counted, whichever batch they are in."""
+    path = tmp_path / "short.log"
+    path.write_text(long_log(60).replace("ATT, 50000, 0.5", "ATT, 50000"))
+    whole = read(path)
+    monkeypatch.setattr("greybox.logs.readers.dataflash_text.BATCH", 4)
+    parts = read(path)
+    assert len(whole["ATT"]) == 14
+    assert "ATT: 1 damaged lines were skipped." in whole.findings
+    assert {name: record.checksum for name, record in parts.items()} == {n: r.checksum for n, r in whole.items()}
+    assert (parts.findings, parts.checksum) == (whole.findings, whole.checksum)
 
 
 def old_log():
