@@ -15,6 +15,11 @@ def reading(size: int, what: str) -> Any:
     return tqdm(total=size, desc=what, unit="B", unit_scale=True, disable=None, delay=DELAY, leave=False)
 
 
+def waiting(what: str) -> Any:
+    """Return a line that says for how long something takes whose end is not known; ``bar.update()`` renews it."""
+    return tqdm(desc=what, bar_format="{desc}: {elapsed}", disable=None, delay=DELAY, leave=False)
+
+
 def counted_off(items: Iterable[Item], what: str, unit: str) -> Iterable[Item]:
     """Yield the items, with a bar of how many are done."""
     return tqdm(items, desc=what, unit=unit, disable=None, delay=DELAY, leave=False)

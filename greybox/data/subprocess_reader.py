@@ -11,12 +11,14 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.data.progress import waiting
 from greybox.data.subprocess_main import REFUSED
 from greybox.data.text_table import printable
 
@@ -27,6 +29,7 @@ SCRIPT = Path(__file__).with_name("subprocess_main.py")
 # (HDF5 and MATLAB, 32 MB).
 PATIENCE = 10.0
 SPEED = 2e6
+LOOK = 0.2  # s, after which a reader looks how long it has waited
 TOO_LONG = -getattr(signal, "SIGPROF", 0)  # the exit status of a process that used up its processor time
 
 
@@ -59,18 +62,37 @@ def _run(arguments: list[str], path: Path) -> bytes:
         "OPENBLAS_NUM_THREADS": "1",  # every thread of it reserves memory
         "HDF5_PLUGIN_PRELOAD": "::",  # a file cannot have the HDF5 library load plugins
     }
-    try:
-        done = subprocess.run(command, capture_output=True, timeout=limit, check=False, env=environment)
-    except subprocess.TimeoutExpired:
-        raise ValueError(f"{path} is damaged: reading it took longer than {limit:.0f} s.") from None
-    said = printable(done.stderr.decode("utf-8", "replace").strip())
-    if done.returncode == REFUSED:
+    status, answer, complaint = _finished(command, environment, limit, path)
+    said = printable(complaint.decode("utf-8", "replace").strip())
+    if status == REFUSED:
         raise ValueError(f"{path} is not read: {said}.")
-    if done.returncode == TOO_LONG:
+    if status == TOO_LONG:
         raise ValueError(f"{path} is damaged: reading it takes too long for its size.")
-    if done.returncode < 0:
+    if status < 0:
         raise ValueError(f"{path} is damaged: the library that reads it crashed; export or copy it again.")
-    if done.returncode:
+    if status:
         reason = said or "for no stated reason"
         raise ValueError(f"{path} is damaged or of another format ({reason:.160}): export or copy it again.")
-    return done.stdout
+    return answer
+
+
+def _finished(command: list[str], environment: dict[str, str], limit: float, path: Path) -> tuple[int, bytes, bytes]:
+    """Run a command, and return its exit status and what it writes; a large file is seen to take its time."""
+    pipe = subprocess.PIPE
+    with (
+        waiting(f"reading {printable(path.name)}") as bar,
+        subprocess.Popen(command, stdout=pipe, stderr=pipe, env=environment) as process,
+    ):
+        begin = time.monotonic()
+        try:
+            while True:
+                try:
+                    answer, complaint = process.communicate(timeout=LOOK)
+                    return process.returncode, answer, complaint
+                except subprocess.TimeoutExpired:
+                    if time.monotonic() - begin > limit:
+                        raise ValueError(f"{path} is damaged: reading it took longer than {limit:.0f} s.") from None
+                    bar.update()
+        except BaseException:
+            process.kill()
+            raise

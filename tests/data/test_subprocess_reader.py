@@ -1,6 +1,8 @@
 """The subprocess in which files are read: what ends it, and what it may not do."""
 
 import time
+from contextlib import contextmanager
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -31,6 +33,18 @@ def test_a_reading_that_waits_is_ended(reading):
     with pytest.raises(ValueError, match="took longer than 1 s"):
         reading("import time; time.sleep(60)")
     assert time.perf_counter() - began < 10
+
+
+def test_a_reading_that_takes_its_time_is_seen_to(reading, monkeypatch):
+    lines = []
+
+    @contextmanager
+    def noted(what):
+        yield SimpleNamespace(update=lambda: lines.append(what))
+
+    monkeypatch.setattr(subprocess_reader, "waiting", noted)
+    reading("import json, time; time.sleep(0.5); print(json.dumps({'shapes': []}))", patience=10.0)
+    assert set(lines) == {"reading bad.h5"}
 
 
 def test_a_reading_that_crashes_is_a_sentence(reading):
