@@ -218,15 +218,15 @@ def _chosen(steps: Sequence[FittedStep], comparison: Comparison | None) -> tuple
 
 
 def _closer(steps: Sequence[FittedStep], chosen: FittedStep | None) -> list[str]:
-    """Name the structures that did not converge, although a run of theirs came closer to the data than the chosen."""
-    runs = [
-        (k, step, best_unfinished(step.fit.runs)) for k, step in enumerate(steps, start=1) if not step.fit.converged
-    ]
+    """Name the structures that did not converge, although a run of theirs came as close as the chosen one, by AIC."""
+    if chosen is None:
+        return []
+    runs = [(k, step, best_unfinished(step.fit.runs)) for k, step in enumerate(steps, 1) if not step.fit.converged]
     return [
         f"Structure {k} did not converge, but came to a cost of {number(run.cost, 4)} where the chosen one has "
-        f"{number(chosen.fit.cost, 4)}: fit {step.model} by itself, with another --search or more --starts."
+        f"{number(chosen.fit.cost, 4)}: fit {step.model} by itself, with --search multistart or more --starts."
         for k, step, run in runs
-        if run is not None and chosen is not None and run.cost < chosen.fit.cost
+        if run is not None and run.cost + len(step.fit.free) < chosen.fit.cost + len(chosen.fit.free)
     ]
 
 

@@ -147,11 +147,11 @@ def test_the_signals_of_px4_are_known():
 def test_a_structure_that_fails_close_to_the_data_is_named():
     """It may be the right one: of data without noise, the last digits of a minimum are not reached by every search."""
     unfinished = SimpleNamespace(converged=False, status="stagnated", cost=0.42, stage="")
-    failed = SimpleNamespace(converged=False, runs=[unfinished])
-    found = SimpleNamespace(converged=True, runs=[], cost=588.2)
+    failed = SimpleNamespace(converged=False, runs=[unfinished], free=("K", "a"))
+    found = SimpleNamespace(converged=True, runs=[], free=("K", "a", "b"), cost=0.41)
     steps = [FittedStep(name, (), "", (), "", fit) for name, fit in (("rate:A", failed), ("tilt:B", found))]
     (said,) = _closer(steps, steps[1])
     assert said.startswith(
-        "Structure 1 did not converge, but came to a cost of 0.42 where the chosen one has 588.2: fit"
+        "Structure 1 did not converge, but came to a cost of 0.42 where the chosen one has 0.41: fit"
     )
     assert _closer(steps[1:], steps[1]) == []
