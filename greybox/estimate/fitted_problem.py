@@ -1,15 +1,35 @@
-"""The problem that was fitted, from what its answer keeps of it."""
+"""The problem that was fitted, from what its answer keeps of it, and compiled again."""
 
 from typing import Any
 
-from greybox.compiled.compiled_problem import AnyProblem
+from greybox.compiled.compiled_problem import AnyProblem, Nlp, compile_problem
+from greybox.compiled.transcription.method import Transcription
 from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedResponse
+from greybox.estimate.harmonic_numbers import with_enough_harmonics
 from greybox.estimate.result import Fit
 from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.model_reference import resolve
+
+
+def compiled_again(fit: Fit, problem: AnyProblem | None = None, method: Transcription | None = None) -> Nlp:
+    """Compile what was fitted: the `problem` that a user gives, or what the fit keeps of it.
+
+    Raises
+    ------
+    ValueError, LookupError
+        As of `problem_of`, and for a problem with other unknowns or other data than the fit.
+    """
+    problem = with_enough_harmonics(problem_of(fit) if problem is None else problem)
+    nlp = compile_problem(problem, method)
+    given, fitted = ([part.data.checksum for part in parts] for parts in (nlp.problem.parts, fit.parts))
+    if nlp.free != fit.free or given != fitted:
+        raise ValueError(
+            f"problem {problem.name!r} has other unknowns or other data than the fit: give the one fitted."
+        )
+    return nlp
 
 
 def problem_of(fit: Fit) -> AnyProblem:

@@ -26,14 +26,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.compiled_problem import AnyProblem, Nlp, compile_problem
+from greybox.compiled.compiled_problem import AnyProblem, Nlp
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
 from greybox.data.progress import counted_off
 from greybox.data.text_table import alternatives, number
 from greybox.estimate.covariance import Accuracy, assess
-from greybox.estimate.fitted_problem import problem_of
-from greybox.estimate.harmonic_numbers import with_enough_harmonics
+from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.held_records import HeldRecords, best_of_records
 from greybox.estimate.profiles import Contour, End, ProfileOf, Profiles
 from greybox.estimate.quantities import Formula, formulas
@@ -142,15 +141,7 @@ def _compiled(fit: Fit, problem: AnyProblem | None, level: float) -> Nlp:
         raise ValueError(
             f"the fit {fit.name!r} has manoeuvres, of which no profiles are made: use fit.interval(), which is Wald's."
         )
-    problem = with_enough_harmonics(problem_of(fit) if problem is None else problem)
-    nlp = compile_problem(problem)
-    if nlp.free != fit.free or [part.data.checksum for part in nlp.problem.parts] != [
-        p.data.checksum for p in fit.parts
-    ]:
-        raise ValueError(
-            f"problem {problem.name!r} has other unknowns or other data than the fit: give the one fitted."
-        )
-    return nlp
+    return compiled_again(fit, problem)
 
 
 def profiled_where_misleading(nlp: Nlp, fit: Fit) -> Profiles | None:

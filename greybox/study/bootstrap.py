@@ -21,13 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from greybox.compiled.compiled_problem import AnyProblem, Nlp, compile_problem
+from greybox.compiled.compiled_problem import AnyProblem, Nlp
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.json_numbers import finite
 from greybox.data.text_table import alternatives, counted, number, one_line, text_table
 from greybox.estimate.covariance import known_covariances
-from greybox.estimate.fitted_problem import problem_of
-from greybox.estimate.harmonic_numbers import with_enough_harmonics
+from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.quantities import formulas
 from greybox.estimate.result import Fit
 from greybox.solve.discretization_error import refine_discretization
@@ -345,7 +344,7 @@ def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)
     if executor is not None and not isinstance(executor, Executor):
         raise TypeError(f"executor is {executor!r:.60}: give an instance such as greybox.solve.WorkerPool(2).")
     drawn = _resampling(fit, resampling)
-    nlp = _compiled(fit, problem, method)
+    nlp = compiled_again(fit, problem, method)
     x = np.array([fit.estimate[name] for name in nlp.free])
     at_bound = np.array([{q.name: q.at_bound for q in fit.quantities}[name] for name in nlp.free])
     constants = sum((c for c, _ in known_covariances(nlp)), np.zeros((len(nlp.names), len(nlp.names))))
@@ -404,18 +403,6 @@ def _resampling(fit: Fit, asked: str | None) -> Any:
             f"{FEWEST_PARTS}: use resampling={allowed[0]!r}."
         )
     return asked
-
-
-def _compiled(fit: Fit, problem: AnyProblem | None, method: Transcription | None) -> Nlp:
-    """Compile what was fitted."""
-    problem = with_enough_harmonics(problem_of(fit) if problem is None else problem)
-    nlp = compile_problem(problem, method)
-    sums = [part.data.checksum for part in nlp.problem.parts]
-    if nlp.free != fit.free or sums != [part.data.checksum for part in fit.parts]:
-        raise ValueError(
-            f"problem {problem.name!r} has other unknowns or other data than the fit: give the one fitted."
-        )
-    return nlp
 
 
 def _of_records(
