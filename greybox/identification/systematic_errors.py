@@ -102,7 +102,10 @@ def _thinned(
     if found is None:
         return None
     relative = thinning_error(found, recording, axis, response)
-    text = f"{found}: {_size(relative)} are added to the standard errors; to log every pass, {found.cure}."
+    text = (
+        f"{found}: {_size(relative)} are added to the standard errors; neighboring frequencies err alike, so that a "
+        f"fitted gain may be off by as much; to log every pass, {found.cure}."
+    )
     return SystematicError("thinned log", relative, Finding("logging", "note", float(relative.max()), text))
 
 

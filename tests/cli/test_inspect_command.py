@@ -51,3 +51,11 @@ def test_columns_without_names_are_stated(capsys, tmp_path):
     assert "sine" in out
     assert out.splitlines()[-1].endswith("--columns time=1:ms r=2 y=3:deg")
     assert "write NAME=COLUMN:UNIT" in run(capsys, "inspect", tmp_path / "flight.asc", "--columns", "time")[2]
+
+
+def test_the_rate_of_messages_in_bursts_is_their_mean(capsys, tmp_path):
+    """Fourteen messages a second that a link hands over at once are 14 Hz, not the 2000 Hz of their median interval."""
+    time = [second + 0.0005 * k for second in range(20) for k in range(14)]
+    (tmp_path / "link.csv").write_text("time,x\n" + "\n".join(f"{t:.4f},{t}" for t in time) + "\n")
+    (message,) = json.loads(run(capsys, "inspect", tmp_path / "link.csv", "--json")[1])["messages"]
+    assert message["rate"] == pytest.approx(279 / (time[-1] - time[0]))
