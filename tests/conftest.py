@@ -23,6 +23,22 @@ def pytest_collection_modifyitems(items):
 
 
 @pytest.fixture
+def clock(monkeypatch):
+    """A clock of time limits that goes on by a second at every look."""
+
+    class Clock:
+        now = 0.0
+
+        @classmethod
+        def time(cls):
+            cls.now += 1.0
+            return cls.now
+
+    monkeypatch.setattr("greybox.solve.time_limits.time", Clock)
+    return Clock
+
+
+@pytest.fixture
 def press_ctrl_c():
     """Send this process the signal that Ctrl-C sends, with Python's handler for it, which parallel tests ignore."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -2,9 +2,11 @@
 
 import argparse
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+Value = TypeVar("Value")
 
 
 class UsageError(Exception):
@@ -96,14 +98,7 @@ def assignments(words: Sequence[str], flag: str) -> dict[str, float]:
     UsageError
         For a word of another form.
     """
-    result = {}
-    for word in words:
-        name, _, value = word.partition("=")
-        try:
-            result[name] = float(value)
-        except ValueError:
-            raise UsageError(f"{flag} {word!r} is not understood: write NAME=VALUE, e.g. a5=0.16.") from None
-    return result
+    return _by_name(words, flag, "NAME=VALUE, e.g. a5=0.16", float)
 
 
 def uncertain_values(words: Sequence[str], flag: str) -> dict[str, tuple[float, float]]:
@@ -114,15 +109,12 @@ def uncertain_values(words: Sequence[str], flag: str) -> dict[str, tuple[float, 
     UsageError
         For a word of another form.
     """
-    result = {}
-    for word in words:
-        name, _, text = word.replace("±", "+-").partition("=")
-        mean, _, sigma = text.partition("+-")
-        try:
-            result[name] = (float(mean), float(sigma))
-        except ValueError:
-            raise UsageError(f"{flag} {word!r} is not understood: write NAME=VALUE+-SIGMA, a1=3.2+-0.1.") from None
-    return result
+
+    def uncertain(text: str) -> tuple[float, float]:
+        mean, sigma = text.replace("±", "+-").split("+-")
+        return float(mean), float(sigma)
+
+    return _by_name(words, flag, "NAME=VALUE+-SIGMA, a1=3.2+-0.1", uncertain)
 
 
 def intervals(words: Sequence[str], flag: str) -> dict[str, tuple[float, float]]:
@@ -133,14 +125,22 @@ def intervals(words: Sequence[str], flag: str) -> dict[str, tuple[float, float]]
     UsageError
         For a word of another form.
     """
+
+    def interval(text: str) -> tuple[float, float]:
+        low, high = text.split(":")
+        return float(low or -math.inf), float(high or math.inf)
+
+    return _by_name(words, flag, "NAME=LOW:HIGH, e.g. a1=-10:10", interval)
+
+
+def _by_name(words: Sequence[str], flag: str, form: str, read: Callable[[str], Value]) -> dict[str, Value]:
     result = {}
     for word in words:
-        name, equals, ends = word.partition("=")
-        low, colon, high = ends.partition(":")
+        name, _, text = word.partition("=")
         try:
-            if not (name and equals and colon):
+            if not name:
                 raise ValueError(word)
-            result[name] = (float(low or -math.inf), float(high or math.inf))
+            result[name] = read(text)
         except ValueError:
-            raise UsageError(f"{flag} {word!r} is not understood: write NAME=LOW:HIGH, e.g. a1=-10:10.") from None
+            raise UsageError(f"{flag} {word!r} is not understood: write {form}.") from None
     return result

@@ -267,22 +267,6 @@ def test_a_fit_that_ends_early_goes_on(capsys, own, monkeypatch, press_ctrl_c):
     assert kept_runs() == 0
 
 
-@pytest.fixture
-def clock(monkeypatch):
-    """A clock that goes on by a second at every look."""
-
-    class Clock:
-        now = 0.0
-
-        @classmethod
-        def time(cls):
-            cls.now += 1.0
-            return cls.now
-
-    monkeypatch.setattr("greybox.solve.time_limits.time", Clock)
-    return Clock
-
-
 def test_a_fit_that_its_time_limit_ends_goes_on(capsys, own, clock):
     name = own()
     status, out, _ = run(capsys, *command(name, "--starts", 30, "--seconds", 200)[3:])

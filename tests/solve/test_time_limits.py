@@ -5,7 +5,6 @@ import pytest
 from sampled_lag import lag_problem
 
 import greybox as gb
-from greybox.solve import time_limits
 from greybox.solve.ipopt import PATIENCE
 from greybox.solve.kept_runs import KeptRuns, Memory
 from greybox.solve.outcome import RUN_OVER, Outcome
@@ -31,20 +30,6 @@ METHODS = [
     pytest.param(RECORD, None, id="record"),
     pytest.param(RECORD, gb.Collocation(), id="record by IPOPT"),
 ]
-
-
-@pytest.fixture
-def clock(monkeypatch):
-    class Clock:
-        now = 0.0
-
-        @classmethod
-        def time(cls):
-            cls.now += 1.0
-            return cls.now
-
-    monkeypatch.setattr(time_limits, "time", Clock)
-    return Clock
 
 
 def test_a_run_that_gets_nowhere_ends(monkeypatch):
