@@ -15,6 +15,10 @@ from greybox.solve.outcome import Outcome
 Array = NDArray[np.float64]
 
 
+class NoMinimumError(ValueError):
+    """The minimum of a fit is not found again."""
+
+
 class HeldRecords:
     """The solver of records with the parameters at some places held by their bounds.
 
@@ -69,7 +73,7 @@ def best_of_records(nlp: Nlp, x: Array) -> tuple[HeldRecords, Array, float, tupl
     states = solver.profile(x)
     found = solver.solved_from(x, [trajectory.nodes for trajectory in states.trajectories])
     if not found.converged or found.nodes is None:
-        raise ValueError(f"no minimum of {nlp.problem.name!r} is found at the estimate again: {found.status}.")
+        raise NoMinimumError(f"no minimum of {nlp.problem.name!r} is found at the estimate again: {found.status}.")
     held = HeldRecords(nlp, [nodes.shape for nodes in found.nodes])
     return held, point_of(nlp, found), found.cost, solver.profile(found.estimate, found.nodes).trajectories
 

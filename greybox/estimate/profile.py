@@ -33,7 +33,7 @@ from greybox.data.progress import counted_off
 from greybox.data.text_table import alternatives, number
 from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.fitted_problem import compiled_again
-from greybox.estimate.held_records import HeldRecords, best_of_records
+from greybox.estimate.held_records import HeldRecords, NoMinimumError, best_of_records
 from greybox.estimate.profiles import Contour, End, ProfileOf, Profiles
 from greybox.estimate.quantities import Formula, formulas
 from greybox.estimate.result import Fit, Quantity
@@ -51,6 +51,7 @@ GROWTH = 3.0
 FEWEST_DIRECTIONS = 8  # of a contour: fewer show no shape
 WIDER = 1.5  # from one point of a ray to the next: two or three to the crossing where the cost is quadratic
 CROSSING = 1e-3  # of its distance, to which a crossing is found: less than a line is wide
+MOST_HELD, MOST_ROWS = 12, 1000  # profiles times unknowns, and rows, of which profiles take up to a second
 FRESH_STARTS = 2  # of a point of frequency responses
 LEVEL = 0.95  # of the profiles that a fit makes by itself
 LARGE_ERROR = 0.5  # of a value: its interval by the standard error reaches to zero and beyond
@@ -148,17 +149,25 @@ def profiled_where_misleading(nlp: Nlp, fit: Fit) -> Profiles | None:
     """Return profiles of the parameters whose standard error says little; None where none does, or none can be made.
 
     That is where the interval of the standard error leaves the bounds, or the error exceeds half the value. A profile
-    takes some forty solves: problems too large for the batched search are not profiled unasked.
+    takes some forty solves: problems too large for the batched search, records with states and long tables are not
+    profiled unasked.
     """
-    if len(fit.responses) < len(fit.parts) or fit.white is None or nlp.limits or nlp.roots is not None:
+    if fit.white is None or nlp.limits or nlp.roots is not None or fit.priors:
         return None
-    if not BatchedSolver.serves(nlp):
+    static = all(isinstance(part, RecordPart) and part.is_static for part in nlp.parts)
+    if not (static or (len(fit.responses) == len(fit.parts) and BatchedSolver.serves(nlp))):
         return None
     intervals = fit.interval(LEVEL)
     lines = [q for q in fit.quantities if q.kind == "free" and not q.at_bound and _misleads(q, intervals[q.name])]
     if not lines or ratio_refusal(nlp, np.array([fit.estimate[name] for name in nlp.free])):
         return None
-    return _profiles(nlp, fit, lines, LEVEL, fresh=0)
+    rows = sum(part.samples for part in nlp.parts)
+    if static and (len(lines) * len(nlp.free) > MOST_HELD or rows > MOST_ROWS):
+        return None
+    try:
+        return _profiles(nlp, fit, lines, LEVEL, fresh=0)
+    except NoMinimumError:
+        return None
 
 
 def _misleads(line: Quantity, interval: tuple[float, float]) -> bool:

@@ -70,6 +70,14 @@ def test_intervals_of_nists_problems_are_those_of_a_dense_grid(name, parameter):
     assert not found.warnings
 
 
+def test_a_table_whose_standard_errors_mislead_is_profiled_unasked():
+    known = certified("Nelson")
+    found = fit(known.problem, [known.starts[1]])
+    assert found.interval()["b2"][0] < 0
+    assert [profile.name for profile in found.profiles.profiles] == ["b2"]
+    assert found.profiles["b2"].interval[0] > 0
+
+
 def test_refits_with_the_parameter_fixed_cost_as_much_at_both_ends(windy):
     record, found = windy
     profile = gb.profile(found, "w_v")["w_v"]

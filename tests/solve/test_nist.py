@@ -24,7 +24,7 @@ def test_the_certified_values_and_errors_are_found_from_the_certified_starts(nam
     for k, start in enumerate(case.starts):
         if (name, k) in ELSEWHERE:
             continue
-        fit = gb.fit(case.problem, starts=[start], progress=False)
+        fit = gb.fit(case.problem, starts=[start], profiles=False, progress=False)
         assert fit.converged, (k, fit.status)
         assert digits(fit.estimate, case.values) > 6, k
         if name not in ROUNDING:
@@ -35,8 +35,8 @@ def test_the_certified_values_and_errors_are_found_from_the_certified_starts(nam
 @pytest.mark.parametrize(("name", "k"), sorted(ELSEWHERE))
 def test_where_the_first_start_leads_elsewhere_the_second_decides(name, k):
     case = certified(name)
-    alone = gb.fit(case.problem, starts=[case.starts[k]], progress=False)
-    both = gb.fit(case.problem, starts=list(case.starts), progress=False)
+    alone = gb.fit(case.problem, starts=[case.starts[k]], profiles=False, progress=False)
+    both = gb.fit(case.problem, starts=list(case.starts), profiles=False, progress=False)
     assert both.cost < alone.cost - 1
     assert digits(both.estimate, case.values) > 6
     assert digits(both.standard_error, case.errors) > 4
