@@ -137,20 +137,33 @@ def input_correlation(residuals: Sequence[ArrayLike], inputs: Sequence[ArrayLike
 
     # What whitens the residuals is applied to both, so that successive residuals are independent.
     e, u = ([_filtered(s, a) for s in group] for group in (e, u))
-    sums, pairs = _lagged(e, u, lags)
-    input_sums, input_pairs = _lagged(u, u, lags)
-    errors = np.concatenate(e)
-    variance = float(np.nanmean(errors**2)) if np.isfinite(errors).any() else 0.0
-    if not input_sums[0] > 0 or not variance > 0 or not pairs[1:].all():
+    # Of the same samples at every lag: their own products, not those of a stationary input, so that a step or a drift,
+    # whose values before hardly differ, is no alarm.
+    errors, before = _with_values_before(e, u, lags)
+    products = before.T @ before
+    if not len(errors) > lags or not np.any(products) or not np.any(errors):
         return _unknown(lags)
-
-    r_u = input_sums / np.maximum(input_pairs, 1) / (input_sums[0] / input_pairs[0])
-    r = sums[1:] / pairs[1:] / math.sqrt(variance * input_sums[0] / input_pairs[0])
-    lag = np.arange(lags)
-    values, vectors = np.linalg.eigh(r_u[np.abs(lag[:, None] - lag)])  # of their Toeplitz matrix
+    values, vectors = np.linalg.eigh(products)
     kept = values > RANK * values[-1]
-    statistic = float(pairs[1] * np.sum((vectors[:, kept].T @ r) ** 2 / values[kept]))
-    return _tested(statistic, int(kept.sum()), r, NORMAL_99 / math.sqrt(pairs[1]))
+    shared = before.T @ errors
+    variance = float(np.mean(errors**2))
+    statistic = float(np.sum((vectors[:, kept].T @ shared) ** 2 / values[kept])) / variance
+    r = shared / np.sqrt(np.maximum(np.diag(products), np.finfo(float).tiny) * np.sum(errors**2))
+    return _tested(statistic, int(kept.sum()), r, NORMAL_99 / math.sqrt(len(errors)))
+
+
+def _with_values_before(e: Sequence[Array], u: Sequence[Array], lags: int) -> tuple[Array, Array]:
+    """Return the residuals (m,) whose `lags` values of the input before are all known, and these (m, lags)."""
+    pairs = [
+        (a[lags:], np.lib.stride_tricks.sliding_window_view(b, lags)[:-1, ::-1])
+        for a, b in zip(e, u, strict=True)
+        if len(a) > lags
+    ]
+    if not pairs:
+        return np.zeros(0), np.zeros((0, lags))
+    errors, before = (np.concatenate(group) for group in zip(*pairs, strict=True))
+    known = np.isfinite(errors) & np.isfinite(before).all(axis=1)
+    return errors[known], before[known]
 
 
 def feedback_correlation(

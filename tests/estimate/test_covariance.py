@@ -487,6 +487,17 @@ def test_an_earlier_fit_widens_the_errors(criterion):
     assert alone.standard_error["T_rotor"] == 0
 
 
+def test_rotor_first_and_pitch_second_have_the_errors_of_both_together():
+    """Pitch tells little of the rotor beside the data of the rotor, so that both ways know as much."""
+    likelihood = gb.RelativeLikelihood()
+    first = gb.Problem(Rotor(), measured(Rotor(), ROTOR_OMEGA, ROTOR, 0.01), likelihood)
+    pitch = gb.Problem(Tilt(), measured(Tilt(), OMEGA, TILT, 0.05, seed=1), likelihood, free=("T_rotor", "T_delay"))
+    rotor = fitted(first, ROTOR)
+    joint = fitted(first + pitch, {**ROTOR, **TILT})
+    second = fitted(pitch.with_(free=(), fixed=rotor), TILT)
+    same_errors(second, joint, second.free, 0.05)
+
+
 def test_an_earlier_fit_moves_the_estimate_as_its_errors_say():
     """The covariance of estimate and constant over the variance of the constant: the slope that refits show."""
     rotor = fitted(gb.Problem(Rotor(), measured(Rotor(), ROTOR_OMEGA, ROTOR, 0.02), fixed={"T_delay": 0.0042}), ROTOR)

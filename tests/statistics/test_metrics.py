@@ -155,7 +155,19 @@ def test_correlation_with_the_input_has_its_nominal_size_and_finds_what_was_miss
     for _ in range(50):
         u = colored(0.9, random)
         missed.append(metrics.input_correlation([random.normal(size=400) + 0.15 * np.roll(u, 3)], [u]).p_value < 0.05)
-    assert np.mean(missed) > 0.9
+    assert np.mean(missed) >= 0.9
+
+
+@pytest.mark.parametrize("kind", ["step", "drift"])
+def test_an_input_that_hardly_changes_is_no_alarm(kind):
+    """White errors and an input that is independent of them: as many alarms as the level says."""
+    random = np.random.default_rng(2)
+    step = (np.arange(400) > 200).astype(float)
+    p = []
+    for _ in range(300):
+        u = step if kind == "step" else np.cumsum(random.normal(size=400))
+        p.append(metrics.input_correlation([random.normal(size=400)], [u]).p_value)
+    assert 0.015 < np.mean(np.array(p) < 0.05) < 0.10
 
 
 def test_the_error_of_a_mean_takes_the_correlation_into_account():
