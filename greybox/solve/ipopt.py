@@ -16,7 +16,7 @@ from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.response_part import SMOOTHING
 from greybox.solve.interruption import Response, reason_to_end, responding, stop_requested
 from greybox.solve.local_solver import LocalSolver, Profile
-from greybox.solve.minima import Minimum, Multistart
+from greybox.solve.minima import AT_ONCE, Minimum, Multistart
 from greybox.solve.outcome import CUT_SHORT, STAGNATED, Outcome
 
 Array = NDArray[np.float64]
@@ -202,9 +202,15 @@ class IpoptSolver(LocalSolver):
 
     def judged(self, outcomes: list[Outcome]) -> list[Outcome]:
         """Return the outcomes with their costs, without smoothing, and signatures."""
-        estimates = np.array([outcome.estimate for outcome in outcomes])
-        each = zip(outcomes, self._nlp.costs(estimates).tolist(), self._nlp.signatures(estimates), strict=True)
-        return [replace(outcome, cost=cost, signature=signature) for outcome, cost, signature in each]
+        found = []
+        for begin in range(0, len(outcomes), AT_ONCE):
+            some = outcomes[begin : begin + AT_ONCE]
+            estimates = np.array([outcome.estimate for outcome in some])
+            # Kept for every run, and compared to a percent.
+            signatures = self._nlp.signatures(estimates).astype(np.float32)
+            each = zip(some, self._nlp.costs(estimates).tolist(), signatures, strict=True)
+            found += [replace(outcome, cost=cost, signature=own) for outcome, cost, own in each]
+        return found
 
     def refined(self, nlp: Nlp) -> "IpoptSolver":
         """Return the solver of another problem with the same options."""

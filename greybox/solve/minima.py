@@ -15,6 +15,7 @@ from greybox.solve.outcome import SCREENED, TOO_COARSE, Run
 SAME_COST = 1e-4  # relative; the smoothing moves costs by up to 6e-5
 SAME_LIKELIHOOD = 1e-2  # of negative log-likelihoods: a tenth of a standard error is 5e-3
 TOLD_APART = 0.1  # of a unit of log-likelihood
+AT_ONCE = 4096  # runs whose responses are compared at once: what fits into the cache
 SAME_RESPONSE = 1e-2  # root mean square of the difference of two signatures, relative to the data or the response
 
 
@@ -107,7 +108,9 @@ def agreeing_runs(
     return tuple(sorted(close | set(minima[0].runs)))
 
 
-def find_minima(nlp: Nlp, runs: Sequence[Run], signatures: Sequence[NDArray[np.float64] | None]) -> tuple[Minimum, ...]:
+def find_minima(
+    nlp: Nlp, runs: Sequence[Run], signatures: Sequence[NDArray[np.floating] | None]
+) -> tuple[Minimum, ...]:
     """Group the converged runs by cost and model response, best first.
 
     Two runs are at one minimum when their costs and their responses agree, whatever the parameters. Each run brings the
@@ -116,23 +119,34 @@ def find_minima(nlp: Nlp, runs: Sequence[Run], signatures: Sequence[NDArray[np.f
     order = sorted((run for run in runs if run.converged), key=lambda run: run.cost)
     if not order:
         return ()
-    responses = np.array([signatures[run.index] for run in order])
     costs = np.array([run.cost for run in order])
     ungrouped = np.ones(len(order), dtype=bool)
     minima = []
     while ungrouped.any():
         k = int(np.argmax(ungrouped))
-        # Signatures come in units of the measured signals.
-        relative = (responses - responses[k]) / np.maximum(np.abs(responses[k]), 1.0)
-        away = np.sqrt(np.mean(relative**2, axis=1))
-        near = ungrouped & (costs - costs[k] <= same_cost(nlp, costs[k])) & (away <= SAME_RESPONSE)
-        near[k] = True
-        ungrouped &= ~near
-        members = [order[i] for i in np.flatnonzero(near)]
+        alike = np.flatnonzero(ungrouped & (costs - costs[k] <= same_cost(nlp, costs[k])))
+        away = _differences(signatures, order[k], [order[i] for i in alike])
+        near = alike[(away <= SAME_RESPONSE) | (alike == k)]
+        ungrouped[near] = False
+        members = [order[i] for i in near]
         minima.append(
             Minimum(order[k].cost, order[k].estimate, tuple(run.index for run in members), _variants(nlp, members))
         )
     return tuple(minima)
+
+
+def _differences(
+    signatures: Sequence[NDArray[np.floating] | None], of: Run, runs: Sequence[Run]
+) -> NDArray[np.float64]:
+    """Return the root mean squares of the differences of the responses of `runs` from that of one, relative to it."""
+    reference = np.asarray(signatures[of.index], dtype=float)
+    size = np.maximum(np.abs(reference), 1.0)  # signatures come in units of the measured signals
+    found = np.empty(len(runs))
+    for begin in range(0, len(runs), AT_ONCE):
+        some = slice(begin, begin + AT_ONCE)
+        relative = (np.array([signatures[run.index] for run in runs[some]], dtype=float) - reference) / size
+        found[some] = np.sqrt(np.mean(relative**2, axis=1))
+    return found
 
 
 def same_cost(nlp: Nlp, cost: float) -> float:

@@ -25,7 +25,7 @@ SCREENED, IMPROVED, POLISHED = "screened", "improved", "polished"
 WORKER_LOST = "worker lost"  # status of a run that ended the process it was made in, as often as it was tried
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class Run:
     """The outcome of one start.
 
@@ -67,7 +67,7 @@ class Run:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class Outcome:
     """What a solver leaves of one run; see `LocalSolver.judged` for what is evaluated later, for all runs at once.
 
