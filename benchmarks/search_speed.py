@@ -102,7 +102,8 @@ class Bare:
     def __init__(self, problem):
         self.problem = problem
         nlp = compile_problem(problem)
-        x = ca.SX.sym("x", len(nlp.free))
+        kind = ca.SX if nlp.program.is_a("SXFunction") else ca.MX
+        x = kind.sym("x", len(nlp.free))
         values = ca.vertcat(x, *nlp.constant_values.tolist())
         cost = 0
         for part, own in zip(nlp.parts, problem.parts, strict=True):
@@ -137,7 +138,9 @@ class Bare:
 def time_per_success(problem, options, lowest):
     """Return seconds a success of the whole fit, and the share of its starts that are one."""
     began = time.process_time()
-    fit = gb.fit(problem, LatinHypercube(options.starts, seed=1), search=options.search, progress=False)
+    fit = gb.fit(
+        problem, LatinHypercube(options.starts, seed=1), search=options.search, compile=options.compile, progress=False
+    )
     seconds = time.process_time() - began
     successes = sum(run.converged and run.cost <= SUCCESS * lowest for run in fit.runs)
     return seconds / max(successes, 1), successes / options.starts
@@ -167,10 +170,13 @@ def main():
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--bare", type=int, default=100)
     parser.add_argument("--search", default="batched")
+    parser.add_argument("--compile", action="store_true", help="of the fits; run twice for a warm cache")
+    parser.add_argument("--only", nargs="+", help="names of problems")
     options = parser.parse_args()
     print(f"{date.today()}, greybox {gb.__version__}, casadi {ca.__version__}, python {platform.python_version()}")
     print(f"bare loop: {options.bare} starts; fit: {options.starts} starts; default searches: {options.seeds} seeds")
     problems = {module.__name__.rpartition(".")[2]: module.problem() for module in PAPER} | hard()
+    problems = {name: problem for name, problem in problems.items() if not options.only or name in options.only}
     ratios = []
     for name, problem in problems.items():
         bare = Bare(problem)

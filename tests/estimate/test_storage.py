@@ -73,9 +73,9 @@ def assert_same(a, b):
     assert_array_equal([a.cost, a.dof, a.seconds, *a.costs.values()], [b.cost, b.dof, b.seconds, *b.costs.values()])
     assert len(a.runs) == len(b.runs)
     for mine, other in [*zip(a.runs, b.runs, strict=True), *zip(a.minima, b.minima, strict=True)]:
-        assert vars(mine).keys() == vars(other).keys()
-        for field, value in vars(mine).items():
-            assert_array_equal(value, getattr(other, field))
+        assert type(mine) is type(other)
+        for field in dataclasses.fields(mine):
+            assert_array_equal(getattr(mine, field.name), getattr(other, field.name))
     for mine, other in zip(a.parts, b.parts, strict=True):
         for field in (
             "name",
