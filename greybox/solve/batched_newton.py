@@ -155,6 +155,8 @@ class BatchedNewton:
         """
         m = z.shape[1]
         ends = Ends(np.clip(z, self._lower, self._upper), np.zeros(m, bool), np.zeros(m, int))
+        if not m:
+            return ends
         first = ends.z if from_near else self._inside(ends.z)
         points = self._begun(first, LAST if from_near else 0, np.zeros((0, m)) if given is None else given)
         for _ in range(max_iterations):
