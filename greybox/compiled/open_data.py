@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.compiled_problem import Nlp, limits_of, response_options
+from greybox.compiled.compiled_problem import Nlp, limits_of, response_options, solver_weights
 from greybox.compiled.response_map import LARGE
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.formulation.problem import Problem
@@ -52,7 +52,7 @@ def formulas_of_frequency(nlp: Nlp) -> list[ca.Function] | None:
 
 
 def open_program(nlp: Nlp, formulas: Sequence[ca.Function] | None, sizes: Sequence[int]) -> ca.Function:
-    """Return (z, smoothing, given) -> the cost of a problem of responses, and what must be >= 0.
+    """Return (z, smoothing, given) -> the cost of a problem of responses as the solver has it, and what must be >= 0.
 
     Without `formulas` the frequencies that are given have no effect: they are those of the problem.
 
@@ -89,9 +89,9 @@ def open_program(nlp: Nlp, formulas: Sequence[ca.Function] | None, sizes: Sequen
             for formula, p, table, size in zip(formulas, local, tables, sizes, strict=True)
         ]
     costs = [
-        count * part.weight * _cost(part, response, _open(part.response, table, size), smoothing)
-        for part, count, response, table, size in zip(
-            parts, ca.vertsplit(counts), responses, tables, sizes, strict=True
+        count * weight * _cost(part, response, _open(part.response, table, size), smoothing)
+        for part, weight, count, response, table, size in zip(
+            parts, solver_weights(parts), ca.vertsplit(counts), responses, tables, sizes, strict=True
         )
     ]
     limits = dict(item for part, p in zip(parts, local, strict=True) for item in limits_of(part, p).items())

@@ -1,11 +1,13 @@
 """The search from all starts at once: IPOPT is the reference, and confirms every minimum."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from declared_models import TILT, TILT_OMEGA, TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
 from numpy.testing import assert_array_equal
+from scipy.optimize import least_squares
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
@@ -64,6 +66,24 @@ def test_joint_problems_are_searched_together_too():
     fit = gb.fit(NOISY + gb.Problem(LagLagDelay(), other), 20, progress=False)
     assert stages(fit).count("improved") >= 15
     assert fit.agreeing == 20
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-6])
+def test_precise_points_are_fitted_from_every_start(noise):
+    """The gradient of their likelihood is rounded to more than a solver's tolerance; scipy begins at the truth."""
+    data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=noise, seed=2)
+    sigma = noise * np.abs(data.response)
+
+    def errors(factors):
+        values = dict(zip(TWO_LAGS, factors * list(TWO_LAGS.values()), strict=True))
+        e = (gb.frequency_response(LagLagDelay(), values, data.omega).response - data.response) / sigma
+        return np.r_[e.real, e.imag]
+
+    known = least_squares(errors, np.ones(len(TWO_LAGS)), x_scale=noise, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    problem = gb.Problem(LagLagDelay(), replace(data, variance=sigma**2), gb.MaximumLikelihood())
+    for fit in both_searches(problem, 20):
+        assert fit.agreeing >= 18
+        assert fit.cost == pytest.approx(2 * known.cost, rel=1e-4)
 
 
 def both_searches(problem, starts):
