@@ -5,7 +5,7 @@ import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, Parabola, measured
 
 import greybox as gb
-from greybox.estimate.profile import problem_of
+from greybox.estimate.fitted_problem import problem_of
 
 TWO = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS)
 LAG = measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0, "T": 0.3}, noise=0.05)

@@ -152,10 +152,10 @@ def test_correlation_with_the_input_has_its_nominal_size_and_finds_what_was_miss
         p = [metrics.input_correlation([colored(color, random)], [colored(0.9, random)]).p_value for _ in range(300)]
         assert 0.015 < np.mean(np.array(p) < 0.05) < 0.10, color
     missed = []
-    for _ in range(50):
+    for _ in range(100):  # 95 of 100 are expected
         u = colored(0.9, random)
         missed.append(metrics.input_correlation([random.normal(size=400) + 0.15 * np.roll(u, 3)], [u]).p_value < 0.05)
-    assert np.mean(missed) >= 0.9
+    assert np.mean(missed) > 0.9
 
 
 @pytest.mark.parametrize("kind", ["step", "drift"])
