@@ -6,8 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from greybox.cli.catalog import find_model
 from greybox.cli.log_tests import read_log
-from greybox.cli.options import add_common_options, add_parser, nonnegative, positive
+from greybox.cli.options import UsageError, add_common_options, add_parser, nonnegative, positive
 from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
 from greybox.cli.response_command import add_measurement_options, response_json, stated_choices
 from greybox.data.json_numbers import finite
@@ -15,10 +16,12 @@ from greybox.data.response_file import write_response
 from greybox.estimate.storage import save
 from greybox.estimate.summary import summary
 from greybox.identification.identify import STARTS, Identification, identify
+from greybox.modeling.transfer_function import TransferFunction
 
 EXAMPLES = (
     "flight.BIN",
     "flight.BIN --axis pitch --band 0.5 12 Hz --out pitch",
+    "flight.BIN --structures rate:DampedAngle tilt:Tilt+T_delay my.py:Mine",
 )
 
 
@@ -36,6 +39,13 @@ def add_command(commands: Any) -> None:
         metavar="FILTER",
         help="filters between the output and its log, by the names that the log gives them: gyro-filter, gyro-notch, "
         "d-term-filter, target-filter; none without a name (default: what the output is known to have passed)",
+    )
+    add(
+        "--structures",
+        nargs="+",
+        metavar="MODEL[+NAME]",
+        help="models to fit and compare, the simplest first, as of greybox fit --model, each with the parameters to "
+        "free (default: those of greybox.models.ladder for this output)",
     )
     add("--starts", type=positive, default=STARTS, help=f"number of starts of every fit (default: {STARTS})")
     add("--seed", type=nonnegative, default=0, help="seed of the starts (default: 0)")
@@ -56,8 +66,15 @@ def run(options: argparse.Namespace) -> Answer:
     for path in (response, result):
         require_writable(path, options.force)
     require_figure(figure, options.force)
+    ladder = [(model, tuple(free), "stated") for model, *free in (word.split("+") for word in options.structures or ())]
     found = identify(
-        read_log(options), through=options.through, starts=options.starts, seed=options.seed, **stated_choices(options)
+        read_log(options),
+        ladder=ladder,
+        declared={name: _transfer_function(name) for name, *_ in ladder},
+        through=options.through,
+        starts=options.starts,
+        seed=options.seed,
+        **stated_choices(options),
     )
 
     commands = tuple(_with_columns(line, options.columns) for line in found.commands(options.log, prefix))
@@ -76,6 +93,15 @@ def run(options: argparse.Namespace) -> Answer:
     notes += [f"saved {result}", *save_figure(figure, lambda: _figure(found))]
     answer["files"] = [str(response), str(result), str(figure)]
     return answer, "\n".join([text, "", *notes]), USABLE
+
+
+def _transfer_function(name: str) -> TransferFunction:
+    model = find_model(name)
+    if not isinstance(model, TransferFunction):
+        raise UsageError(
+            f"--structures {name}: {model.label} is an ODE; fit it to the response by greybox fit --model."
+        )
+    return model
 
 
 def _with_columns(line: str, columns: list[str]) -> str:

@@ -104,6 +104,7 @@ def identify(
     log: str | Path | Recording,
     *,
     ladder: Sequence[Any] = (),
+    declared: Mapping[str, TransferFunction] | None = None,
     through: Sequence[str] | None = None,
     starts: int = STARTS,
     seed: int = 0,
@@ -120,6 +121,8 @@ def identify(
     ladder : sequence of (model, free, about), optional
         Structures from the simplest up, as ``("rate:DampedAngle", (), "rate damping")``; by default those of
         `greybox.models.ladder` for the output's name.
+    declared : mapping of name to TransferFunction, optional
+        Models of the ladder that greybox does not include, by the names that they have there.
     through : sequence of str, optional
         Filters between the output and its log, by the names that the log gives them, ``("gyro-filter",)``; ``()`` is
         none. By default those that the output is known to have passed.
@@ -146,15 +149,15 @@ def identify(
         return result
 
     filters = _filters(measurement, through)
-    steps = tuple(
-        _fitted(measurement, step, filters, starts, seed) for step in (ladder or _ladder_of(settings.names[1][0]))
-    )
+    known = declared or {}
+    ladder = ladder or _ladder_of(settings.names[1][0])
+    steps = tuple(_fitted(measurement, step, known, filters, starts, seed) for step in ladder)
     converged = [step for step in steps if step.fit.converged]
     labels = [str(1 + steps.index(step)) for step in converged]
     comparison = compare(*(step.fit for step in converged), labels=labels) if len(converged) > 1 else None
     chosen, reason = _chosen(steps, comparison)
     reason = " ".join([reason, *_closer(steps, chosen)])
-    unfiltered = _fitted(measurement, chosen[:3], {}, starts, seed) if filters and chosen else None
+    unfiltered = _fitted(measurement, chosen[:3], known, {}, starts, seed) if filters and chosen else None
     return Identification(recording, choices, measurement, steps, comparison, chosen, unfiltered, starts, seed, reason)
 
 
@@ -191,13 +194,13 @@ def _filters(measurement: Measurement, names: Sequence[str] | None) -> dict[str,
 def _fitted(
     measurement: Measurement,
     step: Any,
+    declared: Mapping[str, TransferFunction],
     filters: Mapping[str, tuple[KnownFilter, ...]],
     starts: int,
     seed: int,
 ) -> FittedStep:
     reference, free, about = step
-    file, _, name = reference.partition(":")
-    model: TransferFunction = getattr(import_module(f"greybox.models.{file}"), name)()
+    model = declared.get(reference) or _included(reference)
     assert measurement.response is not None
     for known in chain.from_iterable(filters.values()):
         model = model.through(filter_model(known))
@@ -205,6 +208,11 @@ def _fitted(
     data = as_the_only_pair(model, measurement.response)
     result = fit(Problem(model, data, criterion, free=tuple(free)), starts=starts, seed=seed)
     return FittedStep(reference, tuple(free), about, tuple(filters), criterion.name, result)
+
+
+def _included(reference: str) -> TransferFunction:
+    file, _, name = reference.partition(":")
+    return getattr(import_module(f"greybox.models.{file}"), name)()
 
 
 def _chosen(steps: Sequence[FittedStep], comparison: Comparison | None) -> tuple[FittedStep | None, str]:

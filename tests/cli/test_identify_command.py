@@ -10,6 +10,17 @@ from synthetic_logs import px4_flight
 
 import greybox as gb
 
+OWN = """
+import greybox as gb
+
+
+class Own(gb.TransferFunction):
+    K = gb.Parameter(50, bounds=(1, 1000))
+    a = gb.Parameter(1, bounds=(0, 100))
+
+    def response(self, s, p):
+        return p.K / (s * (s + p.a))
+"""
 LOG = str(files("greybox.problems") / "data" / "sitl_pitch.BIN")
 
 
@@ -38,11 +49,22 @@ def test_the_single_commands_give_the_same(capsys, tmp_path, monkeypatch):
 
 def test_a_choice_is_an_option(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.py").write_text(OWN)
+    structures = ["own.py:Own", "tilt:Tilt+T_rotor+T_delay"]
     command = ["identify", LOG, "--setpoint", "ATT.DesPitch", "--band", "1.5", "30", "--starts", "3", "--out", "own"]
+    command += ["--structures", *structures]
     answer = json.loads(run(capsys, *command, "--json")[1])
     assert len(answer["measurement"]["omega"]) == 9
     assert answer["files"] == ["own_response.csv", "own_fit.h5", "own.png"]
     assert "--band 1.5 30.0" in answer["commands"][1]
+    assert [(s["model"], s["free"]) for s in answer["structures"]] == [
+        ("own.py:Own", []),
+        ("tilt:Tilt", ["T_rotor", "T_delay"]),
+    ]
+    chosen = next(s["model"] for s in answer["structures"] if s["chosen"])
+    assert f"--model {chosen} " in answer["commands"][2]
+    status, _, err = run(capsys, *command, "--force", "--structures", "tilt:Tild")
+    assert (status, "there is no model 'tilt:Tild'" in err) == (2, True)
 
 
 def test_inspect_ends_with_the_command_to_type_next(capsys):
