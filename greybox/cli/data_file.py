@@ -26,7 +26,7 @@ def read_data(
 ) -> FrequencyResponse | Record | TransientSpectrum:
     """Return a response, the spectrum of a manoeuvre, or else the one record of the file with the model's signals.
 
-    `columns` are as `--columns` states them: those of a response if one is its frequency.
+    `columns` are as `--columns` states them: those of a response if one is its frequency or magnitude.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def read_data(
     require_file(path)
     if not columns and holds_spectrum(path):
         return read_spectrum(path)
-    if "frequency" in columns if columns else _is_response(path):
+    if not columns.keys().isdisjoint(("frequency", "magnitude")) if columns else _is_response(path):
         return as_the_only_pair(model, read_response(path, input=input, output=output, columns=columns))
     try:
         log = read(path, columns=columns or None)

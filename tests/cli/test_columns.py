@@ -73,6 +73,7 @@ def test_bounds_and_starts(capsys, own):
             "has the column 'Phase' without a unit: say whether it is deg or rad",
         ),
         (["--columns", *POLAR[:2], "phase=Phse:deg"], "has no column 'Phse'; it has Freq (Hz), Mag, Phase"),
+        (["--columns", "omega=Freq", *POLAR[1:]], "has no 'omega', which is not a column of a frequency response"),
         (["--columns", *POLAR, "gain=Mag"], "has no 'gain', which is not a column of a frequency response"),
         (["--columns", *POLAR[:2], "phase=Phase:dB"], "the unit of phase is 'dB': give 'deg' or 'rad'"),
         (["--columns", "u=Mag", "y=Note"], "foreign.csv has no column 'Note'; it has Freq [Hz], Mag, Phase"),

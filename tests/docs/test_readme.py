@@ -50,7 +50,10 @@ def test_the_picture_is_what_the_command_draws(tmp_path):
         assert texts[0] == texts[1], "run `python tests/support/readme_blocks.py`"
 
 
-@pytest.mark.parametrize("page", [*PAGES, README.with_name("CONTRIBUTING.md")], ids=lambda page: page.stem)
+NOTEBOOKS = sorted((README.parent / "notebooks").glob("*.ipynb"))
+
+
+@pytest.mark.parametrize("page", [*PAGES, README.with_name("CONTRIBUTING.md"), *NOTEBOOKS], ids=lambda page: page.stem)
 def test_the_names_are_there(page):
     for name in re.findall(r"`gb\.([a-z_.A-Z]+)", page.read_text(encoding="utf-8")):
         operator.attrgetter(name.rstrip("."))(gb)
