@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from greybox.data.delimited_text import MISSING, DecimalMark, DelimitedText, read_delimited
 from greybox.data.heading import Heading, heading
+from greybox.data.progress import counted_off
 from greybox.data.record import Recording
-from greybox.data.text_table import counted, is_number
+from greybox.data.text_table import counted, is_number, printable
 from greybox.logs.readers.betaflight import with_units, without_settings
 from greybox.logs.readers.messages import on_one_clock, records
 from greybox.logs.readers.table_columns import SECONDS, TIMES, name_list, of_rows, seconds, table
@@ -122,7 +123,8 @@ def _headings(text: DelimitedText) -> list[Heading]:
 def _columns(headings: Sequence[Heading], text: DelimitedText) -> tuple[dict[str, Floats], tuple[str, ...]]:
     """Return the numeric columns by name, and findings."""
     try:
-        clean = np.loadtxt(text.lines, delimiter=text.separator, comments=None, ndmin=2)
+        lines = counted_off(text.lines, f"reading {printable(text.path.name)}", "line")
+        clean = np.loadtxt(lines, delimiter=text.separator, comments=None, ndmin=2)
     except ValueError:
         clean = np.empty((0, 0))
     if clean.shape[1] == len(headings):
@@ -138,7 +140,7 @@ def _columns(headings: Sequence[Heading], text: DelimitedText) -> tuple[dict[str
     columns = {}
     not_numeric = []
     text_cells: list[str] = []
-    for k, (name, _) in enumerate(headings):
+    for k, (name, _) in enumerate(counted_off(headings, f"reading {printable(text.path.name)}", "column")):
         cells = [row[k] for _, row in whole]
         values, odd = _numbers(cells, mark)
         if name and values is not None:
