@@ -69,6 +69,8 @@ class WorkerPool(Executor):
         self._waiting: deque[_Task] = deque()
         self._suspects: deque[_Task] = deque()  # whose worker was lost
         self._begun = 0
+        # Kept, since a pool that ends while it tells of its loss waits for itself for ever (Python 3.12).
+        self._lost: list[Executor] = []
         self._pool = self._new_pool()
 
     def __repr__(self) -> str:
@@ -94,7 +96,8 @@ class WorkerPool(Executor):
                 task.cancel()
             elif wait:
                 task.exception()
-        self._pool.shutdown(wait, cancel_futures=cancel_futures)
+        for pool in (*self._lost, self._pool):
+            pool.shutdown(wait, cancel_futures=cancel_futures)
 
     def _new_pool(self) -> Executor:
         import multiprocessing  # noqa: PLC0415  (only those who use it wait for it)
@@ -102,6 +105,12 @@ class WorkerPool(Executor):
 
         # Forked processes would share the locks of threads that they do not have.
         return ProcessPoolExecutor(self.num_workers, multiprocessing.get_context("spawn"), _as_worker)
+
+    def _replace(self, pool: Executor) -> None:
+        """Take another pool for this one, unless that was done."""
+        if self._pool is pool:
+            self._lost.append(pool)
+            self._pool = self._new_pool()
 
     def _hand_out(self) -> None:
         """Give the workers what waits; suspects one at a time, so that it is seen which of them ends its worker."""
@@ -120,7 +129,7 @@ class WorkerPool(Executor):
             try:
                 task.inner = task.call(self._pool)
             except BrokenExecutor:  # lost while nothing was done
-                self._pool = self._new_pool()
+                self._replace(self._pool)
                 task.inner = task.call(self._pool)
         pool = self._pool
         task.inner.add_done_callback(lambda inner: self._end(task, inner, pool))
@@ -131,8 +140,7 @@ class WorkerPool(Executor):
         with self._lock:
             self._begun -= 1
             if isinstance(error, BrokenExecutor):
-                if self._pool is pool:
-                    self._pool = self._new_pool()
+                self._replace(pool)
                 if task.trials < (TRIALS if self._worked else TRIALS_AT_FIRST):
                     self._suspects.append(task)
                     self._hand_out()

@@ -90,8 +90,9 @@ def test_simulinks_structure_with_time(tmp_path):
     assert list(read(tmp_path / "sim.mat")["out"].signals) == ["pitch", "signal2[0]", "signal2[1]"]
 
 
-@pytest.mark.parametrize(("data", "name"), [(hdf5(), "x.h5"), (matlab(), "x.mat")])
-def test_truncated_files_are_refused_in_a_sentence(saved, data, name):
+@pytest.mark.parametrize(("write", "name"), [(hdf5, "x.h5"), (matlab, "x.mat")])
+def test_truncated_files_are_refused_in_a_sentence(saved, write, name):
+    data = write()
     with pytest.raises(ValueError, match=rf"{name} is damaged or of another format \(.*\): export or copy it again\.$"):
         saved(data[: len(data) // 2], name)
 
