@@ -242,9 +242,9 @@ def _said(recording: Recording, measured: AnyMeasurement) -> dict[str, Any]:
 
 
 def _figure(name: str, *drawn: Any) -> Any:
-    from greybox import plotting  # noqa: PLC0415  (imports matplotlib)
+    import greybox.plotting  # noqa: PLC0415  (imports matplotlib)
 
-    return getattr(plotting, name)(*drawn)[0].figure
+    return getattr(greybox.plotting, name)(*drawn)[0].figure
 
 
 def response_json(recording: Recording, measured: Measurement) -> dict[str, Any]:
