@@ -12,7 +12,15 @@ from greybox.data.text_table import text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.planning.expected_errors import expected_errors
-from greybox.planning.optimal_design import Optimality, optimal_shares, shares, size_of_errors, time_needed, variances
+from greybox.planning.optimal_design import (
+    Optimality,
+    optimal_shares,
+    require_determined,
+    shares,
+    size_of_errors,
+    time_needed,
+    variances,
+)
 
 Array = NDArray[np.float64]
 
@@ -114,7 +122,7 @@ def choose_tests(
     once = np.array([_spread(one.information, tuple(one.standard_error), names) for one in expected])
     once = once * np.outer(unit, unit)
     duration = np.array([each for _, each in tests.values()])
-    _require_all(once.sum(axis=0), names)
+    require_determined(once.sum(axis=0), names, "no test", "add a test")
 
     rates = once / duration[:, None, None]
     target = np.array([1.0 if not wanted or name in wanted else np.inf for name in names])
@@ -151,17 +159,6 @@ def _spread(information: Array, own: tuple[str, ...], names: tuple[str, ...]) ->
 def _all_of(repeats: NDArray[np.int64], once: Array) -> Array:
     """Return the information of all tests together."""
     return np.einsum("k,kij->ij", repeats, once)
-
-
-def _require_all(information: Array, names: tuple[str, ...]) -> None:
-    size = np.sqrt(np.diag(information))
-    silent = [name for name, s in zip(names, size, strict=True) if not s > 0]
-    if silent:
-        raise ValueError(f"none of the tests tells of {silent[0]}: fix it, or add a test.")
-    values, vectors = np.linalg.eigh(information / np.outer(size, size))
-    if values[0] < 1e-10:
-        together = [name for name, v in zip(names, vectors[:, 0], strict=True) if abs(v) > 0.1]
-        raise ValueError(f"the tests do not tell {', '.join(together)} apart: fix one of them, or add a test.")
 
 
 def _without_surplus(repeats: NDArray[np.int64], once: Array, duration: Array, target: Array) -> NDArray[np.int64]:

@@ -1,6 +1,6 @@
 """How a test shall divide its time: the shares of the frequencies that make an estimate most precise."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
@@ -13,6 +13,9 @@ SMALLEST_SHARE = 1e-3
 FLOOR = 1e-9  # of what all tell of a parameter: its effect on what matters is below the rounding of a share
 STEPS = 2000  # of the shares towards the optimum, each a few products of small matrices
 CLOSE = 1e-6  # to the optimum, relative: what the slopes of shares in use may differ by
+
+# Of an information whose parameters have size one: below, rounding of sensitivities alone tells parameters apart.
+SINGULAR = 1e-10
 
 Optimality = Literal["A", "D"]
 
@@ -40,6 +43,18 @@ def variances(information: Array) -> Array:
     except np.linalg.LinAlgError:
         return np.full(len(information), np.nan)
     return found
+
+
+def require_determined(information: Array, names: Sequence[str], test: str, cure: str) -> None:
+    """Raise a ValueError, which names the `test` and the `cure`, where the information leaves a parameter open."""
+    size = np.sqrt(np.diag(information))
+    silent = [name for name, s in zip(names, size, strict=True) if not s > 0]
+    if silent:
+        raise ValueError(f"{test} tells of {silent[0]}: fix it, or {cure}.")
+    values, vectors = np.linalg.eigh(information / np.outer(size, size))
+    if values[0] < SINGULAR:
+        together = [name for name, v in zip(names, vectors[:, 0], strict=True) if abs(v) > 0.1]
+        raise ValueError(f"{test} tells {', '.join(together)} apart: fix one of them, or {cure}.")
 
 
 def shares(informations: Array, wanted: Array) -> Array:

@@ -18,7 +18,7 @@ from greybox.formulation.frequency_criteria import MaximumLikelihood
 from greybox.formulation.problem import Problem
 from greybox.modeling import Model, frequency_response
 from greybox.planning.closed_loop import loop_gains
-from greybox.planning.optimal_design import shares, time_needed
+from greybox.planning.optimal_design import require_determined, shares, time_needed
 from greybox.spectral.uniform_stretches import uniform_stretches
 from greybox.spectral.welch import HZ
 
@@ -29,16 +29,6 @@ AVERAGED = 15  # lines of a spectrum: its relative error is a quarter, that of t
 SPARE = 4  # numbers that the sines leave to judge the model by, beside those that its parameters take
 QUIET_PERIODS = 4  # of the lowest frequency that a quiet flight holds at least
 NOWHERE: Mapping[str, float] = {}
-
-
-class _Candidates(NamedTuple):
-    """What a second of a sine at each of n frequencies brings."""
-
-    omega: Array
-    amplitude: Array
-    limit: tuple[str, ...]
-    information: Array  # (n, p, p), in parameters of size `unit`
-    unit: Array
 
 
 class _Card(NamedTuple):
@@ -241,13 +231,12 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     scale = np.where(np.isfinite(scale), scale, _sizes(sensitivity, weight))
     scaled = sensitivity * scale
     information = weight[:, None, None] * np.real(np.conj(scaled)[:, :, None] * scaled[:, None, :])
-    candidates = _Candidates(omega, size, limited_by, information, scale)
     target = np.array([1.0 if name in wanted else np.inf for name in nlp.free])
-    _require_information(candidates, nlp.free)
+    require_determined(information.mean(axis=0), nlp.free, "no sine in this band", "choose another band")
 
     card = _Card(periods, lead_in, pause)
-    chosen, duration = _fewest(candidates, target, card)
-    chosen, duration = _with_spare(candidates, chosen, duration, math.ceil((len(nlp.free) + SPARE) / 2), periods)
+    chosen, duration = _fewest(omega, information, target, card)
+    chosen, duration = _with_spare(omega, chosen, duration, math.ceil((len(nlp.free) + SPARE) / 2), periods)
     achieved = np.linalg.inv(np.tensordot(duration, information[chosen], 1))
     spaced = np.unique(np.rint(np.linspace(0, len(omega) - 1, max(len(chosen), 2))).astype(int))
     total = time_needed(information[spaced].mean(axis=0), target)
@@ -338,34 +327,22 @@ def _lines_around(omega: Array, length: float) -> Array:
     return np.maximum(omega[:, None] + np.linspace(-1, 1, AVERAGED) * reach[:, None], apart)
 
 
-def _require_information(candidates: _Candidates, names: Sequence[str]) -> None:
-    mean = candidates.information.mean(axis=0)
-    size = np.sqrt(np.diag(mean))
-    silent = [name for name, s in zip(names, size, strict=True) if not s > 0]
-    if silent:
-        raise ValueError(f"no sine in this band tells of {silent[0]}: fix it, or choose another band.")
-    values, vectors = np.linalg.eigh(mean / np.outer(size, size))
-    if values[0] < 1e-10:
-        together = [name for name, v in zip(names, vectors[:, 0], strict=True) if abs(v) > 0.1]
-        raise ValueError(f"no sine in this band tells {', '.join(together)} apart: fix one of them.")
-
-
-def _fewest(candidates: _Candidates, target: Array, card: _Card) -> tuple[NDArray[np.int64], Array]:
+def _fewest(omega: Array, information: Array, target: Array, card: _Card) -> tuple[NDArray[np.int64], Array]:
     """Return which sines, and how long each, s: every further one costs what it needs to settle.
 
     The optimal shares sit on few frequencies, or on neighbors of these; the smallest share is given up as long as that
     makes the flight shorter.
     """
-    chosen = np.flatnonzero(shares(candidates.information, target))
+    chosen = np.flatnonzero(shares(information, target))
     best: tuple[float, NDArray[np.int64], Array] | None = None
     while len(chosen):
-        part = candidates.information[chosen]
+        part = information[chosen]
         if np.linalg.cond(part.sum(axis=0)) > 1e14:
             break
         share = shares(part, target)
         chosen, share = chosen[share > 0], share[share > 0]
-        seconds = share * time_needed(np.tensordot(share, candidates.information[chosen], 1), target)
-        duration, total = card.flown(candidates.omega[chosen], seconds)
+        seconds = share * time_needed(np.tensordot(share, information[chosen], 1), target)
+        duration, total = card.flown(omega[chosen], seconds)
         if not np.isfinite(total) or (best is not None and total > 1.5 * best[0]):
             break
         if best is None or total < best[0]:
@@ -376,15 +353,15 @@ def _fewest(candidates: _Candidates, target: Array, card: _Card) -> tuple[NDArra
 
 
 def _with_spare(
-    candidates: _Candidates, chosen: NDArray[np.int64], duration: Array, count: int, periods: int
+    omega: Array, chosen: NDArray[np.int64], duration: Array, count: int, periods: int
 ) -> tuple[NDArray[np.int64], Array]:
     """Return so many sines at least: short ones are added in the middle of the widest gaps of the band."""
     seconds = dict(zip(chosen.tolist(), duration.tolist(), strict=True))
-    while len(seconds) < min(count, len(candidates.omega)):
-        edges = [-1, *sorted(seconds), len(candidates.omega)]
+    while len(seconds) < min(count, len(omega)):
+        edges = [-1, *sorted(seconds), len(omega)]
         gaps = np.diff(edges)
         k = int(np.argmax(gaps))
-        middle = min(max((edges[k] + edges[k + 1]) // 2, 0), len(candidates.omega) - 1)
-        seconds[middle] = periods * HZ / candidates.omega[middle]
+        middle = min(max((edges[k] + edges[k + 1]) // 2, 0), len(omega) - 1)
+        seconds[middle] = periods * HZ / omega[middle]
     order = sorted(seconds)
     return np.array(order), np.array([seconds[k] for k in order])
