@@ -10,13 +10,14 @@ from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment
 from greybox.plotting.long_lines import drawn_line, pieces
 from greybox.plotting.style import (
-    COLORS,
     TITLE_SIZE,
     AxesArray,
     GivenAxes,
+    color_of,
     finish,
     label_horizontal,
     plain,
+    shade_tests,
     shown_unit,
     stacked_axes,
 )
@@ -74,7 +75,7 @@ def traces(
         scale, shown = shown_unit(unit)
         for k, name in enumerate(names):
             _line(ax, record.time, scale * record[name], plain(name), k)
-        _finish(ax, f"{', '.join(names)}, {shown or '-'}", legend)
+        finish(ax, plain(f"{', '.join(names)}, {shown or '-'}"), legend)
 
     text = record.name or "record"
     if segment is not None and segment.kind == "sine":
@@ -127,10 +128,9 @@ def recording(
             record, name = recording.locate(signal)
             values = np.unwrap(record[name], period=360) if record.units.get(name) == "deg" else record[name]
             _line(ax, record.time, values, plain(signal), k)
-        for segment in segments:
-            ax.axvspan(segment.start, segment.end, color="0.5" if segment.usable else "tab:red", alpha=0.15, lw=0)
+        shade_tests(ax, segments)
         record, name = recording.locate(names[0])
-        _finish(ax, record.units.get(name, "") or "-", legend)
+        finish(ax, plain(record.units.get(name, "") or "-"), legend)
 
     drawn[0].set_title(plain(recording.source or "recording"), fontsize=TITLE_SIZE)
     label_horizontal(drawn, "Time, s (shaded: tests; red: not usable)" if segments else "Time, s")
@@ -147,10 +147,4 @@ def _holds(recording: Recording, signal: str) -> bool:
 
 def _line(ax: Axes, time: np.ndarray, values: np.ndarray, label: str, k: int) -> None:
     gap = GAP * float(np.median(np.diff(time))) if time.size > 2 else math.inf
-    ax.plot(*drawn_line(time, values, pieces(time, gap)), color=COLORS[k % len(COLORS)], linewidth=1.0, label=label)
-
-
-def _finish(ax: Axes, label: str, legend: bool) -> None:
-    finish(ax, plain(label))
-    if legend:
-        ax.legend(fontsize=8, loc="upper right")
+    ax.plot(*drawn_line(time, values, pieces(time, gap)), color=color_of(k), linewidth=1.0, label=label)

@@ -25,16 +25,17 @@ from greybox.plotting.bode import bode_axes, bode_height, bode_panels, draw_bode
 from greybox.plotting.long_lines import drawn_line, pieces
 from greybox.plotting.response_series import legend_entries, response_series
 from greybox.plotting.style import (
-    COLORS,
     DARK,
     TITLE_SIZE,
     AxesArray,
     GivenAxes,
+    color_of,
     finish,
     label_horizontal,
     legend_below,
     new_figure,
     plain,
+    shade_tests,
     shown_unit,
     signal_label,
     stacked_axes,
@@ -95,7 +96,7 @@ def measurement(measured: Measurement, recording: Recording | None = None) -> Fi
 
     axes = upper.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
     for k, (ax, name) in enumerate(zip(axes, names, strict=False)):
-        _draw_signal(ax, record, name, measured.tests, COLORS[k % len(COLORS)], limited=k == 0)
+        _draw_signal(ax, record, name, measured.tests, color_of(k), limited=k == 0)
     if motors is not None and recording is not None:
         _draw_motors(axes[-1], motors, limits(recording.metadata.get("parameters", {})), measured.tests)
     label_horizontal(axes, "Time, s (shaded: tests; marked: at a limit)")
@@ -204,7 +205,7 @@ def demodulated(
         phase = segment.omega * (time - time[0])
         line = x.mean() + drift[0] * (time - time.mean()) / (time[-1] - time[0])
         sine = line + amplitude[0, 0].real * np.sin(phase) + amplitude[0, 0].imag * np.cos(phase)
-        ax.plot(time[shown], x[shown], ".", ms=3, color=COLORS[k % len(COLORS)], label="raw")
+        ax.plot(time[shown], x[shown], ".", ms=3, color=color_of(k), label="raw")
         ax.plot(time[shown], sine[shown], color=DARK, lw=1.2, label="demodulated")
         finish(ax, signal_label(name, unit))
     if legend:
@@ -217,8 +218,7 @@ def _draw_signal(ax: Axes, record: Record, name: str, tests: Sequence[Segment], 
     unit = record.units.get(name, "")
     values = record[name] * shown_unit(unit)[0]
     ax.plot(*drawn_line(record.time, values, pieces(record.time, 2.5 * record.step)), color=color, linewidth=0.8)
-    for test in tests:
-        ax.axvspan(test.start, test.end, color="0.5" if test.usable else "tab:red", alpha=0.12, lw=0)
+    shade_tests(ax, tests)
     if limited:
         rows = at_limit(record[name])
         ax.plot(record.time[rows], values[rows], "|", color=LIMIT, ms=8)
@@ -227,11 +227,10 @@ def _draw_signal(ax: Axes, record: Record, name: str, tests: Sequence[Segment], 
 
 def _draw_motors(ax: Axes, motors: Record, ends: tuple[float, float], tests: Sequence[Segment]) -> None:
     for k, values in enumerate(motors.signals.values()):
-        ax.plot(*drawn_line(motors.time, values, pieces(motors.time, 10 * motors.step)), color=COLORS[k % 6], lw=0.8)
+        ax.plot(*drawn_line(motors.time, values, pieces(motors.time, 10 * motors.step)), color=color_of(k), lw=0.8)
         rows = (values <= ends[0]) | (values >= ends[1] - 1)
         ax.plot(motors.time[rows], values[rows], "|", color=LIMIT, ms=8)
-    for test in tests:
-        ax.axvspan(test.start, test.end, color="0.5" if test.usable else "tab:red", alpha=0.12, lw=0)
+    shade_tests(ax, tests)
     finish(ax, "motors, µs")
 
 

@@ -10,10 +10,10 @@ from matplotlib.ticker import MaxNLocator
 from greybox.data.text_table import counted
 from greybox.identification.orders import OrderSelection
 from greybox.plotting.style import (
-    COLORS,
     DARK,
     GRAYS,
     MARKERS,
+    color_of,
     finish,
     flat_axes,
     label_horizontal,
@@ -46,7 +46,7 @@ def orders(found: OrderSelection, ax: Axes | None = None, legend: bool = True) -
     for k, group in enumerate(sorted(groups)):
         members = [c for c in found.candidates if (c.integrators, c.delay) == group]
         style: dict[str, Any] = {
-            "color": COLORS[k % len(COLORS)],
+            "color": color_of(k),
             "marker": MARKERS[k % len(MARKERS)],
             "linestyle": "none",
         }

@@ -8,13 +8,13 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from greybox.estimate.result import Fit
 from greybox.estimate.sensitivity import Sensitivity
 from greybox.plotting.style import (
-    COLORS,
     GRAYS,
     TITLE_SIZE,
     AxesArray,
     Entries,
     GivenAxes,
     align_and_explain,
+    color_of,
     finish,
     label_horizontal,
     plain,
@@ -68,7 +68,7 @@ def _draw(ax: Axes, found: Sensitivity, k: int) -> None:
     marker = "o" if found.unit == "rad/s" else ""
     ax.plot(found.at, 100 * found.alone[k].sum(axis=0), color=GRAYS[2], linewidth=1.2, marker=marker, markersize=3)
     for j, shares in enumerate(100 * found.shares[k]):
-        ax.plot(found.at, shares, color=COLORS[j % len(COLORS)], linewidth=1.4, marker=marker, markersize=4)
+        ax.plot(found.at, shares, color=color_of(j), linewidth=1.4, marker=marker, markersize=4)
     if np.isnan(found.shares[k]).all():
         ax.text(0.5, 0.5, "not determined", transform=ax.transAxes, ha="center", va="center", color="0.4")
     ax.set_ylim(bottom=0)
@@ -83,7 +83,7 @@ def _draw(ax: Axes, found: Sensitivity, k: int) -> None:
 
 def _legend(found: Sensitivity) -> Entries:
     entries = {
-        f"{symbol(output)}, others estimated": (Line2D([], [], color=COLORS[j % len(COLORS)]),)
+        f"{symbol(output)}, others estimated": (Line2D([], [], color=color_of(j)),)
         for j, output in enumerate(found.outputs)
     }
     return {**entries, "others known": (Line2D([], [], color=GRAYS[2]),)}

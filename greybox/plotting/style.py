@@ -13,6 +13,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.legend_handler import HandlerTuple
 from numpy.typing import NDArray
 
+from greybox.data.test_segment import Segment
 from greybox.data.text_table import greek
 
 # Okabe and Ito's colors, which readers with a color vision deficiency can tell apart; yellow is too pale for lines.
@@ -126,13 +127,26 @@ def symbol(name: str) -> str:
     return "_".join(greek(part) for part in name.split("_")).replace("$", r"\$")
 
 
-def finish(ax: Axes, ylabel: str) -> None:
-    """Label the vertical axis and give the panel the grid and the spines of every diagram."""
+def color_of(k: int) -> str:
+    """Return the color of the k-th curve; after the last color comes the first again."""
+    return COLORS[k % len(COLORS)]
+
+
+def shade_tests(ax: Axes, tests: Iterable[Segment]) -> None:
+    """Shade when tests were flown, red where they are not usable."""
+    for test in tests:
+        ax.axvspan(test.start, test.end, color="0.5" if test.usable else "tab:red", alpha=0.15, lw=0)
+
+
+def finish(ax: Axes, ylabel: str, legend: bool = False) -> None:
+    """Label the vertical axis, give the panel the grid and the spines of every diagram, and explain its curves."""
     ax.set_ylabel(ylabel, fontsize=11)
     ax.tick_params(labelsize=10)
     ax.grid(True, color="0.9", linewidth=0.8)
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)
+    if legend:
+        ax.legend(fontsize=8, loc="upper right")
 
 
 def label_horizontal(axes: Iterable[Axes], label: str) -> None:

@@ -17,12 +17,12 @@ from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.result import Fit
 from greybox.plotting.long_lines import Rows, drawn_line, pieces
 from greybox.plotting.style import (
-    COLORS,
     TITLE_SIZE,
     AxesArray,
     GivenAxes,
     align_and_explain,
     chosen,
+    color_of,
     finish,
     given_axes,
     label_horizontal,
@@ -167,7 +167,7 @@ def history_legend(drawn: Sequence[History]) -> dict[str, tuple[Artist, ...]]:
     """Return the legend: what was measured, every item, and the bands."""
     keys: dict[str, tuple[Artist, ...]] = {"measured": (Line2D([], [], color=MEASURED, linewidth=2.4),)}
     for k, history in enumerate(drawn):
-        keys[plain(history.label)] = (Line2D([], [], color=COLORS[k % len(COLORS)], linewidth=1.4),)
+        keys[plain(history.label)] = (Line2D([], [], color=color_of(k), linewidth=1.4),)
     if any(history.half_width for history in drawn):
         keys["95 % band without noise"] = (Patch(color="0.6", alpha=0.4, linewidth=0),)
     return keys
@@ -267,7 +267,7 @@ def _draw_output(ax: Axes, residual_ax: Axes, drawn: Sequence[History], name: st
 
     for k, history in enumerate(drawn):
         if name in history.outputs:
-            _draw_item(ax, residual_ax, history, name, COLORS[k % len(COLORS)], scale)
+            _draw_item(ax, residual_ax, history, name, color_of(k), scale)
 
     residual_ax.axhline(0, color="0.6", linewidth=0.8)
     finish(ax, signal_label(name, data.units.get(name, "")))

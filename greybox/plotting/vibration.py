@@ -4,17 +4,16 @@ import numpy as np
 
 from greybox.data.record import Recording
 from greybox.plotting.style import (
-    COLORS,
     TITLE_SIZE,
     AxesArray,
     GivenAxes,
+    color_of,
     finish,
     label_horizontal,
     plain,
     stacked_axes,
 )
-from greybox.spectral.vibration import LOWEST, power_density, sensors
-from greybox.spectral.vibration import vibration as vibration_of
+from greybox.spectral.vibration import LOWEST, peaks_of, power_density, sensors
 
 MOST = 8  # sensors in a figure; more would not fit a page
 
@@ -51,26 +50,19 @@ def vibration(recording: Recording, *, axes: GivenAxes | None = None, legend: bo
             "INS_LOG_BAT_MASK 1, or the IMU fast, LOG_BITMASK."
         )
     drawn = stacked_axes(axes, [name for name, _ in panels], "this log", 9.0, 1.0 + 2.3 * len(panels))
+    spectra = {name: power_density(found[name]) for name in dict(panels)}
+    above = {"textcoords": "offset points", "xytext": (0, 3), "ha": "center"}
     for ax, (name, unit) in zip(drawn, panels, strict=True):
-        record = found[name]
-        spectra = power_density(record)
-        assert spectra is not None
-        hz, densities = spectra
-        peaks = {one.signal: one.peaks for one in vibration_of(name, record)}
+        record, (hz, densities) = found[name], spectra[name]
         rows = [(n, d) for n, d in zip(record.signals, densities, strict=True) if record.units.get(n) == unit]
         for k, (signal, density) in enumerate(rows):
-            color = COLORS[k % len(COLORS)]
-            amplitude = np.sqrt(density[1:])
-            ax.semilogy(hz[1:], amplitude, color=color, linewidth=1.0, label=plain(signal))
-            for peak in peaks[signal]:
-                height = amplitude[np.argmin(np.abs(hz[1:] - peak))]
-                above = {"textcoords": "offset points", "xytext": (0, 3), "ha": "center"}
-                ax.annotate(f"{peak:.4g}", (peak, height), color=color, fontsize=8, **above)
-        finish(ax, f"{plain(unit or '-')} / √Hz")
+            ax.semilogy(hz[1:], np.sqrt(density[1:]), color=color_of(k), linewidth=1.0, label=plain(signal))
+            for peak in peaks_of(hz, density):
+                height = np.sqrt(density[hz == peak][0])
+                ax.annotate(f"{peak:.4g}", (peak, height), color=color_of(k), fontsize=8, **above)
+        finish(ax, f"{plain(unit or '-')} / √Hz", legend)
         ax.set_title(plain(name), fontsize=TITLE_SIZE)
         ax.axvspan(0, LOWEST, color="0.5", alpha=0.15, lw=0)
         ax.set_xlim(0, hz[-1])
-        if legend:
-            ax.legend(fontsize=8, loc="upper right")
     label_horizontal(drawn, "Hz (shaded: motion of the vehicle; numbers: peaks)")
     return drawn

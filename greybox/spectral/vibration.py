@@ -47,16 +47,11 @@ def sensors(recording: Recording) -> dict[str, Record]:
     return found
 
 
-def power_density(record: Record) -> tuple[Array, Array] | None:
-    """Return frequencies (n,), Hz, and the power density of every signal (signals, n), averaged over the stretches.
-
-    None where the stretches are too short.
-    """
+def power_density(record: Record) -> tuple[Array, Array]:
+    """Return frequencies (n,), Hz, and the power density of every signal (signals, n), averaged over the stretches."""
     from scipy.signal import welch  # noqa: PLC0415  (takes a third of a second to import)
 
     pieces = _long_enough(record)
-    if not pieces:
-        return None
     count = min(WINDOW, 2 * sum(len(piece) for piece in pieces) // AVERAGES, *(len(piece) for piece in pieces))
     every = [np.array([*piece.signals.values()]) for piece in pieces]
     spectra = [welch(values, record.rate, nperseg=count, detrend="linear") for values in every]
@@ -64,23 +59,25 @@ def power_density(record: Record) -> tuple[Array, Array] | None:
     return spectra[0][0], density
 
 
-def vibration(message: str, record: Record) -> list[Vibration]:
-    """Return the vibration in every signal of a record of fast samples; none if its stretches are too short."""
+def peaks_of(hz: Array, density: Array) -> tuple[float, ...]:
+    """Return the frequencies, Hz, of the peaks of a power density (n,), the highest first."""
     from scipy.signal import find_peaks  # noqa: PLC0415  (as above)
 
-    spectra = power_density(record)
-    if spectra is None:
+    above = hz >= LOWEST
+    level = 10 * np.log10(np.maximum(density, 1e-300))
+    places, _ = find_peaks(np.where(above, level, level[above].min(initial=0)), prominence=PROMINENT)
+    return tuple(hz[places[np.argsort(-level[places])][:MOST]].tolist())
+
+
+def vibration(message: str, record: Record) -> list[Vibration]:
+    """Return the vibration in every signal of a record of fast samples; none if its stretches are too short."""
+    if not _long_enough(record):
         return []
-    hz, densities = spectra
+    hz, densities = power_density(record)
     found = []
     for name, density in zip(record.signals, densities, strict=True):
-        above = hz >= LOWEST
-        rms = float(np.sqrt(np.sum(density[above]) * (hz[1] - hz[0])))
-        level = 10 * np.log10(np.maximum(density, 1e-300))
-        places, _ = find_peaks(np.where(above, level, level[above].min(initial=0)), prominence=PROMINENT)
-        highest = places[np.argsort(-level[places])][:MOST]
-        peaks = tuple(float(hz[place]) for place in highest)
-        found.append(Vibration(message, name, record.rate, rms, record.units.get(name, ""), peaks))
+        rms = float(np.sqrt(np.sum(density[hz >= LOWEST]) * (hz[1] - hz[0])))
+        found.append(Vibration(message, name, record.rate, rms, record.units.get(name, ""), peaks_of(hz, density)))
     return found
 
 
