@@ -51,6 +51,7 @@ def vibration(recording: Recording, *, axes: GivenAxes | None = None, legend: bo
         )
     drawn = stacked_axes(axes, [name for name, _ in panels], "this log", 9.0, 1.0 + 2.3 * len(panels))
     spectra = {name: power_density(found[name]) for name in dict(panels)}
+    fastest = max(hz[-1] for hz, _ in spectra.values())  # stacked axes share one range
     above = {"textcoords": "offset points", "xytext": (0, 3), "ha": "center"}
     for ax, (name, unit) in zip(drawn, panels, strict=True):
         record, (hz, densities) = found[name], spectra[name]
@@ -63,6 +64,6 @@ def vibration(recording: Recording, *, axes: GivenAxes | None = None, legend: bo
         finish(ax, f"{plain(unit or '-')} / √Hz", legend)
         ax.set_title(plain(name), fontsize=TITLE_SIZE)
         ax.axvspan(0, LOWEST, color="0.5", alpha=0.15, lw=0)
-        ax.set_xlim(0, hz[-1])
+        ax.set_xlim(0, fastest)
     label_horizontal(drawn, "Hz (shaded: motion of the vehicle; numbers: peaks)")
     return drawn
