@@ -96,6 +96,11 @@ def greek(name: str) -> str:
         return name
 
 
+def in_greek(name: str) -> str:
+    """Return the name of a signal with Greek letters: theta is θ, u_phi is u_φ."""
+    return "_".join(map(greek, name.split("_")))
+
+
 def is_number(cell: str) -> bool:
     """Tell whether a cell of a table is a number."""
     try:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.text_table import greek
+from greybox.data.text_table import in_greek
 from greybox.estimate.result import Fit
 from greybox.html_report.figure import Figure, Panel, Series
 from greybox.plotting.long_lines import drawn_line
@@ -51,7 +51,7 @@ def _caption(drawn: Sequence[History], columns: int) -> str | None:
 
 def _output_panels(drawn: Sequence[History], name: str, columns: int) -> list[Panel]:
     holder = next(history for history in drawn if name in history.outputs)
-    factor = shown_scale(holder.data, name)
+    factor, unit = shown_unit(holder.data.units.get(name, ""))
     measured = factor * holder.data[name]
     if not holder.data.has_time or np.isfinite(measured).sum() <= DOTS:
         values = [Series("measured", "points", along(holder.data), measured, GRAY)]
@@ -71,7 +71,6 @@ def _output_panels(drawn: Sequence[History], name: str, columns: int) -> list[Pa
             values.append(Series(f"{history.label}, 95 %", "band", x, low, k, low=low, high=high))
         values.append(_curve(history, history.label, fitted, k, columns, history.pieces))
         residuals.append(_curve(history, history.label, measured - fitted, k, columns, history.pieces))
-    unit = _label(holder, name).partition(", ")[2]
     residual = f"Residual{f', {unit}' if unit else ''}"
     return [Panel(_label(holder, name), values), Panel(residual, residuals, height=0.5)]
 
@@ -86,7 +85,5 @@ def _curve(
 
 
 def _label(history: History, name: str) -> str:
-    unit = history.data.units.get(name, "")
-    shown = shown_unit(unit)[1]
-    symbol = "_".join(map(greek, name.split("_")))
-    return f"{symbol}, {shown}" if shown else symbol
+    shown = shown_unit(history.data.units.get(name, ""))[1]
+    return f"{in_greek(name)}, {shown}" if shown else in_greek(name)

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from greybox.data.text_table import greek
+from greybox.data.text_table import in_greek
 from greybox.estimate.fitted_part import FittedRecord
 from greybox.html_report.figure import Figure, Panel, Series
 from greybox.plotting.residuals import residual_panels
@@ -23,7 +23,7 @@ def residual_figures(part: FittedRecord) -> Iterator[Figure]:
             if panel.test is None or not np.isfinite(panel.test.correlations).any():
                 continue
             itself = panel.name == "autocorrelation"
-            name = "Autocorrelation" if itself else f"Correlation with {_symbol(panel.name)}"
+            name = "Autocorrelation" if itself else f"Correlation with {in_greek(panel.name)}"
             told.append(f"with {'themselves' if itself else panel.name} {p_text(panel.test.p_value)}")
             panels.append(_correlations(name, panel.test))
         if panels:
@@ -32,7 +32,7 @@ def residual_figures(part: FittedRecord) -> Iterator[Figure]:
                 f"{', '.join(told)}."
             )
             where = f", {part.data.name}" if part.data.name else ""
-            yield Figure(f"Residuals of {_symbol(output)}{where}", "Lag, samples", panels, caption, is_whole=True)
+            yield Figure(f"Residuals of {in_greek(output)}{where}", "Lag, samples", panels, caption, is_whole=True)
 
 
 def _correlations(name: str, test: CorrelationTest) -> Panel:
@@ -46,7 +46,3 @@ def _correlations(name: str, test: CorrelationTest) -> Panel:
         Series("", "points", lags, test.correlations, low=below, high=above),
     ]
     return Panel(name, series, height=0.7, limits=(-most, most))
-
-
-def _symbol(name: str) -> str:
-    return "_".join(map(greek, name.split("_")))

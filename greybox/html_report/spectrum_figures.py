@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from greybox.data.text_table import greek
+from greybox.data.text_table import in_greek
 from greybox.estimate.fitted_part import FittedSpectrum
 from greybox.html_report.figure import Figure, Panel, Series
 
@@ -20,15 +20,11 @@ def spectrum_figure(part: FittedSpectrum) -> Figure:
             Series("measured", "points", data.omega, np.abs(data.outputs[name]), BLACK),
             Series(f"fit of {part.label}", "line", data.omega, np.abs(part.fitted[name])),
         ]
-        label = f"{_symbol(name)}, {unit}·s" if unit else f"{_symbol(name)}, ·s"
+        label = f"{in_greek(name)}, {f'{unit}·s' if unit else 's'}"
         panels.append(Panel(label, series, is_logarithmic=True))
     for name, values in data.inputs.items():
         drawn = [Series("", "line", data.omega, np.abs(values), BLACK)]
-        panels.append(Panel(_symbol(name), drawn, height=0.6, is_logarithmic=True))
+        panels.append(Panel(in_greek(name), drawn, height=0.6, is_logarithmic=True))
     title = f"Spectrum of the manoeuvre{f', {data.name}' if data.name else ''}"
     caption = "Magnitudes of the Fourier integrals; what is left should scatter about the same size at all frequencies."
     return Figure(title, "ω, rad/s", panels, caption, is_logarithmic=True)
-
-
-def _symbol(name: str) -> str:
-    return "_".join(map(greek, name.split("_")))

@@ -14,7 +14,7 @@ from matplotlib.legend_handler import HandlerTuple
 from numpy.typing import NDArray
 
 from greybox.data.test_segment import Segment
-from greybox.data.text_table import greek
+from greybox.data.text_table import in_greek
 
 # Okabe and Ito's colors, which readers with a color vision deficiency can tell apart; yellow is too pale for lines.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -123,8 +123,8 @@ def plain(text: str) -> str:
 
 
 def symbol(name: str) -> str:
-    """Return a signal's name with Greek letters: theta is θ, u_phi is u_φ."""
-    return "_".join(greek(part) for part in name.split("_")).replace("$", r"\$")
+    """Return the name of a signal with Greek letters, as matplotlib is to show it."""
+    return in_greek(name).replace("$", r"\$")
 
 
 def color_of(k: int) -> str:
