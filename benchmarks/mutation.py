@@ -6,11 +6,11 @@ python benchmarks/mutation.py [--count 200] [--seed 1] [--files 'greybox/*'] [--
 Needs `coverage`, which comes with the `dev` extra. Faults are a changed sign, operator, comparison or constant, a
 missing `abs`, `max`, `min` or `clip`, and a missing error, warning or diagnosis; a seed is always the same sample of
 the same commit. Against each run the tests that execute its line: those of the file that mirrors the module first, then
-the fastest files, up to the first failure. A run that takes far longer than its tests is an endless loop, and caught. A
-fault on a line that no test executes has survived, and so has one that all tests within the budget let through. Times
-of tests and their limits are processor time, so other work on the machine changes how long a sample takes and not what
-it says; only `--minutes` is time of the clock. The measuring run takes about ten minutes of one processor and 1 GB, a
-fault half a minute on average and as much memory for each job.
+the fastest files, up to the first failure, of a test that passes without the fault. A run that takes far longer than
+its tests is an endless loop, and caught. A fault on a line that no test executes has survived, and so has one that all
+tests within the budget let through. All faults meet a tenth of the budget before one of them meets the rest of it.
+Times of tests and their limits are processor time, so other work on the machine changes how long a sample takes and not
+what it says; only `--minutes` is time of the clock. TIMES
 
 All happens in copies of the last commit in a temporary directory. Which test executes which line is measured once a
 commit by a run of the whole suite, and kept in the cache; where only tests are newer than what it holds, only they run.
@@ -37,6 +37,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import date
 from importlib.metadata import version
+from itertools import accumulate, repeat
 from pathlib import Path
 
 from mutation_faults import Fault, faults_of
@@ -98,7 +99,8 @@ def command_of_tests(*arguments):
 def environment(copy_: Path, plugin: Path, **more) -> dict:
     """Return the environment in which every process imports the copy."""
     plugin.mkdir(exist_ok=True)
-    (plugin / "mutation_plugin.py").write_text((HERE / "mutation_plugin.py").read_text())
+    for name in ("mutation_plugin.py", "mutation_server.py"):
+        (plugin / name).write_text((HERE / name).read_text())
     return {**os.environ, "PYTHONPATH": f"{plugin}:{copy_}", "OMP_NUM_THREADS": "1", **more}
 
 
@@ -198,7 +200,7 @@ class Map:
                 tests |= self.executing(file, function_lines((root / file).read_text()))
         files: dict = {}
         for test in tests:
-            files.setdefault(test.partition("::")[0], []).append(test)
+            files.setdefault(file_of(test), []).append(test)
         mirror = fault.file.replace("greybox/", "tests/", 1).replace(
             Path(fault.file).name, f"test_{Path(fault.file).name}"
         )
@@ -219,6 +221,42 @@ def function_lines(source: str) -> set:
 # --- one fault after the other --------------------------------------------------------------------------------------
 
 
+class Copy:
+    """A copy of the package, in which tests run against a fault."""
+
+    def __init__(self, folder: Path, seconds: dict):
+        self.root, self.seconds = checkout(folder), seconds
+        self.order, self.output = folder.parent / f"{folder.name}_order", folder.parent / f"{folder.name}_output"
+        env = environment(folder, folder.parent / f"{folder.name}_plugin")
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+        self.server = subprocess.Popen([sys.executable, "-m", "mutation_server"], cwd=folder, env=env, **pipes)
+
+    def run(self, tests: list, fault: Fault | None = None) -> tuple[str, str]:
+        """Return what failed, or nothing, and what was said of it; all files are left as they were."""
+        failed = Path(f"{self.order}.failed")
+        for file in (failed, self.output):
+            file.unlink(missing_ok=True)
+        self.order.write_text("\n".join(tests))
+        limit = round(PATIENCE[0] + PATIENCE[1] * sum(self.seconds[t] for t in tests))
+        request = {"order": str(self.order), "output": str(self.output), "limit": limit, "waiting": WAITING * limit}
+        path = self.root / (fault.file if fault else "pyproject.toml")
+        sound = path.read_bytes()
+        if fault:
+            path.write_bytes(sound[: fault.start] + fault.after.encode() + sound[fault.end :])
+        try:
+            print(json.dumps(request), file=self.server.stdin, flush=True)
+            status = json.loads(self.server.stdout.readline())
+        finally:
+            path.write_bytes(sound)
+        if status in (None, -signal.SIGXCPU, -signal.SIGKILL):
+            return "endless", "endless"
+        if status in (0, 5):  # 5 is that no test was found
+            return "", ""
+        said = [line for line in self.output.read_text().splitlines() if line.startswith(("FAILED", "ERROR"))]
+        where = failed.read_text() if failed.exists() else f"exit status {status}"
+        return where, said[0] if said else f"exit status {status}"
+
+
 @dataclass(frozen=True)
 class Outcome:
     """What the tests said of a fault."""
@@ -227,49 +265,46 @@ class Outcome:
     caught: bool
     how: str
     seconds: float
+    passed: int = 0  # tests
 
 
-def tried(fault: Fault, tests: list, seconds: dict, copy_: Path, budget: float) -> Outcome:
-    """Run the tests against one fault, in a copy that is left as it was."""
-    began = time.monotonic()
+def file_of(test: str) -> str:
+    """Return the file of a test."""
+    return test.partition("::")[0]
+
+
+def parts_of(tests: list):
+    """Yield tests of one file, of the two files after it, of four, ...: few files are imported for nothing."""
+    files: dict = {}
+    for test in tests:
+        files.setdefault(file_of(test), []).append(test)
+    groups, size = list(files.values()), 1
+    while groups:
+        yield [test for group in groups[:size] for test in group]
+        groups, size = groups[size:], 2 * size
+
+
+def tried(before: Outcome, tests: list, copy_: Copy, budget: float, sound: dict) -> Outcome:
+    """Run those tests against a fault that it has not met; `sound` holds whether those that failed pass without it."""
+    began, fault = time.monotonic() - before.seconds, before.fault
+    tests = [t for t in tests if sound.get(t, True) and sound.get(file_of(t), True)]
     if not tests:
         return Outcome(fault, False, "no test executes it", 0.0)
-    chosen, total = [], 0.0
-    for test in tests:
-        if chosen and total + seconds[test] > budget:
-            break
-        chosen.append(test)
-        total += seconds[test]
-    said = "all" if len(chosen) == len(tests) else "the first"
-    path, order = copy_ / fault.file, copy_ / "mutation_order"
-    sound = path.read_bytes()
-    order.write_text("\n".join(chosen))
-    path.write_bytes(sound[: fault.start] + fault.after.encode() + sound[fault.end :])
-    try:
-        env = environment(copy_, copy_.parent / f"plugin_{copy_.name}", GREYBOX_MUTATION_ORDER=str(order))
-        files = dict.fromkeys(t.partition("::")[0] for t in chosen)
-        command = command_of_tests("-n", "0", "-x", "--tb=line", *files)
-        limit = round(PATIENCE[0] + PATIENCE[1] * total)
-        limited = ["sh", "-c", f'ulimit -t {limit}; exec "$@"', "sh", *command]
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-        process = subprocess.Popen(limited, cwd=copy_, env=env, start_new_session=True, **pipes)
-        try:
-            output, _ = process.communicate(timeout=WAITING * limit)
-        except subprocess.TimeoutExpired:
-            output = None
-        if process.poll() is None:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.communicate()
-    finally:
-        path.write_bytes(sound)
-    took = time.monotonic() - began
-    if output is None or process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        return Outcome(fault, True, "endless", took)
-    if process.returncode in (0, 5):  # 5 is that no test was found
-        how = f"{said} {len(chosen)} of {len(tests)} tests passed" if process.returncode == 0 else "no test was found"
-        return Outcome(fault, False, how, took)
-    failed = [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return Outcome(fault, True, failed[0] if failed else f"exit status {process.returncode}", took)
+    totals = list(accumulate(copy_.seconds[t] for t in tests))
+    last = max(1, sum(total <= budget for total in totals))
+    waiting = list(parts_of(tests[before.passed : last]))
+    while waiting:
+        part = waiting.pop(0)
+        failed, said = copy_.run(part, fault)
+        suspects = [t for t in part if failed in (t, file_of(t))]
+        if suspects and failed not in sound:
+            sound[failed] = not copy_.run(suspects)[0]
+        if failed and sound.get(failed, True):
+            return Outcome(fault, True, said, time.monotonic() - began)
+        if failed:
+            waiting.insert(0, [t for t in part if t not in suspects])
+    how = f"{'all' if last == len(tests) else 'the first'} {last} of {len(tests)} tests passed"
+    return Outcome(fault, False, how, time.monotonic() - began, last)
 
 
 def main() -> None:
@@ -295,26 +330,31 @@ def main() -> None:
     seconds = {name: test["seconds"] for name, test in known.tests.items()}
 
     with tempfile.TemporaryDirectory() as work, ThreadPoolExecutor(options.jobs) as pool:
-        free = [checkout(Path(work) / f"copy{i}") for i in range(options.jobs)]
-
+        free = [Copy(Path(work) / f"copy{i}", seconds) for i in range(options.jobs)]
+        sound: dict = {}
         began = time.monotonic()
 
-        def run(numbered):
-            number, fault = numbered
+        def run(numbered, budget):
+            number, before = numbered
             if time.monotonic() - began > 60 * options.minutes:
-                return None
+                return before
             copy_ = free.pop()
             try:
-                outcome = tried(fault, known.against(fault, ROOT), seconds, copy_, options.budget)
+                outcome = tried(before, known.against(before.fault, ROOT), copy_, budget, sound)
             finally:
                 free.append(copy_)
             word = "caught" if outcome.caught else "SURVIVED"
-            line = f"{number:4} {word:8} {outcome.seconds:5.0f} s  {fault}  [{outcome.how}]"
+            line = f"{number:4} {word:8} {outcome.seconds:5.0f} s  {outcome.fault}  [{outcome.how}]"
             print(line, file=sys.stderr, flush=True)
             return outcome
 
-        outcomes = [o for o in pool.map(run, enumerate(faults)) if o]
-    print_summary(outcomes, options, time.monotonic() - began)
+        outcomes = dict(enumerate(Outcome(fault, False, "", 0.0) for fault in faults))
+        for budget in (options.budget / 10, options.budget):
+            left = [(i, o) for i, o in outcomes.items() if not o.how or o.how.startswith("the first")]
+            outcomes |= zip((i for i, _ in left), pool.map(run, left, repeat(budget)), strict=True)
+        for copy_ in free:
+            copy_.server.stdin.close()
+    print_summary([o for o in outcomes.values() if o.how], options, time.monotonic() - began)
 
 
 def print_summary(outcomes, options, took) -> None:

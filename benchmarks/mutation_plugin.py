@@ -72,3 +72,9 @@ if ORDER:
         """Keep the tests that execute the line, in the order chosen for them."""
         order = {name: i for i, name in enumerate(Path(ORDER).read_text().splitlines())}
         items[:] = sorted((i for i in items if i.nodeid in order), key=lambda i: order[i.nodeid])
+
+    def _failed(report):
+        if report.failed:
+            Path(f"{ORDER}.failed").write_text(report.nodeid)
+
+    pytest_runtest_logreport = pytest_collectreport = _failed
