@@ -54,8 +54,7 @@ def add_command(commands: Any) -> None:
         metavar="PREFIX",
         help="begin the names of response, result and figure with this (default: the name of the log, in this folder)",
     )
-    add("--force", action="store_true", help="overwrite files that exist")
-    add_common_options(parser)
+    add_common_options(parser, writes=True)
     parser.set_defaults(command=run)
 
 

@@ -30,8 +30,7 @@ def add_command(commands: Any) -> None:
     parser.add_argument("kind", choices=("model", "problem"), help="a model alone, or a model with data and a problem")
     parser.add_argument("name", metavar="NAME", help="of the file, NAME.py in this folder, and of the model in it")
     parser.add_argument("--in-time", action="store_true", help="an ODE and a record, not a transfer function")
-    parser.add_argument("--force", action="store_true", help="overwrite files that exist")
-    add_common_options(parser)
+    add_common_options(parser, writes=True)
     parser.set_defaults(command=run)
 
 

@@ -37,10 +37,11 @@ def add_parser(commands: Any, name: str, about: str, examples: Sequence[str]) ->
     )
 
 
-def add_common_options(parser: argparse.ArgumentParser, figure: str = "") -> None:
-    """Add what every command has, and `--plot` and `--force` where there is a figure to draw."""
+def add_common_options(parser: argparse.ArgumentParser, figure: str = "", *, writes: bool = False) -> None:
+    """Add what every command has, `--plot` where there is a figure to draw, and `--force` where files are written."""
     if figure:
         parser.add_argument("--plot", type=Path, metavar="FILE", help=f"draw {figure} into this png, pdf or svg file")
+    if figure or writes:
         parser.add_argument("--force", action="store_true", help="overwrite files that exist")
     parser.add_argument("--json", action="store_true", help="print one JSON object on standard output and nothing else")
     parser.add_argument("--quiet", action="store_true", help="print errors alone: no answer as text, no progress")

@@ -1,7 +1,7 @@
 """What a command gives: the answer as JSON and as text, the exit status, files and figures."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +29,8 @@ def has_working_directory() -> bool:
     return True
 
 
-def require_writable(path: Path | None, force: bool) -> None:
-    """Refuse a file that exists, without `force`, or that cannot be written. None is no file.
+def require_writable(path: Path | None, force: bool, endings: Sequence[str] = (), kind: str = "") -> None:
+    """Refuse a file that exists, without `force`, that cannot be written, or that ends otherwise. None is no file.
 
     Raises
     ------
@@ -49,6 +49,8 @@ def require_writable(path: Path | None, force: bool) -> None:
         raise UsageError(f"the folder of {path} does not exist: create it first.")
     if not os.access(path.parent, os.W_OK):
         raise UsageError(f"the folder of {path} cannot be written: give another one.")
+    if endings and path.suffix.lower() not in endings:
+        raise UsageError(f"{path} is not a known kind of {kind}: end it in {', '.join(endings)}.")
 
 
 def require_figure(path: Path | None, force: bool) -> None:
@@ -59,9 +61,7 @@ def require_figure(path: Path | None, force: bool) -> None:
     UsageError
         One sentence with the cure.
     """
-    require_writable(path, force)
-    if path is not None and path.suffix.lower() not in FIGURES:
-        raise UsageError(f"{path} is not a known kind of figure: end it in {', '.join(FIGURES)}.")
+    require_writable(path, force, FIGURES, "figure")
 
 
 def save_figure(path: Path | None, draw: Callable[[], Any]) -> list[str]:

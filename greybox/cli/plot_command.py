@@ -26,8 +26,7 @@ def add_command(commands: Any) -> None:
     add("--output", default="", metavar="[NAME=]SIGNAL", help="the output (default: the best-sampled angle)")
     add_measurement_options(parser)
     add("--out", type=Path, metavar="FILE", help="png, pdf or svg file (default: the name of the log, in this folder)")
-    add("--force", action="store_true", help="overwrite files that exist")
-    add_common_options(parser)
+    add_common_options(parser, writes=True)
     parser.set_defaults(command=run)
 
 

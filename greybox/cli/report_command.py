@@ -65,8 +65,7 @@ def add_command(commands: Any) -> None:
         help="members of a study to show in detail, names or patterns such as 'pitch*' (default: the best twelve)",
     )
     add("--title", default="", help="heading of the page (default: the name of the fit)")
-    add("--force", action="store_true", help="overwrite a file that exists")
-    add_common_options(parser)
+    add_common_options(parser, writes=True)
     parser.set_defaults(command=run)
 
 

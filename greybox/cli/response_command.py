@@ -120,7 +120,7 @@ def stated_band(words: list[str]) -> tuple[float, float] | None:
 def run(options: argparse.Namespace) -> Answer:
     """Measure the response; save and draw it where asked to."""
     require_figure(options.plot, options.force)
-    require_response_file(options.out, options.force)
+    require_writable(options.out, options.force, (".csv", *HDF5), "file")
     require_figure(options.traces, options.force)
     if options.manoeuvre is not None:
         return _run_manoeuvre(options)
@@ -130,20 +130,18 @@ def run(options: argparse.Namespace) -> Answer:
     settings = Settings(**stated)
     recording = read_log(options)
     measured = measure(recording, settings)
-
-    text = "\n\n".join(part for part in (str(measured), "\n".join(recording.findings)) if part)
-    answer = response_json(recording, measured)
-    if not measured.quality.usable or measured.response is None:
+    answer, response = response_json(recording, measured), measured.response
+    if not measured.quality.usable or response is None:
         answer["error"] = " ".join(measured.quality.refusals)
-        return answer, text, FAILED
+        return answer, _text(recording, measured), FAILED
 
     notes = []
     if options.out is not None:
-        write_response(measured.response, options.out)
+        write_response(response, options.out)
         notes.append(f"saved {options.out}")
-    notes += save_figure(options.plot, lambda: _bode(measured))
-    notes += save_figure(options.traces, lambda: _traces(measured))
-    return answer, "\n".join([text, *notes]), USABLE
+    notes += save_figure(options.plot, lambda: _figure("bode", response))
+    notes += save_figure(options.traces, lambda: _figure("traces", measured.record, next(iter(measured.used), None)))
+    return answer, "\n".join([_text(recording, measured), *notes]), USABLE
 
 
 def _run_manoeuvre(options: argparse.Namespace) -> Answer:
@@ -159,16 +157,15 @@ def _run_manoeuvre(options: argparse.Namespace) -> Answer:
         rate=options.rate,
         held=options.held,
     )
+    spectrum = measured.spectrum
     notes = []
     if options.out is not None:
-        write_spectrum(measured.spectrum, options.out)
+        write_spectrum(spectrum, options.out)
         notes.append(f"saved {options.out}")
-    notes += save_figure(options.plot, lambda: _spectrum(measured))
-    notes += save_figure(options.traces, lambda: _record_traces(measured))
-    spectrum = measured.spectrum
+    notes += save_figure(options.plot, lambda: _figure("spectrum", spectrum))
+    notes += save_figure(options.traces, lambda: _figure("traces", measured.record, measured.manoeuvre))
     answer = {
-        "log": recording.source,
-        "checksum": recording.checksum,
+        **_said(recording, measured),
         "manoeuvre": segment_as_json(measured.manoeuvre),
         "manoeuvres": [segment_as_json(segment) for segment in measured.manoeuvres],
         "omega": spectrum.omega.tolist(),
@@ -179,11 +176,8 @@ def _run_manoeuvre(options: argparse.Namespace) -> Answer:
         "duration": spectrum.duration,
         "step": spectrum.step,
         "units": dict(spectrum.units),
-        "choices": list(measured.choices),
-        "log_findings": list(recording.findings),
     }
-    text = "\n\n".join(part for part in (str(measured), "\n".join(recording.findings)) if part)
-    return answer, "\n".join([text, *notes]), USABLE
+    return answer, "\n".join([_text(recording, measured), *notes]), USABLE
 
 
 def _run_matrix(options: argparse.Namespace) -> Answer:
@@ -216,72 +210,41 @@ def _run_matrix(options: argparse.Namespace) -> Answer:
         notes.append(
             f"  fit one: greybox fit --data {options.out} --prefix {first.output}_{first.input}_ --model MODEL"
         )
-    notes += save_figure(options.plot, lambda: _matrix(measured))
-    notes += save_figure(options.traces, lambda: _matrix_traces(measured))
+    notes += save_figure(options.plot, lambda: _figure("response_matrix", measured.responses))
+    notes += save_figure(options.traces, lambda: _figure("traces", measured.record))
     answer = {
-        "log": recording.source,
-        "checksum": recording.checksum,
+        **_said(recording, measured),
         "responses": [
             {name: getattr(r, name) for name in ("input", "output")}
             | {name: np.asarray(getattr(r, name)).tolist() for name in ("omega", "alpha", "beta", "variance", "dof")}
             for r in measured.responses
         ],
         "units": {name: unit for name, unit in measured.record.units.items() if unit},
+    }
+    return answer, "\n".join([_text(recording, measured), *notes]), USABLE
+
+
+AnyMeasurement = Measurement | ManoeuvreMeasurement | MatrixMeasurement
+
+
+def _text(recording: Recording, measured: AnyMeasurement) -> str:
+    return "\n\n".join(part for part in (str(measured), "\n".join(recording.findings)) if part)
+
+
+def _said(recording: Recording, measured: AnyMeasurement) -> dict[str, Any]:
+    """Return what the JSON of every measurement says of its log."""
+    return {
+        "log": recording.source,
+        "checksum": recording.checksum,
         "choices": list(measured.choices),
         "log_findings": list(recording.findings),
     }
-    text = "\n\n".join(part for part in (str(measured), "\n".join(recording.findings)) if part)
-    return answer, "\n".join([text, *notes]), USABLE
 
 
-def require_response_file(path: Path | None, force: bool) -> None:
-    """Refuse a file of a response that exists, or that is neither CSV nor HDF5.
+def _figure(name: str, *drawn: Any) -> Any:
+    import greybox.plotting  # noqa: PLC0415  (imports matplotlib)
 
-    Raises
-    ------
-    UsageError
-        One sentence with the cure.
-    """
-    require_writable(path, force)
-    if path is not None and path.suffix.lower() not in (".csv", *HDF5):
-        raise UsageError(f"--out {path} is not a known kind of file: end it in .csv or .h5.")
-
-
-def _bode(measured: Measurement) -> Any:
-    assert measured.response is not None
-    from greybox.plotting import bode  # noqa: PLC0415  (imports matplotlib)
-
-    return bode(measured.response)[0].figure
-
-
-def _spectrum(measured: ManoeuvreMeasurement) -> Any:
-    from greybox.plotting import spectrum  # noqa: PLC0415  (imports matplotlib)
-
-    return spectrum(measured.spectrum)[0].figure
-
-
-def _matrix(measured: MatrixMeasurement) -> Any:
-    from greybox.plotting import response_matrix  # noqa: PLC0415  (imports matplotlib)
-
-    return response_matrix(measured.responses)[0].figure
-
-
-def _matrix_traces(measured: MatrixMeasurement) -> Any:
-    from greybox.plotting import traces  # noqa: PLC0415  (imports matplotlib)
-
-    return traces(measured.record)[0].figure
-
-
-def _record_traces(measured: ManoeuvreMeasurement) -> Any:
-    from greybox.plotting import traces  # noqa: PLC0415  (imports matplotlib)
-
-    return traces(measured.record, measured.manoeuvre)[0].figure
-
-
-def _traces(measured: Measurement) -> Any:
-    from greybox.plotting import traces  # noqa: PLC0415  (imports matplotlib)
-
-    return traces(measured.record, measured.used[0] if measured.used else None)[0].figure
+    return getattr(greybox.plotting, name)(*drawn)[0].figure
 
 
 def response_json(recording: Recording, measured: Measurement) -> dict[str, Any]:
@@ -295,8 +258,7 @@ def response_json(recording: Recording, measured: Measurement) -> dict[str, Any]
         }
     difference = measured.difference and {name: finite(x) for name, x in asdict(measured.difference).items()}
     return {
-        "log": recording.source,
-        "checksum": recording.checksum,
+        **_said(recording, measured),
         "input": response.input if response else None,
         "output": response.output if response else None,
         **columns,
@@ -305,9 +267,7 @@ def response_json(recording: Recording, measured: Measurement) -> dict[str, Any]
         "closed_loop": bool(measured.controller),
         "instrument": measured.signals.get(INSTRUMENT),
         "direct_difference": difference,
-        "choices": list(measured.choices),
         "segments": [segment_as_json(segment) for segment in measured.tests],
         "usable": quality.usable,
-        "log_findings": list(recording.findings),
         "findings": [{"about": f.about, "severity": f.severity, "text": f.text} for f in quality.findings],
     }

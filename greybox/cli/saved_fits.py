@@ -4,7 +4,6 @@ import argparse
 from pathlib import Path
 
 from greybox.cli.catalog import find_problem
-from greybox.cli.options import UsageError
 from greybox.cli.output import require_writable
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.data.response_file import HDF5
@@ -63,9 +62,7 @@ def require_fit_file(path: Path | None, force: bool) -> None:
     UsageError
         One sentence with the cure.
     """
-    require_writable(path, force)
-    if path is not None and path.suffix.lower() not in HDF5:
-        raise UsageError(f"--out {path} is not a known kind of file: a fit is saved as HDF5, end it in .h5.")
+    require_writable(path, force, HDF5, "saved fit")
 
 
 def save_fit(fit: Fit, path: Path | None) -> list[str]:

@@ -37,8 +37,7 @@ def add_command(commands: Any) -> None:
         "--starts", type=positive, default=4, help="of every structure, beside the one before; 4 by default"
     )
     add_out_option(parser, "save the fit of the chosen structure to this HDF5 file")
-    parser.add_argument("--force", action="store_true", help="overwrite files that exist")
-    add_common_options(parser)
+    add_common_options(parser, writes=True)
     parser.set_defaults(command=run)
 
 

@@ -49,8 +49,8 @@ def test_both_commands_are_the_same():
         (["fit", "pitch_hover", "--fix", "t_delay=0"], "did you mean 'T_delay'?"),
         (["fit", "pitch_hover", "--free", "T_dealy"], "did you mean 'T_delay'?"),
         (["fit", "pitch_hover", "--criterion", "relative-eror"], "did you mean 'relative-error'?"),
-        (["fit", "pitch_hover", "--out", "fit.csv"], "a fit is saved as HDF5, end it in .h5"),
-        (["fit", "pitch_hover", "--out", "fit"], "a fit is saved as HDF5, end it in .h5"),
+        (["fit", "pitch_hover", "--out", "fit.csv"], "is not a known kind of saved fit: end it in .h5"),
+        (["fit", "pitch_hover", "--out", "fit"], "is not a known kind of saved fit: end it in .h5"),
         ([], "COMMAND"),
     ],
 )
