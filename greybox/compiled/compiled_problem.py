@@ -28,9 +28,10 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.harmonic_balance import harmonic_function
-from greybox.modeling.linear_response import ResponseFormula, formula_at_one_frequency, response_formula
+from greybox.modeling.linear_response import formula_at_one_frequency, response_formula
 from greybox.modeling.model import Names
 from greybox.modeling.pade_delay import delay_order
+from greybox.modeling.trim import Trimmed
 
 AnyProblem = Problem | Sum[Problem]
 Array = NDArray[np.float64]
@@ -198,7 +199,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     point = ca.SX.sym("z", len(free))
     named = dict(zip((*free, *constants), [*scaling.expressions(point), *constant_values], strict=True))
 
-    trimmed = [formula for formula in formulas if isinstance(formula, ResponseFormula)] if kind is ca.MX else []
+    trimmed = [formula for formula in formulas if isinstance(formula, Trimmed)] if kind is ca.MX else []
     roots = None
     if trimmed and len(trimmed) == len(responding):
         values = dict(zip((*free, *constants), [*scaling.expressions(z), *constant_values], strict=True))
@@ -269,7 +270,7 @@ class _Statement:
     problem: AnyProblem
     responding: list[Problem]
     mapped: list[Mapped] | None
-    trimmed: list[ResponseFormula]
+    trimmed: list[Trimmed]
     roots: ca.Function | None
     z: Any
     smoothing: Any
@@ -360,18 +361,18 @@ def _locator(part: Problem) -> Criterion:
     return _criterion(part).locator or _criterion(part)
 
 
-def _formula(part: Problem) -> ResponseFormula | ca.Function:
+def _formula(part: Problem) -> Trimmed | ca.Function:
     if part.amplitude is not None:
         return harmonic_function(part.model, part.response.omega, part.amplitude, **response_options(part))
     return response_formula(part.model, part.response.omega, **response_options(part))
 
 
-def _closed(formula: ResponseFormula | ca.Function) -> ca.Function:
-    return formula.closed() if isinstance(formula, ResponseFormula) else formula
+def _closed(formula: Trimmed | ca.Function) -> ca.Function:
+    return formula.closed() if isinstance(formula, Trimmed) else formula
 
 
 def response_options(part: Problem) -> dict[str, Any]:
-    """Return how the response of a part is evaluated, as `response_function` takes it."""
+    """Return how the response of a part is evaluated, as `response_formula` takes it."""
     data = part.response
     return {"input": data.input, "output": data.output, "at": part.at, "pade": delay_order(part.delay)}
 

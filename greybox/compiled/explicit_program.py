@@ -1,8 +1,8 @@
 """Programs of responses whose trims are found by Newton's method: with the roots given, their formulas are explicit.
 
 A root finder is no SX function, and CasADi's second derivatives through one take twenty times as long as the cost. With
-the roots given, cost and constraints are an SX function whose derivatives hold the roots, see `modeling.trim.Trim`: it
-is evaluated for many points at once, and IPOPT's derivatives are its own behind the root finder.
+the roots given, cost and constraints are an SX function whose derivatives hold the roots, see `modeling.trim.Trimmed`:
+it is evaluated for many points at once, and IPOPT's derivatives are its own behind the root finder.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,10 +12,10 @@ import casadi as ca
 
 from greybox.formulation.problem import Problem
 from greybox.modeling.complex_arithmetic import Complex
-from greybox.modeling.linear_response import ResponseFormula
+from greybox.modeling.trim import Trimmed
 
 
-def roots_of(parts: Sequence[Problem], formulas: Sequence[ResponseFormula], named: Mapping[str, Any]) -> ca.MX:
+def roots_of(parts: Sequence[Problem], formulas: Sequence[Trimmed], named: Mapping[str, Any]) -> ca.MX:
     """Return the roots of all responses, stacked, as expressions of the `named` values."""
     found = [
         ca.MX(0, 1) if formula.root is None else formula.root(ca.vertcat(*part.local_values(named).values()))
@@ -25,7 +25,7 @@ def roots_of(parts: Sequence[Problem], formulas: Sequence[ResponseFormula], name
 
 
 def responses_at(
-    parts: Sequence[Problem], formulas: Sequence[ResponseFormula], named: Mapping[str, Any], roots: ca.SX
+    parts: Sequence[Problem], formulas: Sequence[Trimmed], named: Mapping[str, Any], roots: ca.SX
 ) -> list[Complex]:
     """Return the responses of all parts, as expressions of the `named` values and of the stacked roots."""
     responses, begin = [], 0

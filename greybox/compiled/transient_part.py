@@ -34,7 +34,7 @@ from greybox.modeling.model import Model
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.state_space import StateSpace
-from greybox.modeling.trim import trim_function
+from greybox.modeling.trim import trim_of
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -410,7 +410,7 @@ def _matrix_functions(
     point: Any = ca.DM.zeros(len(system.states)), ca.DM.zeros(len(system.inputs))
     scalar = True
     if isinstance(model, StateSpace):
-        trim = trim_function(model, at)
+        trim = trim_of(model, at).closed()
         scalar = trim.is_a("SXFunction")
         states, inputs = trim(p)
         # The states of a Padé delay follow those of the model, and the linear delay has no operating point.

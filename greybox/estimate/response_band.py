@@ -12,7 +12,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.text_table import counted, one_line
 from greybox.estimate.identifiability import KnownDirections
 from greybox.modeling.harmonic_balance import enough_harmonics, harmonic_function
-from greybox.modeling.linear_response import formula_at_one_frequency, response_function
+from greybox.modeling.linear_response import formula_at_one_frequency, response_formula
 from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.sine import Sine
@@ -161,7 +161,7 @@ def response_and_slope(
         found = found.reshape(2, omega.size, 1 + p.size)
     else:
         if sine is None:
-            compiled = response_function(model, omega, **options)
+            compiled = response_formula(model, omega, **options).closed()
         else:
             sine = enough_harmonics(model, omega, sine.between(measured, omega), values, **options)
             compiled = harmonic_function(model, omega, sine, **options)

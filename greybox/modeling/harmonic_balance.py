@@ -30,7 +30,7 @@ from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.sine import MOST_HARMONICS, Sine
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import traced_derivative, traced_output
-from greybox.modeling.trim import trim_function
+from greybox.modeling.trim import trim_of
 
 # Samples over one period, at least. Odd, so that a kink such as that of |v| v, sampled at a symmetric orbit, counts as
 # if sampled twice as often; and four a harmonic, for products of up to three signals without aliasing.
@@ -521,7 +521,7 @@ class CompiledBalance(Newton):
         check_sine(model, sine, input, omega)
         assert isinstance(model, StateSpace)
         assert sine.harmonics is not None
-        trim = trim_function(model, at or {})
+        trim = trim_of(model, at or {}).closed()
         balance = _kept.balance(Equations.of(model, sine.signal, input, output, pade), sine.harmonics)
 
         start = [q.start for q in model.parameters.values()]

@@ -1,7 +1,6 @@
 """The frequency response of a model, linearized where it is an ODE: in numbers, and compiled for a solver."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -18,35 +17,12 @@ from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import parameter_names, require_no_nan, traced
 from greybox.modeling.transfer_function import TransferFunction, require_no_operating_point
-from greybox.modeling.trim import Trim, trim_of
+from greybox.modeling.trim import Trimmed, trim_of
 
 # The order of elimination is checked with this many draws of the parameters besides the start values, and at this many
 # frequencies: a pivot that vanishes whatever the parameters vanishes with any of them.
 DRAWS = 3
 FREQUENCIES = 50
-
-
-@dataclass(frozen=True, eq=False)
-class ResponseFormula:
-    """A compiled frequency response, its trim by Newton's method apart from the rest.
-
-    Attributes
-    ----------
-    function : casadi.Function
-        (p, w, ...) -> real and imaginary part, an SX function; its derivatives by p hold w, see `Trim`.
-    root : casadi.Function or None
-        (p) -> w; None where there is no such trim, and w is empty.
-    """
-
-    function: ca.Function
-    root: ca.Function | None
-
-    def closed(self) -> ca.Function:
-        """Return (p, ...) -> real and imaginary part."""
-        kind: Any = ca.SX if self.root is None else ca.MX
-        p, _, *others = (kind.sym("v", self.function.numel_in(k)) for k in range(self.function.n_in()))
-        w = kind(0, 1) if self.root is None else self.root(p)
-        return ca.Function("response", [p, *others], self.function(p, w, *others))
 
 
 def frequency_response(
@@ -115,73 +91,30 @@ def _state_space_values(
     return delayed.re + 1j * delayed.im
 
 
-def response_function(
-    model: Model,
-    omega: NDArray[np.float64],
-    *,
-    input: str = "",
-    output: str = "",
-    at: Mapping[str, float] | None = None,
-    pade: int | None = None,
-) -> ca.Function:
-    """Compile the frequency response: the CasADi function from the parameter vector to real and imaginary part (n,)."""
-    return response_formula(model, omega, input=input, output=output, at=at, pade=pade).closed()
-
-
 def response_formula(
     model: Model,
     omega: NDArray[np.float64],
+    symbol: ca.SX | None = None,
     *,
     input: str = "",
     output: str = "",
     at: Mapping[str, float] | None = None,
     pade: int | None = None,
-) -> ResponseFormula:
-    """Compile the frequency response at `omega` (n,)."""
-    s = Complex(ca.SX.zeros(len(omega)), ca.SX(ca.DM(omega)), pade)
-    return _compiled(model, s, omega, [], input, output, at)
+) -> Trimmed:
+    """Compile the frequency response at `omega` (n,): real and imaginary part.
 
-
-def formula_at_one_frequency(
-    model: Model,
-    omega: NDArray[np.float64],
-    *,
-    input: str = "",
-    output: str = "",
-    at: Mapping[str, float] | None = None,
-    pade: int | None = None,
-) -> ca.Function | None:
-    """Compile the same for one frequency: the function from (parameters, frequency) to real and imaginary part.
-
-    `omega` are the frequencies at which it will be evaluated. None where the formula has numbers of its own for each
-    of them, or the trim is found by Newton's method.
+    With a `symbol`, at that frequency alone, which the function takes too; `omega` are those that will occur.
     """
-    symbol = ca.SX.sym("omega")
-    try:
-        formula = _compiled(model, Complex(ca.SX.zeros(1), symbol, pade), omega, [symbol], input, output, at)
-    except ValueError:  # told with the reason by `response_function`
-        return None
-    return formula.closed() if formula.root is None else None
-
-
-def _compiled(
-    model: Model,
-    s: Complex,
-    omega: NDArray[np.float64],
-    symbols: list[ca.SX],
-    input: str,
-    output: str,
-    at: Mapping[str, float] | None,
-) -> ResponseFormula:
-    """Compile the response at `s`, which may contain the `symbols`; `omega` are the frequencies that occur."""
+    symbols = [] if symbol is None else [symbol]
+    frequencies = ca.SX(ca.DM(omega)) if symbol is None else symbol
+    s = Complex(ca.SX.zeros(frequencies.numel()), frequencies, pade)
     input, output = pick_signals(model, input, output)
     p = ca.SX.sym("p", len(model.parameters))
     if isinstance(model, TransferFunction):
         require_no_operating_point(model, at)
         result = traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
-        return ResponseFormula(
-            ca.Function("response", [p, ca.SX(0, 1), *symbols], _parts(result, s, model.label)), None
-        )
+        parts = _parts(result, s, model.label)
+        return Trimmed(None, ca.Function("response", [p, ca.SX(0, 1), *symbols], parts))
 
     assert isinstance(model, StateSpace)
     x = ca.SX.sym("x", len(model.states))
@@ -201,19 +134,32 @@ def _compiled(
     if input in model.delays:
         result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
     at_point = ca.Function("response", [p, x, u, *symbols], _parts(result, s, model.label))
-    w = ca.SX.sym("w", trim.point.numel_in(1))
-    both: Any = at_point(p, *trim.point(p, w), *symbols)
-    return ResponseFormula(ca.Function("response", [p, w, *symbols], both), trim.root)
+    w = ca.SX.sym("w", trim.function.numel_in(1))
+    both: Any = at_point(p, *trim.function(p, w), *symbols)
+    return Trimmed(trim.root, ca.Function("response", [p, w, *symbols], both))
+
+
+def formula_at_one_frequency(model: Model, omega: NDArray[np.float64], **options: Any) -> ca.Function | None:
+    """Compile the frequency response at one frequency: (parameters, frequency) to real and imaginary part.
+
+    The arguments are those of `response_formula`. None where the formula has numbers of its own for each frequency, or
+    the trim is found by Newton's method.
+    """
+    try:
+        formula = response_formula(model, omega, ca.SX.sym("omega"), **options)
+    except ValueError:  # told with the reason by `response_formula` at all frequencies
+        return None
+    return formula.closed() if formula.root is None else None
 
 
 def _elimination_order(
-    model: StateSpace, matrices: ca.Function, trim: Trim, input: int, omega: NDArray[np.float64]
+    model: StateSpace, matrices: ca.Function, trim: Trimmed, input: int, omega: NDArray[np.float64]
 ) -> tuple[int, ...]:
     """Choose the order of elimination from the matrices at the start values and at draws from the start boxes."""
     random = np.random.default_rng(0)
     points = [[q.start for q in model.parameters.values()]]
     points += [[q.draw(random) for q in model.parameters.values()] for _ in range(DRAWS)]
-    found = [trim.point(point, [] if trim.root is None else trim.root(point)) for point in points]
+    found = [trim.function(point, [] if trim.root is None else trim.root(point)) for point in points]
     each = (matrices(point, *at)[:2] for point, at in zip(points, found, strict=True))
     blocks = [[np.asarray(ca.DM(block)) for block in pair] for pair in each]
     usable = [(A, B[:, input]) for A, B in blocks if np.all(np.isfinite(A)) and np.all(np.isfinite(B))]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from greybox.data.text_table import one_line
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import traced_derivative, traced_output
-from greybox.modeling.trim import trim_function
+from greybox.modeling.trim import trim_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ def linearize(
     """
     p = model.values(values)
     vector = list(p.values())
-    x, u = trim_function(model, at or {})(vector)
+    x, u = trim_of(model, at or {}).closed()(vector)
     point = np.concatenate([np.asarray(x).ravel(), np.asarray(u).ravel()])
     if not np.all(np.isfinite(point)):
         raise ValueError(

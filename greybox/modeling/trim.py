@@ -25,32 +25,31 @@ VANISHING = 1e-6  # pivot relative to its value a tenth of the point away: it va
 
 
 @dataclass(frozen=True, eq=False)
-class Trim:
-    """An operating point in two steps, of which the first alone needs an iteration.
+class Trimmed:
+    """What depends on an operating point, in two steps, of which the first alone needs an iteration.
 
     Attributes
     ----------
     root : casadi.Function or None
-        (p) -> the unknowns w of ``derivative = 0``, by Newton's method; None where there are none.
-    point : casadi.Function
-        (p, w) -> states and inputs, an SX function. Its first and second derivatives by p are those of the operating
-        point, with w held: from a root, a step of Newton's method gives the root with its first derivatives, and a
-        second step has the second ones too. They take a fraction of the time of CasADi's through its root finder.
+        (p) -> the unknowns w of ``derivative = 0``, by Newton's method; None where there are none, and w is empty.
+    function : casadi.Function
+        (p, w, ...) -> what depends on it, an SX function. Its first and second derivatives by p are those at the
+        operating point, with w held: from a root, a step of Newton's method gives the root with its first derivatives,
+        and a second step has the second ones too. They take a fraction of the time of CasADi's through its root finder.
     """
 
     root: ca.Function | None
-    point: ca.Function
+    function: ca.Function
+
+    def closed(self) -> ca.Function:
+        """Return the function of (p, ...) alone."""
+        kind: Any = ca.SX if self.root is None else ca.MX
+        p, _, *others = (kind.sym("v", self.function.numel_in(k)) for k in range(self.function.n_in()))
+        w = kind(0, 1) if self.root is None else self.root(p)
+        return ca.Function(self.function.name(), [p, *others], self.function(p, w, *others))
 
 
-def trim_function(model: StateSpace, at: Mapping[str, float]) -> ca.Function:
-    """Return the function from the parameter vector to the states and inputs at the operating point, see `trim_of`."""
-    trim = trim_of(model, at)
-    kind: Any = ca.SX if trim.root is None else ca.MX
-    p = kind.sym("p", trim.point.numel_in(0))
-    return ca.Function("trim", [p], trim.point(p, kind(0, 1) if trim.root is None else trim.root(p)))
-
-
-def trim_of(model: StateSpace, at: Mapping[str, float]) -> Trim:
+def trim_of(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
     """Return the states and inputs at the operating point `at` as functions of the parameter vector.
 
     The point is, in this order: what the model's own `trim` says; the origin, where that is an equilibrium for every
@@ -75,12 +74,12 @@ def trim_of(model: StateSpace, at: Mapping[str, float]) -> Trim:
     return _implicit_trim(model, at)
 
 
-def _closed_form(model: StateSpace, p: ca.SX, point: Sequence[Any]) -> Trim:
+def _closed_form(model: StateSpace, p: ca.SX, point: Sequence[Any]) -> Trimmed:
     n, owner = len(model.states), f"{model.label}.trim"
-    return Trim(None, ca.Function("trim", [p, ca.SX(0, 1)], [column(owner, point[:n]), column(owner, point[n:])]))
+    return Trimmed(None, ca.Function("trim", [p, ca.SX(0, 1)], [column(owner, point[:n]), column(owner, point[n:])]))
 
 
-def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> Trim:
+def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> Trimmed:
     assert model.trim is not None
     returned = traced(f"{model.label}.trim", model.trim, Names(at, "at"), parameter_names(model, p))
     if not isinstance(returned, Mapping):
@@ -89,7 +88,7 @@ def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> Trim:
     require_known(given, (*model.states, *model.inputs), "state or input", model.label)
     trim = _closed_form(model, p, [{**given, **at}.get(n, 0.0) for n in (*model.states, *model.inputs)])
     start = [q.start for q in model.parameters.values()]
-    point = ca.vertcat(*trim.point(start, []))
+    point = ca.vertcat(*trim.function(start, []))
     rest = np.asarray(derivative_function(model)(point, start)).ravel()
     if not np.all(np.abs(rest) < OWN_TOLERANCE * (1 + np.abs(np.asarray(point)).max(initial=0))):
         worst = int(np.argmax(np.abs(np.nan_to_num(rest, nan=np.inf))))
@@ -112,7 +111,7 @@ def _is_always_equilibrium(model: StateSpace, point: Sequence[float]) -> bool:
     return True
 
 
-def _implicit_trim(model: StateSpace, at: Mapping[str, float]) -> Trim:
+def _implicit_trim(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
     names = (*model.states, *model.inputs)
     z = ca.SX.sym("z", len(names))
     p = ca.SX.sym("p", len(model.parameters))
@@ -187,7 +186,7 @@ def _pivots(jacobian: ca.DM) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
 
 def _rootfinder(
     model: StateSpace, w: ca.SX, p: ca.SX, point: ca.SX, rest: ca.SX, guess: NDArray[np.float64], rows: list[int]
-) -> Trim:
+) -> Trimmed:
     options = {"error_on_fail": False, "abstol": 1e-12, "max_iter": 50, "show_eval_warnings": False}
     equations = ca.vertcat(*[rest[k] for k in rows])
     newton = ca.rootfinder("newton", "newton", {"x": w, "p": p, "g": equations}, options)
@@ -208,7 +207,7 @@ def _rootfinder(
     exact = step(step(w, p), p)
     full = ca.substitute(point, w, exact) / found(w, p)
     n = len(model.states)
-    return Trim(
+    return Trimmed(
         ca.Function("root", [parameters], [root]),
         ca.Function("trim", [p, w], [full[:n], full[n:]], {"cse": True}),
     )

@@ -177,14 +177,14 @@ def test_the_filter_model_is_the_filter():
 def test_the_digital_filter_model_is_the_digital_filter():
     from scipy.signal import butter, freqz
 
-    from greybox.modeling.linear_response import response_function
+    from greybox.modeling.linear_response import response_formula
     from greybox.models.filters import LowPass
 
     omega = np.array([1.0, 50, 125, 400])
     _, expected = freqz(*butter(2, 20, fs=400), worN=omega, fs=2 * np.pi * 400)
     model = LowPass(20.0, rate=400)
     assert gb.frequency_response(model, {}, omega).response == pytest.approx(expected, rel=1e-9)
-    re, im = response_function(model, omega)(list(model.values().values()))
+    re, im = response_formula(model, omega).closed()(list(model.values().values()))
     assert np.asarray(re).ravel() + 1j * np.asarray(im).ravel() == pytest.approx(expected, rel=1e-9)
     with pytest.raises(ValueError, match="not below half the sampling rate"):
         LowPass(20.0, rate=30)

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from two_tanks import AT, Tanks
 
 import greybox as gb
-from greybox.modeling.linear_response import response_function
+from greybox.modeling.linear_response import response_formula
 from greybox.modeling.model import pick_signals
 from greybox.models.mixer import Torques
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
@@ -86,9 +86,9 @@ def test_other_delay_words_are_refused(word):
         ({}, r"LinearTilt has several outputs \(theta, v\): specify which one, output=\.\.\."),
     ],
 )
-@pytest.mark.parametrize("read", [gb.frequency_response, response_function, gb.modeling.rational])
+@pytest.mark.parametrize("read", [gb.frequency_response, response_formula, gb.modeling.rational])
 def test_signals_that_are_not_there_are_refused(read, names, sentence):
-    arguments = {gb.frequency_response: ({}, OMEGA), response_function: (OMEGA,), gb.modeling.rational: ()}[read]
+    arguments = {gb.frequency_response: ({}, OMEGA), response_formula: (OMEGA,), gb.modeling.rational: ()}[read]
     with pytest.raises(ValueError, match=sentence):
         read(LinearTilt(), *arguments, **names)
 
@@ -98,7 +98,7 @@ def test_the_only_signals_need_no_name():
     assert pick_signals(LinearTilt(), output="v") == ("u", "v")
 
 
-@pytest.mark.parametrize("read", [gb.frequency_response, response_function])
+@pytest.mark.parametrize("read", [gb.frequency_response, response_formula])
 def test_a_transfer_function_has_no_operating_point(read):
     with pytest.raises(ValueError, match=r"Tilt is a transfer function and has no operating point: leave out at"):
         read(Tilt(), *([{}] if read is gb.frequency_response else []), OMEGA, at={"theta": 0.1})
@@ -133,7 +133,7 @@ def transfer_function(formula):
     return type("Mine", (gb.TransferFunction,), body)()
 
 
-@pytest.mark.parametrize("read", [gb.frequency_response, response_function])
+@pytest.mark.parametrize("read", [gb.frequency_response, response_formula])
 @pytest.mark.parametrize(
     ("formula", "sentence"),
     [
@@ -152,7 +152,7 @@ def test_wrong_responses_are_said_in_a_sentence(read, formula, sentence):
 
 def test_compiled_responses_have_exact_derivatives():
     """Of 1 / (s + c) with respect to c: -1 / (s + c)² and 2 / (s + c)³."""
-    function = response_function(state_space(), OMEGA)
+    function = response_formula(state_space(), OMEGA).closed()
     p = ca.MX.sym("p", 1)
     first = [ca.jacobian(part, p) for part in function(p)]
     second = [ca.jacobian(part, p) for part in first]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.modeling.linear_response import response_function
+from greybox.modeling.linear_response import response_formula
 
 OMEGA = np.geomspace(0.3, 40, 12)
 
@@ -63,4 +63,4 @@ def transfer_function(formula):
 )
 def test_formulas_that_casadi_cannot_trace_name_the_cure(formula):
     with pytest.raises(ValueError, match=r"gb\."):
-        response_function(transfer_function(formula), OMEGA)
+        response_formula(transfer_function(formula), OMEGA)

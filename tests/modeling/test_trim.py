@@ -7,8 +7,8 @@ from evaluation import numeric_jacobian
 from numpy.testing import assert_allclose
 
 import greybox as gb
-from greybox.modeling.linear_response import response_function
-from greybox.modeling.trim import trim_function
+from greybox.modeling.linear_response import response_formula
+from greybox.modeling.trim import trim_of
 from greybox.models.mixer import Torques
 from greybox.models.tilt import NonlinearTilt
 from greybox.models.yaw import YawStates
@@ -40,7 +40,7 @@ class OwnTrim(NonlinearTilt):
 def compiled(model, at):
     """The response as one column and its Jacobian and weighted Hessian, as functions of the parameters."""
     p = ca.MX.sym("p", len(START))
-    column = ca.vertcat(*response_function(model, OMEGA, output="theta", at=at)(p))
+    column = ca.vertcat(*response_formula(model, OMEGA, output="theta", at=at).closed()(p))
     weights = ca.DM(np.cos(np.arange(column.numel())))
     hessian = ca.hessian(ca.dot(weights, column), p)[0]
     functions = [ca.Function("f", [p], [e]) for e in (column, ca.jacobian(column, p), hessian)]
@@ -116,7 +116,7 @@ def test_equations_that_repeat_one_another_are_allowed():
 
 def test_the_point_follows_the_parameters_from_the_same_root():
     root = make(lambda x, u, p: (p.c - x.x**2 + u.u,))
-    function = trim_function(root, {"u": 0.0})
+    function = trim_of(root, {"u": 0.0}).closed()
     start = float(function(4.0)[0])
     assert abs(start) == pytest.approx(2.0, rel=1e-10)
     assert float(function(9.0)[0]) == pytest.approx(1.5 * start, rel=1e-10)
@@ -170,7 +170,7 @@ def test_what_is_no_operating_point_is_refused(model, at, sentence):
 def test_values_without_an_operating_point_are_said_and_print_nothing(capfd):
     """At c = -1 the equation x² = c has no root: an optimizer meets infinity or NaN, a person a sentence."""
     root = make(lambda x, u, p: (p.c - x.x**2 + u.u,))
-    assert not np.all(np.isfinite(np.asarray(trim_function(root, {"u": 0.0})(-1.0)[0])))
+    assert not np.all(np.isfinite(np.asarray(trim_of(root, {"u": 0.0}).closed()(-1.0)[0])))
     with pytest.raises(ValueError, match="no operating point"):
         gb.modeling.linearize(root, {"c": -1.0}, {"u": 0.0})
     with pytest.raises(ValueError, match="no operating point"):

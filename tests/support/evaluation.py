@@ -9,7 +9,7 @@ import numpy as np
 
 import greybox as gb
 import greybox.models
-from greybox.modeling.linear_response import response_function
+from greybox.modeling.linear_response import response_formula
 from greybox.modeling.pade_delay import delay_order
 
 
@@ -40,7 +40,7 @@ def input_output_pairs(model):
 
 def compiled_response(model, omega, delay="exact", **options):
     """The response as the optimizer sees it, through CasADi: a function of the parameter values by name."""
-    function = response_function(model, omega, pade=delay_order(delay), **options)
+    function = response_formula(model, omega, pade=delay_order(delay), **options).closed()
 
     def response(values=None):
         re, im = function(list(model.values(values).values()))
