@@ -326,17 +326,19 @@ class _Search:
             if not room > 0:
                 return points, "bound"
             value = last.value + direction * step if step < room else bound
-            starts = [last.z, *self.starts]
+            ahead = last.z
             if len(points) > 1:
                 before = points[-2]
                 share = (value - last.value) / (last.value - before.value)
-                starts.insert(0, last.z + share * (last.z - before.z))
-            point = self.point(value, *starts)
+                ahead = last.z + share * (last.z - before.z)
+            point = self.point(value, ahead, *self.starts)
             rise = self.root(point) - self.root(last) if math.isfinite(point.cost) else math.inf
             # A jump over the crossing tells nothing of the curve before it.
             if rise > self.limit and step > 1e-3 * self.first:
                 step = min(step, room) / GROWTH
                 continue
+            if not math.isfinite(point.cost):
+                point = self.point(value, last.z)
             if not math.isfinite(point.cost):
                 return points, "failed"
             points.append(point)
