@@ -32,7 +32,7 @@ Flags = NDArray[np.bool_]
 # minima at a bound: of the searches for the pitch axis at 5° with its drag free, which is zero at the minimum, 0.5 %
 # find it with a first factor of 1, and 96 % with 0.01 (IPOPT 22 %). So every second search has a weak barrier.
 BARRIERS = np.array([[1.0, 1e-2, 1e-4, 0.0], [1e-2, 1e-3, 1e-4, 0.0]])
-SMOOTHINGS = (1.0, 1e-2, 1e-4, SMOOTHING)
+SMOOTHINGS = np.array([1.0, 1e-2, 1e-4, SMOOTHING])
 LOOSE = 1e-3  # projected gradient at which the next level is taken
 
 # Of the distance of its bounds, how near to one a search begins; and of the distance to a bound, how much of it a step
@@ -189,7 +189,7 @@ class BatchedNewton:
         self, z: Array, path: NDArray[np.int_], level: NDArray[np.int_], given: Array
     ) -> tuple[Array, Array, Array]:
         """Return cost (m,), gradient (p, m) and Hessian (p, p, m), those of the barrier included."""
-        inputs = [z, np.take(SMOOTHINGS, level)[None]]
+        inputs = [z, SMOOTHINGS[level][None]]
         inputs += [] if self._roots is None else self._roots(z)
         inputs += [given] if len(given) else []
         [cost], gradient, hessian = self._function(*inputs)
@@ -209,7 +209,7 @@ class BatchedNewton:
 
     def _begun(self, z: Array, level: int, given: Array) -> _Points:
         m = z.shape[1]
-        columns = np.r_[np.arange(m), np.zeros(_width(m) - m, int)]
+        columns = np.concatenate([np.arange(m), np.zeros(_width(m) - m, int)])
         paths, levels = columns % len(BARRIERS), np.full(len(columns), level)
         given = given[:, columns]
         cost, gradient, hessian = self._evaluated(z[:, columns], paths, levels, given)
@@ -222,13 +222,18 @@ class BatchedNewton:
 
     def _projected_gradient(self, z: Array, gradient: Array) -> Array:
         """Return its largest component, (m,)."""
-        return np.abs(z - np.clip(z - gradient, self._lower, self._upper)).max(axis=0)
+        return np.abs(z - self._clipped(z - gradient)).max(axis=0)
+
+    def _clipped(self, z: Array) -> Array:
+        return np.minimum(np.maximum(z, self._lower), self._upper)
 
     def _end_finished(self, points: _Points, ends: Ends, tolerance: float) -> None:
         """Take the searches out that are at a minimum, or can go no further."""
         small = points.slope <= tolerance * np.maximum(np.abs(points.cost), 1.0)
         found = points.live & small & (points.level == LAST)
         finished = found | (points.live & (points.radius < LEAST_RADIUS))
+        if not finished.any():
+            return
         ends.z[:, points.owner[finished]] = points.z[:, finished]
         ends.at_minimum[points.owner[found]] = True
         points.live &= ~finished
@@ -239,7 +244,7 @@ class BatchedNewton:
         share = np.where(points.level < LAST, TO_BOUND, 1.0)
         lowest = points.z - share * (points.z - self._lower)
         highest = points.z + share * (self._upper - points.z)
-        moved = np.clip(points.z + self._newton_step(points), lowest, highest)
+        moved = np.minimum(np.maximum(points.z + self._newton_step(points), lowest), highest)
         points.level = points.level + next_level
         moved = np.where(next_level | ~points.live, points.z, moved)
         step = moved - points.z
@@ -325,10 +330,10 @@ def _next_radius(
     length = np.sqrt((step**2).sum(axis=0))
     # Of the parabola through both costs with the slope at the first, the minimum.
     fall = np.maximum(promised - decrease, TINY)
-    shorter = np.clip(0.5 * promised / fall, SHORTEST, LONGEST) * length
+    shorter = np.minimum(np.maximum(0.5 * promised / fall, SHORTEST), LONGEST) * length
     is_modeled = modeled > 0
     ratio = np.where(is_modeled, decrease / np.where(is_modeled, modeled, 1.0), 0.0)
-    wider = np.clip(WIDER * length, points.radius, LARGEST_RADIUS)
+    wider = np.minimum(np.maximum(WIDER * length, points.radius), LARGEST_RADIUS)
     longest = np.where(ratio > GOOD, wider, np.where(ratio < POOR, LONGEST * length, points.radius))
     return np.where(accepted, longest, shorter)
 
@@ -349,7 +354,7 @@ def _narrowed(points: _Points) -> _Points:
     width = _width(len(live))
     if NARROWER * width > len(points.live):
         return points
-    taken = points.taken(np.r_[live, np.full(width - len(live), live[0])])
+    taken = points.taken(np.concatenate([live, np.full(width - len(live), live[0])]))
     taken.owner[len(live) :] = -1
     taken.live[len(live) :] = False
     return taken
