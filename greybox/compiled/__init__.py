@@ -14,6 +14,6 @@ the weights, `kalman_gain` the gain of a predictor, `riccati` the one that follo
 `record_information` the numbers that correlated residuals are
 worth. `transcription/` holds the methods by which the states of a record become unknowns, one method a file (multiple
 shooting is the above), and `strategies` all settings.
-`vectorized` evaluates CasADi functions in numpy over many columns, `code_generation` compiles them to C,
-`library_cache` keeps the libraries.
+`vectorized` evaluates CasADi functions in numpy over many columns, `alike_terms` the derivatives of a cost whose terms
+differ in their constants alone; `code_generation` compiles functions to C, `library_cache` keeps the libraries.
 """

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 CHUNK = 4096  # columns at once: what fits into the cache
+FEW = 128  # columns: a ufunc takes 0.2 µs whatever their number, an operation of CasADi's 1.6 ns for each
 
 
 def _if_else_zero(condition: Array, value: Array, out: Array) -> None:
@@ -111,13 +112,20 @@ class Columns:
             some = slice(at, min(at + size, m))
             part = [v if k in self._shared else v[:, some] for k, v in enumerate(inputs)]
             count = some.stop - at
-            if count < self._fewest or _is_quicker(self._operations, count) or self._program is None:
+            if count < self._fewest or self._is_quicker(count) or self._program is None:
                 for out, value in zip(outputs, self._evaluated(part, some.stop - at), strict=True):
                     out[:, some] = value
             else:
                 bound = self._bound.get(some.stop - at) or self._bind(some.stop - at)
                 bound.run(part, [out[:, some] for out in outputs])
         return outputs
+
+    def _is_quicker(self, m: int) -> bool:
+        """Tell whether CasADi's interpreter takes less time for m columns."""
+        if self._is_dense:
+            return m <= FEW
+        # As it does for few columns of long programs, where it takes and gives matrices of its own; in microseconds.
+        return 50 + m * (1.4 + 0.0042 * self._operations) < 0.4 * self._operations * (1 + m / 500)
 
     def _evaluated(self, inputs: list[Array], m: int) -> list[Array]:
         if self._is_dense:
@@ -166,11 +174,6 @@ class _Mapped:
             own[...] = value.T
         self._call()
         return [value.T for value in self._outputs]
-
-
-def _is_quicker(operations: int, m: int) -> bool:
-    """Tell whether CasADi's interpreter takes less time for m columns, as it does for few columns of long programs."""
-    return 50 + m * (1.4 + 0.0042 * operations) < 0.4 * operations * (1 + m / 500)  # microseconds
 
 
 def _read(function: ca.Function) -> list[tuple[int, list[int], list[int], float]] | None:

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.code_generation import compiled
+from greybox.compiled.alike_terms import SecondOrder
 from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.vectorized import Columns
 from greybox.solve.interruption import reason_to_end
@@ -48,9 +48,7 @@ LEAST_RADIUS = 1e-15  # beyond, rounding has the last word
 FLATTEST = 1e-12  # of the largest eigenvalue: curvatures below are rounding errors
 
 SUFFICIENT = 1e-4  # of the decrease that the gradient promises (Armijo)
-# Points from which registers of their own pay. A batch of as many is narrowed once only: CasADi takes three and a half
-# times as long for a column.
-MANY = 1000
+# A batch is narrowed to a quarter or less, so that few layouts of registers serve.
 NARROWER = 4
 
 ROUNDING = 1e-12  # of the cost: smaller promised decreases cannot be seen in it
@@ -137,11 +135,7 @@ class BatchedNewton:
             Where it cannot be compiled, see `greybox.compiled.code_generation.compiled`.
         """
         inputs = [ca.SX.sym("v", program.numel_in(k)) for k in range(program.n_in())]
-        z, cost = inputs[0], program(*inputs)[0]
-        hessian, gradient = ca.hessian(cost, z)
-        outputs = [cost, ca.densify(gradient), ca.vec(ca.densify(hessian))]
-        derivatives = ca.Function("derivatives", inputs, outputs, {"cse": True})
-        self._function = Columns(compiled(derivatives) if as_c else derivatives, fewest=MANY)
+        self._function = SecondOrder(inputs, program(*inputs)[0], as_c=as_c)
         self._roots = None if roots is None else Columns(roots)
         self._lower, self._upper = lower[:, None], upper[:, None]
         self._is_bounded = np.isfinite(self._lower), np.isfinite(self._upper)
@@ -192,7 +186,7 @@ class BatchedNewton:
         inputs = [z, SMOOTHINGS[level][None]]
         inputs += [] if self._roots is None else self._roots(z)
         inputs += [given] if len(given) else []
-        [cost], gradient, hessian = self._function(*inputs)
+        cost, gradient, hessian = self._function(*inputs)
         p, m = z.shape
         barrier = BARRIERS[path, level]
         if barrier.any():

@@ -1,0 +1,51 @@
+"""Sums of terms of one form against CasADi's own derivatives of the sum, and the table of constants by hand."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from greybox.compiled.alike_terms import SecondOrder, _alike
+
+OMEGA = np.array([0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0])  # at one a product is simplified: a term of another form
+MEASURED = np.array([0.9, 0.8, -0.4, 0.3, 0.1, -0.2, 0.05])
+
+
+def cost(z, smoothing):
+    """Return a sum of roots, weighted and shifted, and a term of its own."""
+    terms = [ca.sqrt((z[0] * ca.exp(-w * z[1]) - y) ** 2 + smoothing) for w, y in zip(OMEGA, MEASURED, strict=True)]
+    return 2 * (sum(terms[:4]) - 0.5 * sum(terms[4:])) + z[2] ** 4 - 3
+
+
+@pytest.mark.parametrize("m", [1, 8, 5000])
+def test_derivatives_are_those_of_the_sum(m):
+    z, smoothing = ca.SX.sym("z", 3), ca.SX.sym("smoothing")
+    whole = cost(z, smoothing)
+    hessian, gradient = ca.hessian(whole, z)
+    expected = ca.Function("expected", [z, smoothing], [whole, gradient, ca.vec(ca.densify(hessian))])
+    rng = np.random.default_rng(m)
+    points, smooth = rng.uniform(0.1, 1, (3, m)), rng.uniform(1e-6, 1e-2, (1, m))
+    found = SecondOrder([z, smoothing], whole)(points, smooth)
+    for k in {0, m // 2, m - 1}:
+        for value, known in zip(found, expected(points[:, k], smooth[:, k]), strict=True):
+            assert value.reshape(-1, m)[:, k] == pytest.approx(np.asarray(known).ravel(), rel=1e-12, abs=1e-12)
+
+
+def test_terms_of_one_form_differ_in_their_constants():
+    z, smoothing = ca.SX.sym("z", 3), ca.SX.sym("smoothing")
+    [alike], rest = _alike([z, smoothing], cost(z, smoothing))
+    assert alike.constants.shape == (3, 6)  # factor, frequency and measurement; without the frequency of one
+    rows = [sorted(np.abs(row)) for row in alike.constants]
+    assert sorted(alike.constants[0]) == [-1, -1, -1, 2, 2, 2]
+    assert [0.5, 2, 3, 5, 8, 13] in rows
+    assert sorted(np.abs(MEASURED[OMEGA != 1])) in rows
+    at_zero = ca.Function("rest", [z, smoothing], [rest])([1, 0, 2], 0)
+    assert float(at_zero) == pytest.approx(2 * 0.2 + 16 - 3)
+
+
+def test_a_cost_without_alike_terms_and_a_constant_one():
+    z = ca.SX.sym("z", 2)
+    point = np.array([[1.0], [2.0]])
+    value, gradient, hessian = SecondOrder([z], z[0] ** 2 * z[1])(point)
+    assert (*value, *gradient[:, 0]) == (2, 4, 1)
+    assert hessian[:, 0].tolist() == [4, 2, 2, 0]
+    assert [v.tolist() for v in SecondOrder([z], ca.SX(3))(point)] == [[3], [[0], [0]], [[0]] * 4]
