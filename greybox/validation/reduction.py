@@ -324,16 +324,15 @@ def _part_at_limit(part: Problem, candidate: Candidate, fit: Fit) -> Problem | N
     present = [name for name in candidate.powers if name in inside]
     if not present:
         return part
-    first, *others = candidate.powers
-    if not set(present) <= set(part.model.parameters) or first not in present:  # a bias of a sensor, or a gain
-        return None
-    kept = [(inside[name], candidate.powers[name], fit.estimate[name]) for name in others if name in present]
-    model = at_limit(part.model, inside[first], fit.estimate[first], candidate.end, kept)
+    first = next(iter(candidate.powers))
+    others = [name for name in present if name != first]
     gone = {inside[name] for name in present}
+    if first not in present or not gone <= set(part.model.parameters):  # a bias of a sensor, or a gain
+        return None
+    kept = [(inside[name], candidate.powers[name], fit.estimate[name]) for name in others]
+    model = at_limit(part.model, inside[first], fit.estimate[first], candidate.end, kept)
     rename = {name: outside for name, outside in part.rename.items() if name not in gone}
     for name in others:
-        if name not in present:
-            continue
         power = candidate.powers[name]
         new, outside = invariant_name(inside[name], inside[first], power), invariant_name(name, first, power)
         if new != outside:
