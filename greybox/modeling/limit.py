@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from greybox.data.units import to_si
 from greybox.modeling.model import Model, Names
@@ -18,7 +18,7 @@ BEYOND = 2.0**26
 SPAN = 1e3
 
 
-class _AtLimit(Model if TYPE_CHECKING else object):
+class _AtLimit(Model):
     """A structure in the limit in which a parameter goes to zero or infinity.
 
     Others may go with it: of each the product or ratio that stays is a parameter in its place, such as
