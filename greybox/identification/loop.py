@@ -11,6 +11,7 @@ Identification, 2nd ed., section 13.4.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -41,14 +42,13 @@ class DirectDifference:
         )
 
 
-def controller_in(recording: Recording, control: str, measured: Sequence[str] = ()) -> str:
-    """Return the signal or message that shows a controller of the axis of `control` at work; empty without one.
+def controller_in(recording: Recording, controls: Sequence[str], measured: Sequence[str]) -> str:
+    """Return the signal or message that shows a controller of the axis of a control at work; empty without one.
 
     What is `measured` as an output is no setpoint: a column r may be a setpoint or a yaw rate.
     """
-    axis = axis_of(control)
-    wanted = [AXES[axis]] if axis else list(AXES.values())
-    for names in wanted:
+    axes = [axis_of(control) for control in controls]
+    for names in chain.from_iterable([AXES[axis]] if axis else AXES.values() for axis in axes):
         for signal in (*names.setpoints, *names.terms):
             message, _, field = signal.rpartition(".")
             if signal not in measured and message in recording and field in recording[message].signals:

@@ -9,7 +9,7 @@ from greybox.data.test_segment import Segment, segment_table
 from greybox.data.text_table import counted, one_line
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.identification.loop import controller_in
-from greybox.identification.measurement import named_signal
+from greybox.identification.measurement import named_signals
 from greybox.logs.manoeuvre_detection import chosen_manoeuvre, find_manoeuvres
 from greybox.logs.prepare import prepare
 from greybox.spectral.transients import HIGHEST, transient_spectrum
@@ -90,38 +90,35 @@ def measure_manoeuvre(
     ValueError, KeyError
         If there is no such manoeuvre or signal, or it has gaps.
     """
-    named = {which: dict(map(named_signal, words)) for which, words in (("inputs", inputs), ("outputs", outputs))}
-    twice = [name for name in named["inputs"] if name in named["outputs"]]
-    if twice or len(named["inputs"]) < len(inputs) or len(named["outputs"]) < len(outputs):
-        raise ValueError("two signals have one name: give them names of your own, NAME=SIGNAL.")
-    found = find_manoeuvres(recording, signal) or find_manoeuvres(recording, tuple(named["inputs"].values()))
+    signals = named_signals((*inputs, *outputs))
+    names, measured = tuple(signals), tuple(signals.values())
+    controls = measured[: len(inputs)]
+    found = find_manoeuvres(recording, signal) or find_manoeuvres(recording, controls)
     if not found:
         raise ValueError(
-            f"no manoeuvre was found in {signal or ', '.join(named['inputs'].values())}: name the signal that shows "
-            "it, --setpoint SIGNAL."
+            f"no manoeuvre was found in {signal or ', '.join(controls)}: name the signal that shows it, "
+            "--setpoint SIGNAL."
         )
     chosen = chosen_manoeuvre(found, wanted)
     later = [s.start for s in found if s.axis == chosen.axis and s.start > chosen.end]
     start = chosen.start - BEFORE
     end = min(chosen.end + max(AFTER, chosen.duration), *later, math.inf)
-    record = prepare(recording, {**named["inputs"], **named["outputs"]}, rate, start=start, end=end, held=held)
+    record = prepare(recording, signals, rate, start=start, end=end, held=held)
     highest = HIGHEST * 2 * math.pi / record.step
     limits = band or (0.0, min(chosen.band[1], highest))
-    spectrum = transient_spectrum(record, tuple(named["inputs"]), tuple(named["outputs"]), limits)
+    spectrum = transient_spectrum(record, names[: len(inputs)], names[len(inputs) :], limits)
     label = f"{chosen.kind} of {chosen.axis} at {chosen.start:.4g} s"
     spectrum = replace(spectrum, name=label, source=recording.source)
     said = [f"from {record.time[0]:.2f} to {record.time[-1]:.2f} s, the answer after the input included."]
     if band is None:
         said.append(f"band up to {spectrum.omega[-1]:.4g} rad/s, where the input fades; --band chooses another.")
-    unknown = [name for name in named["inputs"] if name not in record.hold]
+    unknown = [name for name in names[: len(inputs)] if name not in record.hold]
     if unknown:
         said.append(
             f"{', '.join(unknown)} is taken as linear between samples, as nothing is known: --held {unknown[0]} if it "
             f"keeps its values, which makes delays {500 * record.step:.3g} ms shorter."
         )
-    measured = tuple(named["outputs"].values())
-    controllers = (controller_in(recording, s, measured) for s in named["inputs"].values())
-    controller = next(filter(None, controllers), "")
+    controller = controller_in(recording, controls, measured[len(inputs) :])
     if controller:
         said.append(
             f"closed loop ({controller} is in the log): noise of the outputs returns to the inputs, which are taken as "

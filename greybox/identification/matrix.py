@@ -10,7 +10,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.text_table import counted, number, one_line, text_table
 from greybox.identification.loop import controller_in
-from greybox.identification.measurement import named_signal
+from greybox.identification.measurement import named_signals
 from greybox.logs.prepare import prepare
 from greybox.spectral.orthogonal_multisines import response_matrix
 
@@ -80,11 +80,8 @@ def measure_matrix(
     ValueError, KeyError
         For signals that are not there, and for what `greybox.spectral.response_matrix` refuses.
     """
-    pairs = [named_signal(word) for word in (*inputs, *outputs)]
-    pairs += [(EXCITATION.format(k), signal) for k, signal in enumerate(excitations, start=1)]
-    signals = dict(pairs)
-    if len(signals) < len(pairs):
-        raise ValueError("two signals have one name: give them names of your own, NAME=SIGNAL.")
+    injected = [f"{EXCITATION.format(k)}={signal}" for k, signal in enumerate(excitations, start=1)]
+    signals = named_signals((*inputs, *outputs, *injected))
     names = list(signals)
     u, y, e = names[: len(inputs)], names[len(inputs) : len(inputs) + len(outputs)], names[len(inputs) + len(outputs) :]
     record = prepare(recording, signals, rate)
@@ -101,8 +98,7 @@ def measure_matrix(
         f"{period:g} s, after {settle:g} s of settling."
     ]
     measured = [signals[name] for name in (*u, *y)]
-    controllers = (controller_in(recording, s, measured) for s in measured[: len(u)])
-    controller = next(filter(None, controllers), "")
+    controller = controller_in(recording, measured[: len(u)], measured)
     loop = f"closed loop ({controller} is in the log)" if controller else "open loop (no controller is seen in the log)"
     by = f"the excitations {', '.join(excitations)} tell" if e else "the inputs themselves tell"
     said.append(f"{loop}: averages over whole periods; {by} which lines are whose, --instrument names others.")

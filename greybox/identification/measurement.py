@@ -119,6 +119,14 @@ def named_signal(text: str) -> tuple[str, str]:
     return (name, signal) if equals else (text.rpartition(".")[2], text)
 
 
+def named_signals(texts: Sequence[str]) -> dict[str, str]:
+    """Return signals by name; a ValueError says where two have one."""
+    signals = dict(map(named_signal, texts))
+    if len(signals) < len(texts):
+        raise ValueError("two signals have one name: give them names of your own, NAME=SIGNAL.")
+    return signals
+
+
 @dataclass(frozen=True, eq=False)
 class Measurement:
     """What was measured from a log.
@@ -191,7 +199,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         used = _within_band(sines, settings.band)
 
     (u, control), (y, output) = settings.names
-    controller = "" if settings.open_loop else controller_in(recording, control, [output]) or settings.setpoint
+    controller = "" if settings.open_loop else controller_in(recording, [control], [output]) or settings.setpoint
     instrument = _instrument(recording, settings, used)
     if controller and not (sines or instrument or settings.period):
         for name in (control, output):
