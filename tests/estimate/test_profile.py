@@ -1,6 +1,7 @@
 """Profiles of the likelihood, against brute force, an F-test written out, and planted truths."""
 
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -44,8 +45,8 @@ def brute_force(fit, model, name, edge, level=0.95):
 
     def lowest(value):
         def residual(x):
-            values = {name: value, **dict(zip(names, x, strict=True))}
-            error = model.response(1j * data.omega, _Names(values)) / data.response - 1
+            values = SimpleNamespace(**{name: value}, **dict(zip(names, x, strict=True)))
+            error = model.response(1j * data.omega, values) / data.response - 1
             return np.concatenate([error.real, error.imag])
 
         return 2 * least_squares(residual, list(others.values()), x_scale="jac", xtol=1e-12, ftol=1e-12).cost
@@ -53,11 +54,6 @@ def brute_force(fit, model, name, edge, level=0.95):
     dof = 2 * len(data) - len(names) - 1
     limit = fit.cost * (1 + student.ppf(0.5 + level / 2, dof) ** 2 / dof)
     return brentq(lambda value: lowest(value) - limit, start, edge, rtol=1e-8)
-
-
-class _Names:
-    def __init__(self, values):
-        vars(self).update(values)
 
 
 def test_both_ends_are_those_of_brute_force():

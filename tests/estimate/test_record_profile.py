@@ -1,5 +1,7 @@
 """Profiles of records and rows, against dense grids by scipy and fits with the parameter fixed."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from lateral_aircraft import disturbed, doublets
@@ -22,11 +24,6 @@ def windy():
     return record, fit(gb.Problem(Spring(), record, WIND))
 
 
-class _Values:
-    def __init__(self, values):
-        vars(self).update(values)
-
-
 def dense_grid(name, parameter, level=0.95):
     """The ends of the interval where the F statistic of the squares, on a grid of six errors, crosses its limit."""
     known = certified(name)
@@ -34,21 +31,17 @@ def dense_grid(name, parameter, level=0.95):
     others = [key for key in known.values if key != parameter]
     dof = len(record["y"]) - len(known.values)
     limit, variance = student.ppf(0.5 + level / 2, dof), known.squares / dof
+
+    def residual(x, value):
+        p = SimpleNamespace(**{parameter: value}, **dict(zip(others, x, strict=True)))
+        return FORMULAS[name](p, record["x"]) - record["y"]
+
     ends = []
     for direction in (-1, 1):
         x, roots = np.array([known.values[key] for key in others]), [0.0]
         grid = known.values[parameter] + direction * np.linspace(0, 7 * known.errors[parameter], 36)
         for value in grid[1:]:
-            found = least_squares(
-                lambda x, value=value: (
-                    FORMULAS[name](_Values({parameter: value, **dict(zip(others, x, strict=True))}), record["x"])
-                    - record["y"]
-                ),
-                x,
-                x_scale=np.abs(x),
-                xtol=1e-12,
-                ftol=1e-12,
-            )
+            found = least_squares(residual, x, x_scale=np.abs(x), xtol=1e-12, ftol=1e-12, args=(value,))
             x = found.x
             roots.append(np.sqrt(max(2 * found.cost - known.squares, 0) / variance))
             if roots[-1] > 1.3 * limit:

@@ -22,11 +22,8 @@ TESTS = {"slow": (response(0.1, 2), 60.0), "middle": (response(0.5, 8), 30.0), "
 
 
 def errors_of(repeats):
-    parts = [
-        problem for count, (problem, _) in zip(repeats, TESTS.values(), strict=True) for problem in [problem] * count
-    ]
-    whole = parts[0] if len(parts) == 1 else gb.formulation.Sum(tuple(parts))
-    return expected_errors(whole, TWO_LAGS)
+    parts = (problem for count, (problem, _) in zip(repeats, TESTS.values(), strict=True) for _ in range(count))
+    return expected_errors(sum(parts), TWO_LAGS)
 
 
 def test_the_wanted_errors_are_reached_and_nothing_shorter_does():

@@ -34,8 +34,7 @@ class Lateral(gb.StateSpace):
         return (x.beta, x.p, x.r, x.phi, 40 / gb.g * (p.Y_beta * x.beta + p.Y_rudder * u.rudder))
 
 
-NAMES = ("Y_beta", "L_beta", "L_p", "L_r", "N_beta", "N_p", "N_r", "L_aileron", "N_rudder", "Y_rudder")
-LATERAL = dict(zip(NAMES, (-0.3, -12.0, -3.5, 1.2, 4.5, -0.25, -0.7, 22.0, -5.5, 0.06), strict=True))
+LATERAL = dict(zip(Lateral.parameters, (-0.3, -12.0, -3.5, 1.2, 4.5, -0.25, -0.7, 22.0, -5.5, 0.06), strict=True))
 
 
 def discretized(A, B, intensity, step):

@@ -208,18 +208,25 @@ def matlab(**options):
     return buffer.getvalue()
 
 
-def ulog(seconds=2.0, rate=100):
-    """A PX4 log: attitude with an array, two accelerometers, the vehicle's status, parameters, a text."""
+def _empty_ulog():
+    """A PX4 log to write to, and the function that puts a message into it."""
     out = io.BytesIO()
 
     def put(kind, body):
         out.write(struct.pack("<HB", len(body), ord(kind)) + body)
 
+    out.write(b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1_000_000))
+    put("B", bytes(40))
+    return out, put
+
+
+def ulog(seconds=2.0, rate=100):
+    """A PX4 log: attitude with an array, two accelerometers, the vehicle's status, parameters, a text."""
+    out, put = _empty_ulog()
+
     def key(kind, name, value):
         put(kind, struct.pack("B", len(name)) + name + value)
 
-    out.write(b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1_000_000))
-    put("B", bytes(40))
     put("F", b"vehicle_attitude:uint64_t timestamp;float[4] q;uint8_t[4] _padding0;")
     put("F", b"sensor_accel:uint64_t timestamp;float x;bool sound;")
     put("F", b"vehicle_status:uint64_t timestamp;uint8_t arming_state;uint8_t nav_state;")
@@ -261,13 +268,7 @@ def px4_flight():
     random = np.random.default_rng(0)
     noise = np.array([5e-3, 0.02]) * random.standard_normal((len(setpoint), 2))
 
-    out = io.BytesIO()
-
-    def put(kind, body):
-        out.write(struct.pack("<HB", len(body), ord(kind)) + body)
-
-    out.write(b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1_000_000))
-    put("B", bytes(40))
+    out, put = _empty_ulog()
     topics = {
         "vehicle_attitude": "float[4] q",
         "vehicle_attitude_setpoint": "float[4] q_d",
