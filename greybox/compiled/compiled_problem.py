@@ -13,7 +13,7 @@ from greybox.compiled.explicit_program import derivatives_at, responses_at, root
 from greybox.compiled.part import Part
 from greybox.compiled.record_part import compile_records
 from greybox.compiled.response_map import LARGE, Mapped, lagrangian_hessian
-from greybox.compiled.response_part import SMOOTHING, ResponsePart
+from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.scaling import Scaling, scaling_of
 from greybox.compiled.strategies import Strategies
 from greybox.compiled.transcription.method import Transcription
@@ -282,7 +282,7 @@ class _Statement:
     def in_criterion(self, name: str, choose: Callable[[Problem], Criterion]) -> _Stated:
         """Return the program in one criterion."""
         kind, parts = type(self.z), self.responding
-        cost = _weighted(parts, self.responses, self.smoothing, choose)
+        cost = _weighted(parts, _costs(parts, self.responses, self.smoothing, choose))
         program = ca.Function(name, [self.z, self.smoothing], [kind(cost), self.limits])
         if self.mapped:
             hessian = _composed_hessian(self.problem, parts, self.mapped, self.named, self.point, choose)
@@ -291,7 +291,7 @@ class _Statement:
             return _Stated(program, {}, (program,) if kind is ca.SX else ())
         smoothing, w = ca.SX.sym("smoothing"), ca.SX.sym("w", self.roots.numel_out(0))
         responses = responses_at(parts, self.trimmed, self.named, w)
-        cost = ca.SX(_weighted(parts, responses, smoothing, choose))
+        cost = ca.SX(_weighted(parts, _costs(parts, responses, smoothing, choose)))
         limits = _stacked_limits(self.problem, self.named)
         explicit = ca.Function("explicit", [self.point, smoothing, w], [cost, limits])
         return _Stated(program, derivatives_at(self.roots, explicit), (explicit,))
@@ -323,38 +323,33 @@ def _costs(
     return [criterion(part).cost(response, part.response, smoothing) for part, response in pairs]
 
 
-def _weighted(
-    parts: list[Problem], responses: list[Complex], smoothing: Any, criterion: Callable[[Problem], Criterion]
-) -> Any:
+def _weighted(parts: list[Problem], costs: list[Any]) -> Any:
     total: Any = 0.0
-    costs = _costs(parts, responses, smoothing, criterion)
-    for weight, cost in zip(solver_weights(parts, criterion), costs, strict=True):
+    for weight, cost in zip(solver_weights(parts), costs, strict=True):
         total = total + weight * cost
     return total
+
+
+def solver_weights(parts: Sequence[Problem]) -> list[float]:
+    """Return the weights of responses in what the solver minimizes, so small that its tolerance can be reached.
+
+    A model is rounded relative to its magnitude M. Where errors are known to be of a size σ, the gradient of the cost
+    is rounded to some ε Σ (M/σ)², which for errors below a thousandth exceeds the tolerance of the solver.
+    """
+    precision = 0.0
+    for part in parts:
+        criterion = _criterion(part)
+        if criterion.known_noise:
+            data = part.response
+            ratios = np.abs(data.response) / criterion.error_size(data.response, data)
+            precision += part.weight * float((ratios**2).sum())
+    unit = max(1.0, ROUNDED * precision)
+    return [part.weight / unit for part in parts]
 
 
 def _criterion(part: Problem) -> Criterion:
     assert isinstance(part.criterion, Criterion)
     return part.criterion
-
-
-def solver_weights(parts: Sequence[Problem], choose: Callable[[Problem], Criterion] = _criterion) -> list[float]:
-    """Return the weights of responses in what the solver minimizes, so small that its tolerance can be reached.
-
-    A model is rounded relative to its magnitude M. Where errors are of a size σ, the gradient of a likelihood is
-    rounded to some ε Σ (M/σ)², which for errors below a thousandth exceeds the tolerance of the solver. One that
-    estimates the relative variance (σ/M)² takes no smaller one than the smoothing, which is added to it.
-    """
-    precision = 0.0
-    for part in parts:
-        criterion, data = choose(part), part.response
-        if criterion.known_noise:
-            ratios = np.abs(data.response) / criterion.error_size(data.response, data)
-            precision += part.weight * float((ratios**2).sum())
-        elif criterion.is_likelihood:
-            precision += part.weight * len(data) / SMOOTHING
-    unit = max(1.0, ROUNDED * precision)
-    return [part.weight / unit for part in parts]
 
 
 def _locator(part: Problem) -> Criterion:
@@ -404,6 +399,6 @@ def _composed_hessian(
             lambda r, smoothing, part=part: choose(part).cost(r, part.response, smoothing),
             weight,
         )
-        for part, response, weight in zip(responding, mapped, solver_weights(responding, choose), strict=True)
+        for part, response, weight in zip(responding, mapped, solver_weights(responding), strict=True)
     ]
     return lagrangian_hessian(parts, z, _stacked_limits(problem, named))
