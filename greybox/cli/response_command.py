@@ -7,8 +7,6 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from greybox.cli.log_tests import add_test_options, read_log, segment_as_json, stated_fields
 from greybox.cli.options import UsageError, add_common_options, add_parser
 from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
@@ -216,7 +214,7 @@ def _run_matrix(options: argparse.Namespace) -> Answer:
         **_said(recording, measured),
         "responses": [
             {name: getattr(r, name) for name in ("input", "output")}
-            | {name: np.asarray(getattr(r, name)).tolist() for name in ("omega", "alpha", "beta", "variance", "dof")}
+            | {name: values.tolist() for name, values in {"omega": r.omega, **r.columns}.items()}
             for r in measured.responses
         ],
         "units": {name: unit for name, unit in measured.record.units.items() if unit},
@@ -252,10 +250,8 @@ def response_json(recording: Recording, measured: Measurement) -> dict[str, Any]
     response, quality = measured.response, measured.quality
     columns: Mapping[str, Any] = {}
     if response is not None:
-        columns = {
-            name: None if (values := getattr(response, name)) is None else np.asarray(values).tolist()
-            for name in ("omega", "alpha", "beta", "coherence", "variance", "dof")
-        }
+        known = {"omega": response.omega, **response.columns}
+        columns = dict.fromkeys(("coherence", "variance", "dof")) | {name: x.tolist() for name, x in known.items()}
     difference = measured.difference and {name: finite(x) for name, x in asdict(measured.difference).items()}
     return {
         **_said(recording, measured),

@@ -151,9 +151,16 @@ class ResponsePart(PartWithoutNodes):
         response = self.response(values)
         jacobian = criterion.jacobian(response, self.sensitivity(values), data)
 
+        common = np.zeros((len(jacobian), 0))
+        if data.common_errors is not None:
+            common = criterion.jacobian(response, data.common_errors.T, data)
+        # A given variance has the common errors inside; what residuals say of the noise has not: the fit follows them.
+        own = np.tile(data.independent_share, 2) if criterion.known_noise else 1.0
+
         def spread(correction: float) -> tuple[float, Array]:
             bread, meat = criterion.spread(response, data, correction)
-            return bread, jacobian.T @ (meat[:, None] * jacobian)
+            moved = bread * jacobian.T @ common
+            return bread, jacobian.T @ ((own * meat)[:, None] * jacobian) + moved @ moved.T
 
         nonzero = data.response != 0
         errors = np.abs(response[nonzero] / data.response[nonzero] - 1)

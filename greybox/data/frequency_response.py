@@ -17,6 +17,8 @@ from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.text_table import counted, number, one_line, printable
 from greybox.data.units import to_si
 
+ROUNDING = 1e-9  # relative, of sums of squares that were written out in decimals
+
 
 @dataclass(frozen=True)
 class Stretch:
@@ -65,6 +67,9 @@ class FrequencyResponse:
     about : mapping of str to str
         How it was measured, in words: excitation, instrument, points that were dropped, filters in the path, and the
         like. It takes no part in the checksum.
+    common_errors : (m, n) complex array, optional
+        Errors that all points have in common, as of a sensor's gain: row j is what one standard deviation of the j-th
+        adds to the response. They are a part of `variance`; the standard errors of a fit contain them whole.
 
     Raises
     ------
@@ -85,6 +90,7 @@ class FrequencyResponse:
     stretches: Sequence[Stretch] = field(default=(), repr=False)
     units: Mapping[str, str] = field(default_factory=dict, repr=False)
     about: Mapping[str, str] = field(default_factory=dict, repr=False)
+    common_errors: NDArray[np.complex128] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check every value; write out control characters in names."""
@@ -103,6 +109,8 @@ class FrequencyResponse:
         self._check_ranges()
         for column in ("omega", "response"):
             self._check_size(column)
+        if self.common_errors is not None:
+            self._set_common_errors(self.common_errors)
         object.__setattr__(self, "stretches", tuple(self.stretches))
         for name in ("units", "about"):
             texts = {printable(str(key)): printable(str(text)) for key, text in getattr(self, name).items()}
@@ -203,8 +211,31 @@ class FrequencyResponse:
                 limit = f"above 0 and at most {high:g}" if np.isfinite(high) else "above 0"
                 raise ValueError(f"{name} is {values[bad[0]]:g} at index {bad[0]}: it must be {limit}.")
 
+    def _set_common_errors(self, value: ArrayLike) -> None:
+        errors = np.atleast_2d(np.array(value, dtype=np.complex128))
+        if errors.ndim != 2 or errors.shape[1] != self.omega.size or not np.isfinite(errors).all():
+            raise ValueError(
+                f"common_errors has shape {np.shape(value)}: give finite numbers, a row of {self.omega.size} for each."
+            )
+        if self.variance is not None:
+            above = np.flatnonzero((np.abs(errors) ** 2).sum(axis=0) > (1 + ROUNDING) * self.variance)
+            if above.size:
+                raise ValueError(
+                    f"common_errors exceed the variance at omega = {self.omega[above[0]]:g} rad/s, of which they are a "
+                    "part: add their squares to it."
+                )
+        errors.setflags(write=False)
+        object.__setattr__(self, "common_errors", errors if len(errors) else None)
+
     def __len__(self) -> int:
         return self.omega.size
+
+    @property
+    def independent_share(self) -> NDArray[np.float64]:
+        """Share of the variance that is independent from point to point, (n,): all but the common errors."""
+        if self.common_errors is None or self.variance is None:
+            return np.ones(len(self))
+        return np.maximum(1 - (np.abs(self.common_errors) ** 2).sum(axis=0) / self.variance, 0.0)
 
     @property
     def alpha(self) -> NDArray[np.float64]:
@@ -217,18 +248,33 @@ class FrequencyResponse:
         return self.response.imag
 
     @property
+    def columns(self) -> dict[str, NDArray[np.float64]]:
+        """What is known at each frequency as real numbers, (n,) arrays by name, as tables and files have them.
+
+        ``alpha, beta``, then as far as known ``coherence, variance, dof``, and ``alpha_common1, beta_common1`` and so
+        on for the common errors.
+        """
+        known = {name: getattr(self, name) for name in ("alpha", "beta", "coherence", "variance", "dof")}
+        for j, errors in enumerate(() if self.common_errors is None else self.common_errors, start=1):
+            known |= {f"alpha_common{j}": errors.real, f"beta_common{j}": errors.imag}
+        return {name: values for name, values in known.items() if values is not None}
+
+    @property
     def checksum(self) -> str:
         """SHA-256 of the numbers and the signal names: the same data have the same checksum wherever they came from."""
         digest = hashlib.sha256(f"{self.input}->{self.output}".encode())
         for values in (self.omega, self.response, self.coherence, self.variance, self.dof):
             digest.update(b"-" if values is None else np.ascontiguousarray(values).tobytes())
+        if self.common_errors is not None:
+            digest.update(np.ascontiguousarray(self.common_errors).tobytes())
         return digest.hexdigest()
 
     def where(self, kept: NDArray[np.bool_]) -> "FrequencyResponse":
         """Return the points for which `kept` (n,) is true."""
         columns = ("omega", "response", "coherence", "variance", "dof")
         arrays = {name: values[kept] for name in columns if (values := getattr(self, name)) is not None}
-        return replace(self, **arrays)
+        common = None if self.common_errors is None else self.common_errors[:, kept]
+        return replace(self, **arrays, common_errors=common)
 
     def times_s(self, output: str = "") -> "FrequencyResponse":
         """Multiply by jω, e.g. from an angle to its rate; `output` names the new signal."""
@@ -240,12 +286,14 @@ class FrequencyResponse:
 
     def _scaled(self, factor: NDArray[np.complexfloating], output: str, unit: str) -> "FrequencyResponse":
         variance = None if self.variance is None else self.variance * np.abs(factor) ** 2
+        common = None if self.common_errors is None else self.common_errors * factor
         name = output or self.output
         units = {key: value for key, value in self.units.items() if key == self.input}
         with contextlib.suppress(ValueError):  # a unit that is not known has no rate that is
             if self.units.get(self.output):
                 units[name] = to_si(self.units[self.output] + unit).si
-        return replace(self, response=self.response * factor, variance=variance, output=name, units=units)
+        response = self.response * factor
+        return replace(self, response=response, variance=variance, output=name, units=units, common_errors=common)
 
     def __repr__(self) -> str:
         return one_line(
@@ -269,20 +317,16 @@ class FrequencyResponse:
     def to_pandas(self) -> Frame:
         """Return a pandas data frame with the angular frequency in rad/s as index.
 
-        Its columns are ``alpha, beta`` and, if known, ``coherence, variance, dof``; names, units and what the response
-        says about itself stand in ``frame.attrs``.
+        Its other columns are `columns`; names, units and what the response says about itself stand in ``frame.attrs``.
 
         Raises
         ------
         ModuleNotFoundError
             Without pandas, ``pip install 'greybox-id[pandas]'``.
         """
-        columns = {
-            c: v for c in ("alpha", "beta", "coherence", "variance", "dof") if (v := getattr(self, c)) is not None
-        }
         about = {name: getattr(self, name) for name in ("input", "output", "name", "source")}
         return frame_of(
-            columns, self.omega, "omega_rad_s", {**about, "units": dict(self.units), "about": dict(self.about)}
+            self.columns, self.omega, "omega_rad_s", {**about, "units": dict(self.units), "about": dict(self.about)}
         )
 
     def _repr_html_(self) -> str:
@@ -294,7 +338,8 @@ class FrequencyResponse:
 
     def __str__(self) -> str:
         pair = f"{self.input or 'input'} -> {self.output or 'output'}"
-        extras = [c for c in ("coherence", "variance", "dof") if getattr(self, c) is not None]
+        known = {c: getattr(self, c) for c in ("coherence", "variance", "dof", "common_errors")}
+        extras = [name.replace("_", " ") for name, values in known.items() if values is not None]
         return (
             f"{self.name or 'frequency response'}: {pair}, {counted(len(self), 'frequency', 'frequencies')} from "
             f"{self.omega.min():g} to {self.omega.max():g} rad/s" + (f", with {', '.join(extras)}" if extras else "")

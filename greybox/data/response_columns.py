@@ -1,5 +1,6 @@
 """Which columns of somebody's table are a frequency response, and in which units."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -12,6 +13,7 @@ from greybox.data.magnitude_phase import angular_frequency, complex_response
 from greybox.data.text_table import alternatives
 
 EXTRAS = ("coherence", "variance", "dof")
+COMMON = re.compile(r"(alpha|beta)_common(\d+)")  # of common errors, see `FrequencyResponse.columns`
 RECTANGULAR, POLAR = ("alpha", "beta"), ("magnitude", "phase")
 ROLES = ("frequency", *RECTANGULAR, *POLAR, *EXTRAS)
 UNITS = {"frequency": "rad/s or Hz", "magnitude": "absolute or dB", "phase": "deg or rad"}
@@ -73,8 +75,24 @@ def assembled(
     else:
         units = columns["magnitude"].unit, columns["phase"].unit
         response = complex_response(values["magnitude"], values["phase"], *units)
-    extras = {name: values[name] for name in EXTRAS if name in values}
-    return FrequencyResponse(omega, response, **extras, **others)
+    return FrequencyResponse(omega, response, **extras(values), **others)
+
+
+def extras(values: Mapping[str, NDArray[np.float64]]) -> dict[str, Any]:
+    """Return what columns (n,) by name say beside the response, as a `FrequencyResponse` takes it.
+
+    Raises
+    ------
+    ValueError
+        For half of a common error.
+    """
+    known = {name: values[name] for name in EXTRAS if name in values}
+    numbers = sorted({int(match[2]) for name in values if (match := COMMON.fullmatch(name))})
+    half = [f"{part}_common{j}" for j in numbers for part in RECTANGULAR if f"{part}_common{j}" not in values]
+    if half:
+        raise ValueError(f"there is no column {half[0]!r}: give both parts of a common error, or none.")
+    errors = [values[f"alpha_common{j}"] + 1j * values[f"beta_common{j}"] for j in numbers]
+    return known | ({"common_errors": np.array(errors)} if errors else {})
 
 
 def find_column(text: str, header: Sequence[str]) -> Column:

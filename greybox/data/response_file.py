@@ -11,7 +11,7 @@ import numpy as np
 
 from greybox.data.delimited_text import DecimalMark, read_delimited
 from greybox.data.frequency_response import FrequencyResponse, Stretch
-from greybox.data.response_columns import EXTRAS, Column, assembled, stated_columns
+from greybox.data.response_columns import COMMON, EXTRAS, Column, assembled, extras, stated_columns
 from greybox.data.safe_files import require_file, write_text
 from greybox.data.text_table import counted
 
@@ -37,8 +37,8 @@ def read_response(
 ) -> FrequencyResponse:
     """Read a `FrequencyResponse` from a CSV file, or from an HDF5 file that `write_response` wrote.
 
-    The columns of a CSV file are ``omega_rad_s, alpha, beta`` and, if known, ``coherence, variance, dof``; their order
-    and further columns do not matter. A table of several responses names them ``<prefix>alpha`` and so on, with one
+    The columns of a CSV file are ``omega_rad_s`` and those of `FrequencyResponse.columns`; their order and further
+    columns do not matter. A table of several responses names them ``<prefix>alpha`` and so on, with one
     common ``omega_rad_s``; rows in which the chosen response is blank are left out. `input` and `output` choose one of
     a matrix that `write_responses` wrote. Tables with other columns are read
     with ``columns={"frequency": "f:Hz", "magnitude": "mag:dB", "phase": "ph:deg", "coherence": "coh"}``: the name
@@ -108,7 +108,9 @@ def _own_columns(header: Sequence[str], prefix: str) -> dict[str, Column]:
     twice = [name for name in names.values() if header.count(name) > 1]
     if twice:
         raise ValueError(f"has two columns {twice[0]!r}: rename or remove one.")
-    roles = {"frequency": names["omega_rad_s"], **{name: names[name] for name in COLUMNS[1:]}}
+    common = {name.removeprefix(prefix): name for name in header if name.startswith(prefix)}
+    common = {role: name for role, name in common.items() if COMMON.fullmatch(role)}
+    roles = {"frequency": names["omega_rad_s"], **{name: names[name] for name in COLUMNS[1:]}, **common}
     return {role: Column(header.index(name), OWN_UNITS.get(role, "")) for role, name in roles.items() if name in header}
 
 
@@ -118,8 +120,8 @@ def write_response(response: FrequencyResponse, path: str | Path) -> None:
     CSV holds the numbers; before them, in comments ``# key: value``, the names and units of the signals and what the
     response says about itself; after them the stretches of records that they come from. HDF5 also has the names of
     response and source, and a checksum (see `greybox.data.sealed_files`): attributes ``input, output, name, source``
-    and datasets ``omega, alpha, beta`` and, if known, ``coherence, variance, dof``, ``stretches`` (a text for each:
-    checksum, start and end) and ``about`` (texts ``key: value``).
+    and datasets ``omega``, those of `FrequencyResponse.columns`, ``stretches`` (a text for each: checksum, start and
+    end) and ``about`` (texts ``key: value``).
     """
     path = Path(path)
     if path.suffix.lower() in HDF5:
@@ -127,8 +129,7 @@ def write_response(response: FrequencyResponse, path: str | Path) -> None:
 
         write_sealed(path, KIND, lambda file: write_group(file, response))
         return
-    columns = {"omega_rad_s": response.omega, "alpha": response.alpha, "beta": response.beta}
-    columns |= {c: getattr(response, c) for c in EXTRAS if getattr(response, c) is not None}
+    columns = {"omega_rad_s": response.omega, **response.columns}
     rows = zip(*columns.values(), strict=True)
     stated = {name: text for name in ("input", "output") if (text := getattr(response, name))} | _described(response)
     lines = [f"# {key}: {text}" for key, text in stated.items()]
@@ -157,7 +158,7 @@ def write_responses(responses: Sequence[FrequencyResponse], path: str | Path) ->
         prefix = f"{response.output}_{response.input}_"
         if f"{prefix}alpha" in columns:
             raise ValueError(f"two responses are of {response.output} to {response.input}: keep one of them.")
-        known = {name: x for name in COLUMNS[1:] if (x := getattr(response, name)) is not None}
+        known = response.columns
         columns += [prefix + name for name in known]
         for k, omega in enumerate(response.omega.tolist()):
             table.setdefault(omega, {}).update({prefix + name: repr(float(x[k])) for name, x in known.items()})
@@ -179,20 +180,19 @@ def write_group(group: Node, response: FrequencyResponse) -> None:
             import h5py  # noqa: PLC0415  (reading does not need it)
 
             group.create_dataset(name, data=texts, dtype=h5py.string_dtype())
-    for column in ("omega", "alpha", "beta", *EXTRAS):
-        if getattr(response, column) is not None:
-            group[column] = getattr(response, column)
+    for column, values in {"omega": response.omega, **response.columns}.items():
+        group[column] = values
 
 
 def read_group(group: Node) -> FrequencyResponse:
     """Read a `FrequencyResponse` from an HDF5 group."""
-    extras = {column: group[column][()] for column in EXTRAS if column in group}
+    known = {name: item[()] for name, item in group.items() if name in EXTRAS or COMMON.fullmatch(name)}
     lines = list(group["about"][()]) if "about" in group else []
     stated = {match["key"]: match["value"] for line in lines if (match := HEADER.fullmatch(f"# {line}"))}
     texts = _texts(stated, **{name: str(group.attrs[name]) for name in NAMES})
     stretches = [stretch_from(line) for line in group["stretches"][()]] if "stretches" in group else []
     response = group["alpha"][()] + 1j * group["beta"][()]
-    return FrequencyResponse(group["omega"][()], response, **texts, **extras, stretches=stretches)
+    return FrequencyResponse(group["omega"][()], response, **texts, **extras(known), stretches=stretches)
 
 
 def _read_hdf5(path: Path, input: str, output: str, name: str) -> FrequencyResponse:

@@ -16,6 +16,7 @@ from greybox.logs.flight_controllers import axis_of
 from greybox.spectral.test_quality import SATURATED, Finding
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complexfloating]
 
 # Of the response: an error that is smaller everywhere is not worth a word. A tenth of what sine tests of ten periods
 # state, 0.2 to 1 %.
@@ -27,11 +28,15 @@ ONE_STEP = 1.0
 
 @dataclass(frozen=True, eq=False)
 class SystematicError:
-    """One error: what it is of, its standard deviation relative to the response (n,), and what is found."""
+    """One error: what it is of, its standard deviation relative to the response (n,), and what is found.
+
+    `common` (m, n) has it point by point, relative to the response, where all points have it in common.
+    """
 
     about: str
     relative: Array
     finding: Finding
+    common: Complex | None = None
 
 
 def systematic_errors(
@@ -81,7 +86,14 @@ def with_systematic_errors(response: FrequencyResponse, errors: Sequence[Systema
     total = response.variance + added
     dof = None if response.dof is None else response.dof * (total / response.variance) ** 2
     about = {error.about: _size(error.relative) + " of the response, in its variance" for error in errors}
-    return replace(response, variance=total, dof=dof, about={**response.about, **about})
+    common = [error.common * response.response for error in errors if error.common is not None]
+    return replace(
+        response,
+        variance=total,
+        dof=dof,
+        about={**response.about, **about},
+        common_errors=np.vstack(common) if common else None,
+    )
 
 
 def motor_saturation(recording: Recording, control: str, spans: Sequence[tuple[float, float]]) -> list[Finding]:
@@ -101,12 +113,13 @@ def _thinned(
     found = thinning(recording, control, min(start for start, _ in spans), max(end for _, end in spans))
     if found is None:
         return None
-    relative = thinning_error(found, recording, axis, response)
+    common = thinning_error(found, recording, axis, response)
+    relative = np.linalg.norm(common, axis=0)
     text = (
-        f"{found}: {_size(relative)} are added to the standard errors; neighboring frequencies err alike, so that a "
-        f"fitted gain may be off by as much; to log every pass, {found.cure}."
+        f"{found}: {_size(relative)} are added to the standard errors, as an error that all frequencies have in common "
+        f"and a fitted gain has too; to log every pass, {found.cure}."
     )
-    return SystematicError("thinned log", relative, Finding("logging", "note", float(relative.max()), text))
+    return SystematicError("thinned log", relative, Finding("logging", "note", float(relative.max()), text), common)
 
 
 def _rounded(

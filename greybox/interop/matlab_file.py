@@ -75,7 +75,9 @@ def _record(record: Record) -> dict[str, Any]:
 
 
 def _response(response: FrequencyResponse) -> dict[str, Any]:
-    columns = {name: getattr(response, name) for name in ("omega", "response", "coherence", "variance", "dof")}
+    columns = {
+        name: getattr(response, name) for name in ("omega", "response", "coherence", "variance", "dof", "common_errors")
+    }
     texts = {name: getattr(response, name) for name in ("input", "output", "name", "source")}
     return {name: values for name, values in columns.items() if values is not None} | texts
 

@@ -63,6 +63,8 @@ class ResponseDraws:
         Standard deviation of one component of the errors over their sizes, of every part.
     dofs : tuple of (n,) arrays or None
         Degrees of freedom of the sizes, where these were estimated.
+    common : tuple of (m, n) complex arrays or None
+        Errors that all points of a part have in common, which `sizes` and `errors` do not contain.
     constants : (c,) array
         The constants of the problem.
     root : (c, r) array
@@ -79,6 +81,7 @@ class ResponseDraws:
     errors: tuple[Complexes, ...]
     deviations: tuple[float, ...]
     dofs: tuple[Array | None, ...]
+    common: tuple[Complexes | None, ...]
     constants: Array
     root: Array
     unknowns: int
@@ -99,6 +102,9 @@ class ResponseDraws:
         tables = []
         for k, table in enumerate(self.tables):
             measured = self.responses[k] + self.sizes[k] * self._errors(random, k)
+            common = self.common[k]
+            if common is not None:
+                measured = measured + random.standard_normal(len(common)) @ common
             drawn = table.copy()
             drawn[RE], drawn[IM] = measured.real, measured.imag
             tables.append(drawn)
@@ -167,6 +173,10 @@ def response_draws(
     parts = [part for part in nlp.parts if isinstance(part, ResponsePart)]
     responses = [part.response(values) for part in parts]
     sizes = [part.criterion.error_size(r, part.data) for part, r in zip(parts, responses, strict=True)]
+    sizes = [
+        size * np.sqrt(np.maximum(part.data.independent_share, LEAST_LEFT)) if part.criterion.known_noise else size
+        for part, size in zip(parts, sizes, strict=True)
+    ]
     errors = [(part.data.response - r) / size for part, r, size in zip(parts, responses, sizes, strict=True)]
     spreads = [math.sqrt(float(np.mean(np.abs(error) ** 2))) for error in errors]
     for part, spread in zip(parts, spreads, strict=True):
@@ -194,6 +204,7 @@ def response_draws(
         errors=tuple(errors),
         deviations=tuple(deviations),
         dofs=tuple(part.data.dof if part.criterion.known_noise else None for part in parts),
+        common=tuple(part.data.common_errors for part in parts),
         constants=nlp.constant_values,
         root=(vectors * np.sqrt(np.maximum(found, 0.0)))[:, found > 0],
         unknowns=len(x),

@@ -14,7 +14,7 @@ def test_what_it_holds():
     assert_allclose(response.alpha, [1, 0, -0.1])
     assert_allclose(response.beta, [1, 0.5, 0.02])
     text = "u -> theta, 3 frequencies from 1 to 4 rad/s"
-    assert str(response) == f"pitch: {text}, with coherence, variance, dof"
+    assert str(response) == f"pitch: {text}, with coherence, variance, dof, common errors"
     assert str(measured()) == f"frequency response: {text}"
 
 
@@ -52,6 +52,12 @@ def test_values_are_copied_and_read_only():
         ({"variance": [1, np.inf, 1]}, r"variance is inf at index 1"),
         ({"variance": [[1, 1, 1]]}, r"variance must be one-dimensional"),
         ({"dof": [1, -2, 1]}, r"dof is -2 at index 1: it must be above 0\."),
+        ({"common_errors": [0.1, 0.1]}, r"common_errors has shape \(2,\): give finite numbers, a row of 3 for each"),
+        ({"common_errors": [1, np.nan, 0]}, r"common_errors has shape \(3,\): give finite numbers"),
+        (
+            {"variance": [1, 1, 1], "common_errors": [[0, 0.8, 0], [0, 0.8j, 0]]},
+            r"common_errors exceed the variance at omega = 2 rad/s, of which they are a part",
+        ),
     ],
 )
 def test_bad_values_are_refused(words, sentence):
@@ -66,6 +72,7 @@ def test_times_s_multiplies_and_scales_the_variance():
     rate = measured(**EXTRAS).times_s("q")
     assert_allclose(rate.response, 1j * np.array(OMEGA) * RESPONSE)
     assert_allclose(rate.variance, np.array(EXTRAS["variance"]) * np.array(OMEGA) ** 2)
+    assert_allclose(rate.common_errors, 1j * np.array(OMEGA) * EXTRAS["common_errors"])
     assert (rate.input, rate.output) == ("u", "q")
     assert_allclose(rate.coherence, EXTRAS["coherence"])
 
@@ -110,6 +117,7 @@ def test_the_checksum_is_that_of_the_numbers_and_signals():
         {"coherence": [1.0, 1.0, 1.0]},
         {"variance": [1.0, 1.0, 1.0]},
         {"dof": [1.0, 1.0, 1.0]},
+        {"common_errors": [1.0, 1.0, 1.0]},
     ],
 )
 def test_other_data_have_another_checksum(words):
@@ -118,7 +126,7 @@ def test_other_data_have_another_checksum(words):
 
 def test_the_same_numbers_as_another_column_have_another_checksum():
     ones = [1.0, 1.0, 1.0]
-    assert len({measured(**{c: ones}).checksum for c in EXTRAS}) == 3
+    assert len({measured(**{c: ones}).checksum for c in EXTRAS}) == len(EXTRAS)
 
 
 # --- files
@@ -132,3 +140,4 @@ def test_some_points_are_kept_with_all_that_belongs_to_them():
     assert kept.variance.tolist() == [1.0, 3.0]
     assert kept.name == "a"
     assert kept.dof is None
+    assert_allclose(measured(**EXTRAS).where(omega > 1).common_errors, np.array(EXTRAS["common_errors"])[:, 1:])

@@ -23,6 +23,14 @@ def test_what_is_written_is_read_exactly(tmp_path, extras):
     assert [p.name for p in tmp_path.iterdir()] == ["pitch.csv"]
 
 
+def test_one_response_of_a_matrix_keeps_its_common_errors(tmp_path):
+    path = tmp_path / "matrix.csv"
+    one, other = measured(**EXTRAS), measured(omega=[1.0, 3.0, 9.0], output="phi")
+    gb.data.write_responses([one, other], path)
+    assert_same(gb.read_response(path, input="u", output="theta"), one)
+    assert_same(gb.read_response(path, input="u", output="phi"), other)
+
+
 @settings(deadline=None, derandomize=True)
 @given(numbers=st.tuples(*[st.floats(1e-74, 1e74)] * 3))
 def test_any_number_survives_the_file(tmp_path_factory, numbers):
@@ -75,6 +83,7 @@ def test_a_byte_order_mark_and_the_order_of_columns_do_not_matter(tmp_path):
         ("omega,alpha,beta\n1,2,3\n", r"has no column 'omega_rad_s'; it has omega, alpha, beta"),
         ("omega_rad_s,alpha\n1,2\n", r"has no column 'beta'"),
         ("omega_rad_s,alpha,beta\n", r"data\.csv: the frequency response is empty"),
+        ("omega_rad_s,alpha,beta,alpha_common1\n1,2,3,4\n", r"data\.csv: there is no column 'beta_common1': give both"),
         ("omega_rad_s,alpha,beta\n1,2,x\n", r"data\.csv, line 2: beta is 'x', which is not a number"),
         ("omega_rad_s,alpha,beta\n1,2,3\n2,,3\n", r"line 3: alpha is '', which is not a number"),
         ("omega_rad_s,alpha,beta\n,2,3\n", r"line 2: omega_rad_s is '', which is not a number"),

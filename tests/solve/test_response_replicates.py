@@ -10,10 +10,19 @@ def draws(drawn, *, parts=1, points=3, unknowns=4):
     """Draws of parts of so many points each, without noise; frequencies 1, 2, ... tell the points apart."""
     tables = tuple(np.array([1.0 + np.arange(points), np.ones(points), np.zeros(points)]) for _ in range(parts))
     shape = {"responses": (np.ones(points, complex),) * parts, "errors": (np.zeros(points, complex),) * parts}
-    sizes, deviations, dofs = (np.ones(points),) * parts, (0.0,) * parts, (None,) * parts
+    sizes, deviations, unknown = (np.ones(points),) * parts, (0.0,) * parts, (None,) * parts
     none = {"constants": np.zeros(0), "root": np.zeros((0, 0))}
     return ResponseDraws(
-        drawn, 0, tables, sizes=sizes, deviations=deviations, dofs=dofs, unknowns=unknowns, **shape, **none
+        drawn,
+        0,
+        tables,
+        sizes=sizes,
+        deviations=deviations,
+        dofs=unknown,
+        common=unknown,
+        unknowns=unknowns,
+        **shape,
+        **none,
     )
 
 

@@ -22,6 +22,7 @@ from greybox.data.record import Recording
 from greybox.logs.ardupilot.filters import CONTROLLERS, named_filters
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complexfloating]
 
 GYRO_RATE = 1000.0  # Hz, of INS_GYRO_RATE 0; 1, 2, 3 double it as often
 EVERY_PASS = 1.25  # passes a sample of the log, below which it has them all: the rate of the loop is kept within 10 %
@@ -80,10 +81,13 @@ def thinning(recording: Recording, signal: str, start: float, end: float) -> Thi
     return Thinning(loop, logged, kept, count, age / gyro, _cure(parameters, mode))
 
 
-def thinning_error(found: Thinning, recording: Recording, axis: str, response: FrequencyResponse) -> Array:
-    """Return the standard error of a response from a control to an angle or a rate, relative to it, (n,).
+def thinning_error(found: Thinning, recording: Recording, axis: str, response: FrequencyResponse) -> Complex:
+    """Return the errors of a response from a control to an angle or a rate, relative to it, (2, n).
 
-    The D term's share of the control follows from the gains of the rate controller and from the response itself.
+    The first is of the D term, whose share of the control follows from the gains of the rate controller and from the
+    response itself; the second of the age of the newest sample, which is a delay. Each is as large as its standard
+    deviation, and one number times the row at all frequencies: the clocks of gyro and loop drift through a flight from
+    one phase to the next, whatever frequency is flown.
     """
     parameters = recording.metadata.get("parameters", {})
     s = 1j * response.omega
@@ -91,8 +95,7 @@ def thinning_error(found: Thinning, recording: Recording, axis: str, response: F
     share = gain * s * response.response * _first_order(named_filters(recording, axis).get("d-term-filter", ()), s)
     if response.units.get(response.output) == "rad":
         share = share * s * _second_order(float(parameters["INS_GYRO_FILTER"]), s)
-    d_term = np.abs(share) * found.count * _passed(parameters, axis, found.loop)
-    return DRIFTING * np.hypot(d_term, response.omega * found.age)
+    return DRIFTING * np.array([share * found.count * _passed(parameters, axis, found.loop), s * found.age])
 
 
 def _differences(per_pass: float, kept: int) -> tuple[float, float]:

@@ -7,6 +7,7 @@ import pytest
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
+from greybox.identification.systematic_errors import systematic_errors, with_systematic_errors
 from greybox.logs.ardupilot.loop_rate import thinning, thinning_error
 
 LOOP, GYRO = 400.0, 1000.0
@@ -63,7 +64,7 @@ def test_the_error_is_that_of_a_simulated_loop():
     response = FrequencyResponse([omega], [plant], "u", "theta", units={"theta": "rad"})
     flown = log(200)
     found = thinning(flown, "RATE.POut", 0, 20)
-    stated = float(thinning_error(found, flown, "pitch", response)[0])
+    stated = float(np.linalg.norm(thinning_error(found, flown, "pitch", response)))
     assert 0.5 * stated < measured < math.sqrt(3) * stated * 1.05  # uniform between the largest and its negative
 
 
@@ -80,3 +81,17 @@ def test_the_answer_says_how_to_log_instead(settings, cure):
     found = thinning(log(200, **settings), "RATE.POut", 0, 20)
     assert cure in found.cure
     assert str(found) == "every second pass of the control loop was logged (200 of 400 Hz)"
+
+
+def test_a_response_has_it_as_an_error_that_all_frequencies_have_in_common():
+    omega = np.array([4.0, 8.0, 16.0])
+    response = 90 / (1j * omega * (1j * omega + 0.7) * (0.05j * omega + 1))
+    own = (0.002 * np.abs(response)) ** 2
+    measured = FrequencyResponse(omega, response, "u", "theta", variance=own, units={"theta": "rad"})
+    flown = log(200)
+    errors = systematic_errors(flown, flown["RATE"], measured, "RATE.POut", ())
+    wider = with_systematic_errors(measured, errors)
+    common = thinning_error(thinning(flown, "RATE.POut", 0, 20), flown, "pitch", measured) * response
+    assert wider.common_errors == pytest.approx(common)
+    assert wider.variance * wider.independent_share == pytest.approx(own)
+    assert "a fitted gain has too" in errors[0].finding.text
