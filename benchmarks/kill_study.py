@@ -25,6 +25,9 @@ from greybox.models.tilt import LinearTilt
 from greybox.problems import pitch_hover, rotors
 from greybox.study.run_files import RunFiles
 
+# Of the time of the study in one process, after which it is killed: thirty kills go through all of it on two workers.
+SHARES = 0.003, 0.04
+
 
 def record(seed):
     """Return 30 s of a stable plant at 50 Hz: tilt and velocity with noise."""
@@ -97,7 +100,8 @@ def main():
     with tempfile.TemporaryDirectory() as place:
         began = time.perf_counter()
         alone = gb.batch(members(options.starts), Path(place) / "alone", progress=False)
-        say(f"never interrupted, in one process: {time.perf_counter() - began:.1f} s, {alone!r}")
+        took = time.perf_counter() - began
+        say(f"never interrupted, in one process: {took:.1f} s, {alone!r}")
         folder = Path(place) / "killed"
         command = [sys.executable, __file__, "--work", folder, "--starts", str(options.starts)]
         before, killed = 0, 0
@@ -105,7 +109,7 @@ def main():
             with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
                 assert process.stdout is not None
                 process.stdout.readline()
-                time.sleep(rng.uniform(0.2, 3.0))
+                time.sleep(rng.uniform(*SHARES) * took)
                 workers = children(process.pid)
                 if workers and rng.random() < 0.3:
                     os.kill(rng.choice(workers), signal.SIGKILL)
