@@ -6,6 +6,8 @@ python benchmarks/ablation.py [--strategies NAME ...] [--constants [NAME ...]] [
 Every problem is fitted as a user would, `gb.fit(problem, starts=N, seed=s)`: from the declared values and N - 1 Sobol
 points of the declared boxes, once for every seed, with all strategies on and with one of them off. `--without` switches
 several off at once. `--quick` takes the first seed and the problems of less than a second. One process, one thread.
+Starts are screened where nothing is said of their number alone: `--starts 0 --strategies screened_starts` compares
+fits from the default starts.
 
 A run succeeds if it converged to the cost of the best known minimum, to within `within` (0.1: at worst 0.45 standard
 errors along one direction); a fit, if its lowest minimum is that. A cost that is lower by more is no success, since
@@ -196,7 +198,7 @@ def fitted(case: Case, problem: Any, strategies: Strategies, seed: int) -> dict[
     cost, iterations, failure = math.nan, 0, ""
     try:
         method = gb.MultipleShooting(strategies=strategies)
-        fit = gb.fit(problem, starts=case.starts, seed=seed, method=method, progress=False)
+        fit = gb.fit(problem, starts=case.starts or None, seed=seed, method=method, progress=False)
         runs = [run.cost if run.converged else None for run in fit.runs[: case.starts]]
         cost, iterations = fit.cost, sum(run.iterations for run in fit.runs)
     except TooLongError:
@@ -336,7 +338,9 @@ def main() -> None:
     parser.add_argument("--without", nargs="+", choices=switches(), action="append", default=[], metavar="NAME")
     parser.add_argument("--only", nargs="+", choices=list(CASES), help="problems")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
-    parser.add_argument("--starts", type=int, help="of every fit, for all problems; needs its own --raw")
+    parser.add_argument(
+        "--starts", type=int, help="of every fit, for all problems; 0: the default ones; needs its own --raw"
+    )
     parser.add_argument("--quick", action="store_true", help="one seed, and the problems of less than a second")
     parser.add_argument("--raw", type=Path, help="keep every fit there, and go on with what is there")
     parser.add_argument("--output", type=Path, help="write there what is printed")
@@ -345,7 +349,7 @@ def main() -> None:
     seeds = options.seeds[:1] if options.quick else options.seeds
     settings = [Setting(BASE, Strategies())]
     settings += [without(*group) for group in options.without]
-    if options.starts:
+    if options.starts is not None:
         CASES.update({name: replace(case, starts=options.starts) for name, case in CASES.items()})
     every = options.constants is None and not options.without
     chosen = options.strategies if options.strategies is not None else switches() if every else ()

@@ -104,8 +104,8 @@ def main():
         say(f"never interrupted, in one process: {took:.1f} s, {alone!r}")
         folder = Path(place) / "killed"
         command = [sys.executable, __file__, "--work", folder, "--starts", str(options.starts)]
-        before, killed = 0, 0
-        while killed < options.kills:
+        before = 0
+        for kill in range(1, options.kills + 1):
             with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
                 assert process.stdout is not None
                 process.stdout.readline()
@@ -119,9 +119,8 @@ def main():
                     what = ""
                 ended = process.poll() is not None
                 process.kill()
-            killed += 1
             now = kept(folder, options.starts)
-            say(f"kill {killed:2d}: {what}coordinator{' (had ended)' if ended else ''}, {now} runs on disk")
+            say(f"kill {kill:2d}: {what}coordinator{' (had ended)' if ended else ''}, {now} runs on disk")
             assert now >= before, "runs were lost"
             before = now
         began = time.perf_counter()

@@ -284,7 +284,7 @@ class GaussNewton(LocalSolver):
         The first start, the declared values, is among the promising ones in any case, and as it is. Of several that
         lead to one point the best begins there, and the others are tried last, as they are.
         """
-        if not Screening.serves(self._nlp):
+        if not self._settings.screened_starts or not Screening.serves(self._nlp):
             return None
         z = np.array([self._limits.nearest(self._nlp.scaling.to_solver(start)) for start in starts[1:]])
         improved = Screening(self._nlp, self._limits).improved(z)

@@ -133,6 +133,8 @@ def test_runs_from_elsewhere_follow_those_from_the_starts():
 def test_a_number_that_is_asked_for_is_tried_as_it_is():
     fit = gb.fit(lag_problem(), 6, progress=False)
     assert {run.stage for run in fit.runs} == {"polished"}
+    plain = gb.MultipleShooting(strategies=gb.solve.Strategies(screened_starts=False))
+    assert GaussNewton(compile_problem(lag_problem(), plain)).screened(drawn(lag_problem(), 6, 0)) is None
     bound = lag_problem().with_(constraints=[lambda p: p.K - p.T])
     assert not Screening.serves(compile_problem(bound))
 
