@@ -167,13 +167,16 @@ class ResponsePart(PartWithoutNodes):
         # Of isotropic normal errors of deviation s in each component, the mean magnitude is s sqrt(π/2).
         noise = float(errors.mean()) * math.sqrt(2 / math.pi) if errors.size else math.nan
         bread = spread(1.0)[0]
+        offset = None
+        if criterion.gain_bias:
+            offset = criterion.gain_bias * noise**2 * criterion.jacobian(response, response[:, None], data)[:, 0]
 
         def told(directions: Array) -> Array:
             along = jacobian[:, : len(directions)] @ directions
             return bread * (along**2).reshape(2, -1, directions.shape[1]).sum(axis=0).T
 
         reach = np.linalg.norm(jacobian, axis=0)
-        return Information(self, jacobian, len(jacobian), spread, noise, reach, told=told)
+        return Information(self, jacobian, len(jacobian), spread, noise, reach, offset=offset, told=told)
 
 
 class ResponseProgram(Program):

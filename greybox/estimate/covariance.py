@@ -80,6 +80,9 @@ class Accuracy:
         Constraints, and bounds of tied parameters, that hold with equality.
     noise : (parts,) array
         The standard deviation of one component of the relative error, of every part.
+    bias : (k,) array
+        Of the estimate, to first order in the variance of the errors, by what the criteria normalize with: see
+        `AnyCriterion.gain_bias`. What an earlier fit has is not in it.
     white : (p, p) array or None
         The covariance of the free parameters if the cost were the likelihood of white errors: the inverse bread.
     correlation : (parts,) tuple of ColoredErrors or None
@@ -98,6 +101,7 @@ class Accuracy:
     at_bound: tuple[str, ...]
     active: tuple[str, ...]
     noise: Array
+    bias: Array
     white: Array | None = None
     correlation: tuple[ColoredErrors | None, ...] = ()
     informations: tuple[Information, ...] = ()
@@ -108,7 +112,8 @@ class _Share:
     """What one part tells of the unknowns: bread (p, k) against all values, its root (n, p), and meat (p, p).
 
     `jacobian` is the root with a limit on the weight that one part may have beside others, and `reach` (p,) has the
-    lengths of its columns before the initial states were fitted along.
+    lengths of its columns before the initial states were fitted along. `pull` (p,) is the gradient that noise has in
+    the mean at the true values.
     """
 
     bread: Array
@@ -116,6 +121,7 @@ class _Share:
     meat: Array
     jacobian: Array
     reach: Array
+    pull: Array
     dof: float
 
 
@@ -148,6 +154,7 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
     blind = np.hstack([invisible, np.eye(p)[:, bounded]])
     dof = sum(part.numbers for part in parts) - seen.shape[1]
     covariance, contributions, inverse = np.full((k, k), np.nan), (), None
+    bias = np.zeros(k)
     correlation: tuple[ColoredErrors | None, ...] = (None,) * len(parts)
     size = np.concatenate([size, np.ones(k - p)])
     blind = np.vstack([blind, np.zeros((k - p, blind.shape[1]))])
@@ -157,6 +164,7 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
         corrected, correlation, dof = _corrected(parts, shares, before)
         root = _root_of_inverse(corrected, basis)
         inverse, slope = root @ root.T, _slope(corrected, root)
+        bias[:p] = inverse @ sum((share.pull for share in corrected), np.zeros(p))
         contributions, unknown = _contributions(nlp, shares, before, corrected, correlation, root, slope)
         covariance = sum((c for c, _ in contributions), np.zeros((k, k)))
         # What depends on a constant that has no standard error has none either.
@@ -175,6 +183,7 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
         at_bound=at_bound,
         active=holding,
         noise=np.array([part.relative_noise for part in parts]),
+        bias=bias,
         white=inverse,
         correlation=correlation,
         informations=tuple(parts),
@@ -392,12 +401,14 @@ def _share(part: Information, *, p: int, correction: float, dof: float) -> _Shar
     """Return what a part tells of the `p` unknowns, its noise scaled by `correction`."""
     scale, meat = part.spread(correction)
     free, weight = part.jacobian[:, :p], part.part.weight
+    pull = np.zeros(p) if part.offset is None else weight * scale * correction**2 * (free.T @ part.offset)
     return _Share(
         bread=weight * scale * free.T @ part.jacobian,
         root=math.sqrt(weight * scale) * free,
         meat=weight**2 * meat[:p, :p],
         jacobian=math.sqrt(weight * min(scale, 1e12)) * free,
         reach=math.sqrt(weight * min(scale, 1e12)) * part.reach[:p],
+        pull=pull,
         dof=dof,
     )
 

@@ -459,6 +459,7 @@ def _nothing(nlp: Nlp) -> Accuracy:
         (),
         (),
         np.full(len(nlp.parts), np.nan),
+        np.zeros(k),
     )
 
 

@@ -1,9 +1,10 @@
-"""Problems with records, minimized with some parameters held: what a profile of records asks for."""
+"""Problems with records, minimized with parameters or another quantity held: what a profile of records asks for."""
 
 import math
 from collections.abc import Sequence
 from copy import copy
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,10 +21,10 @@ class NoMinimumError(ValueError):
 
 
 class HeldRecords:
-    """The solver of records with the parameters at some places held by their bounds.
+    """The solver of records with the parameters at some places held by their bounds, or a quantity by an equation.
 
     A point is the solver's variables (p,), alone or with the states at the nodes of all parts behind them: from those
-    of a neighbor a solution takes a few iterations. Pickled, it is the problem and the places.
+    of a neighbor a solution takes a few iterations. Pickled, it is the problem and what is held.
 
     Parameters
     ----------
@@ -31,15 +32,31 @@ class HeldRecords:
     shapes : sequence of (int, int)
         Of the nodes of every part.
     places : sequence of int
+    quantity : casadi.Function, optional
+        (z) -> the value of what is held.
     """
 
-    def __init__(self, nlp: Nlp, shapes: Sequence[tuple[int, ...]], places: Sequence[int] = ()) -> None:
+    def __init__(
+        self,
+        nlp: Nlp,
+        shapes: Sequence[tuple[int, ...]],
+        places: Sequence[int] = (),
+        quantity: ca.Function | None = None,
+    ) -> None:
         """Build the solver."""
-        self._nlp, self._shapes, self._places = nlp, list(shapes), list(places)
+        self._nlp, self._shapes, self._places, self._quantity = nlp, list(shapes), list(places), quantity
         self._solver = GaussNewton(nlp)
 
-    def __reduce__(self) -> tuple[type["HeldRecords"], tuple[Nlp, list[tuple[int, ...]], list[int]]]:
-        return HeldRecords, (self._nlp, self._shapes, self._places)
+    def __reduce__(
+        self,
+    ) -> tuple[type["HeldRecords"], tuple[Nlp, list[tuple[int, ...]], list[int], ca.Function | None]]:
+        return HeldRecords, (self._nlp, self._shapes, self._places, self._quantity)
+
+    def of_quantity(self, quantity: ca.Function) -> "HeldRecords":
+        """Return the same for a quantity (z) -> value."""
+        other = copy(self)
+        other._quantity = quantity
+        return other
 
     def of(self, *places: int) -> "HeldRecords":
         """Return the same for the parameters at these places."""
@@ -48,13 +65,14 @@ class HeldRecords:
         return other
 
     def solve(self, start: Array, value: float | Array) -> tuple[Array, float]:
-        """Return the best point with the parameters at a value, or at as many values, and its cost; inf without one."""
+        """Return the best point with what is held at a value, or at as many values, and its cost; inf without one."""
         scaling, p = self._nlp.scaling, len(self._nlp.free)
         x = scaling.to_parameters(start[:p])
         x[self._places] = value
         lower, upper = self._nlp.lower.copy(), self._nlp.upper.copy()
         lower[self._places] = upper[self._places] = x[self._places]
-        solver = self._solver.within(scaling.to_solver(lower), scaling.to_solver(upper))
+        equation = None if self._quantity is None else _equation(self._quantity, start[:p], float(np.ravel(value)[0]))
+        solver = self._solver.within(scaling.to_solver(lower), scaling.to_solver(upper), equation)
         x = np.clip(x, lower, upper)
         sizes = [math.prod(shape) for shape in self._shapes]
         found = None
@@ -65,6 +83,14 @@ class HeldRecords:
         if found is None or not found.converged:
             found = solver.run(x)
         return point_of(self._nlp, found), found.cost if found.converged else math.inf
+
+
+def _equation(quantity: ca.Function, z: Array, value: float) -> ca.Function:
+    """Return (z) -> quantity less value, of slope one at the point z (p,): as steep as a bound is."""
+    point = ca.SX.sym("z", len(z))
+    slope = ca.Function("slope", [point], [ca.jacobian(quantity(point), point)])
+    size = float(np.linalg.norm(np.asarray(ca.DM(slope(z)))))
+    return ca.Function("equation", [point], [(quantity(point) - value) / (size or 1.0)])
 
 
 def best_of_records(nlp: Nlp, x: Array) -> tuple[HeldRecords, Array, float, tuple[Trajectory, ...]]:

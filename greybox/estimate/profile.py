@@ -11,15 +11,18 @@ Biometrika 94.
 With N numbers whose variance is estimated along, as of records, the cost is N/2 log of a sum of squares, and r² is the
 F statistic that this sum gives, N c (exp(2 (C - Ĉ) / N) - 1): exact where the model is linear, however few the numbers.
 
+A relative criterion biases the estimate by b (`Quantity.bias`), so that at the truth r has the mean -b over the standard
+error. The interval is where r plus that is within ± t: as the interval by the standard error, about the value less b.
+
 A parameter is held by its two bounds, any other quantity by an equation: one program for each quantity, whatever the
-number of points. Of records, parameters alone are held (`held_records`).
+number of points. Those of records are in `held_records`.
 """
 
 import math
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -61,6 +64,7 @@ SWEEPS = 3  # over the points, while neighbors improve one another
 CLOSE = 1e-4  # relative, within which IPOPT's barrier leaves what a bound holds
 LOWER = 1e-4  # relative: the smoothing moves costs by up to 6e-5
 LARGEST = 100.0  # logarithm of a ratio of squares, beyond any limit
+MOST_BIAS = 0.9  # of the limit of a contour: its rays begin at the estimate, which must lie within
 
 
 def profile(
@@ -72,7 +76,7 @@ def profile(
     fresh_starts: int | None = None,
     executor: Executor | None = None,
 ) -> Profiles:
-    """Profile the likelihood along parameters and derived quantities of a fit; of records along parameters alone.
+    """Profile the likelihood along parameters and derived quantities of a fit.
 
     What the cost says as a likelihood depends on the criterion:
 
@@ -107,8 +111,7 @@ def profile(
     Raises
     ------
     ValueError
-        Where the criterion admits no likelihood ratio, for manoeuvres, for derived quantities of records, and for a
-        problem that is not the fit's.
+        Where the criterion admits no likelihood ratio, for manoeuvres, and for a problem that is not the fit's.
     LookupError
         If a loaded fit does not know its model.
     RuntimeError
@@ -119,7 +122,7 @@ def profile(
     # What follows from constants alone has the error zero, and no profile.
     known = {q.name: q for q in fit.quantities if q.kind != "fixed" and q.standard_error != 0}
     if fit.records:
-        known = {name: q for name, q in known.items() if q.kind == "free" and not q.at_bound}
+        known = {name: q for name, q in known.items() if not q.at_bound}
     wanted = list(known) if names is None else [names] if isinstance(names, str) else list(names)
     for name in wanted:
         if name not in known:
@@ -243,12 +246,9 @@ class _Held:
         other._places = list(places)
         return other
 
-    def slope(self, x: Array) -> Array:
-        """Return the derivatives (p,) of the held formula by the parameters x (p,)."""
-        assert self._value is not None
-        point = ca.SX.sym("z", len(x))
-        slope = ca.Function("slope", [point], [ca.jacobian(self._value(point), point)])
-        return np.asarray(ca.DM(slope(self._nlp.scaling.to_solver(x)))).ravel() * self._nlp.scaling.slope(x)
+    def of_quantity(self, quantity: ca.Function) -> "_Held":
+        """Return the program for a quantity (z) -> value."""
+        return _Held(self._nlp, (), quantity)
 
     def solve(self, start: Array, value: float | Array) -> tuple[Array, float]:
         """Return the best variables z (p,) with the quantity at a value, from a start, and their cost; inf if none.
@@ -302,6 +302,7 @@ class _Search:
     size: float
     first: float
     starts: Array
+    bias: float = 0.0
 
     def root(self, point: _Point) -> float:
         """Return |r|."""
@@ -309,6 +310,10 @@ class _Search:
         if math.isfinite(self.numbers) and math.isfinite(more):
             more = self.numbers * math.expm1(min(more / self.numbers, LARGEST))
         return math.sqrt(self.factor * more)
+
+    def signed_root(self, point: _Point) -> float:
+        """Return r, negative below the estimate."""
+        return math.copysign(self.root(point), point.value - self.best.value)
 
     def point(self, value: float, *starts: Array) -> _Point:
         """Return the best of what these starts reach."""
@@ -401,19 +406,19 @@ class _Search:
         found: Any = brentq(above, inside.value, outside.value, xtol=CROSSING * outside.value)
         return float(found), "crossed"
 
-    def crossing(self, inside: _Point, outside: _Point) -> float:
-        """Return where |r| is the limit between two points."""
+    def crossing(self, one: _Point, other: _Point, root: float) -> float:
+        """Return where the signed root has a value between two points."""
         from scipy.optimize import brentq  # noqa: PLC0415  (takes a tenth of a second to import)
 
-        ends = {inside.value: self.root(inside), outside.value: self.root(outside)}
+        ends = {point.value: self.signed_root(point) for point in (one, other)}
 
         def above(value: float) -> float:
             if value in ends:
-                return ends[value] - self.limit
-            return self.root(self.point(value, inside.z, outside.z)) - self.limit
+                return ends[value] - root
+            return self.signed_root(self.point(value, one.z, other.z)) - root
 
-        tolerance = 1e-3 * abs(outside.value - inside.value)
-        found: Any = brentq(above, inside.value, outside.value, xtol=max(tolerance, 1e-12 * self.size))
+        tolerance = 1e-3 * abs(other.value - one.value)
+        found: Any = brentq(above, one.value, other.value, xtol=max(tolerance, 1e-12 * self.size))
         return float(found)
 
 
@@ -422,6 +427,13 @@ def _value_of(nlp: Nlp, formula: Formula) -> ca.Function:
     z = ca.SX.sym("z", len(nlp.free))
     named = dict(zip(nlp.names, [*nlp.scaling.expressions(z), *nlp.constant_values], strict=True))
     return ca.Function("value", [z], [ca.SX(formula.evaluate(named))])
+
+
+def _slope_of(nlp: Nlp, value: ca.Function, x: Array) -> Array:
+    """Return the derivatives (p,) of a value (z) by the parameters x (p,)."""
+    z = ca.SX.sym("z", len(x))
+    slope = ca.Function("slope", [z], [ca.jacobian(value(z), z)])
+    return np.asarray(ca.DM(slope(nlp.scaling.to_solver(x)))).ravel() * nlp.scaling.slope(x)
 
 
 def contour(
@@ -487,10 +499,14 @@ def _contour(nlp: Nlp, fit: Fit, first: Quantity, second: Quantity, level: float
         starts=np.zeros((0, len(x))),
     )
     center, bounds = x[places], np.array([first.bounds, second.bounds])
+    bias = np.linalg.solve(axes, [first.bias, second.bias])
+    bias *= min(1.0, MOST_BIAS * limit / max(float(np.linalg.norm(bias)), 1e-300))
     points, ends = [], []
     for angle in 2 * math.pi * np.arange(directions) / directions:
-        ray = axes @ [math.cos(angle), math.sin(angle)]
-        reach, end = search.along(center, ray, bounds)
+        direction = np.array([math.cos(angle), math.sin(angle)])
+        ray, along = axes @ direction, float(direction @ bias)
+        own = replace(search, limit=math.sqrt(limit**2 - bias @ bias + along**2) - along)
+        reach, end = own.along(center, ray, bounds)
         points.append(center + reach * ray)
         ends.append(end)
     return Contour(
@@ -548,8 +564,8 @@ def _profiles(
     for line in lines:
         place = nlp.free.index(line.name) if line.name in nlp.free else None
         if place is None:
-            held = _Held(nlp, (), _value_of(nlp, by_name[line.name]))
-            slope = held.slope(x)
+            value = _value_of(nlp, by_name[line.name])
+            held, slope = best.held.of_quantity(value), _slope_of(nlp, value, x)
         else:
             held, slope = best.held.of(place), np.eye(len(x))[place]
         dof = accuracy.dof if not math.isfinite(line.dof) else line.dof
@@ -569,6 +585,7 @@ def _profiles(
             size=size,
             first=min(first, *(STEP * abs(b - line.value) or math.inf for b in bounds)),
             starts=starts,
+            bias=line.bias / error if error > 0 else 0.0,
         )
         searches.append((nlp, search, line))
     found = call_all(_profile_of, searches, executor, lambda each: counted_off(each, "profiles", "profile"))
@@ -580,14 +597,17 @@ def _profiles(
 
 
 def _profile_of(nlp: Nlp, search: _Search, line: Quantity) -> ProfileOf:
-    (down, low_end), (up, high_end) = search.side(-1), search.side(1)
-    center = len(down) - 1
+    lowest, highest = -search.limit - search.bias, search.limit - search.bias
+    walks = [replace(search, limit=max(limit, STEP * search.limit)) for limit in (-lowest, highest)]
+    (down, low_end), (up, high_end) = walks[0].side(-1), walks[1].side(1)
     points = search.swept([*down[::-1], *up[1:]])
-    roots = np.array([search.root(point) for point in points])
-    inside = np.flatnonzero(roots <= search.limit)
+    roots = np.array([search.signed_root(point) for point in points])
+    inside = np.flatnonzero((roots >= lowest) & (roots <= highest))
+    if not inside.size:  # beyond the bound at which the walk ended
+        inside = np.array([np.argmin(np.abs(roots + search.bias))])
     first, last = inside[0], inside[-1]
-    low = search.crossing(points[first], points[first - 1]) if first > 0 else -math.inf
-    high = search.crossing(points[last], points[last + 1]) if last < len(points) - 1 else math.inf
+    low = search.crossing(points[first - 1], points[first], lowest) if first > 0 else -math.inf
+    high = search.crossing(points[last], points[last + 1], highest) if last < len(points) - 1 else math.inf
     ends: tuple[End, End] = ("crossed" if first > 0 else low_end, "crossed" if last < len(points) - 1 else high_end)
 
     def held(point: _Point, is_open: bool) -> tuple[str, ...]:
@@ -606,11 +626,12 @@ def _profile_of(nlp: Nlp, search: _Search, line: Quantity) -> ProfileOf:
         standard_error=line.standard_error,
         values=np.array([point.value for point in points]),
         costs=np.array([point.cost for point in points]),
-        roots=np.where(np.arange(len(points)) < center, -roots, roots),
+        roots=roots,
         others=nlp.scaling.to_parameters(np.array([point.z[: len(nlp.free)] for point in points])),
         interval=(low, high),
         ends=ends,
         bounds=line.bounds,
+        bias=search.bias,
         at_bound=(held(outer[0], math.isinf(low)), held(outer[1], math.isinf(high))),
         connected=len(inside) == int(last - first) + 1,
     )

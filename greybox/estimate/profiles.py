@@ -35,6 +35,9 @@ class ProfileOf:
         How the profile ended below and above: it "crossed" the limit; reached the "bound" of the parameter, where the
         search ends, below it; is "flat" however far it goes; or "failed" to converge.
     bounds : (float, float)
+    bias : float
+        Of the estimate, in standard errors (`Quantity.bias`): the ends are where the root plus it is at -limit and
+        limit.
     at_bound : (tuple of str, tuple of str)
         Other parameters that a bound holds where the profile crosses the limit below and above: that end follows from
         the bound too, not from the data alone.
@@ -53,6 +56,7 @@ class ProfileOf:
     interval: tuple[float, float]
     ends: tuple[End, End]
     bounds: tuple[float, float]
+    bias: float = 0.0
     at_bound: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
     connected: bool = True
 

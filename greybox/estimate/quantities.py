@@ -42,8 +42,8 @@ def quantities(
     slopes = np.vstack([np.eye(len(nlp.names)), gradients])
     errors = propagate(accuracy, slopes)
     lines = [
-        replace(line, standard_error=float(error), dof=float(dof))
-        for line, error, dof in zip(lines, errors, degrees(accuracy, slopes), strict=True)
+        replace(line, standard_error=float(error), dof=float(dof), bias=float(bias))
+        for line, error, dof, bias in zip(lines, errors, degrees(accuracy, slopes), slopes @ accuracy.bias, strict=True)
     ]
 
     parameters = [line.name for line in lines if line.kind != "derived"]

@@ -39,6 +39,8 @@ class ResponseBand:
         Of real and imaginary part; NaN where the response depends on what the data of the fit do not determine.
     relative_error : (2, n) array
         Standard errors of the logarithm of the magnitude and of the phase in rad.
+    bias : (n,) complex array
+        Of the response, from those of its parameters (`Quantity.bias`): the band is about the response less it.
     """
 
     response: FrequencyResponse
@@ -46,6 +48,7 @@ class ResponseBand:
     dof: float
     covariance: Array
     relative_error: Array
+    bias: Complexes
 
     def __len__(self) -> int:
         return len(self.response)
@@ -56,6 +59,10 @@ class ResponseBand:
         return self.response.omega
 
     @property
+    def _center(self) -> Complexes:
+        return self.response.response - self.bias
+
+    @property
     def half_width(self) -> Array:
         """Half of the widths (2, n) of the band of the logarithm of the magnitude and of the phase in rad."""
         return t_quantile(self.level, self.dof) * self.relative_error
@@ -63,14 +70,14 @@ class ResponseBand:
     @property
     def magnitude(self) -> tuple[Array, Array]:
         """Lower and upper limit (n,) of the magnitude, symmetric in its logarithm."""
-        size = np.abs(self.response.response)
+        size = np.abs(self._center)
         factor = np.exp(self.half_width[0])
         return size / factor, size * factor
 
     @property
     def phase(self) -> tuple[Array, Array]:
         """Lower and upper limit (n,) of the phase, rad."""
-        phase = np.angle(self.response.response)
+        phase = np.angle(self._center)
         return phase - self.half_width[1], phase + self.half_width[1]
 
     def ellipses(self, points: int = 48) -> Complexes:
@@ -82,7 +89,7 @@ class ResponseBand:
         root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
         around = root @ circle
         around[np.isnan(self.covariance).any(axis=(1, 2))] = np.nan
-        return self.response.response[:, None] + around[:, 0] + 1j * around[:, 1]
+        return self._center[:, None] + around[:, 0] + 1j * around[:, 1]
 
     def __repr__(self) -> str:
         return one_line(self, self.response.name, counted(len(self), "frequency", "frequencies"), f"{self.level:g}")
@@ -123,8 +130,12 @@ def band_of(
     places: Sequence[int],
     level: float,
     dof: float,
+    bias: Array,
 ) -> ResponseBand:
-    """Return the band of a response (n,) from its derivatives `slope` (n, k) by parameters at `places` in `known`."""
+    """Return the band of a response (n,) from its derivatives `slope` (n, k) by parameters at `places` in `known`.
+
+    `bias` (k,) is that of these parameters.
+    """
     gradient: Complexes = np.zeros((len(response), len(known.at)), dtype=complex)
     for k, place in enumerate(places):
         gradient[:, place] += slope[:, k]
@@ -139,6 +150,7 @@ def band_of(
         dof=dof,
         covariance=np.where(lost[:, None, None], np.nan, covariance),
         relative_error=np.array([known.errors(relative.real), known.errors(relative.imag)]),
+        bias=slope @ bias,
     )
 
 

@@ -41,6 +41,7 @@ RULES = {criterion.name: criterion.description for criterion in CRITERIA}
 
 MANY = 10  # records up to which the text has a line for each; what it leaves out is in `Fit.records` and `quantities`
 WORST = 3  # records that are named where there are more
+BIASED = 0.3  # of a standard error: a bias from which an interval that does not allow for it loses 1 % of its coverage
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,10 @@ class Quantity:
     at_bound : bool
     dof : float
         Degrees of freedom of Student's t for its interval.
+    bias : float
+        Of the value, by what a relative criterion divides by: noise makes a gain over the measured magnitude too low,
+        over the model's too high. To first order in the variance of the errors. The value has it; intervals are about
+        the value without it.
     """
 
     name: str
@@ -70,6 +75,7 @@ class Quantity:
     at_bound: bool = False
     dof: float = math.inf
     box: tuple[float, float] = (-math.inf, math.inf)
+    bias: float = 0.0
 
     def __repr__(self) -> str:
         value, error = with_error(self.value, self.standard_error)
@@ -276,13 +282,17 @@ class Fit:
         return " ".join(part.data.checksum for part in self.parts)
 
     def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
-        """Return confidence intervals by Student's t, by name; NaN where there is no standard error."""
+        """Return confidence intervals by Student's t, by name; NaN where there is no standard error.
+
+        About the values less their `Quantity.bias`.
+        """
         intervals = {}
         for q in self.quantities:
             if q.kind == "fixed" and not q.standard_error > 0:
                 continue
             half = t_quantile(level, q.dof) * q.standard_error
-            intervals[q.name] = (q.value - half, q.value + half)
+            center = q.value - q.bias
+            intervals[q.name] = (center - half, center + half)
         return intervals
 
     def covariance_of(self, names: Sequence[str]) -> NDArray[np.float64]:
@@ -460,7 +470,9 @@ class Fit:
             delay=stated.delay,
         )
         places = [self.names.index(name) for name in names]
-        return band_of(response, slope, known, places, level, self._fewest_degrees(names))
+        of_all = {q.name: q.bias for q in self.quantities}
+        bias = np.array([of_all[name] for name in names])
+        return band_of(response, slope, known, places, level, self._fewest_degrees(names), bias)
 
     def output_band(
         self, level: float = 0.95, part: int | None = None
@@ -814,7 +826,17 @@ def _error_condition(fit: Fit) -> str:
     conditions = "; ".join(dict.fromkeys(part.condition for part in fit.parts))
     if math.isinf(fit.dof):
         return conditions
-    return f"{conditions}; Student's t with {counted(round(fit.dof), 'degree of', 'degrees of')} freedom"
+    return f"{conditions}; Student's t with {counted(round(fit.dof), 'degree of', 'degrees of')} freedom{_biased(fit)}"
+
+
+def _biased(fit: Fit) -> str:
+    """Name the quantities from whose bias intervals differ, most biased first."""
+    found = [q for q in fit.quantities if abs(q.bias) > BIASED * q.standard_error > 0]
+    found.sort(key=lambda q: -abs(q.bias) / q.standard_error)
+    if not found:
+        return ""
+    named = some([f"{q.name} {-q.bias:+.2g}" for q in found], WORST)
+    return f"; intervals are corrected for the bias by the noise ({named})"
 
 
 def _other_criteria(fit: Fit) -> list[str]:

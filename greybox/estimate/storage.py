@@ -6,8 +6,8 @@ Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``
                  ``cost``, ``dof``, ``seed``, ``starts``, ``seconds``, ``checksum`` (SHA-256 of the data, part by part);
                  JSON attributes ``costs``, ``versions`` and, of a fit from the command line, ``command``; datasets
                  ``warnings`` and, if any, ``notes``.
-``/quantities``  one row per parameter and derived quantity: ``name, value, standard_error, kind, unit, about, bounds,
-                 at_bound, dof``.
+``/quantities``  one row per parameter and derived quantity: ``name, value, standard_error, bias, kind, unit, about,
+                 bounds, at_bound, dof``.
 ``/covariance``  ``names`` (k,) and ``values`` (k, k); if known, ``white`` (p, p) of the free ones for white errors.
 ``/directions``  if known, ``covariance`` (p, p) of the free parameters within the directions that the data determine,
                  and the other directions ``unseen`` (p, b) in multiples of ``size`` (p,), ``at`` the estimate (p,); if
@@ -16,8 +16,8 @@ Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``
 ``/equivalents`` if there is an estimate, the parameter vectors (v, p) that give its response.
 ``/known``       the same, if known, of all the names of the covariance.
 ``/profiles``    if any, attributes ``name, level`` and, as JSON, ``limit, free, warnings``; a group of each profile by
-                 its number: attributes ``name, unit, estimate, standard_error, connected`` and, as JSON, ``ends,
-                 at_bound``; ``values, costs, roots`` (n,), ``others`` (n, p), ``interval`` and ``bounds`` (2,).
+                 its number: attributes ``name, unit, estimate, standard_error, bias, connected`` and, as JSON,
+                 ``ends, at_bound``; ``values, costs, roots`` (n,), ``others`` (n, p), ``interval`` and ``bounds`` (2,).
 ``/runs``        one row per start: ``start`` and ``estimate`` (r, p), ``cost, status, reason, converged, iterations,
                  seconds``, ``minimum`` (the row of ``/minima``, -1 for none); attribute ``free`` names the p columns.
 ``/minima``      ``cost`` (m,), ``estimate`` (m, p), ``variants`` (m,), best first.
@@ -72,9 +72,9 @@ from greybox.solve.outcome import POLISHED, Run
 
 KIND = "fit"
 LAYOUT = 3
-_QUANTITY_NUMBERS = ("value", "standard_error", "bounds", "at_bound", "dof", "box")
+_QUANTITY_NUMBERS = ("value", "standard_error", "bias", "bounds", "at_bound", "dof", "box")
 _PART_TEXTS = ("name", "rule", "condition", "delay", "label", "equation")
-_PROFILE_NUMBERS = ("estimate", "standard_error")
+_PROFILE_NUMBERS = ("estimate", "standard_error", "bias")
 _PROFILE_COLUMNS = ("values", "costs", "roots")
 _CRITERION = ("criterion", "criterion_class", "is_likelihood")
 LINES = "\n\t"  # what texts of several lines hold: docstrings, source, warnings
@@ -189,7 +189,7 @@ def _read_profile(group: Stored, p: int) -> ProfileOf:
     return ProfileOf(
         name=_text(attributes["name"]),
         unit=_text(attributes["unit"]),
-        **{name: float(attributes[name]) for name in _PROFILE_NUMBERS},
+        **{name: float(attributes[name]) for name in _PROFILE_NUMBERS if name in attributes},
         **{name: _array(group[name], (count,)) for name in _PROFILE_COLUMNS},
         others=_array(group["others"], (count, p)),
         interval=(interval[0], interval[1]),
@@ -388,7 +388,8 @@ def _read_costs(stored: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _read_quantities(group: Stored) -> tuple[Quantity, ...]:
-    rows = _rows(group, ("name", "kind", "unit", "about"), _QUANTITY_NUMBERS)
+    numbers = [name for name in _QUANTITY_NUMBERS if name != "bias" or "bias" in group]
+    rows = _rows(group, ("name", "kind", "unit", "about"), numbers)
     for row in rows:
         _require(row["kind"] in ("free", "fixed", "tied", "derived"), f"{row['kind']!r:.40} is not a kind of quantity")
     return tuple(
@@ -400,6 +401,7 @@ def _read_quantities(group: Stored) -> tuple[Quantity, ...]:
             box=(float(row["box"][0]), float(row["box"][1])),
             at_bound=bool(row["at_bound"]),
             dof=float(row["dof"]),
+            bias=float(row.get("bias", 0.0)),
         )
         for row in rows
     )

@@ -144,7 +144,8 @@ class RelativeError(_Relative):
     `normalized` by the "measured" magnitude as in the paper, or by the "model"'s. With relative noise σ in each
     component the first biases the gain by -σ², the second by 2 σ². The standard errors hold for errors that are
     isotropic in the complex plane and of one relative size: Cov = (4/π) s² (JᵀJ)⁻¹, with s the standard deviation of
-    one component.
+    one component. The minimum of n points and p parameters lies below the cost at the truth by p s √(π/2) / π, by which
+    the mean |e| is too small: s is as much larger.
     """
 
     rule: ClassVar[str] = "sum of relative errors, (4.26)"
@@ -158,9 +159,10 @@ class RelativeError(_Relative):
     def spread(
         self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
     ) -> tuple[float, NDArray[np.float64]]:
-        """Noise size from the mean |e|, which for isotropic normal errors is s sqrt(π/2)."""
+        """Noise size from the mean |e|, which for isotropic normal errors is s sqrt(π/2) (1 - p/(π n))."""
         error = np.abs(self.errors(model, data))
-        s = max(float(error.mean()) * math.sqrt(2 / math.pi) * correction, ROUNDING)
+        paid = 1 - 1 / correction**2  # p / (2n)
+        s = max(float(error.mean()) * math.sqrt(2 / math.pi) / (1 - 2 / math.pi * paid), ROUNDING)
         return 0.5 * math.sqrt(math.pi / 2) / s, np.full(2 * len(data), 0.5)
 
 

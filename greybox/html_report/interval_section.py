@@ -29,10 +29,11 @@ def profile_figures(found: Profiles) -> Iterator[Figure]:
     for profile in found.profiles:
         name, limit = profile.name, found.limit[profile.name]
         ends = profile.values[[0, -1]]
+        sides = np.array([ends[0], profile.estimate, profile.estimate, ends[1]])
         inside = np.where(np.isfinite(profile.interval), profile.interval, ends)
         series = [
             Series("interval", "band", inside, np.zeros(2), 0, low=np.zeros(2), high=np.full(2, limit)),
-            Series("limit", "rule", np.zeros(1), np.array([limit]), GRAY),
+            Series("limit", "line", sides, limit + profile.bias * np.array([1, 1, -1, -1]), GRAY),
         ]
         if profile.standard_error > 0:
             reached = np.array([-1, 0, 1]) * 1.6 * limit

@@ -17,6 +17,8 @@ COLUMNS = 3
 def profiles(found: Profiles, axes: Any = None) -> NDArray[Any]:
     """Draw |r|, the root of the likelihood ratio, over every profiled quantity, with the interval and Wald's cone.
 
+    The limit of |r| has a step at the estimate where a relative criterion biases it.
+
     Parameters
     ----------
     found : Profiles
@@ -75,7 +77,8 @@ def _draw(ax: Axes, profile: ProfileOf, limit: float) -> None:
         end if math.isfinite(end) else value
         for end, value in zip(profile.interval, (profile.values[0], profile.values[-1]), strict=True)
     )
-    ax.axhline(limit, color=GRAYS[0], linewidth=0.8)
+    sides = [profile.values[0], profile.estimate, profile.values[-1]]
+    ax.stairs([limit + profile.bias, limit - profile.bias], sides, baseline=None, color=GRAYS[0], linewidth=0.8)
     ax.axvspan(low, high, color=COLORS[0], alpha=0.12, linewidth=0)
     if math.isfinite(profile.standard_error) and profile.standard_error > 0:
         grid = np.array([profile.values[0], profile.estimate, profile.values[-1]])

@@ -1,6 +1,6 @@
 """Bounds and constraints of a problem with records, and the way back to them from a point that violates them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -28,6 +28,16 @@ class Limits:
     low: Array
     high: Array
     constraints: ca.Function
+
+    def with_equation(self, equation: ca.Function) -> "Limits":
+        """Return these limits and an equation (z) -> 0, as two constraints."""
+        z = ca.SX.sym("z", len(self.low))
+        held = equation(z)
+        slope = ca.densify(ca.jacobian(held, z))
+        both = ca.Function("equation", [z], [ca.vertcat(held, -held), ca.vertcat(slope, -slope)])
+        point = ca.MX.sym("z", len(self.low))
+        stacked = [ca.vertcat(*rows) for rows in zip(self.constraints(point), both(point), strict=True)]
+        return replace(self, constraints=ca.Function("constraints", [point], stacked))
 
     def clipped(self, z: Array) -> Array:
         """Return the point within the bounds."""

@@ -84,7 +84,7 @@ def differences(
 
     Each by Welch's t, whose sizes of the errors are those of the two fits, and all of them together by Holm's
     correction. The data must be independent of one another. What both fits hold fixed is taken as known: an error that
-    it has is common to both.
+    it has is common to both. Values are compared less their `Quantity.bias`.
 
     Parameters
     ----------
@@ -114,7 +114,9 @@ def differences(
     if not wanted:
         raise ValueError(f"{titles[0]} and {titles[1]} have no free parameter in common.")
 
-    p_values = [_welch(*((q.value, q.standard_error, q.dof) for q in (one[name], other[name]))) for name in wanted]
+    p_values = [
+        _welch(*((q.value - q.bias, q.standard_error, q.dof) for q in (one[name], other[name]))) for name in wanted
+    ]
     return Differences(
         (titles[0], titles[1]),
         tuple(

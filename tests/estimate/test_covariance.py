@@ -130,7 +130,7 @@ def test_relative_error_has_four_over_pi_s_squared(model, truth, omega):
     fit = fitted(gb.Problem(model, data), truth)
     n, p = len(data), len(fit.free)
     error = np.abs(fit.parts[0].response - data.response) / np.abs(data.response)
-    s = error.mean() * math.sqrt(2 / math.pi) * math.sqrt(2 * n / (2 * n - p))
+    s = error.mean() * math.sqrt(2 / math.pi) / (1 - p / (math.pi * n))
     j = relative_jacobian(fit, model, data)
     same_covariance(fit.covariance_of(fit.free), 4 / math.pi * s**2 * np.linalg.inv(j.T @ j))
     assert fit.dof == 2 * n - p
@@ -142,8 +142,26 @@ def test_relative_error_over_the_model_magnitude():
     magnitude = np.abs(fit.parts[0].response)
     error = np.abs(fit.parts[0].response - data.response) / magnitude
     j = relative_jacobian(fit, Lags(), data) * np.tile(np.abs(data.response) / magnitude, 2)[:, None]
-    s2 = error.mean() ** 2 * 2 / math.pi * len(j) / (len(j) - 4)
-    same_covariance(fit.covariance_of(fit.free), 4 / math.pi * s2 * np.linalg.inv(j.T @ j))
+    s = error.mean() * math.sqrt(2 / math.pi) / (1 - 4 / (math.pi * len(error)))
+    same_covariance(fit.covariance_of(fit.free), 4 / math.pi * s**2 * np.linalg.inv(j.T @ j))
+
+
+def test_intervals_of_relative_criteria_are_about_what_the_likelihood_finds():
+    data = measured(Lags(), np.geomspace(1, 60, 120), LAGS, 0.15)
+    unbiased = fitted(gb.Problem(Lags(), data, criterion=gb.RelativeLikelihood()), LAGS)
+    unbiased_profile = gb.profile(unbiased, "K", fresh_starts=0)["K"]
+    center, error = np.mean(unbiased.interval()["K"]), unbiased.standard_error["K"]
+    assert center == pytest.approx(unbiased.estimate["K"])
+    for normalized, side in (("measured", -1), ("model", 1)):
+        fit = fitted(gb.Problem(Lags(), data, criterion=gb.SquaredRelativeError(normalized=normalized)), LAGS)
+        assert side * (fit.estimate["K"] - center) > error
+        assert np.mean(fit.interval()["K"]) == pytest.approx(center, abs=0.4 * error)
+        profile = gb.profile(fit, "K", fresh_starts=0)["K"]
+        assert_allclose(profile.interval, unbiased_profile.interval, atol=0.4 * error)
+        assert f"bias by the noise (K {'+' if side < 0 else '-'}0." in str(fit)
+        band = fit.response_band(np.array([1.0]))
+        truth = gb.frequency_response(Lags(), unbiased.estimate, [1.0]).response
+        assert np.sqrt(band.magnitude[0] * band.magnitude[1]) == pytest.approx(np.abs(truth), rel=0.01)
 
 
 @pytest.mark.parametrize("criterion", [gb.SquaredRelativeError(), gb.MaximumLikelihood()])
@@ -534,6 +552,7 @@ def coverage():
         ("tilt, 24 points, 5 % noise", "RelativeLikelihood"),
         ("rotor, 9 points, 2 % noise", "MagnitudePhase, coherence"),
         ("two-step, rotor 2 %, then tilt 5 %", "SquaredRelativeError"),
+        ("lags, 40 points, 10 % noise", "SquaredRelativeError"),
     ],
 )
 def test_intervals_hold_the_truth_as_often_as_they_say(coverage, label, criterion):

@@ -48,7 +48,7 @@ def test_derived_quantities_and_their_errors_by_the_delta_method():
 def test_intervals_are_those_of_students_t(level):
     assert LAG.dof == 2 * len(TWO_LAGS_OMEGA) - 2
     for name, (low, high) in LAG.interval(level).items():
-        value = {**LAG.estimate, **LAG.derived}[name]
+        value = {q.name: q.value - q.bias for q in LAG.quantities}[name]
         expected = stats.t.interval(level, LAG.dof, loc=value, scale=LAG.standard_error[name])
         assert (low, high) == pytest.approx(expected, rel=1e-9)
 

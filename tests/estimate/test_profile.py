@@ -52,7 +52,9 @@ def brute_force(fit, model, name, edge, level=0.95):
         return 2 * least_squares(residual, list(others.values()), x_scale="jac", xtol=1e-12, ftol=1e-12).cost
 
     dof = 2 * len(data) - len(names) - 1
-    limit = fit.cost * (1 + student.ppf(0.5 + level / 2, dof) ** 2 / dof)
+    bias = {q.name: q.bias for q in fit.quantities}[name] / fit.standard_error[name]
+    root = student.ppf(0.5 + level / 2, dof) + (bias if edge < start else -bias)
+    limit = fit.cost * (1 + root**2 / dof)
     return brentq(lambda value: lowest(value) - limit, start, edge, rtol=1e-8)
 
 
@@ -191,11 +193,17 @@ def test_a_contour_is_where_the_costs_of_a_dense_grid_cross_the_limit():
     fit = fitted(Lag(), data, gb.SquaredRelativeError())
     found = gb.contour(fit, "K", "T", directions=12)
     assert {*found.ends} == {"crossed"}
-    # Of a model of two parameters nothing is fitted again: 1 + 2 F / dof of the best cost, on the contour itself.
+    # Of a model of two parameters nothing is fitted again: the cost gives the root on the contour itself, and with the
+    # bias of the estimate, in the metric of the covariance, it is √(2 F) from the truth.
     dof = 2 * len(data) - 2
-    limit = fit.cost * (1 + 2 * fisher.ppf(0.95, 2, dof) / dof)
     error = found.points[:, :1] / (1j * data.omega * found.points[:, 1:] + 1) / data.response - 1
-    assert_allclose((np.abs(error) ** 2).sum(axis=1), limit, rtol=1e-3)
+    roots = np.sqrt(dof * ((np.abs(error) ** 2).sum(axis=1) / fit.cost - 1))
+    angle = 2 * np.pi * np.arange(12) / 12
+    axes = np.linalg.cholesky(fit.covariance_of(["K", "T"]))
+    bias = np.linalg.solve(axes, [q.bias for q in fit.quantities if q.kind == "free"])
+    assert np.linalg.norm(bias) > 0.3
+    distance = np.linalg.norm(roots[:, None] * np.array([np.cos(angle), np.sin(angle)]).T + bias, axis=1)
+    assert_allclose(distance, np.sqrt(2 * fisher.ppf(0.95, 2, dof)), rtol=1e-3)
 
 
 def test_a_contour_of_a_ratio_that_is_known_is_open_along_it():

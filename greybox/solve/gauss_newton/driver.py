@@ -97,12 +97,14 @@ class GaussNewton(LocalSolver):
         parts = tuple(excerpts(self._nlp.parts, settings.long_record // 2))
         return GaussNewton(self._nlp, parts, settings=settings)
 
-    def within(self, low: Array, high: Array) -> "GaussNewton":
-        """Return the same solver with other bounds of the variables z (p,)."""
+    def within(self, low: Array, high: Array, equation: ca.Function | None = None) -> "GaussNewton":
+        """Return the same solver with other bounds of the variables z (p,), and an `equation` (z) -> 0 that holds."""
         other = copy(self)
         other._limits = replace(self._limits, low=low, high=high)
+        if equation is not None:
+            other._limits = other._limits.with_equation(equation)
         other._parts = self._parts.within(other._limits)
-        other._coarse = None if self._coarse is None else self._coarse.within(low, high)
+        other._coarse = None if self._coarse is None else self._coarse.within(low, high, equation)
         return other
 
     def refined(self, nlp: Nlp) -> "GaussNewton":
