@@ -448,8 +448,8 @@ def main() -> None:
     tell(
         "largest bias: of the estimate, in its standard deviations, and whose; intervals are corrected for it;\n"
         "error / sd: root mean square of the printed standard error over the actual standard deviation; by gb.fit:\n"
-        "repeats where Newton's method left the bounds or did not converge; differ: largest difference to gb.fit in the first\n"
-        "repeats, in standard errors.\n"
+        "repeats where Newton's method left the bounds or did not converge; differ: largest difference to gb.fit in\n"
+        "the first repeats, in standard errors.\n"
         "Criteria that are not told of errors of several sizes see the same draws, so their coverages vary together."
     )
     for number, case in enumerate(cases()):

@@ -169,7 +169,8 @@ class ResponsePart(PartWithoutNodes):
         bread = spread(1.0)[0]
         offset = None
         if criterion.gain_bias:
-            offset = criterion.gain_bias * noise**2 * criterion.jacobian(response, response[:, None], data)[:, 0]
+            offset = criterion.jacobian(response, response[:, None], data)[:, 0]
+            offset *= criterion.gain_bias * criterion.bias_variance(response, data)
 
         def told(directions: Array) -> Array:
             along = jacobian[:, : len(directions)] @ directions

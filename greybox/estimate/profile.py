@@ -11,8 +11,8 @@ Biometrika 94.
 With N numbers whose variance is estimated along, as of records, the cost is N/2 log of a sum of squares, and r² is the
 F statistic that this sum gives, N c (exp(2 (C - Ĉ) / N) - 1): exact where the model is linear, however few the numbers.
 
-A relative criterion biases the estimate by b (`Quantity.bias`), so that at the truth r has the mean -b over the standard
-error. The interval is where r plus that is within ± t: as the interval by the standard error, about the value less b.
+A relative criterion biases the estimate by b (`Quantity.bias`), so that at the truth r has the mean -b over the
+standard error. The interval is where r plus that is within ± t: as that of the standard error, about the value less b.
 
 A parameter is held by its two bounds, any other quantity by an equation: one program for each quantity, whatever the
 number of points. Those of records are in `held_records`.

@@ -33,8 +33,8 @@ def biased_gains(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
             other = "model" if bias < 0 else "measured"
             yield (
                 f"the residual of {part.name!r} is {100 * noise:.0f} % rms in each component: if that is noise, the "
-                f"gain is about {100 * abs(bias):.0f} % too {'low' if bias < 0 else 'high'}, for which intervals allow; "
-                f"compare with normalized='{other}', which errs in the other direction."
+                f"gain is about {100 * abs(bias):.0f} % too {'low' if bias < 0 else 'high'}, for which intervals "
+                f"allow; compare with normalized='{other}', which errs in the other direction."
             )
 
 
