@@ -176,7 +176,7 @@ class SquaredRelativeError(_Relative):
 
     `normalized` as in `RelativeError`. The standard errors s² (JᵀJ)⁻¹ hold for errors of one relative size. Points that
     noise makes small weigh too much over the measured magnitude: with noise of 10 % in each component 95 % intervals
-    hold in 94 %, with 20 % in 89 to 94 % (``benchmarks/coverage.py``); `RelativeLikelihood` has neither that nor a bias.
+    hold in 94 %, with 20 % in 89 to 94 % (``benchmarks/coverage.py``). `RelativeLikelihood` has no such bias.
     """
 
     rule: ClassVar[str] = "sum of squared relative errors"

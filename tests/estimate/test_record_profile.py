@@ -99,6 +99,34 @@ def test_regions_of_two_parameters_are_those_of_refits():
     assert scale * ratio == pytest.approx(2 * fisher.ppf(0.95, 2, found.dof), rel=0.15)
 
 
-def test_derived_quantities_of_records_are_not_profiled(windy):
+def test_a_constant_has_no_profile(windy):
     with pytest.raises(ValueError, match="there is no 'd' to profile"):
         gb.profile(windy[1], "d")
+
+
+class Damped(gb.StateSpace):
+    """The spring by its damping ratio."""
+
+    states, inputs, outputs = ("x", "v"), ("F",), ("x", "v")
+    k, b = Spring.k, Spring.b
+    zeta = gb.Parameter(0.2, bounds=(0, 2))
+
+    def derivative(self, x, u, p):
+        return (x.v, -p.k * x.x - 2 * p.zeta * gb.sqrt(p.k) * x.v + p.b * u.F)
+
+    def output(self, x, u, p):
+        return (x.x, x.v)
+
+
+class WithRatio(Spring):
+    derived = {"zeta": lambda p: p.c / (2 * gb.sqrt(p.k))}
+
+
+def test_the_profile_of_a_derived_quantity_is_that_of_the_parameter_in_another_model():
+    record = disturbed(Spring(), TRUTH, doublets(1, 60, 1.0, 1), 0.05, {}, {"x": 0.3, "v": 0.5}, 1)
+    rule = gb.OutputError(inputs="held")
+    found = gb.profile(fit(gb.Problem(WithRatio(), record, rule)), "zeta")["zeta"]
+    low, high = found.interval
+    assert high - found.estimate > 1.15 * (found.estimate - low)
+    profiled = gb.profile(fit(gb.Problem(Damped(), record, rule)), "zeta")["zeta"]
+    assert_allclose(found.interval, profiled.interval, rtol=1e-5)
