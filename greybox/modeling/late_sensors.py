@@ -9,6 +9,7 @@ from greybox.modeling.model import Names
 from greybox.modeling.pade_delay import pade_rows, pade_steady
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.state_space import StateSpace
+from greybox.modeling.symbolic_reading import as_list
 
 ORDER = 2  # of the Padé approximation: half a degree of phase at one radian, 7° at two
 NOTHING: Mapping[str, tuple[float, float]] = MappingProxyType({})
@@ -64,7 +65,7 @@ class LateSensors(StateSpace):
     def derivative(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
         """Return that of the model, then those of the sensors."""
         true = self._true(x, u, p)
-        rows = list(self.model.derivative(x, u, p)) if self.model.states else []
+        rows = as_list(self.model.derivative(x, u, p)) if self.model.states else []
         for output, (name, states) in self.late.items():
             rows += self._sensor(true[output], [x[state] for state in states], p[name])[1]
         return rows
@@ -91,9 +92,7 @@ class LateSensors(StateSpace):
         return {name: value for name, value in found.items() if name not in at}
 
     def _true(self, x: Any, u: Any, p: Any) -> dict[str, Any]:
-        values = self.model.output(x, u, p)
-        values = values if isinstance(values, (tuple, list)) else [values]
-        return dict(zip(self.outputs, values, strict=True))
+        return dict(zip(self.outputs, as_list(self.model.output(x, u, p)), strict=True))
 
     @staticmethod
     def _sensor(true: Any, x: list[Any], time: Any) -> tuple[Any, list[Any]]:

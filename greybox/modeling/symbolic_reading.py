@@ -65,6 +65,11 @@ def derivative_function(model: StateSpace) -> ca.Function:
     return ca.Function("derivative", [z, p], [traced_derivative(model, z, p)])
 
 
+def as_list(result: Any) -> list[Any]:
+    """Return what a derivative or an output returns as a list: a single one needs no tuple."""
+    return list(result) if isinstance(result, (tuple, list)) else [result]
+
+
 def column(owner: str, values: Sequence[Any]) -> ca.SX:
     """Stack scalar expressions, saying which one is not an expression."""
     for k, value in enumerate(values):
@@ -89,7 +94,7 @@ def _traced_column(
 ) -> ca.SX:
     owner = f"{model.label}.{what}"
     result = traced(owner, formula, *split(model, z), parameter_names(model, p))
-    values = list(result) if isinstance(result, (tuple, list)) else [result]
+    values = as_list(result)
     if len(values) != len(names):
         raise ValueError(
             f"{owner} returns {len(values)} values but there are {len(names)} "

@@ -58,7 +58,7 @@ class Pendulum(gb.StateSpace):
         return (x.rate, u.torque - p.k * gb.sin(x.angle) - x.rate)
 
     def output(self, x, u, p):
-        return (x.angle,)
+        return x.angle
 
     def trim(self, at, p):
         return {"torque": p.k * gb.sin(at.angle)}
@@ -71,6 +71,25 @@ def test_at_a_trim_of_the_model_sensors_rest_too():
         point = gb.modeling.linearize(model, values, {"angle": 0.5}).point
         shown = model.output(Names(point), Names(point), Names(values))
         assert float(shown[0]) == pytest.approx(0.5)
+
+
+class Decay(gb.StateSpace):
+    """With one derivative and one output."""
+
+    states, inputs, outputs = ("y",), ("u",), ("y",)
+    a = gb.Parameter(2.0, bounds=(0.1, 5))
+
+    def derivative(self, x, u, p):
+        return u.u - p.a * x.y
+
+    def output(self, x, u, p):
+        return x.y
+
+
+def test_a_single_derivative_or_output_needs_no_tuple():
+    model = gb.modeling.late_sensors(Decay(), lags={"y": (0.01, 0.2)})
+    s = 1j * np.array([1.0, 5.0])
+    assert_allclose(gb.frequency_response(model, {"y_lag": 0.1}, s.imag).response, 1 / ((s + 2) * (0.1 * s + 1)))
 
 
 def test_what_is_no_late_sensor_is_refused():
