@@ -6,12 +6,13 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from greybox.data.text_table import counted, number
+from greybox.data.text_table import counted
 from greybox.estimate.profiles import Profiles
 from greybox.estimate.result import Fit
 from greybox.html_report.elements import tag
 from greybox.html_report.figure import Figure, Panel, Series, figure_grid
 from greybox.html_report.tables import Cell, number_cell, table
+from greybox.study.bootstrap import interval_text
 
 GRAY = -1
 
@@ -68,15 +69,9 @@ def bootstrap_table(said: Mapping[str, Any]) -> list[Element]:
     rows = []
     for name, q in said["quantities"].items():
         errors = (number_cell(q[key], 3) for key in ("standard_error", "fit_standard_error", "bias"))
-        ends = (Cell(_range(*q[method]), q[method][0]) for method in ("percentile", "bca"))
+        ends = (Cell(interval_text(q[method]), (q[method] or [None])[0]) for method in ("percentile", "bca"))
         rows.append([Cell(name), number_cell(q["estimate"]), *errors, Cell(q["unit"]), *ends])
     percent = f"{100 * said['level']:g} %"
     header = ["quantity", "estimate", "± error", "± error of the fit", "bias", "unit"]
     found = table([*header, f"{percent} percentile", f"{percent} BCa"], rows)
     return [tag("p", f"Bootstrap: {about}."), found, *(tag("p", text) for text in said["warnings"])]
-
-
-def _range(low: float | None, high: float | None) -> str:
-    if low is None:
-        return "open" if high is None else f"below {number(high)}"
-    return f"above {number(low)}" if high is None else f"{number(low)} to {number(high)}"

@@ -8,7 +8,7 @@ Hinkley (1997), Bootstrap Methods and their Application.
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -206,7 +206,7 @@ class Bootstrap:
                 number(float(self.given_error[k]), 3),
                 number(bias[name], 2),
                 self.units[k],
-                *(_range(found[name]) for found in both),
+                *(interval_text(_ends(found[name])) for found in both),
             ]
             for k, name in enumerate(self.names)
         ]
@@ -215,7 +215,7 @@ class Bootstrap:
         return "\n".join([title, "", *table, "", *warnings, f"  {self.seconds:.2f} s; seed {self.seed}"])
 
     def summary(self, level: float = 0.95) -> dict[str, Any]:
-        """Return everything but the replicates as plain values, for JSON; None for an open side."""
+        """Return everything but the replicates as plain values, for JSON; None for an open side, or no interval."""
         error, bias, at_bound = self.standard_error, self.bias, self.at_bound
         intervals = {method: self.interval(level, method) for method in get_args(Method)}
         return {
@@ -236,7 +236,7 @@ class Bootstrap:
                     "bias": finite(bias[name]),
                     "acceleration": finite(float(self._acceleration[k])),
                     "at_bound": list(at_bound[name]),
-                    **{method: [finite(end) for end in found[name]] for method, found in intervals.items()},
+                    **{method: _ends(found[name]) for method, found in intervals.items()},
                 }
                 for k, name in enumerate(self.names)
             },
@@ -249,15 +249,18 @@ def _is_at(value: float, bound: float) -> bool:
     return math.isfinite(bound) and abs(value - bound) <= CLOSE * max(abs(bound), abs(value))
 
 
-def _range(interval: tuple[float, float]) -> str:
-    low, high = interval
-    if math.isnan(low) or math.isnan(high):
+def _ends(interval: tuple[float, float]) -> list[float | None] | None:
+    return None if any(map(math.isnan, interval)) else [finite(end) for end in interval]
+
+
+def interval_text(ends: Sequence[float | None] | None) -> str:
+    """Return an interval of `Bootstrap.summary` as text."""
+    if ends is None:
         return "-"
-    if math.isinf(low) and math.isinf(high):
-        return "open"
-    if math.isinf(high):
-        return f"above {number(low)}"
-    return f"below {number(high)}" if math.isinf(low) else f"{number(low)} to {number(high)}"
+    low, high = ends
+    if low is None:
+        return "open" if high is None else f"below {number(high)}"
+    return f"above {number(low)}" if high is None else f"{number(low)} to {number(high)}"
 
 
 def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)

@@ -2,6 +2,7 @@
 
 import json
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from scipy.signal import lfilter
 import greybox as gb
 from greybox.cli.main import main
 from greybox.compiled.compiled_problem import compile_problem
+from greybox.html_report.elements import html
+from greybox.html_report.interval_section import bootstrap_table
 from greybox.problems import pitch_hover, yaw_hover
 from greybox.solve.response_replicates import response_draws
 
@@ -172,6 +175,17 @@ def test_what_cannot_be_drawn_is_refused(lag):
     exact = gb.fit(gb.Problem(Lag(), measured(Lag(), OMEGA, {"K": 2.0, "T": 0.3})), starts=8, progress=False)
     with pytest.raises(ValueError, match="fitted exactly"):
         gb.bootstrap(exact)
+
+
+def test_an_estimate_beyond_all_replicates_has_no_interval(lag):
+    found = gb.bootstrap(lag, replicates=10, progress=False)
+    said = replace(found, estimate=found.estimate + 9).summary()
+    assert said["quantities"]["K"]["bca"] is None
+    low, high = found.interval(method="percentile")["K"]
+    assert said["quantities"]["K"]["percentile"] == [low, high]
+    shown = "".join(map(html, bootstrap_table(said)))
+    assert f"{low:.5g} to {high:.5g}" in shown
+    assert "open" not in shown
 
 
 def test_the_command_prints_what_the_function_finds(pitch, tmp_path, capsys):
