@@ -158,7 +158,8 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
     correlation: tuple[ColoredErrors | None, ...] = (None,) * len(parts)
     size = np.concatenate([size, np.ones(k - p)])
     blind = np.vstack([blind, np.zeros((k - p, blind.shape[1]))])
-    if dof > 0 and all(np.all(np.isfinite(share.bread)) for share in shares):
+    known_noise = all(part.criterion.known_noise for part in nlp.problem.parts)
+    if (dof > 0 or known_noise) and all(np.all(np.isfinite(share.bread)) for share in shares):
         basis = seen * size[:p, None]
         before = _root_of_inverse(shares, basis)
         corrected, correlation, dof = _corrected(parts, shares, before)
@@ -177,7 +178,7 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
         covariance=covariance,
         blind=blind,
         size=size,
-        dof=math.inf if all(part.criterion.known_noise for part in nlp.problem.parts) else float(max(dof, 0)),
+        dof=math.inf if known_noise else float(max(dof, 0)),
         shares=contributions,
         combinations=combinations,
         at_bound=at_bound,

@@ -11,8 +11,8 @@ from greybox.planning import choose_tests, expected_errors
 from greybox.planning.optimal_design import optimal_shares, size_of_errors
 
 
-def response(low, high, noise=0.02, rename=None):
-    omega = np.geomspace(low, high, 8)
+def response(low, high, noise=0.02, rename=None, points=8):
+    omega = np.geomspace(low, high, points)
     exact = gb.frequency_response(LagLagDelay(), TWO_LAGS, omega).response
     data = gb.FrequencyResponse(omega, exact, input="u", output="y", variance=(noise * np.abs(exact)) ** 2)
     return gb.Problem(LagLagDelay(), data, gb.MaximumLikelihood(), rename=rename or {})
@@ -78,6 +78,17 @@ def test_axes_share_what_they_have_in_common():
     both = choose_tests(axes, values, seconds=160, optimal="D")
     assert all(np.isfinite(list(both.standard_error.values())))
     assert set(both.repeats.values()) == {2}  # what each tells is its own, but for the delay
+
+
+def test_single_sines_are_tests_too():
+    """Each gives two numbers, which four parameters are not fitted to; three of them determine all."""
+    sines = {f"{omega:g}": (response(omega, omega, points=1), 10.0) for omega in (0.5, 3.0, 12.0)}
+    found = choose_tests(sines, TWO_LAGS, seconds=30, optimal="D")
+    assert set(found.repeats.values()) == {1}
+    together = expected_errors(sum(problem for problem, _ in sines.values()), TWO_LAGS)
+    assert found.standard_error == pytest.approx(together.standard_error, rel=1e-6)
+    with pytest.raises(ValueError, match=r"no test tells .* apart: fix one of them, or add a test"):
+        choose_tests({"3": sines["3"]}, TWO_LAGS, seconds=30)
 
 
 @pytest.mark.parametrize(
