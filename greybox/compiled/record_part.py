@@ -239,7 +239,7 @@ class RecordPart(Part):
         counts = np.isfinite(part.data.measured).sum(axis=1)
         part.covariance = replace(self.covariance, counts=counts)
         part._placed_data = None
-        for made in ("_measured", "_at_nodes"):
+        for made in ("_measured", "at_nodes", "noise_model"):
             vars(part).pop(made, None)
         return part
 

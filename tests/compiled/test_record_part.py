@@ -191,3 +191,15 @@ def test_an_excerpt_and_a_refinement_are_parts_of_their_own(made):
     assert part.data.samples == 2 * (part.data.samples // 2)
     coarse, fine = (p.trajectory(z, p.initial_trajectory(z).nodes).ends for p in (part, finer))
     assert 0 < np.abs(coarse - fine).max() < 1e-3
+
+
+def test_other_outputs_make_the_part_of_the_record_that_has_them():
+    record = spring(60)
+    shifted = record.with_signals(x=record["x"] + 5.0)  # so far from zero that the first nodes are as measured
+    part, z = part_of(record)
+    before = part.initial_trajectory(z)
+    other = part.with_outputs([np.array([shifted[name] for name in part.outputs])]).initial_trajectory(z)
+    wanted = part_of(shifted)[0].initial_trajectory(z)
+    assert np.abs(wanted.nodes - before.nodes).max() > 1
+    assert_allclose(other.nodes, wanted.nodes)
+    assert_allclose(other.products, wanted.products)
