@@ -150,7 +150,7 @@ class IpoptSolver(LocalSolver):
 
     def __reduce__(self) -> tuple[Callable[..., "IpoptSolver"], tuple[Any, ...]]:
         """Return what builds the same solver."""
-        return IpoptSolver, (self._nlp, dict(self._options))
+        return type(self), (self._nlp, dict(self._options))
 
     def run(self, start: Array, smoothing: float = SMOOTHING) -> Outcome:
         """Solve from the parameters `start` (p,)."""
@@ -214,7 +214,7 @@ class IpoptSolver(LocalSolver):
 
     def refined(self, nlp: Nlp) -> "IpoptSolver":
         """Return the solver of another problem with the same options."""
-        return IpoptSolver(nlp, self._options)
+        return type(self)(nlp, self._options)
 
     def polished(self, search: Multistart) -> Multistart:
         """Return the search with the minima close to the best (after Ctrl-C: the best) solved with less smoothing."""

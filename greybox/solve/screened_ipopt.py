@@ -1,8 +1,5 @@
 """IPOPT, behind a comparison of the starts: each is evaluated once before the promising ones are run."""
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,14 +18,6 @@ class ScreenedIpopt(IpoptSolver):
 
     promising = (8, 4)
 
-    def __reduce__(self) -> tuple[Callable[..., "ScreenedIpopt"], tuple[Any, ...]]:
-        """Return what builds the same solver."""
-        return type(self), (self._nlp, dict(self._options))
-
-    def refined(self, nlp: Nlp) -> "ScreenedIpopt":
-        """Return the solver of another problem with the same options."""
-        return type(self)(nlp, self._options)
-
     def screened(self, starts: Array) -> Screened:
         """Compare the starts (r, p) by their merits."""
         found = merits(self._nlp, self._nlp.scaling.to_solver(starts).T)
@@ -37,8 +26,6 @@ class ScreenedIpopt(IpoptSolver):
 
 def merits(nlp: Nlp, z: Array) -> Array:
     """Return the smoothed costs at the columns of z (p, m), with what constraints are missed by: (m,)."""
-    count = z.shape[1]
-    program = (nlp.locating or nlp.program).map(count)
-    costs, limits = (np.asarray(value) for value in program(z, np.full((1, count), SMOOTHING)))
+    costs, limits = (value.full() for value in (nlp.locating or nlp.program)(z, SMOOTHING))
     found = costs.ravel() + VIOLATION_WEIGHT * np.maximum(-limits, 0).sum(axis=0)
     return np.where(np.isfinite(found), found, np.inf)
