@@ -1,6 +1,5 @@
 """The compiled problem: its parts and constraints as functions of the solver's variables, built once for all starts."""
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -9,7 +8,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.explicit_program import derivatives_at, responses_at, roots_of
+from greybox.compiled.explicit_program import derivatives_at, explicit_program, roots_of
+from greybox.compiled.limits import limits_of, stacked
 from greybox.compiled.part import Part
 from greybox.compiled.record_part import compile_records
 from greybox.compiled.response_map import LARGE, Mapped, lagrangian_hessian
@@ -29,7 +29,6 @@ from greybox.formulation.sum import Sum
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.harmonic_balance import harmonic_function
 from greybox.modeling.linear_response import formula_at_one_frequency, response_formula
-from greybox.modeling.model import Names
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.trim import Trimmed
 
@@ -172,45 +171,59 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         raise ValueError(f"no parameter of {problem.name!r} is free: {cure}.")
     scaling = scaling_of([parameters[name] for name in free])
     constant_values = np.array([parameters[name].start for name in constants])
+    names = (*free, *constants)
     responding = [part for part in problem.parts if isinstance(part.data, FrequencyResponse)]
     mapped = _mapped(responding)
     formulas = [] if mapped else [_formula(part) for part in responding]
     models = [m.function() for m in mapped] if mapped else [_closed(formula) for formula in formulas]
     # A trim that is found by Newton's method and a mapped response exist as MX only; everything else is faster as SX.
     kind: Any = ca.SX if all(f.is_a("SXFunction") for f in models) else ca.MX
+    limits = limits_of(problem, kind)
 
-    def trace(values: list[Any]) -> tuple[list[Complex], dict[str, Any]]:
-        """Return the response of every part and the limits by label, for values in the order free, constants."""
-        named = dict(zip((*free, *constants), values, strict=True))
-        local = [part.local_values(named) for part in problem.parts]
-        own = [p for part, p in zip(problem.parts, local, strict=True) if part in responding]
-        responses = [Complex(*f(ca.vertcat(*p.values()))) for f, p in zip(models, own, strict=True)]
-        limits = [item for part, p in zip(problem.parts, local, strict=True) for item in limits_of(part, p).items()]
-        return responses, dict(limits)
+    def at(point: Any) -> dict[str, Any]:
+        """Return all values by name, at a point of the solver."""
+        return dict(zip(names, [*scaling.expressions(point), *constant_values], strict=True))
 
-    x = kind.sym("x", len(free) + len(constants))
-    responses, limits = trace(ca.vertsplit(x))
-    costs = [_criterion(part).cost(r, part.response) for part, r in zip(responding, responses, strict=True)]
+    def modeled(named: Mapping[str, Any]) -> list[Complex]:
+        """Return the response of every part."""
+        each = zip(models, responding, strict=True)
+        return [Complex(*model(ca.vertcat(*part.local_values(named).values()))) for model, part in each]
 
-    z, smoothing = kind.sym("z", len(free)), kind.sym("smoothing")
-    scaled, scaled_limits = trace([*scaling.expressions(z), *constant_values])
-    scaled_limit = ca.vertcat(kind(0, 1), *scaled_limits.values())
-    own_cost = _costs(responding, scaled, smoothing, _criterion)
-    point = ca.SX.sym("z", len(free))
-    named = dict(zip((*free, *constants), [*scaling.expressions(point), *constant_values], strict=True))
+    x = kind.sym("x", len(names))
+    by_name = dict(zip(names, ca.vertsplit(x), strict=True))
+    responses = modeled(by_name)
+    costs = _costs(responding, responses, 0.0, _criterion)
+    z, smoothing, point = kind.sym("z", len(free)), kind.sym("smoothing"), ca.SX.sym("z", len(free))
+    scaled, named = modeled(at(z)), at(point)
+    scaled_limits = stacked(limits, at(z), kind)
 
     trimmed = [formula for formula in formulas if isinstance(formula, Trimmed)] if kind is ca.MX else []
     roots = None
     if trimmed and len(trimmed) == len(responding):
-        values = dict(zip((*free, *constants), [*scaling.expressions(z), *constant_values], strict=True))
-        roots = ca.Function("roots", [z], [roots_of(responding, trimmed, values)])
-    statement = _Statement(
-        problem, responding, mapped, trimmed, roots, z, smoothing, scaled, scaled_limit, point, named
-    )
-    own, located = statement.in_criterion("program", _criterion), None
-    if any(_criterion(part).locator is not None for part in responding):
-        located = statement.in_criterion("locating", _locator)
+        roots = ca.Function("roots", [z], [roots_of(responding, trimmed, at(z))])
 
+    def stated(name: str, choose: Callable[[Problem], Criterion], costs: list[Any]) -> _Stated:
+        """Return the program in one criterion, of these costs."""
+        program = ca.Function(name, [z, smoothing], [kind(_weighted(responding, costs)), scaled_limits])
+        if mapped:
+            hessian = _composed_hessian(responding, mapped, named, point, stacked(limits, named, ca.SX), choose)
+            return _Stated(program, {"hess_lag": hessian})
+        if roots is None:
+            return _Stated(program, {}, (program,) if kind is ca.SX else ())
+        explicit = explicit_program(
+            responding,
+            trimmed,
+            named,
+            point,
+            lambda found, smoothing: _weighted(responding, _costs(responding, found, smoothing, choose)),
+            stacked(limits, named, ca.SX),
+        )
+        return _Stated(program, derivatives_at(roots, explicit), (explicit,))
+
+    own_costs = _costs(responding, scaled, smoothing, _criterion)
+    own, located = stated("program", _criterion, own_costs), None
+    if any(_criterion(part).locator is not None for part in responding):
+        located = stated("locating", _locator, _costs(responding, scaled, smoothing, _locator))
     compiled_responses = {
         part: ResponsePart(
             problem=part,
@@ -218,7 +231,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
             model_response=ca.Function("response", [x], [ca.vertcat(response.re, response.im)]),
             scaled_response=ca.Function("response", [z], [kind(ca.vertcat(scaled_response.re, scaled_response.im))]),
         )
-        for part, cost, response, scaled_response in zip(responding, own_cost, responses, scaled, strict=True)
+        for part, cost, response, scaled_response in zip(responding, own_costs, responses, scaled, strict=True)
     }
     method = method or MultipleShooting()
     compiled: dict[Problem, Part] = {**compiled_responses}
@@ -242,8 +255,8 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         program_derivatives=own.derivatives,
         explicit=(*(located.explicit if located else ()), *own.explicit),
         roots=roots,
-        constraint=ca.Function("constraint", [x], [ca.vertcat(kind(0, 1), *limits.values())]),
-        limits=tuple(limits),
+        constraint=ca.Function("constraint", [x], [stacked(limits, by_name, kind)]),
+        limits=tuple(limit.label for limit in limits),
         response_cost=ca.Function("cost", [x], [ca.vertcat(kind(0, 1), *costs)]),
         responses=ca.Function(
             "responses", [x], [ca.vertcat(kind(0, 1), *[r.re for r in responses], *[r.im for r in responses])]
@@ -257,63 +270,7 @@ class _Stated(NamedTuple):
 
     program: ca.Function
     derivatives: dict[str, ca.Function]
-    explicit: tuple[ca.Function, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class _Statement:
-    """Responses and constraints, from which programs in several criteria are made.
-
-    Those of (z, smoothing) are SX or MX; `point` and the `named` values are SX in any case.
-    """
-
-    problem: AnyProblem
-    responding: list[Problem]
-    mapped: list[Mapped] | None
-    trimmed: list[Trimmed]
-    roots: ca.Function | None
-    z: Any
-    smoothing: Any
-    responses: list[Complex]
-    limits: Any
-    point: ca.SX
-    named: Mapping[str, Any]
-
-    def in_criterion(self, name: str, choose: Callable[[Problem], Criterion]) -> _Stated:
-        """Return the program in one criterion."""
-        kind, parts = type(self.z), self.responding
-        cost = _weighted(parts, _costs(parts, self.responses, self.smoothing, choose))
-        program = ca.Function(name, [self.z, self.smoothing], [kind(cost), self.limits])
-        if self.mapped:
-            hessian = _composed_hessian(self.problem, parts, self.mapped, self.named, self.point, choose)
-            return _Stated(program, {"hess_lag": hessian}, ())
-        if self.roots is None:
-            return _Stated(program, {}, (program,) if kind is ca.SX else ())
-        smoothing, w = ca.SX.sym("smoothing"), ca.SX.sym("w", self.roots.numel_out(0))
-        responses = responses_at(parts, self.trimmed, self.named, w)
-        cost = ca.SX(_weighted(parts, _costs(parts, responses, smoothing, choose)))
-        limits = _stacked_limits(self.problem, self.named)
-        explicit = ca.Function("explicit", [self.point, smoothing, w], [cost, limits])
-        return _Stated(program, derivatives_at(self.roots, explicit), (explicit,))
-
-
-def _stacked_limits(problem: AnyProblem, named: Mapping[str, Any]) -> ca.SX:
-    local = {part: part.local_values(named) for part in problem.parts}
-    limits = dict(item for part, p in local.items() for item in limits_of(part, p).items())
-    return ca.SX(ca.vertcat(ca.SX(0, 1), *limits.values()))
-
-
-def limits_of(part: Problem, p: Names) -> dict[str, Any]:
-    """Return what must be >= 0, by a label: the constraints, and the bounds of tied parameters."""
-    result = {f"constraints[{k}] of {part.name!r}": constraint(p) for k, constraint in enumerate(part.constraints)}
-    for name in part.tied:
-        low, high = part.declared[name].bounds
-        tied = f"of the tied {part.rename.get(name, name)}"
-        if math.isfinite(low):
-            result[f"the lower bound {low:g} {tied}"] = p[name] - low
-        if math.isfinite(high):
-            result[f"the upper bound {high:g} {tied}"] = high - p[name]
-    return result
+    explicit: tuple[ca.Function, ...] = ()
 
 
 def _costs(
@@ -383,22 +340,21 @@ def _mapped(parts: list[Problem]) -> list[Mapped] | None:
 
 
 def _composed_hessian(
-    problem: AnyProblem,
     responding: list[Problem],
     mapped: list[Mapped],
     named: Mapping[str, Any],
     z: ca.SX,
+    limits: ca.SX,
     choose: Callable[[Problem], Criterion],
 ) -> ca.Function:
-    """Return the Hessian of the weighted costs of mapped responses and of the constraints."""
-    local = {part: part.local_values(named) for part in problem.parts}
+    """Return the Hessian of the weighted costs of mapped responses and of the limits (c,)."""
     parts = [
         (
             response,
-            ca.SX(ca.vertcat(*local[part].values())),
+            ca.SX(ca.vertcat(*part.local_values(named).values())),
             lambda r, smoothing, part=part: choose(part).cost(r, part.response, smoothing),
             weight,
         )
         for part, response, weight in zip(responding, mapped, solver_weights(responding), strict=True)
     ]
-    return lagrangian_hessian(parts, z, _stacked_limits(problem, named))
+    return lagrangian_hessian(parts, z, limits)

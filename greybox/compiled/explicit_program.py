@@ -5,7 +5,7 @@ the roots given, cost and constraints are an SX function whose derivatives hold 
 it is evaluated for many points at once, and IPOPT's derivatives are its own behind the root finder.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -24,17 +24,27 @@ def roots_of(parts: Sequence[Problem], formulas: Sequence[Trimmed], named: Mappi
     return ca.vertcat(*found)
 
 
-def responses_at(
-    parts: Sequence[Problem], formulas: Sequence[Trimmed], named: Mapping[str, Any], roots: ca.SX
-) -> list[Complex]:
-    """Return the responses of all parts, as expressions of the `named` values and of the stacked roots."""
-    responses, begin = [], 0
-    for part, formula in zip(parts, formulas, strict=True):
-        end = begin + formula.function.numel_in(1)
-        re, im = formula.function(ca.vertcat(*part.local_values(named).values()), roots[begin:end])
-        responses.append(Complex(re, im))
-        begin = end
-    return responses
+def explicit_program(
+    parts: Sequence[Problem],
+    formulas: Sequence[Trimmed],
+    named: Mapping[str, Any],
+    z: ca.SX,
+    cost: Callable[[list[Complex], Any], Any],
+    limits: ca.SX,
+) -> ca.Function:
+    """Return (z, smoothing, w) -> cost and limits, for the stacked roots w of all parts.
+
+    The `named` values and the `limits` (c,) are expressions of z (p,), the `cost` is one of the responses of all parts
+    and of the smoothing.
+    """
+    roots = [ca.SX.sym("w", formula.function.numel_in(1)) for formula in formulas]
+    each = [
+        formula.function(ca.vertcat(*part.local_values(named).values()), root)
+        for part, formula, root in zip(parts, formulas, roots, strict=True)
+    ]
+    responses = [Complex(re, im) for re, im in each]
+    smoothing = ca.SX.sym("smoothing")
+    return ca.Function("explicit", [z, smoothing, ca.vertcat(*roots)], [ca.SX(cost(responses, smoothing)), limits])
 
 
 def derivatives_at(roots: ca.Function, explicit: ca.Function) -> dict[str, ca.Function]:

@@ -13,7 +13,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.compiled_problem import Nlp, limits_of, response_options, solver_weights
+from greybox.compiled.compiled_problem import Nlp, response_options, solver_weights
+from greybox.compiled.limits import limits_of, stacked
 from greybox.compiled.response_map import LARGE
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.formulation.problem import Problem
@@ -94,12 +95,8 @@ def open_program(nlp: Nlp, formulas: Sequence[ca.Function] | None, sizes: Sequen
             parts, solver_weights(parts), ca.vertsplit(counts), responses, tables, sizes, strict=True
         )
     ]
-    limits = dict(item for part, p in zip(parts, local, strict=True) for item in limits_of(part, p).items())
-    return ca.Function(
-        "program",
-        [z, smoothing, numbers],
-        [kind(sum(costs)), ca.vertcat(kind(0, 1), *limits.values())],
-    )
+    limits = stacked(limits_of(nlp.problem, kind), named, kind)
+    return ca.Function("program", [z, smoothing, numbers], [kind(sum(costs)), limits])
 
 
 class _Measured(Complex):

@@ -1,0 +1,49 @@
+"""What must be >= 0: the constraints of a problem, and the bounds of the parameters that it ties."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from greybox.formulation.problem import Problem
+from greybox.formulation.sum import Sum
+from greybox.modeling.model import Names
+
+
+@dataclass(frozen=True, eq=False)
+class Limit:
+    """What must be >= 0, a function of the values of a part: a constraint, or a bound of a parameter that it ties."""
+
+    label: str
+    part: Problem
+    value: Callable[[Names], Any]
+
+
+def limits_of(problem: Problem | Sum[Problem], kind: Any) -> list[Limit]:
+    """Return all limits; one that parts of one name state alike counts once. `kind` of symbols is what they take."""
+    found: dict[Any, Limit] = {}
+    parameters = problem.parameters
+    x = kind.sym("x", len(parameters))
+    named = dict(zip(parameters, ca.vertsplit(x), strict=True))
+    for part in problem.parts:
+        for k, constraint in enumerate(part.constraints):
+            label = f"constraints[{k}] of {part.name!r}"
+            value = ca.Function("value", [x], [kind(constraint(part.local_values(named)))])
+            found.setdefault((label, value.serialize()), Limit(label, part, constraint))
+        for name in part.tied:
+            low, high = part.declared[name].bounds
+            tied = f"of the tied {part.outside(name)}"
+            if math.isfinite(low):
+                label = f"the lower bound {low:g} {tied}"
+                found.setdefault(label, Limit(label, part, lambda p, name=name, low=low: p[name] - low))
+            if math.isfinite(high):
+                label = f"the upper bound {high:g} {tied}"
+                found.setdefault(label, Limit(label, part, lambda p, name=name, high=high: high - p[name]))
+    return list(found.values())
+
+
+def stacked(limits: Sequence[Limit], named: Mapping[str, Any], kind: Any) -> Any:
+    """Return the limits (c,) at values by outside name."""
+    return ca.vertcat(kind(0, 1), *[limit.value(limit.part.local_values(named)) for limit in limits])
