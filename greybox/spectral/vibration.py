@@ -22,6 +22,7 @@ PROMINENT = 10.0  # dB above its surroundings, of a peak: more than six times th
 MOST = 3  # peaks of a signal
 LOWEST = 10.0  # Hz, below which the motion of the vehicle lies
 FASTER = 10  # times that, the rate from which an octave and more of vibration is resolved
+TOLERANCE = 0.05  # of a rate: clocks and time stamps are not exact
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ def sensors(recording: Recording) -> dict[str, Record]:
     for name, record in recording.items():
         kind = name.partition("[")[0]
         names = [n for n in record.signals if kind == "ISBD" or (kind == "IMU" and n.startswith(("Gyr", "Acc")))]
-        if names and record.has_time and record.rate > FASTER * LOWEST and _long_enough(record):
+        if names and record.has_time and record.rate > (1 - TOLERANCE) * FASTER * LOWEST and _long_enough(record):
             found[name] = replace(record, signals={n: record[n] for n in names}, checksum="")
     return found
 

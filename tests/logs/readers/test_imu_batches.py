@@ -75,7 +75,7 @@ def test_spectra_are_drawn_with_their_peaks(saved, capsys, tmp_path):
     assert np.median(z.get_ydata()) < 0.1 * y.get_ydata().max()
     assert run(capsys, "inspect", path, "--vibration", tmp_path / "spectra.png")[0] == 0
     assert (tmp_path / "spectra.png").read_bytes().startswith(b"\x89PNG")
-    imu = gb.Record(np.arange(400) / 200, {"GyrX": np.sin(np.arange(400.0) ** 2)}, name="IMU")
+    imu = gb.Record(np.arange(400) / 100, {"GyrX": np.sin(np.arange(400.0) ** 2)}, name="IMU")
     first, *_, last = gb.plotting.vibration(Recording({"ISBD[gyro0]": read(path)["ISBD[gyro0]"], "IMU": imu}))
     assert first.get_xlim() == last.get_xlim() == (0, hz[-1])
     slow = gb.Record(np.arange(400) / 25, {"GyrX": np.zeros(400)}, name="IMU")
