@@ -108,6 +108,10 @@ def choose_tests(
     wrong = next((name for name, (_, each) in tests.items() if not each > 0), None)
     if not tests or wrong is not None:
         raise ValueError("there are no tests." if wrong is None else f"the test {wrong!r} takes no time: give seconds.")
+    parameters = dict.fromkeys(name for problem, _ in tests.values() for name in problem.parameters)
+    unknown = next((name for name in values if name not in parameters), None)
+    if unknown is not None:
+        raise ValueError(f"{unknown} is no parameter of the tests: they have {', '.join(parameters)}.")
     expected = []
     for problem, _ in tests.values():
         known = {name: value for name, value in values.items() if name in problem.parameters}

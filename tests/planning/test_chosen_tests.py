@@ -96,10 +96,11 @@ def test_single_sines_are_tests_too():
     [
         ({}, "either wanted standard errors or the seconds"),
         ({"wanted": {"Q": 1.0}}, "Q is not estimated"),
+        ({"values": {"T_1": 1.0}, "seconds": 100}, "T_1 is no parameter of the tests: they have K, T1, T2, tau"),
         ({"seconds": 10}, "too short"),
         ({"seconds": 100, "optimal": "E"}, "give 'A' or 'D'"),
     ],
 )
 def test_bad_requests_are_named(change, sentence):
     with pytest.raises(ValueError, match=sentence):
-        choose_tests(TESTS, TWO_LAGS, **change)
+        choose_tests(TESTS, **{"values": TWO_LAGS, **change})
