@@ -21,7 +21,7 @@ C_x is fixed where its slope at 5° equals the paper's a5 of 0.16 1/s, as in `pi
 import math
 
 import greybox as gb
-from greybox.data.text_table import number, text_table
+from greybox.data.text_table import text_table
 from greybox.models.moment import MOMENT_TERMS, TiltMomentAt
 from greybox.problems import pitch_5deg, pitch_hover
 from greybox.problems.pitch_operating_points import ANGLE, DRAG
@@ -64,8 +64,8 @@ def flights(angles=ANGLES, starts=None):
     """Say about which angle the same sines would tell the chosen terms from those that explain both tables as well.
 
     A noise-free response of the chosen structure is added to the tables, and each rival fitted to all three: by how
-    many variances of the errors its sum of squares is the larger, which is the expected ratio of likelihoods. From 10
-    on the rival has no support (Burnham and Anderson (2002), section 2.6).
+    many variances of the errors its sum of squares is the larger, which is the expected difference of AIC. From 10 on
+    the rival has no support (Burnham and Anderson (2002), section 2.6).
     """
     by = {"criterion": gb.SquaredRelativeError()}
     chosen = gb.fit(problem().with_(**by), starts, progress=False)
@@ -78,6 +78,6 @@ def flights(angles=ANGLES, starts=None):
             made = gb.frequency_response(TiltMomentAt(math.radians(angle), DRAG), chosen.estimate, omega)
             stated = problem(terms, more=[(math.radians(angle), made)]).with_(**by)
             rival = gb.fit(stated, starts, progress=False)
-            more.append(number((rival.cost - chosen.cost) / variance, 2))
+            more.append(f"{(rival.cost - chosen.cost) / variance:.0f}")
         rows.append([", ".join(terms), *more])
     return text_table(["rival", *(f"{angle:g}°" for angle in angles)], rows, left=(0,))

@@ -138,8 +138,9 @@ class FittedRecord(FittedPart):
     driven : tuple of str
         States whose process noise was estimated, ``w_<state>``, with that of the sensors, ``v_<output>``, so that the
         gains follow.
-    gain : (gains,) array or None
-        The values of gains that follow from process noise.
+    gain, gain_slope : (gains,) and (gains, m) arrays, or None
+        The values of gains that follow from process noise, and their derivatives by the parameters of the model and
+        those `added`.
     nuisances : int
         Initial states, and variances and covariances of the noise, that were estimated along.
     is_static : bool
@@ -160,6 +161,7 @@ class FittedRecord(FittedPart):
     gains: tuple[tuple[str, str], ...] = ()
     driven: tuple[str, ...] = ()
     gain: NDArray[np.float64] | None = None
+    gain_slope: NDArray[np.float64] | None = None
     nuisances: int = 0
     is_static: bool = False
     error: NDArray[np.float64] | None = None

@@ -61,13 +61,17 @@ def fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedReco
     )
     count = len(part.outputs)
     noise = np.full((count, count), np.nan)
-    gain = None
+    gain = gain_slope = None
     nodes = np.full((part.data.segments, part.states), np.nan)
     signals = {name: np.full(len(data), np.nan) for name in part.outputs}
     if trajectory is not None:
         noise = part.covariance_along(trajectory).covariance(trajectory.products)
         steady = trajectory.detail.placed.filter
-        gain = None if steady is None else steady.gain.ravel()
+        if steady is not None:
+            gain = steady.gain.ravel()
+            estimated = model.active[: steady.gain_slope.shape[-1]]  # behind them the gains themselves
+            gain_slope = np.zeros((gain.size, len(model.parameters) - gain.size))
+            gain_slope[:, estimated] = steady.gain_slope.reshape(gain.size, -1)
         nodes = trajectory.nodes
         signals = _simulated(part, trajectory)
     return FittedRecord(
@@ -83,6 +87,7 @@ def fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedReco
         gains=part.gains,
         driven=model.driven,
         gain=gain,
+        gain_slope=gain_slope,
         nuisances=part.unknown_initial_states
         + covariance_unknowns(
             count, known=part.covariance.known is not None or bool(model.driven), full=part.covariance.full

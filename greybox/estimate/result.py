@@ -858,8 +858,10 @@ def _at_estimate(fit: Fit, model: Model, part: FittedPart, inputs: Inputs | None
 
     names = [*model.parameters, *(f"{b}_bias" for b in biases), *(f"K_{s}_{o}" for s, o in gains)]
     outside = [part.rename.get(name, name) for name in names]
-    following = len(gains) if record and record.driven else 0
-    estimated = outside[: len(outside) - following]
+    follows = record is not None and record.gain is not None  # gains, from process noise
+    estimated = outside
+    if follows:
+        estimated = [part.rename.get(name, name) for name in (*model.parameters, *record.added)]
     for name in estimated:
         if name not in fit.estimate:
             raise ValueError(
@@ -872,17 +874,17 @@ def _at_estimate(fit: Fit, model: Model, part: FittedPart, inputs: Inputs | None
     # Standard errors treat what ended at its bound as known, and so does everything that follows from them.
     at_bound = {q.name for q in fit.quantities if q.at_bound and q.kind == "free"}
     known = np.array([name in at_bound for name in estimated], dtype=bool)
-    values = [fit.estimate[name] for name in estimated]
+    values = np.array([fit.estimate[name] for name in estimated])
     covariance = np.where(known | known[:, None], 0.0, fit.covariance_of(estimated))
-    if record and record.driven:
-        assert record.gain is not None
-        values += record.gain.tolist()
-        covariance = np.pad(covariance, (0, following))
+    if follows:
+        own = len(names) - len(gains)
+        values = np.concatenate([values[:own], record.gain])
+        covariance = _through(np.vstack([np.eye(own, len(estimated)), record.gain_slope]), covariance)
     return ModelAtEstimate(
         label=model.label,
         system=dynamics(model, delay_order(part.delay)),
         names=tuple(names),
-        q=np.array(values),
+        q=values,
         covariance=covariance,
         criterion=criterion_of(inputs, biases, gains),
         part=record,
@@ -892,6 +894,14 @@ def _at_estimate(fit: Fit, model: Model, part: FittedPart, inputs: Inputs | None
         },
         own=_own_names(fit, model, record, dict(zip(names, outside, strict=True))) if record else (),
     )
+
+
+def _through(slope: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the covariance (m, m) of what has derivatives (m, k) by values whose covariance may have NaN."""
+    unknown = np.isnan(np.diag(covariance))
+    found = slope @ np.where(unknown | unknown[:, None], 0.0, covariance) @ slope.T
+    lost = (slope[:, unknown] != 0).any(axis=1)
+    return np.where(lost | lost[:, None], np.nan, found)
 
 
 def _own_names(fit: Fit, model: Model, part: FittedRecord, outside: Mapping[str, str]) -> tuple[str, ...]:

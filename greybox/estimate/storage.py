@@ -30,7 +30,7 @@ Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``
                  Of a record: attributes ``method, inputs, nuisances``, as JSON ``outputs, biases, gains,
                  driven``; groups ``data`` and ``simulated`` (``time`` and ``signals/...``, each with its ``unit`` and,
                  if known, ``hold``), ``initial/...`` by state (stretches,), ``noise`` (k, k) and, if known, ``gain``
-                 (gains,) and ``error`` (k, n). Of all, if known, ``information`` and ``information_alone`` (p, m).
+                 (gains,), ``gain_slope`` (gains, m) and ``error`` (k, n). Of all, if known, ``information`` and ``information_alone`` (p, m).
                  Of a manoeuvre: as JSON ``at, ends, outputs``, attribute ``nuisances``; group ``data``, see
                  `greybox.data.transient_file`, ``fitted/...`` by output (2, n), real and imaginary parts, and
                  ``noise`` (k, k).
@@ -271,6 +271,8 @@ def _write_fitted_record(group: Node, part: FittedRecord) -> None:
     group["noise"] = part.noise
     if part.gain is not None:
         group["gain"] = part.gain
+    if part.gain_slope is not None:
+        group["gain_slope"] = part.gain_slope
     if part.error is not None:
         group["error"] = part.error
     initial = group.create_group("initial", track_order=True)
@@ -540,6 +542,8 @@ def _read_fitted_record(group: Stored, stated: dict[str, Any]) -> FittedRecord:
     outputs = _json_names(attributes["outputs"])
     inputs: Any = attributes["inputs"]
     gains = tuple((_text(state), _text(output)) for state, output in json.loads(attributes["gains"]))
+    slope = group["gain_slope"][()] if "gain_slope" in group else None
+    _require(slope is None or (slope.ndim == 2 and len(slope) == len(gains)), "its gains follow from nothing")
     return FittedRecord(
         **stated,
         data=read_record(group["data"]),
@@ -553,6 +557,7 @@ def _read_fitted_record(group: Stored, stated: dict[str, Any]) -> FittedRecord:
         gains=gains,
         driven=_json_names(attributes["driven"]),
         gain=_array(group["gain"], (len(gains),)) if "gain" in group else None,
+        gain_slope=slope,
         nuisances=int(attributes["nuisances"]),
         is_static=bool(attributes.get("is_static", False)),
         error=_array(group["error"], (len(outputs), len(group["data/time"][()]))) if "error" in group else None,

@@ -44,8 +44,8 @@ class Prediction:
         Indices in `data` of the predicted samples; sample j is j + 1 steps after the last one that informed it.
     predicted, error : (k, w, h) arrays
         Of the outputs as their sensors show them, and their standard errors, from those of the parameters (with the
-        states that they imply, to first order) and of the state at the beginning; the noise of the outputs is not
-        included. A parameter at its bound is treated as known; NaN where an output depends on one that the data of the
+        states and gains that they imply, to first order) and of the state at the beginning; the noise of the outputs
+        is not included. A parameter at its bound is treated as known; NaN where an output depends on one that the data of the
         fit do not determine.
     noise : (k, k) array
         Covariance of the outputs' errors, that of the fit or else estimated from the lead-ins.

@@ -85,6 +85,22 @@ def test_the_estimate_is_the_minimum_of_the_likelihood_of_a_kalman_filter(windy)
     assert_allclose(error, np.sqrt(np.diag(np.linalg.inv(H)))[:6], rtol=0.15)
 
 
+def test_gains_have_the_errors_of_what_they_follow_from(windy):
+    _, found = windy
+    names = ("k", "c", "b", "w_v", "v_x", "v_v")
+    at = np.array([found.estimate[name] for name in names])
+    slopes = []
+    for step in np.diag(1e-4 * at):
+        (_, _, high, _), (_, _, low, _) = steady_filter(*(at + step)), steady_filter(*(at - step))
+        slopes.append((high - low).ravel() / (2 * step.max()))
+    expected = np.transpose(slopes) @ found.covariance_of(names) @ slopes
+    kept = found.at_estimate()
+    places = [kept.names.index(f"K_{state}_{output}") for state in ("x", "v") for output in ("x", "v")]
+    assert_allclose(kept.covariance[np.ix_(places, places)], expected, rtol=1e-2, atol=1e-2 * np.abs(expected).min())
+    own = [kept.names.index(name) for name in ("k", "c", "b")]
+    assert_allclose(kept.covariance[np.ix_(own, own)], found.covariance_of(("k", "c", "b")), rtol=1e-9)
+
+
 def test_a_test_against_output_error_tells_whether_there_is_process_noise(windy):
     record, found = windy
     calm = flown(0.0, seed=2)
