@@ -858,10 +858,10 @@ def _at_estimate(fit: Fit, model: Model, part: FittedPart, inputs: Inputs | None
 
     names = [*model.parameters, *(f"{b}_bias" for b in biases), *(f"K_{s}_{o}" for s, o in gains)]
     outside = [part.rename.get(name, name) for name in names]
-    follows = record is not None and record.gain is not None  # gains, from process noise
+    driven = record if record is not None and record.driven else None
     estimated = outside
-    if follows:
-        estimated = [part.rename.get(name, name) for name in (*model.parameters, *record.added)]
+    if driven is not None:  # gains follow from the variances of the noise
+        estimated = [part.rename.get(name, name) for name in (*model.parameters, *driven.added)]
     for name in estimated:
         if name not in fit.estimate:
             raise ValueError(
@@ -876,10 +876,12 @@ def _at_estimate(fit: Fit, model: Model, part: FittedPart, inputs: Inputs | None
     known = np.array([name in at_bound for name in estimated], dtype=bool)
     values = np.array([fit.estimate[name] for name in estimated])
     covariance = np.where(known | known[:, None], 0.0, fit.covariance_of(estimated))
-    if follows:
+    if driven is not None:
+        assert driven.gain is not None
+        assert driven.gain_slope is not None
         own = len(names) - len(gains)
-        values = np.concatenate([values[:own], record.gain])
-        covariance = _through(np.vstack([np.eye(own, len(estimated)), record.gain_slope]), covariance)
+        values = np.concatenate([values[:own], driven.gain])
+        covariance = _through(np.vstack([np.eye(own, len(estimated)), driven.gain_slope]), covariance)
     return ModelAtEstimate(
         label=model.label,
         system=dynamics(model, delay_order(part.delay)),

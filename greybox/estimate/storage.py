@@ -30,7 +30,8 @@ Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``
                  Of a record: attributes ``method, inputs, nuisances``, as JSON ``outputs, biases, gains,
                  driven``; groups ``data`` and ``simulated`` (``time`` and ``signals/...``, each with its ``unit`` and,
                  if known, ``hold``), ``initial/...`` by state (stretches,), ``noise`` (k, k) and, if known, ``gain``
-                 (gains,), ``gain_slope`` (gains, m) and ``error`` (k, n). Of all, if known, ``information`` and ``information_alone`` (p, m).
+                 (gains,), ``gain_slope`` (gains, m) and ``error`` (k, n). Of all, if known, ``information`` and
+                 ``information_alone`` (p, m).
                  Of a manoeuvre: as JSON ``at, ends, outputs``, attribute ``nuisances``; group ``data``, see
                  `greybox.data.transient_file`, ``fitted/...`` by output (2, n), real and imaginary parts, and
                  ``noise`` (k, k).

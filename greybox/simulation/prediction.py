@@ -45,8 +45,8 @@ class Prediction:
     predicted, error : (k, w, h) arrays
         Of the outputs as their sensors show them, and their standard errors, from those of the parameters (with the
         states and gains that they imply, to first order) and of the state at the beginning; the noise of the outputs
-        is not included. A parameter at its bound is treated as known; NaN where an output depends on one that the data of the
-        fit do not determine.
+        is not included. A parameter at its bound is treated as known; NaN where an output depends on one that the data
+        of the fit do not determine.
     noise : (k, k) array
         Covariance of the outputs' errors, that of the fit or else estimated from the lead-ins.
     trajectory : (n, w, h) array
