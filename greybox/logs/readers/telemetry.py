@@ -55,6 +55,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     messages = bare(messages)
     with open(path, "rb") as file:
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        checksum = hashlib.file_digest(file, "sha256").hexdigest()
     frames = find_packets(data)
     if not frames.kinds.size:
         raise ValueError(f"{path} holds no MAVLink packet that can be read; copy it from the ground station again.")
@@ -63,9 +64,8 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     time, restarts = _common_clock(frames, sender_time, telemetry_metadata.vehicle_sender(data, frames))
     names = {kind: KINDS[kind].msgname for kind in np.unique(frames.kinds).tolist()}
     wanted = [k for k, name in names.items() if (name not in ABOUT if messages is None else name in messages)]
-    groups = [_messages(data, frames, kind, time) for kind in wanted]
-    checksum = hashlib.sha256(data).hexdigest()
     about = telemetry_metadata.metadata(data, frames, time)
+    groups = (_messages(data, frames, kind, time) for kind in wanted)
     found, problems = records(with_holds(groups, about.get("parameters", {})), path.name, checksum)
     findings = (
         *_damage(frames),
@@ -146,7 +146,7 @@ def _columns(name: str, values: NDArray[Any]) -> list[tuple[str, NDArray[Any]]]:
 
 
 def _labels(
-    senders: NDArray[np.int64], instance: str | None, columns: dict[str, Floats], texts: dict[str, Sequence[str]]
+    senders: NDArray[np.uint16], instance: str | None, columns: dict[str, Floats], texts: dict[str, Sequence[str]]
 ) -> list[str]:
     """Return the labels of senders and instances of one kind; nothing if there is only one."""
     parts: list[list[str]] = []

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from greybox.data.progress import reading
+from greybox.logs.readers.dataflash_index import release
 
 PIECE = 2**20  # bytes after which the bar moves on
 STAMP = 8  # bytes of time before a packet: µs since 1970, big-endian
@@ -38,7 +39,8 @@ class Frames:
     Attributes
     ----------
     kinds, senders, starts, lengths : (n,) array
-        Message number, 256 · system + component, and where the payload lies, bytes.
+        Message number, 256 · system + component, and where the payload lies, bytes; small ones, since a log has a
+        packet every 50 bytes.
     received : (n,) array, s
         Reception time, from the middle of the log.
     skipped, places : int
@@ -47,10 +49,10 @@ class Frames:
         Packets of kinds that pymavlink does not know.
     """
 
-    kinds: NDArray[np.int64]
-    senders: NDArray[np.int64]
+    kinds: NDArray[np.uint32]
+    senders: NDArray[np.uint16]
     starts: NDArray[np.int64]
-    lengths: NDArray[np.int64]
+    lengths: NDArray[np.uint8]
     received: NDArray[np.float64]
     skipped: int
     places: int
@@ -59,16 +61,18 @@ class Frames:
 
 def find_packets(data: mmap.mmap) -> Frames:
     """Find every packet in `data` whose checksum is right."""
-    fields = array("q")
+    kinds, senders, starts, lengths, stamps = array("I"), array("H"), array("q"), array("B"), array("q")
     at = 0
     size = len(data)
     skipped = 0
     places = 0
     unknown = 0
-    bar = reading(size, "finding packets")
+    bar, seen = reading(size, "finding packets"), 0
     while at + STAMP < size:
-        if at - bar.n > PIECE:
-            bar.update(at - bar.n)
+        if at - seen > PIECE:
+            bar.update(at - seen)
+            release(data, seen, at)
+            seen = at
         frame = _frame(data, at + STAMP)
         if frame is None:
             next_packet = _next_sound(data, at + STAMP + 1) - STAMP
@@ -79,15 +83,20 @@ def find_packets(data: mmap.mmap) -> Frames:
 
         kind, sender, start, length, end = frame
         if kind in KINDS:
-            fields.extend((kind, sender, start, length, int.from_bytes(data[at : at + STAMP], "big") & 2**63 - 1))
+            kinds.append(kind)
+            senders.append(sender)
+            starts.append(start)
+            lengths.append(length)
+            stamps.append(int.from_bytes(data[at : at + STAMP], "big") & 2**63 - 1)
         else:
             unknown += 1
         at = end
 
     bar.close()
-    kinds, senders, starts, lengths, stamps = np.array(fields, dtype=np.int64).reshape(-1, 5).T
-    middle = np.int64(np.median(stamps)) if stamps.size else 0  # 53 bits would not hold µs since 1970 in s
-    return Frames(kinds, senders, starts, lengths, (stamps - middle) / 1e6, skipped, places, unknown)
+    received = np.asarray(stamps)
+    received -= np.int64(np.median(received)) if stamps else 0  # 53 bits would not hold µs since 1970 in s
+    found = [np.asarray(column) for column in (kinds, senders, starts, lengths)]
+    return Frames(*found, received / 1e6, skipped, places, unknown)
 
 
 def _frame(data: mmap.mmap, at: int) -> tuple[int, int, int, int, int] | None:
@@ -160,4 +169,5 @@ def payloads(data: mmap.mmap, frames: Frames, kind: int) -> NDArray[Any]:
         width = min(int(length), dtype.itemsize)
         if width:
             rows[same, :width] = np.lib.stride_tricks.sliding_window_view(raw, width)[starts[same]]
+    release(data, 0, len(data))
     return rows.view(dtype)[:, 0]

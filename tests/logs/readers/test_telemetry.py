@@ -1,4 +1,5 @@
 import struct
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -138,3 +139,18 @@ def test_long_texts_are_put_together(saved):
 def test_a_file_without_packets_is_refused(saved):
     with pytest.raises(ValueError, match="holds no MAVLink packet that can be read"):
         saved(BOOT.to_bytes(8, "big") + b"\xfd" * 300)
+
+
+def test_what_is_not_asked_for_is_not_in_memory(tmp_path):
+    """Neither its values nor, packet by packet, more than where it is."""
+    packet = tlog([(0, 1, 1, mavlink.MAVLink_vfr_hud_message(1.0, 1.5, 90, 30, 12.0, 0.5))])[8:]
+    path = tmp_path / "long.tlog"
+    path.write_bytes(
+        tlog(radio(1.0)) + b"".join((BOOT + 10_000 * k).to_bytes(8, "big") + packet for k in range(20_000))
+    )
+    tracemalloc.start()
+    recording = read(path, ["HEARTBEAT"])
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert [*recording] == ["HEARTBEAT[1:1]", "HEARTBEAT[255:190]"]
+    assert peak < 2.2 * path.stat().st_size  # 23 bytes and three times a packet of 38; of five integers 3.2
