@@ -72,7 +72,7 @@ class Collector:
 
     def add(self, path: str, values: np.ndarray, **about: Any) -> None:
         """Keep an array."""
-        self.arrays.append(np.ascontiguousarray(values, dtype="<f8"))
+        self.arrays.append(np.atleast_1d(values))
         self.items.append({"path": path, **about})
 
     def write(self) -> None:
@@ -81,7 +81,8 @@ class Collector:
         head = {"items": self.items, "findings": self.findings, "about": self.about, "shapes": shapes}
         out = sys.stdout.buffer
         out.write(json.dumps(head).encode() + b"\n")
-        for array in self.arrays:
+        while self.arrays:
+            array = np.ascontiguousarray(self.arrays.pop(0), dtype="<f8")
             out.write(array.data if array.size else b"")
 
 

@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ from numpy.typing import NDArray
 from greybox.data.progress import waiting
 from greybox.data.subprocess_main import REFUSED
 from greybox.data.text_table import printable
+
+Answer = tuple[dict[str, Any], list[NDArray[np.float64]]]
 
 SCRIPT = Path(__file__).with_name("subprocess_main.py")
 
@@ -33,7 +36,7 @@ LOOK = 0.2  # s, after which a reader looks how long it has waited
 TOO_LONG = -getattr(signal, "SIGPROF", 0)  # the exit status of a process that used up its processor time
 
 
-def read_in_subprocess(kind: str, path: Path, *wanted: str) -> tuple[dict[str, Any], list[NDArray[np.float64]]]:
+def read_in_subprocess(kind: str, path: Path, *wanted: str) -> Answer:
     """Return what the function of this `kind` in `subprocess_main` says of a file, and its numeric arrays.
 
     Raises
@@ -41,20 +44,11 @@ def read_in_subprocess(kind: str, path: Path, *wanted: str) -> tuple[dict[str, A
     ValueError
         If the file cannot be read, or not within the limits of time and memory.
     """
-    line, _, raw = _run([kind, str(path.absolute()), *wanted], path).partition(b"\n")
-    head = json.loads(line)
-    numbers = np.frombuffer(raw, dtype="<f8")
-    arrays = []
-    offset = 0
-    for shape in head.pop("shapes"):
-        size = int(np.prod(shape))
-        arrays.append(numbers[offset : offset + size].reshape(shape))
-        offset += size
-    return head, arrays
+    return _run([kind, str(path.absolute()), *wanted], path)
 
 
-def _run(arguments: list[str], path: Path) -> bytes:
-    """Return what the other process writes."""
+def _run(arguments: list[str], path: Path) -> Answer:
+    """Return what the other process answers."""
     limit = PATIENCE + path.stat().st_size / SPEED
     command = [sys.executable, "-P", "-W", "ignore", str(SCRIPT), *arguments]
     environment = {
@@ -73,26 +67,44 @@ def _run(arguments: list[str], path: Path) -> bytes:
     if status:
         reason = said or "for no stated reason"
         raise ValueError(f"{path} is damaged or of another format ({reason:.160}): export or copy it again.")
-    return answer
+    return answer.result()
 
 
-def _finished(command: list[str], environment: dict[str, str], limit: float, path: Path) -> tuple[int, bytes, bytes]:
-    """Run a command, and return its exit status and what it writes; a large file is seen to take its time."""
+def _finished(
+    command: list[str], environment: dict[str, str], limit: float, path: Path
+) -> tuple[int, "Future[Answer]", bytes]:
+    """Run a command, and return its exit status, its answer and complaint; a large file is seen to take its time."""
     pipe = subprocess.PIPE
     with (
         waiting(f"reading {printable(path.name)}") as bar,
         subprocess.Popen(command, stdout=pipe, stderr=pipe, env=environment) as process,
+        ThreadPoolExecutor(2) as readers,
     ):
+        assert process.stderr
         begin = time.monotonic()
         try:
-            while True:
-                try:
-                    answer, complaint = process.communicate(timeout=LOOK)
-                    return process.returncode, answer, complaint
-                except subprocess.TimeoutExpired:
-                    if time.monotonic() - begin > limit:
-                        raise ValueError(f"{path} is damaged: reading it took longer than {limit:.0f} s.") from None
-                    bar.update()
+            answer, complaint = readers.submit(_answer, process.stdout), readers.submit(process.stderr.read)
+            while wait((answer, complaint), LOOK).not_done:
+                if time.monotonic() - begin > limit:
+                    raise ValueError(f"{path} is damaged: reading it took longer than {limit:.0f} s.")
+                bar.update()
+            return process.wait(), answer, complaint.result()
         except BaseException:
             process.kill()
             raise
+
+
+def _answer(pipe: Any) -> Answer:
+    """Read an answer, each array into memory of its own, which a record keeps."""
+    try:
+        head = json.loads(pipe.readline())
+        arrays = []
+        for shape in head.pop("shapes"):
+            values = np.empty(shape, "<f8")
+            if values.size:
+                pipe.readinto(values.data.cast("B"))
+            values.setflags(write=False)
+            arrays.append(values)
+        return head, arrays
+    finally:
+        pipe.read()  # of an answer that cannot be read: until then the process waits

@@ -1,6 +1,7 @@
 """The subprocess in which files are read: what ends it, and what it may not do."""
 
 import time
+import tracemalloc
 from contextlib import contextmanager
 from types import SimpleNamespace
 
@@ -88,3 +89,17 @@ def test_numbers_come_back_exactly(tmp_path):
     assert [item["path"] for item in head["items"]] == ["x", "y"]
     assert x.tobytes() == values.tobytes()
     assert y.tolist() == [0, 1, 2, 3]
+
+
+def test_what_is_read_is_in_memory_once(tmp_path):
+    path = tmp_path / "long.h5"
+    with h5py.File(path, "w") as file:
+        for name in "abcd":
+            file[name] = np.arange(2e5)
+    tracemalloc.start()
+    _, arrays = read_in_subprocess("hdf5", path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 1.2 * sum(array.nbytes for array in arrays)
+    for values in arrays:
+        np.testing.assert_array_equal(values, np.arange(2e5))

@@ -112,7 +112,7 @@ def _split(name: str, values: NDArray[np.generic], size: int) -> list[tuple[str,
     if values.shape[:1] != (size,):
         return []
     if values.ndim == 1:
-        return [(name, values.astype(float))]
+        return [(name, values.astype(float, copy=False))]
     if values.ndim == 2 and values.shape[1] <= WIDEST:
         return [(f"{name}[{i}]", values[:, i].astype(float)) for i in range(values.shape[1])]
     return []

@@ -95,8 +95,8 @@ def find_packets(data: mmap.mmap) -> Frames:
     bar.close()
     received = np.asarray(stamps)
     received -= np.int64(np.median(received)) if stamps else 0  # 53 bits would not hold µs since 1970 in s
-    found = [np.asarray(column) for column in (kinds, senders, starts, lengths)]
-    return Frames(*found, received / 1e6, skipped, places, unknown)
+    where = np.asarray(starts), np.asarray(lengths)
+    return Frames(np.asarray(kinds), np.asarray(senders), *where, received / 1e6, skipped, places, unknown)
 
 
 def _frame(data: mmap.mmap, at: int) -> tuple[int, int, int, int, int] | None:
