@@ -23,6 +23,7 @@ from spring_lag_tilt import (
 )
 
 import greybox as gb
+from greybox.formulation.time_criteria import bias_parameter
 
 
 @pytest.fixture(scope="module")
@@ -197,3 +198,12 @@ def test_standard_errors_are_those_of_the_brute_force_likelihood():
     errors = np.sqrt(np.diag(np.linalg.inv(J.T @ J)))[:3]
     assert_allclose([found.standard_error[n] for n in SPRING], errors, rtol=0.1)  # residuals nearly white
     assert_allclose(np.sqrt(np.diag(found.white)), errors, rtol=0.01)
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+def test_a_bias_begins_as_near_to_zero_in_every_unit(unit):
+    time = np.arange(50.0)
+    parameter = bias_parameter("y", gb.Record(time, {"y": unit * np.sin(time)}))
+    known = bias_parameter("y", gb.Record(time, {"y": np.sin(time)}))
+    assert_allclose([*parameter.starts, *parameter.bounds], unit * np.array([*known.starts, *known.bounds]))
+    assert parameter.bounds[0] <= parameter.starts[0] == -parameter.starts[1] < 0

@@ -8,6 +8,7 @@ from declared_models import TWO_LAGS, LagLagDelay
 
 import greybox as gb
 from greybox.planning import choose_tests, expected_errors
+from greybox.planning.chosen_tests import _without_surplus
 from greybox.planning.optimal_design import optimal_shares, size_of_errors
 
 
@@ -104,3 +105,9 @@ def test_single_sines_are_tests_too():
 def test_bad_requests_are_named(change, sentence):
     with pytest.raises(ValueError, match=sentence):
         choose_tests(TESTS, **{"values": TWO_LAGS, **change})
+
+
+def test_of_tests_that_tell_the_same_the_longest_are_left_out():
+    once, durations = np.ones((3, 1, 1)), np.array([30.0, 60.0, 20.0])
+    fewer = _without_surplus(np.array([1, 2, 3]), once, durations, np.full(1, 0.5))  # an error of a half: four tests
+    assert [*fewer] == [1, 0, 3]

@@ -8,6 +8,7 @@ import greybox as gb
 from greybox.models.controller import AttitudeController
 from greybox.models.tilt import NonlinearTilt
 from greybox.planning import expected_errors, plan_sines
+from greybox.planning.sine_plan import _density
 
 TILT = {"a1": -14.6, "a2": 3.0, "a3": 8.5, "a4": 295.0}
 RATE = 100  # Hz
@@ -150,3 +151,17 @@ def test_bad_requests_are_named(change, sentence):
     settings = {"wanted": {"K": 0.01}, "amplitude": 0.5, "noise": 0.05, **OPEN_LOOP, **change}
     with pytest.raises(ValueError, match=sentence):
         plan_sines(Lag(), LAG, settings.pop("wanted"), **settings)
+
+
+def test_white_noise_beside_the_response_has_its_density_at_every_frequency():
+    """One-sided, 2 σ² / rate, however long the quiet flight is; what the input makes is no noise."""
+    rate, size, omega = 50.0, 0.05, np.linspace(2.0, 100.0, 25)
+    for samples in (2000, 4000):
+        random = np.random.default_rng(0)
+        time = np.arange(samples) / rate
+        noise = size * random.normal(size=samples)
+        u = np.sin(5 * time)
+        response = gb.frequency_response(Lag(), LAG, [5.0]).response[0]
+        quiet = gb.Record(time, {"u": u, "y": np.imag(response * np.exp(5j * time)) + noise})
+        density = _density(quiet, Lag(), LAG, omega, ("u", "y"), rate)
+        assert np.mean(density[np.abs(omega - 5) > 1]) == pytest.approx(2 * size**2 / rate, rel=0.1)

@@ -20,6 +20,7 @@ import greybox as gb
 from greybox.solve.executors import run_all
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.outcome import Outcome
+from greybox.solve.worker_pool import _single_threads
 
 RESPONSE = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2))
 
@@ -249,3 +250,12 @@ def test_what_is_no_executor_is_refused():
     pool.shutdown()
     with pytest.raises(RuntimeError, match="was shut down"):
         gb.fit(RESPONSE, 3, search="multistart", executor=pool)
+
+
+def test_workers_have_one_thread_unless_the_environment_says_more(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    with _single_threads():
+        assert (os.environ["OMP_NUM_THREADS"], os.environ["MKL_NUM_THREADS"]) == ("3", "1")
+    assert os.environ["OMP_NUM_THREADS"] == "3"
+    assert "MKL_NUM_THREADS" not in os.environ

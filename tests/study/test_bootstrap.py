@@ -1,6 +1,7 @@
 """The bootstrap against theory, single fits of the same data, and its own promises."""
 
 import json
+import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -18,6 +19,7 @@ from greybox.html_report.elements import html
 from greybox.html_report.interval_section import bootstrap_table
 from greybox.problems import pitch_hover, yaw_hover
 from greybox.solve.response_replicates import response_draws
+from greybox.study.bootstrap import _warnings
 
 OMEGA = np.geomspace(0.5, 20, 8)
 SIGMA = 0.05
@@ -197,3 +199,10 @@ def test_the_command_prints_what_the_function_finds(pitch, tmp_path, capsys):
     assert answer["quantities"]["a1"]["bca"] == list(expected.interval()["a1"])
     assert answer["failed"] == 0
     assert main([*words, "--level", "2"]) == 2
+
+
+def test_many_failed_replicates_are_told_and_few_are_not():
+    assert not [*_warnings(("",) * 1000, math.inf)]
+    assert not [*_warnings(("",) * 999 + ("stagnated",), math.inf)]
+    (said,) = _warnings(("",) * 500 + ("stagnated",) * 500, math.inf)
+    assert said.startswith("500 of 1000 replicates failed (500 stagnated)")

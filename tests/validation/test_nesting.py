@@ -1,12 +1,14 @@
 """Models are nested when the equations of one are those of the other with terms removed, whatever their names say."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from drag_flights import Drag, LinearDrag, QuadraticDrag, fitted, flight
 
 import greybox as gb
-from greybox.validation.nesting import NotNestedError, nesting
+from greybox.validation.nesting import NotNestedError, _require_fewer_terms, nesting
 
 NAMES = ("small", "large")
 
@@ -200,3 +202,12 @@ def test_loaded_fits_are_nested_by_their_names_or_by_the_models_given(record, tm
     assert not caught.value.undecided
     linear, drag = (gb.load(tmp_path / f"{name}.h5", models=[LinearDrag, Drag]) for name in ("linear", "drag"))
     assert nesting(linear, drag, NAMES).terms == ("C_x",)
+
+
+def test_gains_that_are_free_are_no_gains_that_follow_from_process_noise():
+    free = SimpleNamespace(gains=("K_x_y",), driven=(), biases=())
+    follow = SimpleNamespace(gains=("K_x_y",), driven=("x",), biases=())
+    for pair in ((free, follow), (follow, free)):
+        with pytest.raises(NotNestedError, match="the gains of a and b are free in one and follow from process noise"):
+            _require_fewer_terms(*pair, ("a", "b"))
+    _require_fewer_terms(free, free, ("a", "b"))

@@ -55,3 +55,12 @@ def test_motors_at_their_limits_are_counted():
     assert saturation(log, [(5, 10)]) == 0
     assert set(motor_outputs(log, 0, 10).signals) == {"C1", "C2", "C3", "C4"}
     assert np.isnan(saturation(Recording({}), [(0, 10)]))
+
+
+def test_motors_are_those_of_ardupilots_list_of_functions():
+    """Motors 1 to 8 are 33 to 40, 9 to 12 are 82 to 85; 41 tilts rotors, 86 is a spoiler."""
+    functions = (32, 33, 40, 41, 81, 82, 85, 86)
+    parameters = {f"SERVO{k}_FUNCTION": function for k, function in enumerate(functions, start=1)}
+    outputs = Record([0.0, 1.0], {f"C{k}": [1500.0, 1600.0] for k in range(1, 9)}, name="RCOU")
+    motors = motor_outputs(Recording({"RCOU": outputs}, metadata={"parameters": parameters}), 0.0, 1.0)
+    assert [*motors.signals] == ["C2", "C3", "C6", "C7"]

@@ -88,6 +88,9 @@ def test_simulinks_structure_with_time(tmp_path):
     signals = np.array([{"values": T, "label": "pitch"}, {"values": np.stack([T, -T], axis=1), "label": ""}])
     savemat(tmp_path / "sim.mat", {"out": {"time": T, "signals": signals}})
     assert list(read(tmp_path / "sim.mat")["out"].signals) == ["pitch", "signal2[0]", "signal2[1]"]
+    odd = np.array([{"values": T, "label": "pitch"}, "no signal", {"label": "without values"}], dtype=object)
+    savemat(tmp_path / "odd.mat", {"out": {"time": T, "signals": odd}})
+    assert list(read(tmp_path / "odd.mat")["out"].signals) == ["pitch"]
 
 
 @pytest.mark.parametrize(("write", "name"), [(hdf5, "x.h5"), (matlab, "x.mat")])
