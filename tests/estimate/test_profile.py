@@ -217,3 +217,10 @@ def test_a_contour_of_a_ratio_that_is_known_is_open_along_it():
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("b [1]", "a [1]")
     with pytest.raises(ValueError, match="no free 'ratio'"):
         gb.contour(fit, "b", "ratio")
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0, 95.0])
+def test_a_level_is_a_share(level):
+    fit = fitted(OneSided(), noisy(OneSided(), {"b": 100.0, "a": 100.0}, 0.02, 0))
+    with pytest.raises(ValueError, match=f"level {level} must lie between 0 and 1"):
+        gb.profile(fit, level=level)

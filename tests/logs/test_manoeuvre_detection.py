@@ -85,3 +85,9 @@ def test_the_band_of_a_long_input_is_that_of_its_transform():
     size = np.abs(np.exp(-1j * np.outer(omega, time[inside])) @ (values[inside] - found.offset))
     usual = np.abs(np.fft.rfft(values[inside] - found.offset)).max()
     assert size[omega <= found.band[1]].max() > 0.095 * usual
+
+
+def test_the_band_of_a_pulse_begins_at_a_period_over_it_and_its_rests():
+    """A pulse is strongest at zero; a second of rest on both sides."""
+    (found,) = manoeuvres_in(TIME[TIME < 30], pulses(10.0, 1.2, (1,), 1.0)[TIME < 30])
+    assert found.band[0] == pytest.approx(2 * np.pi / (1.2 + 2), rel=0.05)
