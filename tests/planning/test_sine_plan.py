@@ -8,7 +8,7 @@ import greybox as gb
 from greybox.models.controller import AttitudeController
 from greybox.models.tilt import NonlinearTilt
 from greybox.planning import expected_errors, plan_sines
-from greybox.planning.sine_plan import _density
+from greybox.planning.sine_plan import _density, _with_spare
 
 TILT = {"a1": -14.6, "a2": 3.0, "a3": 8.5, "a4": 295.0}
 RATE = 100  # Hz
@@ -165,3 +165,9 @@ def test_white_noise_beside_the_response_has_its_density_at_every_frequency():
         quiet = gb.Record(time, {"u": u, "y": np.imag(response * np.exp(5j * time)) + noise})
         density = _density(quiet, Lag(), LAG, omega, ("u", "y"), rate)
         assert np.mean(density[np.abs(omega - 5) > 1]) == pytest.approx(2 * size**2 / rate, rel=0.1)
+
+
+def test_sines_that_are_added_stand_in_the_middle_of_the_widest_gap():
+    """One sine of sixteen frequencies, at the thirteenth: below it is most room."""
+    chosen, _ = _with_spare(np.arange(1.0, 17.0), np.array([12]), np.array([5.0]), 2, 3)
+    assert [*chosen] == [5, 12]  # twelve places from 0 to 11

@@ -115,6 +115,8 @@ def test_a_parameter_that_the_data_leave_open_has_no_upper_end():
     fit = gb.fit(yaw_hover.problem(), starts=12, progress=False)
     found = gb.bootstrap(fit, "residuals", 200, progress=False)
     low, high = found.interval(method="percentile")["a2"]
+    with pytest.raises(ValueError, match="method is 'normal': give 'bca' or 'percentile'"):
+        found.interval(method="normal")
     assert low > 50
     assert high == np.inf
     assert found.at_bound["a2"][1] > 0.025
