@@ -67,6 +67,15 @@ SWEEP_PIECES = 3  # whose frequency moves one way: with two, every change of fre
 # sweeps are lost.
 SWEEP_RATIO = 1.3
 
+# Half periods at an end of a sweep, from which the next is predicted, and by how much of itself it may be off: the
+# frequency of a logarithmic sweep is linear in the number of half periods, that of a linear one its square.
+KNOWN_PERIODS = 4
+OFF_SWEEP = 0.25
+
+# Mean over peak of a half wave, at least: 2/π of a sine, 0.55 of one that fades in from zero, 1/2 of a triangle. Where
+# there is a rest beside another motion it is less.
+FULL = 0.45
+
 
 def sines_and_sweeps(time: Array, values: Array) -> list[Segment]:
     """Return the sines (two periods at least) and sweeps in one signal, (n,) arrays.
@@ -85,7 +94,8 @@ def sines_and_sweeps(time: Array, values: Array) -> list[Segment]:
         crossings, swings = _crossings(time, values, corners)
         pieces = [_fitted(time, values, crossings[a:b]) for a, b in _runs(crossings, swings)]
         candidates += [s for s in pieces if s is not None and s.kind == "sine"]
-        candidates += _sweeps([s for s in pieces if s is not None and s.kind == "sweep"])
+        sweeps = _sweeps([s for s in pieces if s is not None and s.kind == "sweep"])
+        candidates += [_whole(time, values, corners, crossings, swings, sweep) for sweep in sweeps]
 
     kept: list[Segment] = []
     for run in sorted(candidates, key=lambda s: -s.duration):
@@ -237,6 +247,84 @@ def _sweeps(pieces: list[Segment]) -> list[Segment]:
         if len(chain) >= SWEEP_PIECES and high > SWEEP_RATIO * low:
             sweeps.append(replace(chain[0], end=chain[-1].end, band=(low, high)))
     return sweeps
+
+
+def _whole(
+    time: Array, values: Array, corners: NDArray[np.intp], crossings: Array, swings: Array, sweep: Segment
+) -> Segment:
+    """Return a sweep with its ends, where the frequency changes too fast from one half period to the next for a piece.
+
+    The half wave in which a sweep begins or ends, from a rest or to one, is a part of it.
+    """
+    step = float(np.median(np.diff(time)))
+    first, last = (int(np.argmin(np.abs(crossings - moment))) for moment in (sweep.start, sweep.end))
+    if last - first <= KNOWN_PERIODS:
+        return sweep
+
+    def is_full(k: int, way: int) -> bool:
+        """Tell whether the signal between crossing k and the next one is a half wave."""
+        a, b = np.searchsorted(time, sorted((crossings[k], crossings[k + way])))
+        middle = (values[corners[k]] + values[corners[k + 1]]) / 2
+        peak = values[corners[max(k, k + way)]] - middle
+        return bool(b > a and np.mean(values[a:b] - middle) / peak > FULL)
+
+    def end(k: int, way: int) -> int:
+        while 0 <= k + way < crossings.size and _follows(crossings, swings, k, way, step) and is_full(k, way):
+            k += way
+        return k
+
+    first, last = end(first, -1), end(last, 1)
+    start = _first_half_wave(time, values, corners[first], corners[first + 1], crossings[first : first + 3])
+    stop = -_first_half_wave(
+        -time[::-1],
+        values[::-1],
+        time.size - 1 - corners[last + 1],
+        time.size - 1 - corners[last],
+        -crossings[last - 2 : last + 1][::-1],
+    )
+    ends = (crossings[first : first + KNOWN_PERIODS + 1], crossings[last - KNOWN_PERIODS : last + 1][::-1])
+    slow, fast = sorted((_end_frequency(each) for each in ends), key=max)
+    return replace(sweep, start=start, end=stop, band=(min(slow), max(fast)))
+
+
+def _end_frequency(crossings: Array) -> tuple[float, float]:
+    """Return the frequency, rad/s, where a sweep ends half a wave beyond the first of these crossings, and at it."""
+    frequency = math.pi / np.abs(np.diff(crossings))
+    beyond = float(_beyond(1.5) @ frequency)
+    return float(np.clip(beyond, 0.5 * frequency[0], frequency[0])), float(frequency[0])
+
+
+def _beyond(steps: float) -> Array:
+    """Return the weights of `KNOWN_PERIODS` values of which the regression line is read `steps` before the first."""
+    centered = np.arange(KNOWN_PERIODS) - (KNOWN_PERIODS - 1) / 2
+    return 1 / KNOWN_PERIODS + centered * (centered[0] - steps) / np.sum(centered**2)
+
+
+def _follows(crossings: Array, swings: Array, k: int, way: int, step: float) -> bool:
+    """Tell whether the crossing after k, one way, is where a smooth change of the frequency predicts it."""
+    known = crossings[k - way * np.arange(KNOWN_PERIODS + 1)]
+    frequency = 1 / np.abs(np.diff(known))
+    least = 0.5 * frequency[0]
+    linear = max(float(_beyond(1.0) @ frequency), least)
+    square = math.sqrt(max(float(_beyond(1.0) @ frequency**2), least**2))
+    short, long = sorted((1 / linear, 1 / square))
+    period = abs(crossings[k + way] - crossings[k])
+    ratio = swings[k + way] / swings[k]  # 1/2 on the way from a rest, whose middle is not that of the sweep
+    predicted = (1 - OFF_SWEEP) * short - step < period < (1 + OFF_SWEEP) * long + step
+    return bool(predicted and SWING[0] < ratio < SWING[1])
+
+
+def _first_half_wave(time: Array, values: Array, peak: int, other: int, crossings: Array) -> float:
+    """Return when the signal left the middle before its first turning point `peak`, whose `other` is the second.
+
+    That is at most as long before the first of the `crossings` as the next half periods let expect; else it is that.
+    """
+    middle = (values[peak] + values[other]) / 2
+    periods = np.diff(crossings)
+    longest = (1 + OFF_SWEEP) * max(periods[0], periods[0] ** 2 / periods[1])
+    from_ = int(np.searchsorted(time, crossings[0] - longest))
+    beyond = np.flatnonzero((values[from_:peak] - middle) / (values[peak] - middle) <= FOLLOWS)
+    return float(time[from_ + beyond[-1]]) if beyond.size else float(crossings[0])
 
 
 def _part_of(sine: Segment, sweep: Segment) -> bool:

@@ -80,6 +80,25 @@ def test_a_sweep_is_called_a_sweep():
     assert "sweep" in segment_table([run])
 
 
+@pytest.mark.parametrize(("duration", "highest", "noise"), [(60, 6.0, 0.0), (90, 2.0, 0.05), (120, 6.0, 0.2)])
+@pytest.mark.parametrize("way", [1, -1], ids=["rising", "falling"])
+def test_a_sweep_between_other_sticks_is_found_whole(duration, highest, noise, way):
+    """Logarithmic from 0.1 Hz, with rests of 6 s and sticks beside it; periods at its beginning differ by a third."""
+    rng = np.random.default_rng(duration)
+    t = np.arange(0, duration + 80, 0.02)
+    since, grows = t - 40, math.log(highest / 0.1)
+    inside = (since >= 0) & (since <= duration)
+    sweep = 5 * np.sin(0.2 * np.pi * duration / grows * np.expm1(np.where(inside, since, 0) / duration * grows))
+    sticks = np.convolve(rng.standard_normal(t.size), np.exp(-np.arange(0, 4, 0.02) / 0.5))[: t.size]
+    sticks *= ((t > 3) & (since < -6)) | (since > duration + 6)
+    r = np.round(np.where(inside, sweep, 0) + 3 * sticks / sticks.std() + noise * rng.standard_normal(t.size), 2)
+    found = [run for run in sines_and_sweeps(t, r[::way]) if run.kind == "sweep"]
+    (run,) = [run for run in found if run.end > 40 and run.start < 40 + duration]
+    assert run.start == pytest.approx(40, abs=0.5)
+    assert run.end == pytest.approx(40 + duration, abs=0.5)
+    assert np.array(run.band) / (2 * np.pi) == pytest.approx([0.1, highest], rel=0.35)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_noise_steps_squares_and_walks_are_no_sines(seed):
     rng = np.random.default_rng(seed)

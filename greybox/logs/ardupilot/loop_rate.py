@@ -30,10 +30,9 @@ FAST, MEDIUM = 1, 2  # bits of LOG_BITMASK for attitude
 PHASES, PASSES = 20, 240  # tried between gyro and loop; passes of which the mean is taken, a multiple of 2 to 6
 
 # Of an error whose size is known and whose sign is not. Kept passes and the others change their roles as the clocks of
-# gyro and loop drift: at 1 kHz by half a ms, which 30 ppm take 17 s for. A test that lasts for the share δ of a role
-# holds a change with the probability δ, and is then off by anything between ±1: the mean square is 1 - 2δ/3, and 2/3
-# for any δ up to 1.
-DRIFTING = math.sqrt(2 / 3)
+# gyro and loop drift: at 1 kHz by half a ms. Crystals differ by up to 30 ppm, 0.75 ms in a test of 25 s: the mean of a
+# square wave of random phase over anything from none to one and a half of its halves has the mean square 1/2.
+DRIFTING = math.sqrt(1 / 2)
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,7 @@ def test_the_error_is_that_of_a_simulated_loop():
     flown = log(200)
     found = thinning(flown, "RATE.POut", 0, 20)
     stated = float(np.linalg.norm(thinning_error(found, flown, "pitch", response)))
-    assert measured == pytest.approx(math.sqrt(3 / 2) * stated, rel=0.05)  # without a drift of the clocks
+    assert measured == pytest.approx(math.sqrt(2) * stated, rel=0.05)  # without a drift of the clocks
 
 
 @pytest.mark.parametrize(
