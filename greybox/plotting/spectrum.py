@@ -120,10 +120,10 @@ def draw_spectrum(places: AxesArray, drawn: Drawn) -> None:
     for k, name in enumerate(drawn.outputs):
         _draw_output(places[2 * k], places[2 * k + 1], drawn, name)
     for ax, name in zip(places[2 * len(drawn.outputs) :], drawn.inputs, strict=True):
-        scale, unit = _unit(drawn.data, name)
+        scale, unit = integral_unit(drawn.data, name)
         ax.plot(drawn.data.omega, scale * np.abs(drawn.data.inputs[name]), "o-", **_points(DARK), linewidth=0.9)
         ax.set_ylim(bottom=0)
-        finish(ax, f"|{symbol(name)}|, {unit}")
+        finish(ax, f"|{symbol(name)}|, {plain(unit)}")
     about = f"{counted(len(drawn.data), 'line')}, {drawn.data.duration:.4g} s"
     places[0].set_title(plain(f"{drawn.data.name or 'manoeuvre'}: {about}"), fontsize=TITLE_SIZE)
     label_horizontal(places, "ω, rad/s")
@@ -142,7 +142,7 @@ def spectrum_legend(drawn: Drawn) -> dict[str, tuple[Artist, ...]]:
 
 def _draw_output(ax: Axes, phase_ax: Axes, drawn: Drawn, name: str) -> None:
     data, fitted, omega = drawn.data, drawn.fitted, drawn.data.omega
-    scale, unit = _unit(data, name)
+    scale, unit = integral_unit(data, name)
     measured = data.outputs[name]
     ax.semilogy(omega, scale * _size(measured), "o", **_points(DARK), zorder=2.4)
     phase = np.degrees(np.unwrap(np.angle(measured)))
@@ -157,7 +157,7 @@ def _draw_output(ax: Axes, phase_ax: Axes, drawn: Drawn, name: str) -> None:
             k = fitted.outputs.index(name)
             level = math.sqrt(float(fitted.noise[k, k]) * data.step * data.duration)
             ax.axhline(scale * level, color=LEFT, linewidth=1.1, linestyle="--")
-    finish(ax, f"|{symbol(name)}|, {unit}")
+    finish(ax, f"|{symbol(name)}|, {plain(unit)}")
     finish(phase_ax, f"∠{symbol(name)}, °")
     phase_ax.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 3, 4.5, 6, 9, 10]))
 
@@ -177,7 +177,7 @@ def _points(color: str) -> dict:
     return {"color": color, "markersize": 4, "markerfacecolor": "white"}
 
 
-def _unit(data: TransientSpectrum, name: str) -> tuple[float, str]:
+def integral_unit(data: TransientSpectrum, name: str) -> tuple[float, str]:
     """Return the factor to the unit that a person reads, and that unit of the integral."""
     scale, unit = shown_unit(data.units.get(name, ""))
-    return scale, "s" if unit in ("", "1") else f"({plain(unit)}) s"
+    return scale, "s" if unit in ("", "1") else f"({unit}) s"

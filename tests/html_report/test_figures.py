@@ -98,12 +98,15 @@ def test_the_spectrum_of_a_manoeuvre_has_data_fit_and_what_is_left(fit):
     time = 0.05 * np.arange(201)
     u = np.exp(-((time - 2) ** 2))
     y = gb.simulate(Polynomial(1, 0), fit.estimate, gb.Record(time, {"u": u}))["y"]
-    spectrum = gb.spectral.transient_spectrum(gb.Record(time, {"u": u, "y": y}), "u", "y", (0.5, 6))
+    spectrum = gb.spectral.transient_spectrum(gb.Record(time, {"u": u, "y": y}, {"y": "rad"}), "u", "y", (0.5, 6))
     fitted = gb.fit(gb.Problem(Polynomial(1, 0), spectrum), starts=2, progress=False)
     output, given = spectrum_figure(fitted.spectra[0]).panels
-    assert named(output, "measured", "points").y == pytest.approx(np.abs(spectrum.outputs["y"]))
-    assert named(output, "fit of", "line").y == pytest.approx(np.abs(spectrum.outputs["y"]), rel=0.01, abs=1e-4)
+    assert named(output, "measured", "points").y == pytest.approx(np.degrees(np.abs(spectrum.outputs["y"])))
+    assert named(output, "fit of", "line").y == pytest.approx(
+        np.degrees(np.abs(spectrum.outputs["y"])), rel=0.01, abs=0.01
+    )
     assert given.series[0].y == pytest.approx(np.abs(spectrum.inputs["u"]))
+    assert [output.label, given.label] == ["y, (°) s", "u, s"]
 
 
 def test_numbers_keep_the_digits_that_zooming_needs():
