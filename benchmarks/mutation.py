@@ -10,7 +10,8 @@ the fastest files, up to the first failure, of a test that passes without the fa
 its tests is an endless loop, and caught. A fault on a line that no test executes has survived, and so has one that all
 tests within the budget let through. All faults meet a tenth of the budget before one of them meets the rest of it.
 Times of tests and their limits are processor time, so other work on the machine changes how long a sample takes and not
-what it says; only `--minutes` is time of the clock. TIMES
+what it says; only `--minutes` is time of the clock. The measuring run takes some twenty minutes of one processor and 1
+GB; a fault that is caught takes 5 s, of which half are imports, and one that survives up to its budget.
 
 All happens in copies of the last commit in a temporary directory. Which test executes which line is measured once a
 commit by a run of the whole suite, and kept in the cache; where only tests are newer than what it holds, only they run.
