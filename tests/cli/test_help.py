@@ -93,3 +93,13 @@ ask greybox f; ask greybox fit --starts-b; ask greybox fit pitch_h; ask greybox 
 def test_without_shtab_the_sentence_names_the_extra(capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "shtab", None)
     assert "needs shtab: pip install 'greybox-id[completion]'." in refused(capsys, "completion", "zsh")
+
+
+def test_the_orders_that_are_tried_are_those_that_are_told():
+    options = _parser().parse_args(["orders", "response.csv"])
+    told = re.search(
+        r"--n .*?([\d ]+) by default.*--integrators .*?([\d ]+) by default",
+        " ".join(COMMANDS["orders"].format_help().split()),
+    )
+    assert [*map(str, options.n)] == told[1].split()
+    assert [*map(str, options.integrators)] == told[2].split()

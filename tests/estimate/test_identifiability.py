@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.estimate.identifiability import KnownDirections
 
 N, STEP = 1000, 0.02
 RANDOM = np.random.default_rng(7)
@@ -201,3 +202,12 @@ def test_what_is_determined_raises_no_alarm(biases):
     assert all(np.isfinite(list(fit.standard_error.values())))
     for name in biases:
         assert abs(fit.estimate[f"{name}_bias"]) < 4 * fit.standard_error[f"{name}_bias"]
+
+
+def test_what_is_known_is_the_inverse_within_the_directions_that_are():
+    """In multiples of the sizes; of a direction that is not seen the pseudoinverse has nothing."""
+    size = np.array([10.0, 0.1, 1.0])
+    scaled = np.array([[2.0, 0.5, 0.0], [0.5, 1.0, 0.0], [0.0, 0.0, 0.0]])
+    unseen = np.array([[0.0], [0.0], [1.0]])
+    known = KnownDirections(scaled * np.outer(size, size), unseen, size, np.ones(3))
+    np.testing.assert_allclose(known.matrix, np.linalg.pinv(scaled), atol=1e-12)

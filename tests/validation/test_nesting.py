@@ -8,7 +8,7 @@ from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from drag_flights import Drag, LinearDrag, QuadraticDrag, fitted, flight
 
 import greybox as gb
-from greybox.validation.nesting import NotNestedError, _require_fewer_terms, nesting
+from greybox.validation.nesting import NotNestedError, _left_null_space, _require_fewer_terms, nesting
 
 NAMES = ("small", "large")
 
@@ -211,3 +211,9 @@ def test_gains_that_are_free_are_no_gains_that_follow_from_process_noise():
         with pytest.raises(NotNestedError, match="the gains of a and b are free in one and follow from process noise"):
             _require_fewer_terms(*pair, ("a", "b"))
     _require_fewer_terms(free, free, ("a", "b"))
+
+
+def test_a_free_parameter_without_any_effect_leaves_every_direction():
+    slope = np.array([[1.0, 0.0], [0.0, 0.0]])  # of two parameters by two free ones, of which the second does nothing
+    directions = _left_null_space(slope, np.ones(2))
+    np.testing.assert_allclose(np.abs(directions), [[0.0], [1.0]], atol=1e-12)
