@@ -63,6 +63,13 @@ class ResponseBand:
         return self.response.response - self.bias
 
     @property
+    def offset(self) -> Array:
+        """The middle of the band from the response on, (2, n): logarithm of the magnitude, and phase in rad."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            away = np.log(self._center / self.response.response)
+        return np.array([away.real, away.imag])
+
+    @property
     def half_width(self) -> Array:
         """Half of the widths (2, n) of the band of the logarithm of the magnitude and of the phase in rad."""
         return t_quantile(self.level, self.dof) * self.relative_error

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from greybox.estimate.result import Fit
 from greybox.html_report.figure import Figure, Panel, Series
-from greybox.plotting.bode import error_bars, half_width, phases
+from greybox.plotting.bode import band_limits, error_bars, phases
 from greybox.plotting.nyquist import UNLIKE, panels
 from greybox.plotting.response_series import (
     LINE_STYLES,
@@ -76,25 +76,24 @@ def _known(series: Sequence[ResponseSeries]) -> tuple[list[Series], list[Series]
         if one.response.coherence is not None:
             coherence.append(_series(one, one.response.coherence))
         if one.band is not None:
-            order, half = half_width(one.band)
-            omega = one.band.omega[order]
-            for found, values, width in zip((magnitude, phase), (decibel, degrees), half, strict=True):
-                middle = interpolated(omega, one.response.omega, values)
-                found.insert(0, _band(one, omega, middle - width, middle + width))
+            omega, low, high = band_limits(one.band)
+            for found, values, down, up in zip((magnitude, phase), (decibel, degrees), low, high, strict=True):
+                curve = interpolated(omega, one.response.omega, values)
+                found.insert(0, _band(one, omega, curve + down, curve + up))
     return magnitude, phase, coherence
 
 
 def _error_panels(series: Sequence[ResponseSeries], errors: Sequence[ErrorSeries]) -> list[Panel]:
-    """Return the panels of measured less fitted values, with the bands of the fits around zero."""
+    """Return the panels of measured less fitted values, with the bands of the fits."""
     if not errors:
         return []
     zero = Series("", "rule", np.zeros(1), np.zeros(1), GRAY)
     magnitude, phase = [zero], [zero]
     for one in series:
         if one.band is not None:
-            order, half = half_width(one.band)
-            for found, width in zip((magnitude, phase), half, strict=True):
-                found.append(_band(one, one.band.omega[order], -width, width))
+            omega, low, high = band_limits(one.band)
+            for found, down, up in zip((magnitude, phase), low, high, strict=True):
+                found.append(_band(one, omega, down, up))
     for error in errors:
         with np.errstate(divide="ignore"):
             values = 20 * np.log10(np.abs(error.ratio)), np.degrees(np.angle(error.ratio))

@@ -182,20 +182,19 @@ def _draw_series(place: Mapping[str, Axes], one: ResponseSeries, phase: NDArray[
         place["phase"].errorbar(response.omega, phase, turn, **look)
 
     if one.band is not None:
-        order, half = half_width(one.band)
-        omega = one.band.omega[order]
-        middle = interpolated(omega, response.omega, decibel), interpolated(omega, response.omega, phase)
-        for ax, center, width in zip((place["magnitude"], place["phase"]), middle, half, strict=True):
-            ax.fill_between(omega, center - width, center + width, **_band_look(one.color))
+        omega, low, high = band_limits(one.band)
+        curve = interpolated(omega, response.omega, decibel), interpolated(omega, response.omega, phase)
+        for ax, of, down, up in zip((place["magnitude"], place["phase"]), curve, low, high, strict=True):
+            ax.fill_between(omega, of + down, of + up, **_band_look(one.color))
 
 
 def _draw_errors(magnitude: Axes, phase: Axes, errors: Sequence[ErrorSeries], series: Sequence[ResponseSeries]) -> None:
     """Draw measured less fitted values, and the bands of the fits around zero."""
     for one in series:
         if one.band is not None:
-            order, half = half_width(one.band)
-            for ax, width in zip((magnitude, phase), half, strict=True):
-                ax.fill_between(one.band.omega[order], -width, width, **_band_look(one.color))
+            omega, low, high = band_limits(one.band)
+            for ax, down, up in zip((magnitude, phase), low, high, strict=True):
+                ax.fill_between(omega, down, up, **_band_look(one.color))
 
     for error in errors:
         omega = error.data.omega
@@ -216,11 +215,12 @@ def _draw_errors(magnitude: Axes, phase: Axes, errors: Sequence[ErrorSeries], se
         ax.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
 
 
-def half_width(band: ResponseBand) -> tuple[NDArray[np.integer], NDArray[np.float64]]:
-    """Return the order of the frequencies, and half of the widths (2, n) in dB and degrees along it."""
+def band_limits(band: ResponseBand) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return rising frequencies (n,), and the limits (2, n) from the response on, in dB and degrees, along them."""
     order = np.argsort(band.omega)
     factors = np.array([[DB_PER_NEPER], [180 / np.pi]])
-    return order, (factors * band.half_width)[:, order]
+    low, high = (factors * (band.offset + half) for half in (-band.half_width, band.half_width))
+    return band.omega[order], low[:, order], high[:, order]
 
 
 def _band_look(color: str) -> dict[str, Any]:
