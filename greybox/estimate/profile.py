@@ -43,7 +43,7 @@ from greybox.estimate.result import Fit, Quantity
 from greybox.formulation.starts import Sobol
 from greybox.solve.batched_solver import BatchedSolver
 from greybox.solve.executors import call_all, require_executor
-from greybox.solve.ipopt import CONVERGED, WARM, StopCheck, checked_nlpsol
+from greybox.solve.ipopt import CONVERGED, WARM, Ipopt
 
 Array = NDArray[np.float64]
 
@@ -230,9 +230,7 @@ class _Held:
         z, p = kind.sym("z", len(nlp.free)), kind.sym("p", 2)
         cost, limits = program(z, p[0])
         equation = kind(0, 1) if value is None else value(z) - p[1]
-        statement = {"x": z, "p": p, "f": cost, "g": ca.vertcat(limits, equation)}
-        self._check = StopCheck(statement)
-        self._solver = checked_nlpsol(statement, WARM, {}, self._check)
+        self._ipopt = Ipopt({"x": z, "p": p, "f": cost, "g": ca.vertcat(limits, equation)}, WARM)
         many, held = limits.numel(), equation.numel()
         self._lower, self._upper = nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper)
         self._limits = {"lbg": np.zeros(many + held), "ubg": np.concatenate([np.full(many, np.inf), np.zeros(held)])}
@@ -263,10 +261,9 @@ class _Held:
             x[self._places] = value
             lower[self._places] = upper[self._places] = nlp.scaling.to_solver(x)[self._places]
         start = np.clip(start, lower, upper)
-        self._check.begin()
-        z: Any = self._solver(x0=start, p=[SMOOTHING, np.ravel(value)[0]], lbx=lower, ubx=upper, **self._limits)["x"]
-        z = np.asarray(z).ravel()
-        if self._solver.stats()["return_status"] not in CONVERGED:
+        bounds = {"lbx": lower, "ubx": upper, **self._limits}
+        z, status, _ = self._ipopt.solve(start, [SMOOTHING, np.ravel(value)[0]], bounds)
+        if status not in CONVERGED:
             return z, math.inf
         cost = nlp.cost(nlp.all_values(nlp.scaling.to_parameters(z)))
         return z, cost if math.isfinite(cost) else math.inf

@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -117,6 +118,65 @@ class StopCheck(ca.Callback):
         return self._waited > PATIENCE
 
 
+class Ipopt:
+    """IPOPT on one problem, quiet, which it leaves where a `StopCheck` says so.
+
+    Parameters
+    ----------
+    statement : mapping
+        ``x, p, f, g`` as `casadi.nlpsol` takes them.
+    options : mapping
+        IPOPT's.
+    derivatives : mapping
+        Those that are known, as options of `casadi.nlpsol`.
+
+    Raises
+    ------
+    ValueError
+        For an option that IPOPT does not take.
+    """
+
+    def __init__(
+        self,
+        statement: Mapping[str, Any],
+        options: Mapping[str, Any],
+        derivatives: Mapping[str, ca.Function] = MappingProxyType({}),
+    ) -> None:
+        """Build it."""
+        self._statement, self._options = dict(statement), options
+        self._check = StopCheck(statement)  # kept, since CasADi keeps its address alone
+        settings = {**_settings({**QUIET, **options}), **derivatives, "iteration_callback": self._check}
+        try:
+            with _one_thread:
+                self._solver = ca.nlpsol("ipopt", "ipopt", self._statement, settings)
+        except RuntimeError:
+            for name, value in options.items():
+                _check_option(name, value)
+            raise
+
+    def solve(self, x: Array, p: Any, bounds: Mapping[str, Any]) -> tuple[Array, str, int]:
+        """Return where a run from x ended, its status and iterations; the lowest point where it was stopped."""
+        self._check.begin()
+        end: Any = self._solver(x0=x, p=p, **bounds)["x"]
+        stats = self._solver.stats()
+        status = stats["return_status"]
+        if status == STOPPED:
+            status, end = self._check.reason, end if self._check.best is None else self._check.best
+        return np.asarray(end).ravel(), status, int(stats["iter_count"])
+
+    @cached_property
+    def without_barrier(self) -> "Ipopt":
+        """The same without a barrier."""
+        return Ipopt(self._statement, {**self._options, **WITHOUT_BARRIER}, self.derivatives)
+
+    @property
+    def derivatives(self) -> dict[str, ca.Function]:
+        """The derivatives that were built, as options of another solver of the same problem."""
+        names = {"grad_f": "nlp_grad_f", "jac_g": "nlp_jac_g", "hess_lag": "nlp_hess_l"}
+        there = self._solver.get_function()
+        return {option: self._solver.get_function(name) for option, name in names.items() if name in there}
+
+
 class IpoptSolver(LocalSolver):
     """IPOPT on one compiled problem, built once: the criterion that locates the minimum, if any, then its own."""
 
@@ -131,15 +191,10 @@ class IpoptSolver(LocalSolver):
         self._nlp = nlp
         self._options = options
         programs = ((nlp.locating, nlp.locating_derivatives), (nlp.program, nlp.program_derivatives))
-        statements = [_statement(program) for program, _ in programs if program is not None]
-        known = [derivatives for program, derivatives in programs if program is not None]
+        stated = [(program, derivatives) for program, derivatives in programs if program is not None]
         if like:
-            known = [_derivatives(stage) for stage in like._stages]
-        self._statements = statements
-        self._checks = [StopCheck(e) for e in statements]
-        each = zip(statements, known, self._checks, strict=True)
-        self._stages = [checked_nlpsol(e, options, given, check) for e, given, check in each]
-        self._without_barrier: dict[int, tuple[ca.Function, StopCheck]] = {}  # by stage, where one stagnated
+            stated = [(p, stage.derivatives) for (p, _), stage in zip(stated, like._stages, strict=True)]
+        self._stages = [Ipopt(_statement(program), options, derivatives) for program, derivatives in stated]
         scale = nlp.scaling.to_solver
         self._bounds = {
             "lbx": scale(nlp.lower),
@@ -155,40 +210,21 @@ class IpoptSolver(LocalSolver):
     def run(self, start: Array, smoothing: float = SMOOTHING) -> Outcome:
         """Solve from the parameters `start` (p,)."""
         began = time.perf_counter()
-        z: Any = self._nlp.scaling.to_solver(start)
+        z = self._nlp.scaling.to_solver(start)
         iterations, status, located = 0, "", False
-        for k, stage in enumerate(zip(self._stages, self._checks, strict=True)):
+        for stage in self._stages:
             located = status in CONVERGED
-            z, status, count = self._solved(*stage, z, smoothing)
+            z, status, count = stage.solve(z, smoothing, self._bounds)
             iterations += count
             if status == STAGNATED:
-                end, again, count = self._solved(*self._stage_without_barrier(k), z, smoothing)
+                end, again, count = stage.without_barrier.solve(z, smoothing, self._bounds)
                 iterations += count
                 z, status = (end, again) if again in CONVERGED else (z, status)
             if status in (*CUT_SHORT, STAGNATED):
                 break
-        estimate = self._nlp.scaling.to_parameters(np.asarray(z).ravel())
-        estimate = np.clip(estimate, self._nlp.lower, self._nlp.upper)
+        estimate = np.clip(self._nlp.scaling.to_parameters(z), self._nlp.lower, self._nlp.upper)
         converged = status in CONVERGED or (located and status == ROUNDED)
         return Outcome(estimate, status, iterations, time.perf_counter() - began, converged)
-
-    def _solved(self, stage: ca.Function, check: StopCheck, z: Any, smoothing: float) -> tuple[Any, str, int]:
-        """Return where a stage ended from z, its status and iterations; the lowest point where it was stopped."""
-        check.begin()
-        end = stage(x0=z, p=smoothing, **self._bounds)["x"]
-        stats = stage.stats()
-        status = stats["return_status"]
-        if status == STOPPED:
-            status, end = check.reason, end if check.best is None else check.best
-        return end, status, int(stats["iter_count"])
-
-    def _stage_without_barrier(self, k: int) -> tuple[ca.Function, StopCheck]:
-        if k not in self._without_barrier:
-            check = StopCheck(self._statements[k])
-            options = {**self._options, **WITHOUT_BARRIER}
-            solver = checked_nlpsol(self._statements[k], options, _derivatives(self._stages[k]), check)
-            self._without_barrier[k] = solver, check
-        return self._without_barrier[k]
 
     def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
         """Return the point x (p,): there is nothing hidden."""
@@ -246,36 +282,6 @@ def _statement(program: ca.Function) -> dict[str, Any]:
     x, p = (kind.sym(name, program.numel_in(k)) for k, name in enumerate("xp"))
     f, g = program(x, p)
     return {"x": x, "p": p, "f": f, "g": g}
-
-
-def _derivatives(solver: ca.Function) -> dict[str, ca.Function]:
-    """Return the derivatives that a solver has built, as options of another on the same problem."""
-    names = {"grad_f": "nlp_grad_f", "jac_g": "nlp_jac_g", "hess_lag": "nlp_hess_l"}
-    there = solver.get_function()
-    return {option: solver.get_function(name) for option, name in names.items() if name in there}
-
-
-def checked_nlpsol(
-    expressions: Mapping[str, Any],
-    options: Mapping[str, Any],
-    derivatives: Mapping[str, ca.Function],
-    stop_check: StopCheck,
-) -> ca.Function:
-    """Return IPOPT on a problem, quiet; the caller keeps the `stop_check`, of which CasADi keeps the address alone.
-
-    Raises
-    ------
-    ValueError
-        For an option that IPOPT does not take.
-    """
-    settings = {**_settings({**QUIET, **options}), **derivatives, "iteration_callback": stop_check}
-    try:
-        with _one_thread:
-            return ca.nlpsol("ipopt", "ipopt", dict(expressions), settings)
-    except RuntimeError:
-        for name, value in options.items():
-            _check_option(name, value)
-        raise
 
 
 def _settings(ipopt: Mapping[str, Any]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from greybox.compiled.scaling import Scaling
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.batched_solver import AT_MINIMUM, ITERATIONS, MOST_INSTRUCTIONS, MOST_UNKNOWNS, TOLERANCE
 from greybox.solve.interruption import reason_to_end
-from greybox.solve.ipopt import CONVERGED, STOPPED, WARM, StopCheck, checked_nlpsol
+from greybox.solve.ipopt import CONVERGED, WARM, Ipopt
 from greybox.solve.local_solver import Runner
 from greybox.solve.outcome import IMPROVED, Outcome
 
@@ -285,7 +285,7 @@ class ResponseReplicates(Runner):
         self._bounds = lower, upper
         self._programs: dict[int | None, ca.Function] = {None: program, **dict(enumerate(without))}
         self._newton: dict[int | None, BatchedNewton] = {}
-        self._ipopt: dict[int | None, tuple[ca.Function, StopCheck]] = {}
+        self._ipopt: dict[int | None, Ipopt] = {}
 
     def __reduce__(self) -> tuple[Callable[..., "ResponseReplicates"], tuple[Any, ...]]:
         """Return what builds the same."""
@@ -358,24 +358,12 @@ class ResponseReplicates(Runner):
             kind: Any = ca.SX if program.is_a("SXFunction") else ca.MX
             z, p = kind.sym("z", program.numel_in(0)), kind.sym("p", 1 + program.numel_in(2))
             cost, limits = program(z, p[0], p[1:])
-            statement = {"x": z, "p": p, "f": cost, "g": limits}
-            check = StopCheck(statement)
-            self._ipopt[which] = checked_nlpsol(statement, WARM, {}, check), check
-        solver, check = self._ipopt[which]
+            self._ipopt[which] = Ipopt({"x": z, "p": p, "f": cost, "g": limits}, WARM)
         lower, upper = (self._scaling.to_solver(bound) for bound in self._bounds)
-        check.begin()
-        found: Any = solver(
-            x0=np.clip(self._start, lower, upper),
-            p=np.concatenate([[SMOOTHING], numbers]),
-            lbx=lower,
-            ubx=upper,
-            lbg=0.0,
-            ubg=math.inf,
-        )
-        stats = solver.stats()
-        status = check.reason if stats["return_status"] == STOPPED else stats["return_status"]
-        estimate = self._estimate(np.asarray(found["x"]).ravel())
-        return Outcome(estimate, status, int(stats["iter_count"]), 0.0, converged=status in CONVERGED)
+        bounds = {"lbx": lower, "ubx": upper, "lbg": 0.0, "ubg": math.inf}
+        begin = np.clip(self._start, lower, upper)
+        end, status, iterations = self._ipopt[which].solve(begin, np.concatenate([[SMOOTHING], numbers]), bounds)
+        return Outcome(self._estimate(end), status, iterations, 0.0, converged=status in CONVERGED)
 
     def _estimate(self, z: Array) -> Array:
         return np.clip(self._scaling.to_parameters(z), *self._bounds)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from greybox.compiled.compiled_problem import Nlp
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.interruption import reason_to_end
-from greybox.solve.ipopt import CONVERGED, STOPPED, StopCheck, checked_nlpsol
+from greybox.solve.ipopt import CONVERGED, Ipopt
 from greybox.solve.local_solver import LocalSolver, Profile
 from greybox.solve.outcome import NOT_FINITE, Outcome
 
@@ -58,8 +58,7 @@ class TranscribedProgram(LocalSolver):
 
         approximate = nlp.method.hessian == "gauss-newton"
         hessian = _gauss_newton_hessian(unknowns, parameters, error, rest, constraints) if approximate else {}
-        self._stop_check = StopCheck(statement)
-        self._solver = checked_nlpsol(statement, options, hessian, self._stop_check)
+        self._ipopt = Ipopt(statement, options, hessian)
 
         # Where the unknowns and parameters of each part end in those of the program.
         self._unknown_ends = len(nlp.free) + np.cumsum([program.unknowns.numel() for program in self._programs])[:-1]
@@ -109,10 +108,8 @@ class TranscribedProgram(LocalSolver):
         share = self._nlp.strategies.assumed_error
         w = np.concatenate([program.initial_parameters(z, share) for program in self._programs])
         for _ in range(RELAXATIONS):
-            self._stop_check.begin()
-            solution = self._solver(x0=solution, p=w, **self._bounds)["x"].full().ravel()
-            stats = self._solver.stats()
-            status, iterations = stats["return_status"], iterations + int(stats["iter_count"])
+            solution, status, count = self._ipopt.solve(solution, w, self._bounds)
+            iterations += count
             cost, w, same_data = self._outcome(solution, w)
             settled = abs(cost - last) <= SAME * max(1.0, abs(cost)) and same_data
             if settled or status not in CONVERGED or not math.isfinite(cost):
@@ -120,8 +117,6 @@ class TranscribedProgram(LocalSolver):
             last = cost
         else:
             status = "relaxations exceeded"
-        if status == STOPPED:
-            status = self._stop_check.reason
 
         estimate = np.clip(scaling.to_parameters(solution[:p]), self._nlp.lower, self._nlp.upper)
         converged = status in CONVERGED and math.isfinite(cost)
