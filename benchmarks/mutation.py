@@ -305,6 +305,8 @@ def tried(before: Outcome, tests: list, copy_: Copy, budget: float, sound: dict)
         if failed:
             waiting.insert(0, [t for t in part if t not in suspects])
     how = f"{'all' if last == len(tests) else 'the first'} {last} of {len(tests)} tests passed"
+    failing = sum(not (sound.get(t, True) and sound.get(file_of(t), True)) for t in tests)
+    how += f", {failing} of them fail without it too" if failing else ""
     return Outcome(fault, False, how, time.monotonic() - began, last)
 
 
