@@ -38,6 +38,7 @@ class SecondOrder:
         """
         groups, rest = ([], cost) if as_c else _alike(inputs, cost)
         self._groups = [(Columns(_derivatives([*inputs, g.symbols], g.term)), g.constants) for g in groups]
+        self._repeated: dict[int, list[list[Array]]] = {}  # constants of every group, by the number of columns
         self._rest: Columns | None = None
         if not (groups and rest.is_zero()):
             derivatives = _derivatives(inputs, rest)
@@ -47,16 +48,21 @@ class SecondOrder:
         """Return cost (m,), gradient (p, m) and Hessian (p * p, m) for inputs (numel, m)."""
         p, m = inputs[0].shape
         values = [np.zeros((size, m)) for size in (1, p, p * p)] if self._rest is None else self._rest(*inputs)
-        for function, constants in self._groups:
-            shares = -(-constants.shape[1] // max(CHUNK // m, 1))
-            for some in np.array_split(constants, shares, axis=1):
-                count = some.shape[1]
-                columns = [np.tile(value, count) for value in inputs]
-                found = function(*columns, np.repeat(some, m, axis=1))
+        for (function, _), shares in zip(self._groups, self._constants(m), strict=True):
+            for constants in shares:
+                count = constants.shape[1] // m
+                found = function(*(np.tile(value, count) for value in inputs), constants)
                 for k, terms in enumerate(found):
                     values[k] += terms.reshape(-1, count, m).sum(axis=1)
         cost, gradient, hessian = values
         return cost[0], gradient, hessian
+
+    def _constants(self, m: int) -> list[list[Array]]:
+        """Return the constants of every group for m columns, in shares of as many terms as the cache holds."""
+        if m not in self._repeated:
+            shares = (np.array_split(c, -(-c.shape[1] // max(CHUNK // m, 1)), axis=1) for _, c in self._groups)
+            self._repeated[m] = [[np.repeat(some, m, axis=1) for some in each] for each in shares]
+        return self._repeated[m]
 
 
 class _Alike(NamedTuple):

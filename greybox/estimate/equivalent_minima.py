@@ -25,11 +25,12 @@ def equivalent_estimates(nlp: Nlp, search: Multistart) -> Array:
     or two signs, if the response stays what it is.
     """
     best = search.minima[0]
-    runs = {run.index: run for run in search.runs}
+    at_best = set(best.runs)
+    ends = {run.index: run.estimate for run in search.runs if run.index in at_best}
     found = [best.estimate]
-    for index in best.runs:
-        if _is_new(runs[index].estimate, found):
-            found.append(runs[index].estimate)
+    left = np.array([ends[index] for index in best.runs])
+    while (left := left[_apart(left, found[-1]).any(axis=1)]).size:
+        found.append(left[0])
     if len(nlp.free) <= EXCHANGED and not any(part.has_states for part in nlp.parts):
         for image in _images(nlp, best.estimate):
             if _is_new(image, found):
@@ -42,7 +43,7 @@ def _is_new(vector: Array, found: Sequence[Array]) -> bool:
 
 
 def _apart(a: Array, b: Array) -> NDArray[np.bool_]:
-    """Tell which parameters (p,) are clearly different."""
+    """Tell which parameters (..., p) are clearly different."""
     return np.abs(a - b) > APART * np.maximum(np.abs(a), np.abs(b)) + 1e-9
 
 
