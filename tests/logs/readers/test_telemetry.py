@@ -23,7 +23,9 @@ def saved(tmp_path):
 
 
 @pytest.mark.parametrize("first", [False, True])
-def test_every_number_is_as_pymavlink_reads_it(saved, tmp_path, first):
+def test_every_number_is_as_pymavlink_reads_it(saved, tmp_path, monkeypatch, first):
+    monkeypatch.setenv("MAVLINK20", "1")  # which pymavlink sets for all that follows once it has met a packet of it
+    mavutil.set_dialect("ardupilotmega")
     recording = saved(tlog(radio(), first=first))
     link = mavutil.mavlink_connection(str(tmp_path / "flight.tlog"))
     messages = {}
