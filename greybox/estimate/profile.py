@@ -483,7 +483,7 @@ def _contour(nlp: Nlp, fit: Fit, first: Quantity, second: Quantity, level: float
     places = [nlp.free.index(first.name), nlp.free.index(second.name)]
     limit = math.sqrt(2 * float(fdtri(2, min(first.dof, second.dof, 1e9), level)))
     block = accuracy.covariance[np.ix_(places, places)]
-    axes: Array = np.linalg.cholesky(block) if np.linalg.det(block) > 0 else np.diag(accuracy.size[places])
+    axes = (np.linalg.cholesky(block) if np.linalg.det(block) > 0 else np.diag(accuracy.size[places])).astype(float)
     search = _Search(
         held=best.held.of(*places),
         best=_Point(0.0, best.point, best.cost),

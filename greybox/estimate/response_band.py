@@ -66,7 +66,7 @@ class ResponseBand:
     def offset(self) -> Array:
         """The middle of the band from the response on, (2, n): logarithm of the magnitude, and phase in rad."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            away = np.log(self._center / self.response.response)
+            away: Complexes = np.log(self._center / self.response.response)
         return np.array([away.real, away.imag])
 
     @property
