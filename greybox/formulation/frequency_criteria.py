@@ -48,7 +48,7 @@ class Criterion(AnyCriterion):
     condition: ClassVar[str] = "errors isotropic in the complex plane and of one relative size"
     uses: ClassVar[tuple[str, ...] | None] = None
 
-    def condition_on(self, data: FrequencyResponse) -> str:
+    def condition_on(self, data: Any) -> str:
         """Return the condition, with the common errors of the data if there are any."""
         return self.condition if data.common_errors is None else f"{self.condition}, and the common errors of the data"
 
