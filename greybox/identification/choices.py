@@ -165,5 +165,5 @@ def _output(recording: Recording, axis: str, used: Sequence[Segment]) -> tuple[s
 def _rate(recording: Recording, signal: str, used: Sequence[Segment]) -> float:
     """Return the sampling rate during the tests, Hz."""
     time = recording.locate(signal)[0].time
-    counts = [np.count_nonzero((time >= test.start) & (time <= test.end)) for test in used]
-    return float(sum(counts) / sum(test.duration for test in used))
+    samples = [np.ptp(np.interp((test.start, test.end), time, np.arange(time.size))) for test in used]
+    return float(sum(samples) / sum(test.duration for test in used))
