@@ -49,6 +49,7 @@ MOST_WAITING = 128
 MOST_BYTES = 1 << 28
 
 SOLVERS_KEPT = 4  # by a worker, so that it serves the members of a study in turn without building anew
+GIVEN_UP = "the executor gave up its tasks: its workers or its scheduler are gone."
 LOOK = 0.1  # s, after which a search that waits for workers keeps what is done and looks whether Ctrl-C was pressed
 
 
@@ -294,6 +295,8 @@ class _Tasks:
             if task.outcomes is None and task.future is not None and _is_without_error(task.future):
                 self._finish(task)
         self._memory.look()
+        if _is_cut_off(self._executor):
+            raise ExecutorLostError(GIVEN_UP)
 
     def _finish(self, task: _Task) -> None:
         """Take the outcomes of a task that is done, if its worker was not lost."""
@@ -314,6 +317,13 @@ class _Tasks:
         return _Task(numbers, starts, self._executor.submit(run_starts, *self._packed, *where))
 
 
+def _is_cut_off(executor: Executor) -> bool:
+    """Tell whether Dask has lost its scheduler: it cancels the tasks of before, and those of after are never done."""
+    if type(executor).__module__ != "distributed.cfexecutor":
+        return False
+    return getattr(executor, "_client").status != "running"  # noqa: B009  (of the class of a package that may be absent)
+
+
 def _is_without_error(future: Future[list[Outcome]]) -> bool:
     """Tell whether a task is done and has left its outcomes."""
     return future.done() and not future.cancelled() and future.exception() is None
@@ -328,7 +338,7 @@ def _result(future: Future[R]) -> R | None:
     except NoWorkerError as error:
         raise ExecutorLostError(str(error)) from error
     except CancelledError as error:
-        raise ExecutorLostError("the executor gave up its tasks: its workers or its scheduler are gone.") from error
+        raise ExecutorLostError(GIVEN_UP) from error
     except Exception as error:
         said = " ".join(str(error).split())[:300].rstrip(".") or "no reason given"
         raise ExecutorLostError(

@@ -9,6 +9,7 @@ import textwrap
 import time
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -183,6 +184,18 @@ def test_of_a_pool_that_is_not_ours_the_loss_is_said():
         pytest.raises(RuntimeError, match=r"failed, BrokenProcessPool: .* use greybox\.solve\.WorkerPool"),
     ):
         outcomes(Fragile(20.0), pool)
+
+
+def test_a_scheduler_that_is_lost_before_its_tasks_are_handed_out_is_not_waited_for():
+    class Disconnected(Executor):
+        __module__ = "distributed.cfexecutor"
+        _client = SimpleNamespace(status="connecting")
+
+        def submit(self, fn, /, *args, **kwargs):
+            return Future()
+
+    with pytest.raises(RuntimeError, match="the executor gave up its tasks: its workers or its scheduler are gone"):
+        gb.fit(RESPONSE, 20, search="multistart", executor=Disconnected(), progress=False)
 
 
 def test_ctrl_c_keeps_the_runs_that_were_made(press_ctrl_c, workers):
