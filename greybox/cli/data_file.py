@@ -37,7 +37,7 @@ def read_data(
     require_file(path)
     if not columns and holds_spectrum(path):
         return read_spectrum(path)
-    if not columns.keys().isdisjoint(("frequency", "magnitude")) if columns else _is_response(path):
+    if {"frequency", "magnitude"} & columns.keys() if columns else _is_response(path):
         return as_the_only_pair(model, read_response(path, input=input, output=output, columns=columns))
     try:
         log = read(path, columns=columns or None)

@@ -44,13 +44,8 @@ def read_in_subprocess(kind: str, path: Path, *wanted: str) -> Answer:
     ValueError
         If the file cannot be read, or not within the limits of time and memory.
     """
-    return _run([kind, str(path.absolute()), *wanted], path)
-
-
-def _run(arguments: list[str], path: Path) -> Answer:
-    """Return what the other process answers."""
     limit = PATIENCE + path.stat().st_size / SPEED
-    command = [sys.executable, "-P", "-W", "ignore", str(SCRIPT), *arguments]
+    command = [sys.executable, "-P", "-W", "ignore", str(SCRIPT), kind, str(path.absolute()), *wanted]
     environment = {
         **os.environ,
         "OPENBLAS_NUM_THREADS": "1",  # every thread of it reserves memory

@@ -88,9 +88,15 @@ class HeldRecords:
 def _equation(quantity: ca.Function, z: Array, value: float) -> ca.Function:
     """Return (z) -> quantity less value, of slope one at the point z (p,): as steep as a bound is."""
     point = ca.SX.sym("z", len(z))
-    slope = ca.Function("slope", [point], [ca.jacobian(quantity(point), point)])
-    size = float(np.linalg.norm(np.asarray(ca.DM(slope(z)))))
+    size = float(np.linalg.norm(slope_of(quantity, z)))
     return ca.Function("equation", [point], [(quantity(point) - value) / (size or 1.0)])
+
+
+def slope_of(quantity: ca.Function, z: Array) -> Array:
+    """Return the derivatives (p,) of a quantity (z) -> value at the point z (p,)."""
+    point = ca.SX.sym("z", len(z))
+    slope = ca.Function("slope", [point], [ca.jacobian(quantity(point), point)])
+    return np.asarray(ca.DM(slope(z))).ravel()
 
 
 def best_of_records(nlp: Nlp, x: Array) -> tuple[HeldRecords, Array, float, tuple[Trajectory, ...]]:

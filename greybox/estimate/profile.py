@@ -19,7 +19,7 @@ number of points. Those of records are in `held_records`.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from copy import copy
 from dataclasses import dataclass, replace
@@ -36,7 +36,7 @@ from greybox.data.progress import counted_off
 from greybox.data.text_table import alternatives, number
 from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.fitted_problem import compiled_again
-from greybox.estimate.held_records import HeldRecords, NoMinimumError, best_of_records
+from greybox.estimate.held_records import HeldRecords, NoMinimumError, best_of_records, slope_of
 from greybox.estimate.profiles import Contour, End, ProfileOf, Profiles
 from greybox.estimate.quantities import Formula, formulas
 from greybox.estimate.result import Fit, Quantity
@@ -370,8 +370,6 @@ class _Search:
 
     def along(self, center: Array, ray: Array, bounds: Array) -> tuple[float, End]:
         """Return how far along a ray (2,) from the center the limit is crossed, or the `bounds` (2, 2) reached."""
-        from scipy.optimize import brentq  # noqa: PLC0415  (takes a tenth of a second to import)
-
         with np.errstate(divide="ignore"):
             room = np.where(ray > 0, bounds[:, 1] - center, bounds[:, 0] - center) / np.where(ray == 0, np.nan, ray)
         most = float(np.nanmin(room))
@@ -393,30 +391,34 @@ class _Search:
             inside, reach = point, min(WIDER * reach, most)
         outside = point
 
-        def above(value: float) -> float:
-            for known in (inside, outside):
-                if value == known.value:
-                    return self.root(known) - self.limit
+        def between(value: float) -> _Point:
             tried = [self.held.solve(start.z, center + value * ray) for start in (inside, outside)]
-            return self.root(_Point(value, *min(tried, key=lambda pair: pair[1]))) - self.limit
+            return _Point(value, *min(tried, key=lambda pair: pair[1]))
 
-        found: Any = brentq(above, inside.value, outside.value, xtol=CROSSING * outside.value)
-        return float(found), "crossed"
+        found = _zero(lambda at: self.root(at) - self.limit, between, inside, outside, CROSSING * outside.value)
+        return found, "crossed"
 
     def crossing(self, one: _Point, other: _Point, root: float) -> float:
         """Return where the signed root has a value between two points."""
-        from scipy.optimize import brentq  # noqa: PLC0415  (takes a tenth of a second to import)
+        tolerance = max(1e-3 * abs(other.value - one.value), 1e-12 * self.size)
+        return _zero(
+            lambda at: self.signed_root(at) - root,
+            lambda value: self.point(value, one.z, other.z),
+            one,
+            other,
+            tolerance,
+        )
 
-        ends = {point.value: self.signed_root(point) for point in (one, other)}
 
-        def above(value: float) -> float:
-            if value in ends:
-                return ends[value] - root
-            return self.signed_root(self.point(value, one.z, other.z)) - root
+def _zero(
+    height: Callable[[_Point], float], between: Callable[[float], _Point], one: _Point, other: _Point, tolerance: float
+) -> float:
+    """Return the value at which the height changes its sign from one point to the other."""
+    from scipy.optimize import brentq  # noqa: PLC0415  (takes a tenth of a second to import)
 
-        tolerance = 1e-3 * abs(other.value - one.value)
-        found: Any = brentq(above, one.value, other.value, xtol=max(tolerance, 1e-12 * self.size))
-        return float(found)
+    ends = {point.value: point for point in (one, other)}
+    found: Any = brentq(lambda v: height(ends[v] if v in ends else between(v)), one.value, other.value, xtol=tolerance)
+    return float(found)
 
 
 def _value_of(nlp: Nlp, formula: Formula) -> ca.Function:
@@ -424,13 +426,6 @@ def _value_of(nlp: Nlp, formula: Formula) -> ca.Function:
     z = ca.SX.sym("z", len(nlp.free))
     named = dict(zip(nlp.names, [*nlp.scaling.expressions(z), *nlp.constant_values], strict=True))
     return ca.Function("value", [z], [ca.SX(formula.evaluate(named))])
-
-
-def _slope_of(nlp: Nlp, value: ca.Function, x: Array) -> Array:
-    """Return the derivatives (p,) of a value (z) by the parameters x (p,)."""
-    z = ca.SX.sym("z", len(x))
-    slope = ca.Function("slope", [z], [ca.jacobian(value(z), z)])
-    return np.asarray(ca.DM(slope(nlp.scaling.to_solver(x)))).ravel() * nlp.scaling.slope(x)
 
 
 def contour(
@@ -562,7 +557,8 @@ def _profiles(
         place = nlp.free.index(line.name) if line.name in nlp.free else None
         if place is None:
             value = _value_of(nlp, by_name[line.name])
-            held, slope = best.held.of_quantity(value), _slope_of(nlp, value, x)
+            held = best.held.of_quantity(value)
+            slope = slope_of(value, nlp.scaling.to_solver(x)) * nlp.scaling.slope(x)
         else:
             held, slope = best.held.of(place), np.eye(len(x))[place]
         dof = accuracy.dof if not math.isfinite(line.dof) else line.dof

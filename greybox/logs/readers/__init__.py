@@ -10,10 +10,11 @@ Formats
     `dataflash_text` (ArduPilot, text); `telemetry` (MAVLink), with `telemetry_frames` (finds the packets in a file) and
     `telemetry_metadata`; `ulog` (PX4); `csv_table`, with `betaflight` (of its blackbox); `hdf5`; `matlab`.
 Shared by several
-    `messages` (messages of one type, and the records made of them), `time_stamps` (clock restarts, impossible and
-    repeated stamps), `table_columns` (units in headings, the time column), `ardupilot_metadata` (vehicle, firmware,
-    parameters, modes, arming), `controller_outputs` (which signals a controller holds), `named_arrays` (records of the
-    groups in HDF5, MATLAB and PX4 files, which `greybox.data.subprocess_reader` reads in a subprocess).
+    `mapped_file` (files that are mapped into memory), `messages` (messages of one type, and the records made of them),
+    `time_stamps` (clock restarts, impossible and repeated stamps), `table_columns` (units in headings, the time
+    column), `ardupilot_metadata` (vehicle, firmware, parameters, modes, arming), `controller_outputs` (which signals a
+    controller holds), `named_arrays` (records of the groups in HDF5, MATLAB and PX4 files, which
+    `greybox.data.subprocess_reader` reads in a subprocess).
 """
 
 from collections.abc import Callable, Collection, Mapping

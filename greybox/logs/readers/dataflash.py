@@ -17,9 +17,10 @@ from greybox.data.progress import counted_off
 from greybox.data.record import Recording
 from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.controller_outputs import with_holds
-from greybox.logs.readers.dataflash_index import PIECE, Index, Layout, index, release, text
+from greybox.logs.readers.dataflash_index import PIECE, Index, Layout, index, text
 from greybox.logs.readers.dataflash_units import Units, UnitTables, with_usual_units
 from greybox.logs.readers.imu_batches import DATA, HEADER, SAMPLES, with_batches
+from greybox.logs.readers.mapped_file import release
 from greybox.logs.readers.messages import Clocked, Messages, bare, merged, on_one_clock, records
 
 ABOUT = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE")  # about the log or the vehicle: no time histories

@@ -5,7 +5,6 @@ and prints a line for every byte that it skips. This one is about as fast, silen
 of format letters is pymavlink's.
 """
 
-import mmap
 import struct
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from pymavlink.DFReader import FORMAT_TO_STRUCT
 
 from greybox.data.progress import reading
+from greybox.logs.readers.mapped_file import Bytes, release
 
 HEAD = b"\xa3\x95"  # before every message, then the type's number
 FMT, FMT_LENGTH = 0x80, 89  # the message that describes the others: type, length, name, format, columns
@@ -22,9 +22,6 @@ STRIDE = 256  # messages that are first tried at once; doubled while all are sou
 PIECE = 2**22  # bytes scanned for headers at once: 4 MB, against a log of gigabytes in memory
 PADDING = 4096  # bytes behind the last message that are looked at: a page of zeros or of erased flash is no damage
 FMT_BODY = struct.Struct("<BB4s16s64s")
-
-
-Bytes = bytes | mmap.mmap
 
 
 @dataclass(frozen=True)
@@ -251,14 +248,6 @@ def text(raw: bytes) -> str:
         return raw.decode("utf-8")
     except UnicodeDecodeError:
         return raw.decode("iso-8859-1")
-
-
-def release(data: Bytes, start: int, end: int) -> None:
-    """Let go of the pages of a mapped file: what was read of it counts as memory of this process until then."""
-    if isinstance(data, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
-        first = max(start, 0) // mmap.PAGESIZE * mmap.PAGESIZE
-        if end > first:
-            data.madvise(mmap.MADV_DONTNEED, first, end - first)
 
 
 def _heads(raw: NDArray[np.uint8], start: int) -> NDArray[np.int64]:

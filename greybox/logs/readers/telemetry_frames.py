@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from greybox.data.progress import reading
-from greybox.logs.readers.dataflash_index import release
+from greybox.logs.readers.mapped_file import release
 
 PIECE = 2**20  # bytes after which the bar moves on
 STAMP = 8  # bytes of time before a packet: µs since 1970, big-endian
