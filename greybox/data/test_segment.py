@@ -92,7 +92,8 @@ def segment_table(segments: Sequence[Segment]) -> str:
     rows = []
     for k, s in enumerate(segments, start=1):
         band = number(s.omega) if s.kind == "sine" else f"{number(s.band[0], 3)} to {number(s.band[1], 3)}"
-        times = (f"{s.start:.2f}", f"{s.end:.2f}", s.kind, s.axis, band, number(s.periods, 3))
+        periods = number(s.periods, 3) if s.kind == "sine" else "-"  # of a sweep, few of its lowest say little
+        times = (f"{s.start:.2f}", f"{s.end:.2f}", s.kind, s.axis, band, periods)
         sizes = (f"{number(s.amplitude, 3)} {s.unit}".rstrip(), number(round(s.offset, 9), 3))
         rows.append((str(k), *times, *sizes, "yes" if s.usable else "no", s.source))
     notes = [f"{k}: {text}" for k, s in enumerate(segments, start=1) for text in s.findings]

@@ -21,8 +21,8 @@ def test_a_segment_says_what_it_is():
 def test_a_table_lists_segments_and_under_it_their_findings():
     table = segment_table([Segment(1.0, 11.0, omega=2.0), Segment(12.0, 13.0, "sweep", band=(1, 9)).refused("aborted")])
     first, second, note = table.splitlines()[2:]
-    assert first.split()[:5] == ["1", "1.00", "11.00", "sine", "2"]
-    assert "1 to 9" in second
+    assert first.split()[:6] == ["1", "1.00", "11.00", "sine", "2", "3.18"]  # periods: 10 s · 2 rad/s / 2π
+    assert second.split()[4:8] == ["1", "to", "9", "-"]
     assert second.split()[-1] == "no"
     assert note == "2: aborted"
     assert segment_table(()) == "no excited segment was found"
