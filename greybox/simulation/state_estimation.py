@@ -87,7 +87,7 @@ def estimate_states(
     for iteration in range(ITERATIONS):
         adapting = iteration < ADAPTING
         if noise is None and 0 < iteration < ADAPTING:
-            R = _noise_of(e, S, posterior, R, spread)
+            R = _noise_of(e, S, np.isfinite(measured) & finite[:, None, None], posterior, R, spread)
         H, b = _information(e, S, R)
         if adapting:
             information = np.einsum("wij,wj->wi", H, x) + b
@@ -227,10 +227,12 @@ def _prior(H: Array, information: Array, mean: Array, measured: Array, R: Array,
     return mean, precision
 
 
-def _noise_of(e: Array, S: Array, posterior: Array, R: Array, spread: Array) -> Array:
-    """Return the variances of the residuals, corrected for what the states have fitted away, as a diagonal (k, k)."""
+def _noise_of(e: Array, S: Array, present: NDArray[np.bool_], posterior: Array, R: Array, spread: Array) -> Array:
+    """Return the variances of the residuals, corrected for what the states have fitted away, as a diagonal (k, k).
+
+    `present` (w, samples, k) says which of them there are.
+    """
     H, _ = _information(e, S, R)
-    present = np.any(S != 0, axis=3)
     count = np.maximum(present.sum(axis=(0, 1)), 1)
     fitted = float(np.einsum("wij,wji->", H, posterior)) / count.sum()
     squares = np.where(np.isfinite(e), e**2, 0.0).sum(axis=(0, 1))

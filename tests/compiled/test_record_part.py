@@ -180,6 +180,13 @@ def test_known_initial_states_follow_their_function_of_the_parameters():
     slope = numeric_jacobian(cost, z)[0]
     assert_allclose(condensed.gradient, slope, rtol=1e-5, atol=1e-5 * np.abs(slope).max())
 
+    def errors(v):
+        moved = part.trajectory(v, simulated.nodes, simulated=True)
+        return (weight @ part.residuals(moved).reshape(len(weight), -1)).ravel()
+
+    J = numeric_jacobian(errors, z)
+    assert_allclose(condensed.hessian, J.T @ J, rtol=1e-4, atol=1e-5 * np.abs(J.T @ J).max())
+
 
 def test_an_excerpt_and_a_refinement_are_parts_of_their_own(made):
     part, z, _ = made

@@ -194,6 +194,17 @@ def test_a_fit_that_explains_almost_nothing_is_told():
     assert not said(fit(Late(), record), "almost none of")
 
 
+def test_a_gain_that_is_far_too_small_explains_almost_nothing_of_either_record():
+    """Held at a twentieth of its value, so that 95 % of the output are left; no name is that of the model."""
+    one, other = driven(300), driven(300, seed=1)
+    other = gb.Record(other.time, {"u": other["u"], "y": other["y"]})
+    problem = gb.several(Late(), [one, other], criterion=HELD, fixed={"K": 0.1, "d": 0.02})
+    texts = said(gb.fit(problem, starts=1, progress=False), "almost none of")
+    found = [re.search(r"of y in '(.*)' \(fit (\S+) %\)", text) for text in texts]
+    assert [words[1] for words in found] == ["driven", "Late"]
+    assert_allclose([float(words[2]) for words in found], 5, atol=4)
+
+
 def test_a_right_model_of_a_record_that_is_mostly_noise_is_not_blamed():
     """The fit is low, since it cannot be higher, and the estimate is right within its errors."""
     u = np.sin(np.arange(6000) / 100)

@@ -91,3 +91,14 @@ def test_the_band_of_a_pulse_begins_at_a_period_over_it_and_its_rests():
     """A pulse is strongest at zero; a second of rest on both sides."""
     (found,) = manoeuvres_in(TIME[TIME < 30], pulses(10.0, 1.2, (1,), 1.0)[TIME < 30])
     assert found.band[0] == pytest.approx(2 * np.pi / (1.2 + 2), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("between", "kind"), [(1.3, "step"), (2.0, "stick input"), (-0.3, "step"), (-0.7, "stick input")]
+)
+def test_a_step_that_swings_far_beyond_its_ends_is_none(between, kind):
+    """From zero to one, within half a second by way of another level."""
+    time = TIME[TIME < 20]
+    values = np.where(time < 10, 0.0, np.where(time < 10.4, between, 1.0))
+    (found,) = manoeuvres_in(time, values)
+    assert found.kind == kind

@@ -164,3 +164,26 @@ def test_models_with_their_own_biases_are_compared_and_counted(fit):
     )
     with pytest.raises(ValueError, match="there is no 'values estimated from the records'"):
         kept.value("values estimated from the records", "Drag", "held-out")
+
+
+class Gain(gb.StateSpace):
+    """An output that follows its input at once."""
+
+    states, inputs, outputs = (), ("u",), ("y",)
+    K = gb.Parameter(2.0, bounds=(-10, 10))
+
+    def output(self, x, u, p):
+        return (p.K * u.u,)
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_the_error_of_a_constant_offset_is_that_of_a_mean(every):
+    """White errors of 0.1, and every so many samples measured: 0.1 over the root of their number."""
+    time = np.arange(400) / 20
+    u = np.sin(time)
+    y = 2 * u + 0.7 + 0.1 * np.random.default_rng(0).normal(size=400)
+    y[np.arange(400) % every != 0] = np.nan
+    found = gb.predict(Gain(), {"K": 2.0}, gb.Record(time, {"u": u, "y": y}), own=["y_bias"])
+    value, error = found.own["y_bias"]
+    assert value == pytest.approx(np.nanmean(y - 2 * u), abs=0.3 * error)
+    assert error == pytest.approx(0.1 / np.sqrt(400 / every), rel=0.12)

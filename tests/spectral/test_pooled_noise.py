@@ -49,3 +49,10 @@ def test_few_tests_and_unknown_levels_are_left_alone():
     assert few[1].tolist() == DOF[:4].tolist()
     unknown = np.where(OMEGA < 2, np.nan, OMEGA)
     assert np.isnan(pooled_levels(OMEGA, unknown, DOF)[0]).tolist() == np.isnan(unknown).tolist()
+
+
+def test_five_levels_on_one_curve_are_known_as_well_as_all_together():
+    line = np.geomspace(1, 10, 5)
+    level, dof = pooled_levels(line, line, np.full(5, 8.0))
+    assert dof.tolist() == [40.0] * 5
+    assert level / line == pytest.approx(level[0] / line[0])

@@ -303,3 +303,11 @@ def test_a_limit_counts_at_the_ends_of_the_record_too(phase):
     u = np.clip(2 * np.sin(omega * t + phase), -1, 1)
     assert _saturation(u, None) == pytest.approx(2 / 3, abs=0.01)
     assert _saturation(u, (-1.0, 1.0)) == pytest.approx(2 / 3, abs=0.01)
+
+
+@pytest.mark.parametrize("level", [0.1, 0.37, 1500.0])
+def test_a_control_that_stands_still_without_noise_is_no_test(level):
+    """Only rounding errors are left of it, which are no excitation."""
+    t = np.arange(4000) * STEP
+    with pytest.raises(ValueError, match="barely excited"):
+        one_test(np.full(t.size, level), np.sin(6.1 * t), t, 6.1)

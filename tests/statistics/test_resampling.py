@@ -52,3 +52,8 @@ def test_blocks_follow_each_other_on_a_circle():
     places = drawn_blocks(np.random.default_rng(0), 100, 30, 7)
     assert len(places) == 100
     assert np.all((np.diff(places) % 30 == 1) | (np.arange(1, 100) % 7 == 0))
+
+
+def test_no_block_is_longer_than_a_third_of_the_series():
+    walks = np.random.default_rng(0).normal(size=(20, 30)).cumsum(axis=1)
+    assert max(block_length([walk]) for walk in walks) == 10

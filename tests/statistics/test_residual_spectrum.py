@@ -197,3 +197,10 @@ def test_a_vector_autoregression_is_among_the_spectra():
     weight = np.where(np.arange(4097) % 4096 == 0, 1.0, 2.0) / 8192
     wanted = np.einsum("f,fi,fij,fj->", weight, transform.conj(), spectrum, transform).real
     assert_allclose(information([J], [e]).meat[0, 0], wanted, rtol=0.3)
+
+
+def test_a_record_that_tells_nothing_of_a_parameter_takes_nothing_from_it():
+    e = np.random.default_rng(0).normal(size=(2, 300))
+    found = colored_information([np.zeros((2, 1, 300))], [e], np.eye(1), np.eye(2))
+    assert found.meat == 0
+    assert found.taken == 0

@@ -184,6 +184,22 @@ def test_models_of_responses_are_nested_by_their_responses():
     assert found.terms == found.on_bound == ("tau",)
 
 
+class EqualAtOneFrequency(LagLag):
+    """At 1 rad/s a gain like another, and nowhere else."""
+
+    def response(self, s, p):
+        return super().response(s, p) * (1 + 0.3 * (s * s + 1))
+
+
+def test_responses_that_meet_at_one_frequency_are_not_the_same():
+    """The first of the data is where they do."""
+    data = measured(LagLagDelay(), TWO_LAGS_OMEGA / TWO_LAGS_OMEGA[0], TWO_LAGS, noise=0.02)
+    assert data.omega[0] == 1.0
+    large = gb.fit(gb.Problem(LagLagDelay(), data), starts=4, progress=False)
+    with pytest.raises(NotNestedError):
+        nesting(gb.fit(gb.Problem(EqualAtOneFrequency(), data), starts=4, progress=False), large, NAMES)
+
+
 def test_loaded_fits_are_nested_by_their_names_or_by_the_models_given(record, tmp_path):
     for name, model, options in (
         ("linear", LinearDrag(), {}),
