@@ -202,14 +202,12 @@ class Map:
         files: dict = {}
         for test in tests:
             files.setdefault(file_of(test), []).append(test)
-        mirror = fault.file.replace("greybox/", "tests/", 1).replace(
-            Path(fault.file).name, f"test_{Path(fault.file).name}"
-        )
+        mirror = f"test_{Path(fault.file).name}"  # in the same folder, or in that above it
 
         def seconds(test):
             return self.tests[test]["seconds"]
 
-        order = sorted(files, key=lambda f: (f != mirror, sum(map(seconds, files[f]))))
+        order = sorted(files, key=lambda f: (Path(f).name != mirror, sum(map(seconds, files[f]))))
         return [test for file in order for test in sorted(files[file], key=seconds)]
 
 

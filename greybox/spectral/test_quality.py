@@ -182,9 +182,10 @@ def _gaps(record: Record, segments: Sequence[Segment]) -> Iterator[Finding]:
     spans = [(s.start, s.end) for s in segments if s.usable] or [(-math.inf, math.inf)]
     before, after = record.time[:-1], record.time[1:]
     within = np.any([(after > start) & (before < end) for start, end in spans], axis=0)
-    wide = np.diff(record.time)[within & (np.diff(record.time) > GAP * record.step)]
+    steps = np.diff(record.time)[within]
+    wide = steps[steps > GAP * record.step]
     if wide.size:
-        share = wide.sum() / sum(min(end, record.time[-1]) - max(start, record.time[0]) for start, end in spans)
+        share = wide.sum() / steps.sum()
         severity: Severity = "warning" if share > GAPS else "note"
         text = f"{counted(wide.size, 'gap')}, the longest {wide.max():.2g} s, {100 * share:.2g} % of the time"
         yield Finding("gaps", severity, float(share), f"{text}: nothing is interpolated across them.")

@@ -311,3 +311,12 @@ def test_a_control_that_stands_still_without_noise_is_no_test(level):
     t = np.arange(4000) * STEP
     with pytest.raises(ValueError, match="barely excited"):
         one_test(np.full(t.size, level), np.sin(6.1 * t), t, 6.1)
+
+
+def test_limits_are_reached_by_values_that_were_logged_in_single_precision():
+    """0.1 and 0.9 are rounded up and down by it."""
+    wave = 0.5 + 0.6 * np.sin(np.linspace(0, 20 * np.pi, 5000))
+    logged = np.clip(wave, 0.1, 0.9).astype(np.float32).astype(float)
+    assert logged.min() > 0.1
+    assert logged.max() < 0.9
+    assert _saturation(logged, (0.1, 0.9)) == pytest.approx(np.mean((wave <= 0.1) | (wave >= 0.9)))

@@ -130,3 +130,54 @@ def test_gaps_outside_of_the_tests_do_not_count():
     tests = [Segment(0.0, 29.0, "sweep", band=(1.0, 9.0)), Segment(36.0, 60.0, "sweep", band=(1.0, 9.0))]
     assert [f for f in check(broken, None, tests).findings if f.about == "gaps"] == []
     assert [f.value for f in check(broken, None).findings if f.about == "gaps"] == [pytest.approx(5 / 60, rel=0.02)]
+
+
+def levels(count):
+    """A sine that takes so many values."""
+    return lambda t: np.round((count - 1) * (1 + np.sin(3 * t)) / 2)
+
+
+def clipped(share):
+    """A sine that is at its limits for a share of the time: beyond ±1, of an amplitude a, where |sin| > 1/a."""
+    return lambda t: np.clip(np.sin(3 * t) / np.sin(np.pi / 2 * (1 - share)), -1, 1)
+
+
+def gap_of(share):
+    time = np.arange(6000) / 100
+    return time[(time < 20) | (time > 20 + 60 * share)]
+
+
+def jittered(share):
+    """Intervals of two lengths."""
+    return np.cumsum(0.02 * (1 + share * np.tile([1, -1], 1500)))
+
+
+@pytest.mark.parametrize(
+    ("made", "about", "severity"),
+    [
+        (record(u=clipped(0.006), rate=200.0), "saturation", None),
+        (record(u=clipped(0.02), rate=200.0), "saturation", "warning"),
+        (record(u=clipped(0.18), rate=200.0), "saturation", "warning"),
+        (record(u=clipped(0.23), rate=200.0), "saturation", "refusal"),
+        (record(y=levels(3)), "amplitude", "refusal"),
+        (record(y=levels(4)), "amplitude", "warning"),
+        (record(y=levels(7)), "amplitude", "warning"),
+        (record(y=levels(8)), "amplitude", None),
+        (record(time=gap_of(0.008)), "gaps", "note"),
+        (record(time=gap_of(0.013)), "gaps", "warning"),
+        (record(time=jittered(0.09)), "jitter", None),
+        (record(time=jittered(0.11)), "jitter", "note"),
+    ],
+)
+def test_a_record_is_judged_by_the_stated_shares(made, about, severity):
+    """On both sides of 1 and 20 % at a limit, 4 and 8 values, 1 % of gaps and 10 % of jitter."""
+    assert found(check(made, None, GOOD)).get(about) == severity
+
+
+@pytest.mark.parametrize(("periods", "severity"), [(0.95, "refusal"), (1.05, "warning"), (2.9, "warning"), (3.1, None)])
+def test_a_test_is_judged_by_the_periods_of_its_lowest_frequency(periods, severity):
+    segments = [sine(2 * np.pi * periods / 60), sine(1.0), sine(3.0)]
+    (length,) = [f for f in check(record(), None, segments).findings if f.about == "length"] or [None]
+    assert (length and length.severity) == severity
+    if length:
+        assert length.value == pytest.approx(periods)
