@@ -17,6 +17,7 @@ from scipy.signal import lfilter
 from scipy.stats import t as student
 
 from greybox.compiled.record_information import colored_errors
+from greybox.estimate.diagnostics.records import NARROW
 
 Array = NDArray[np.float64]
 
@@ -173,7 +174,7 @@ def cell(plant: Plant, errors: Errors, samples: int, repeats: int, seed: int) ->
         z = error / np.sqrt(np.diag(inverse @ found.meat @ inverse))
         scaled.append(z)
         holds.append(np.abs(z) < student.ppf(0.975, found.dof))
-        rough.append(not found.is_long_enough)
+        rough.append(not found.is_long_enough or found.wider > NARROW)
     return Cell(plant, errors, samples, np.array(holds), np.array(scaled), np.array(rough))
 
 

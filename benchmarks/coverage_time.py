@@ -5,13 +5,13 @@ benchmarks/results/coverage_time.txt]
 
 First linear experiments (`correlated_errors.py`), since these can be repeated often: one to five outputs, 100 to 10 000
 samples, white and autoregressive errors, a small slow drift under white noise, wind. "times" is the length of the
-record in correlation times, "said" how often the answer says that it is too short. Then a mass on a spring driven by
-held forces is flown again and again with `gb.virtual_flight`, fitted from the truth, and counted is how often the
-Student-t interval of every parameter holds it; beside it the standard deviation of (estimate - truth) / standard error,
-which should be 1. The same for flights of the paper's pitch axis with its controller, as `virtual_flight` returns them
-and by the default criterion: that the control is held is known from the record. Then the tilt plant of the paper in its
-closed loop, 60 s at 100 Hz: how many random starts in the declared boxes end in the best minimum, and how far that is
-from the truth.
+record in correlation times, "said" how often the answer says that it is too short, or that errors hidden in its noise
+would make intervals much wider. Then a mass on a spring driven by held forces is flown again and again with
+`gb.virtual_flight`, fitted from the truth, and counted is how often the Student-t interval of every parameter holds it;
+beside it the standard deviation of (estimate - truth) / standard error, which should be 1. The same for flights of the
+paper's pitch axis with its controller, as `virtual_flight` returns them and by the default criterion: that the control
+is held is known from the record. Then the tilt plant of the paper in its closed loop, 60 s at 100 Hz: how many random
+starts in the declared boxes end in the best minimum, and how far that is from the truth.
 """
 
 import argparse

@@ -119,6 +119,8 @@ class ColoredErrors:
         Of the longest gapless stretch, s.
     is_long_enough : bool
         Whether that is long enough, against the correlation times, for the spectrum of the errors to be known.
+    wider : float
+        How many times wider intervals of 95 % would be by slow errors that the residuals do not exclude.
     """
 
     meat: Array
@@ -126,6 +128,7 @@ class ColoredErrors:
     correlation_times: Array
     duration: float
     is_long_enough: bool
+    wider: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,13 +33,15 @@ TIMES_PER_DOF = 4.0
 class RecordErrors:
     """The meat (p, p), the degrees of freedom of the variances, and the correlation times (k,) of the errors, samples.
 
-    `is_long_enough` tells whether the longest stretch has as many of these times as their spectrum needs.
+    `is_long_enough` tells whether the longest stretch has as many of these times as their spectrum needs; `wider`, how
+    many times wider intervals of 95 % would be by slow errors that the residuals do not exclude.
     """
 
     meat: Array
     dof: float
     correlation_times: Array
     is_long_enough: bool
+    wider: float
 
 
 def colored_errors(
@@ -59,6 +61,8 @@ def colored_errors(
     initial_states : int
         Fitted along.
     """
+    from scipy.special import ndtri, stdtrit  # noqa: PLC0415  (importing greybox stays light)
+
     noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)
     found = colored_information(weighted, residuals, inverse, noise)
     numbers = sum(int(np.count_nonzero(e)) for e in residuals)
@@ -79,7 +83,8 @@ def colored_errors(
     times = max(e.shape[1] for e in residuals) / slowest if slowest > 0 else math.inf
     if times < FEWEST_TIMES:
         dof = min(dof, max(times / TIMES_PER_DOF, 1.0))
-    return RecordErrors(meat, dof, found.correlation_times, times >= FEWEST_TIMES)
+    wider = math.sqrt(found.hidden) * float(ndtri(0.975) / stdtrit(dof, 0.975))
+    return RecordErrors(meat, dof, found.correlation_times, times >= FEWEST_TIMES, max(wider, 1.0))
 
 
 def independent_numbers(measured: int, initial_states: int, parameters: int, factor: float) -> float:

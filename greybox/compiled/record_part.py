@@ -785,6 +785,7 @@ class RecordPart(Part):
                 correlation_times=found.correlation_times * longest.step,
                 duration=len(longest) * longest.step,
                 is_long_enough=found.is_long_enough,
+                wider=found.wider,
             )
 
         noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)

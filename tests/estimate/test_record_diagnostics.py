@@ -383,3 +383,10 @@ def test_white_residuals_are_not_blamed():
     x = gb.simulate(Drift(), {"a": 2.5, "b": 3.0}, record, inputs="held")["x"] + 0.05 * random.normal(size=n)
     for criterion in (gb.OutputError(inputs="held"), gb.PredictionError(inputs="held")):
         assert not colors(record.with_signals(x=x), criterion)[1]
+
+
+@pytest.mark.parametrize(("n", "hides"), [(60, True), (600, False)])
+def test_a_record_that_is_too_short_to_exclude_a_drift_says_so(n, hides):
+    """The intervals may be too narrow by half in a few correlation times of the plant, not in a long record."""
+    found = fit(Late(), driven(n), starts=1, fixed={"d": 0.02})
+    assert bool(said(found, "hides slow errors")) == hides

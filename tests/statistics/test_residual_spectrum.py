@@ -161,6 +161,24 @@ def test_standardized_errors_have_unit_size(kind, n):
     assert np.sqrt(np.mean(np.square(scaled))) == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.parametrize(("n", "hidden"), [(60, True), (1000, False)])
+def test_a_drift_that_a_short_record_hides_is_within_the_limit(n, hidden):
+    """What the estimate takes from the drift, by its dense covariance, which the estimated spectrum misses at 60."""
+    missed, exceeded, room = 0, 0, []
+    slow = 0.4**2 * 0.97 ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    for seed in range(40):
+        J, residuals, _ = experiment("drift", n, seed)
+        inverse = np.linalg.inv(np.einsum("kpn,kqn->pq", J, J))
+        found = colored_information([J], [residuals], inverse, np.eye(2))
+        wanted = np.sum(inverse * sum(j @ (slow + np.eye(n)) @ j.T for j in J))
+        missed += found.taken < wanted / 1.5
+        exceeded += found.taken * found.hidden < wanted / 1.5
+        room.append(found.hidden)
+    assert (missed > 20) == hidden
+    assert exceeded <= 4
+    assert (np.median(room) > 1.5**2) == hidden
+
+
 def test_disagreement_of_the_spectra_makes_the_variance_uncertain():
     """The longer the record, the better the size of slow errors is known."""
     found = []
