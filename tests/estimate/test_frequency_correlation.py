@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.estimate.diagnostics.frequency_correlation import neighbor_correlation
+from greybox.estimate.diagnostics.frequency_correlation import chance_of_more, neighbor_correlation
 
 OMEGA = np.geomspace(0.5, 40, 25)
 
@@ -66,6 +66,9 @@ def test_mean_and_variance_are_those_of_projected_noise():
     r, mean, variance = (np.array(column) for column in zip(*found, strict=True))
     assert mean[0] == pytest.approx(r.mean(), abs=4 * r.std() / np.sqrt(4000))
     assert variance[0] == pytest.approx(r.var(), rel=0.1)
+    chances = [chance_of_more(*one) for one in found]
+    for share in (0.01, 0.05, 0.5):
+        assert np.mean(np.array(chances) < share) == pytest.approx(share, abs=3 * np.sqrt(share * (1 - share) / 4000))
 
 
 def test_too_few_residuals_say_nothing():

@@ -35,8 +35,6 @@ LEAST_MAGNITUDE = 1e-9
 
 def correlated_frequencies(nlp: Nlp, x: Array) -> Iterator[str]:
     """Name the responses whose residuals at the estimate `x` (p,) are correlated from one frequency to the next."""
-    from scipy.special import betaincc  # noqa: PLC0415 - scipy takes longer to import than this package
-
     values = nlp.all_values(x)
     of_responses = [
         (f"residuals of {part.problem.name!r}", _residuals(part, values, len(nlp.free)))
@@ -49,15 +47,21 @@ def correlated_frequencies(nlp: Nlp, x: Array) -> Iterator[str]:
         if found is None:
             continue
         r, mean, variance = found
-        # A beta distribution on [-1, 1] of this mean and variance.
-        middle = (1 + mean) / 2
-        total = middle * (1 - middle) / (variance / 4) - 1
-        if betaincc(middle * total, (1 - middle) * total, (1 + r) / 2) < SIZE:
+        if chance_of_more(r, mean, variance) < SIZE:
             yield (
                 f"the {what} are correlated along frequency ({r - mean:.2f} from one point "
                 "to the next): its points are closer than their resolution, or the model leaves something out; "
                 "the standard errors, which take them as independent, are too small."
             )
+
+
+def chance_of_more(r: float, mean: float, variance: float) -> float:
+    """Return how likely a larger correlation than r is, of a beta distribution on [-1, 1] of this mean and variance."""
+    from scipy.special import betaincc  # noqa: PLC0415 - scipy takes longer to import than this package
+
+    middle = (1 + mean) / 2
+    total = middle * (1 - middle) / (variance / 4) - 1
+    return float(betaincc(middle * total, (1 - middle) * total, (1 + r) / 2))
 
 
 def neighbor_correlation(residuals: NDArray[np.complex128], jacobian: Array) -> tuple[float, float, float] | None:
