@@ -64,9 +64,9 @@ def peaks_of(hz: Array, density: Array) -> tuple[float, ...]:
     """Return the frequencies, Hz, of the peaks of a power density (n,), the highest first."""
     from scipy.signal import find_peaks  # noqa: PLC0415  (as above)
 
-    above = hz >= LOWEST
     level = 10 * np.log10(np.maximum(density, 1e-300))
-    places, _ = find_peaks(np.where(above, level, level[above].min(initial=0)), prominence=PROMINENT)
+    places, _ = find_peaks(level, prominence=PROMINENT)
+    places = places[hz[places] >= LOWEST]
     return tuple(hz[places[np.argsort(-level[places])][:MOST]].tolist())
 
 

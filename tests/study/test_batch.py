@@ -158,12 +158,15 @@ def test_what_is_no_study_is_said(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_runs_of_a_binary_number_of_files(tmp_path, monkeypatch):
-    monkeypatch.setattr("greybox.study.run_files.UNWRITTEN", 0.0)
+@pytest.mark.parametrize(("unwritten", "files"), [(0.0, [1, 4, 16]), (60.0, [21])])
+def test_runs_are_files_of_a_binary_number_of_them_or_one_of_all_that_end_together(
+    tmp_path, monkeypatch, unwritten, files
+):
+    monkeypatch.setattr("greybox.study.run_files.UNWRITTEN", unwritten)
     study = gb.batch([gb.study.Member(RESPONSE, 21, name="a")], tmp_path, progress=False)
     folder = study["a"].folder
     counts = sorted(int(NAME.fullmatch(path.name)[2]) for path in folder.glob("runs-*"))
-    assert counts == [1, 4, 16]
+    assert counts == files
     assert count_runs(folder) == 21
 
 
