@@ -29,3 +29,19 @@ def test_a_hidden_state_has_the_size_that_comes_closest_to_what_was_measured(lev
         measured, np.zeros((1, 5)), np.ones(1), np.full(1, np.nan)
     )
     assert found == pytest.approx(np.full((1, 5), level))
+
+
+class Scale(Jet):
+    """The tank on a scale that does not begin at zero, of which the weight is measured."""
+
+    outputs = ("w",)
+
+    def output(self, x, u, p):
+        return (2 * x.h + 3,)
+
+
+def test_a_state_that_an_output_shows_begins_as_measured():
+    level = np.array([[0.5, 1.0, 4.0]])
+    states = InitialStates(dynamics(Scale()), ("w",), Strategies())
+    found = states.at(2 * level + 3, np.zeros((1, 3)), np.ones(1), np.full(1, np.nan))
+    assert found == pytest.approx(level)

@@ -566,3 +566,28 @@ def test_intervals_hold_the_truth_as_often_as_they_say(coverage, label, criterio
         assert missing == 0, name
         assert low <= round(share / 100 * repeats) <= high, f"{name}: {share} %"
         assert 0.83 < ratio < 1.17, f"{name}: the printed error is {ratio:.2f} of the actual"
+
+
+class Level(gb.StateSpace):
+    """A constant in time."""
+
+    states, inputs, outputs = (), ("u",), ("y",)
+    K = gb.Parameter(1.0, bounds=(-10, 10))
+
+    def output(self, x, u, p):
+        return (p.K * u.u,)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize("bounds", [(0.5, 10), (-10, -0.5), (-0.5, 0.5)])
+def test_a_mean_beyond_a_bound_is_at_it_and_one_within_is_not(bounds, side):
+    """A mean of 40 numbers that scatter by 0.1, a tenth beyond the bound and within it."""
+    n = 40
+    noise = 0.1 * np.random.default_rng(2).normal(size=n)
+    near, inward = (bounds[0], 1) if side < 0 else (bounds[1], -1)
+    for shift, held in ((-0.1, True), (0.1, False)):
+        y = near + inward * shift + noise - noise.mean()
+        record = gb.Record(np.arange(n) / 10, {"u": np.ones(n), "y": y})
+        fit = gb.fit(gb.Problem(Level(), record, bounds={"K": bounds}), starts=[{}], progress=False)
+        (q,) = fit.quantities
+        assert q.at_bound == held

@@ -618,3 +618,27 @@ def test_a_free_motion_needs_no_input_that_moves():
 def test_a_cutoff_in_hertz_is_the_band_of_every_equation():
     result = gb.regression.equation_error(Short(), short_period(), cutoff=0.5)
     assert [equation.band for equation in result.equations] == pytest.approx([0.5] * len(result.equations))
+
+
+class StaticSum(gb.StateSpace):
+    """Two gains of one input, which only their sum tells, beside an offset."""
+
+    states, inputs, outputs = (), ("u",), ("y",)
+    a = gb.Parameter(1.0, bounds=(-10, 10))
+    b = gb.Parameter(1.0, bounds=(-10, 10))
+    c = gb.Parameter(0.0, bounds=(-10, 10))
+
+    def output(self, x, u, p):
+        return ((p.a + p.b) * u.u + p.c,)
+
+
+def test_gains_that_only_their_sum_tells_count_as_one():
+    """With 14 rows, of which the two that are determined leave 12: the error of the offset is that of one gain held."""
+    random = np.random.default_rng(0)
+    u = random.normal(size=14)
+    record = gb.Record(np.arange(14) * 0.1, {"u": u, "y": 2 * u + 0.3 + 0.1 * random.normal(size=14)})
+    found = gb.regression.equation_error(StaticSum(), record)
+    held = gb.regression.equation_error(StaticSum(), record, fixed={"b": 0.5})
+    assert set(found.missing) == {"a", "b"}
+    assert found.estimate["c"] == pytest.approx(held.estimate["c"])
+    assert found.standard_error["c"] == pytest.approx(held.standard_error["c"])

@@ -119,3 +119,14 @@ def test_at_a_bound_a_step_leaves_the_parameter_there_and_moves_the_others():
     assert step[found.names.index("tau")] == 0
     errors = np.sqrt(np.nanmax(np.diag(found.covariance)))
     assert_allclose(step, wanted.values - found.values, atol=0.1 * errors, rtol=0.2)
+
+
+def test_a_start_that_is_almost_as_good_as_the_minimum_is_improved_too():
+    """Errors of the sensor are most of the cost, so that a start beside the minimum costs little more."""
+    data, parameters = made(noise=0.1)
+    found = project(data, parameters, START)
+    errors = np.sqrt(np.diag(found.covariance))
+    beside = found.vector + np.array([0.0, 0.0, *(0.2 * errors[2:])])
+    assert cost(data, *beside[2:]) < 1.5 * cost(data, *found.vector[2:])
+    again = project(data, parameters, beside)
+    assert_allclose(again.values, found.values, atol=0.05 * errors.min())

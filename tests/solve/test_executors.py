@@ -272,3 +272,13 @@ def test_workers_have_one_thread_unless_the_environment_says_more(monkeypatch):
         assert (os.environ["OMP_NUM_THREADS"], os.environ["MKL_NUM_THREADS"]) == ("3", "1")
     assert os.environ["OMP_NUM_THREADS"] == "3"
     assert "MKL_NUM_THREADS" not in os.environ
+
+
+def test_a_search_is_cut_into_enough_tasks_for_workers_of_unlike_speed(monkeypatch):
+    """Of 40 quick starts each task has a sixteenth, rounded up; the first is run before any is handed out."""
+    monkeypatch.setattr("greybox.solve.executors.TASK_SECONDS", 1e6)
+    executor, tasks = LastFirst(), []
+    submit = executor.submit
+    executor.submit = lambda *words, **more: tasks.append(words) or submit(*words, **more)
+    fitted(RESPONSE, executor, by_ipopt=False)
+    assert len(tasks) == 13
