@@ -2,7 +2,8 @@
 
 Begin with `multistart`, which chooses the solver, and `local_solver`, what every solver answers. `ipopt` solves
 problems of frequency responses, `screened_ipopt` compares the starts before; from many starts `batched_solver` brings
-them to minima together, by `batched_newton` and, under constraints, `augmented_lagrangian`, and has IPOPT confirm each.
+them to minima together, by `batched_newton`, whose steps are in `newton_iteration`, and, under constraints,
+`augmented_lagrangian`, and has IPOPT confirm each.
 `gauss_newton/` solves problems with records, and `transcribed_program` hands records to IPOPT as one sparse program.
 `waves` says in which order starts are tried and when there were enough; `global_search` is the scatter search of
 MATLAB's GlobalSearch; an `outcome` is what one run leaves, `minima` groups the runs. `executors` has the runs made by
