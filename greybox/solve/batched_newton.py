@@ -27,10 +27,11 @@ from greybox.compiled.vectorized import Columns
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.newton_iteration import (
     COST,
+    END,
     IS_NEWTON,
+    ITERATIONS,
     LEVEL,
     RADIUS,
-    SLOPE,
     SWITCHED,
     Vectors,
     advanced,
@@ -55,10 +56,9 @@ INSIDE = 1e-2
 LAST = BARRIERS.shape[1] - 1
 
 FIRST_RADIUS = 1.0  # of the trust region: that of the box of the starts in the solver's variables
-LEAST_RADIUS = 1e-15  # beyond, rounding has the last word
 
 # A batch is narrowed to a quarter or less, so that few layouts of registers serve.
-NARROWER = 4
+NARROWER = 2
 
 SIZES = 16  # numbers of variables of which the iterations are kept
 
@@ -91,13 +91,11 @@ class _Searches:
     given: Array  # (g, m), what the function takes besides, of each search
 
     def taken(self, columns: NDArray[np.int_]) -> "_Searches":
-        return _Searches(
-            self.owner[columns],
-            self.path[columns],
-            self.numbers[:, columns],
-            self.live[columns],
-            self.given[:, columns],
-        )
+        """Return those in some columns, and one of them as often as a width takes."""
+        live = np.arange(_width(len(columns))) < len(columns)
+        columns = _filled(columns)
+        owner = np.where(live, self.owner[columns], -1)
+        return _Searches(owner, self.path[columns], self.numbers[:, columns], live, self.given[:, columns])
 
 
 class _Iterations(threading.local):
@@ -110,8 +108,8 @@ class _Iterations(threading.local):
 def _iteration(p: int) -> tuple[Columns, Columns]:
     """Return `advanced` and `bounded` for p variables."""
     return (
-        Columns(advanced(p, LAST, LOOSE), shared=(5, 6), fewest=FEWEST_COLUMNS),
-        Columns(bounded(p, LAST), shared=(3, 4), fewest=FEWEST_COLUMNS),
+        Columns(advanced(p, LAST, LOOSE), fewest=FEWEST_COLUMNS),
+        Columns(bounded(p, LAST), fewest=FEWEST_COLUMNS),
     )
 
 
@@ -143,7 +141,7 @@ class BatchedNewton:
         inputs = [ca.SX.sym("v", program.numel_in(k)) for k in range(program.n_in())]
         self._function = SecondOrder(inputs, program(*inputs)[0], as_c=as_c)
         self._roots = None if roots is None else Columns(roots)
-        self._bounds = np.ascontiguousarray(lower, float), np.ascontiguousarray(upper, float)
+        self._bounds = lower[:, None], upper[:, None]
         self._rows = Vectors(len(lower))
 
     def minimize(
@@ -154,58 +152,55 @@ class BatchedNewton:
         tolerance: float,
         from_near: bool = False,
         given: Array | None = None,
+        bounds: tuple[Array, Array] | None = None,
     ) -> Ends:
         """Search from the columns of z (p, m); with `from_near` at the last level only.
 
         A search ends where its projected gradient is at most the `tolerance`, relative to the cost where that is above
-        one. The columns of `given` (g, m) belong to the searches, where the program takes them.
+        one. The columns of `given` (g, m) belong to the searches, where the program takes them, and so do those of
+        other `bounds`, (p, m) each, than the problem's.
         """
         m = z.shape[1]
-        low, high = (bound[:, None] for bound in self._bounds)
+        low, high = bounds or self._bounds
         ends = Ends(np.clip(z, low, high), np.zeros(m, bool), np.zeros(m, int))
         if not m:
             return ends
         margin = np.where(np.isfinite(high - low) & (not from_near), INSIDE * (high - low), 0.0)
-        searches = self._begun(np.clip(z, low + margin, high - margin), LAST if from_near else 0, given)
+        z = np.clip(z, low + margin, high - margin)
+        searches = self._begun(z, low, high, LAST if from_near else 0, given)
+        self._advance(searches, tolerance)
         for _ in range(max_iterations):
-            self._end_finished(searches, ends, tolerance)
+            ended = searches.live & (searches.numbers[END] != 0)
+            if ended.any():
+                self._end(searches, ended, ends)
             if reason_to_end() or not searches.live.any():
                 break
             searches = _narrowed(searches)
-            ends.iterations[searches.owner[searches.live]] += 1
-            self._advance(searches)
-        self._end_finished(searches, ends, tolerance)
-        left = searches.live
-        ends.z[:, searches.owner[left]] = searches.numbers[self._rows.z, left]
+            self._advance(searches, tolerance)
+        self._end(searches, searches.live, ends)
         return ends
 
-    def _begun(self, z: Array, level: int, given: Array | None) -> _Searches:
+    def _begun(self, z: Array, low: Array, high: Array, level: int, given: Array | None) -> _Searches:
         """Return the searches from the columns of z (p, m), at a level."""
-        m = z.shape[1]
-        columns = _filled(np.arange(m))
-        numbers = np.zeros((self._rows.size, len(columns)))
-        numbers[self._rows.z] = numbers[self._rows.trial] = z[:, columns]
+        m, rows = z.shape[1], self._rows
+        numbers = np.zeros((rows.size, m))
+        numbers[rows.z] = numbers[rows.trial] = z
+        numbers[rows.lower], numbers[rows.upper] = low, high
         # Taken over as any other level is.
-        numbers[RADIUS], numbers[LEVEL], numbers[SWITCHED] = FIRST_RADIUS, level - 1, 1
-        owner = np.where(np.arange(len(columns)) < m, columns, -1)
-        given = np.zeros((0, len(columns))) if given is None else given[:, columns]
-        searches = _Searches(owner, columns % len(BARRIERS), numbers, owner >= 0, given)
-        self._advance(searches)
-        return searches
+        numbers[RADIUS], numbers[LEVEL], numbers[SWITCHED], numbers[ITERATIONS] = FIRST_RADIUS, level - 1, 1, -1
+        every = np.arange(m)
+        given = np.zeros((0, m)) if given is None else given
+        return _Searches(every, every % len(BARRIERS), numbers, np.ones(m, bool), given).taken(every)
 
-    def _end_finished(self, searches: _Searches, ends: Ends, tolerance: float) -> None:
-        """Take the searches out that are at a minimum, or can go no further."""
-        numbers = searches.numbers
-        small = numbers[SLOPE] <= tolerance * np.maximum(np.abs(numbers[COST]), 1.0)
-        found = searches.live & small & (numbers[LEVEL] == LAST)
-        finished = found | (searches.live & (numbers[RADIUS] < LEAST_RADIUS))
-        if not finished.any():
-            return
-        ends.z[:, searches.owner[finished]] = numbers[self._rows.z, finished]
-        ends.at_minimum[searches.owner[found]] = True
-        searches.live &= ~finished
+    def _end(self, searches: _Searches, which: Flags, ends: Ends) -> None:
+        """Take searches out."""
+        owner, numbers = searches.owner[which], searches.numbers[:, which]
+        ends.z[:, owner] = numbers[self._rows.z]
+        ends.at_minimum[owner] = numbers[END] > 0
+        ends.iterations[owner] = numbers[ITERATIONS]
+        searches.live &= ~which
 
-    def _advance(self, searches: _Searches) -> None:
+    def _advance(self, searches: _Searches, tolerance: float) -> None:
         """Evaluate the trial of every search, and take it or not; or the next level."""
         numbers, rows = searches.numbers, self._rows
         trial, levels = numbers[rows.trial], (numbers[LEVEL] + numbers[SWITCHED]).astype(int)
@@ -214,8 +209,8 @@ class BatchedNewton:
         inputs += [searches.given] if len(searches.given) else []
         cost, gradient, hessian = self._function(*inputs)
         advance, within_radius = _iterations.of(rows.p)
-        barrier = BARRIERS[searches.path, levels][None]
-        numbers, of_free = advance(numbers, barrier, cost[None], gradient, hessian, *self._bounds)
+        own = [BARRIERS[searches.path, levels][None], np.full((1, len(levels)), tolerance)]
+        numbers, of_free = advance(numbers, *own, cost[None], gradient, hessian)
         searches.numbers = numbers
         searches.live &= np.isfinite(numbers[COST])
         others = np.flatnonzero(searches.live & (numbers[IS_NEWTON] == 0))
@@ -223,7 +218,7 @@ class BatchedNewton:
             others = _filled(others)
             eigenvalues, vectors = np.linalg.eigh(of_free[:, others].T.reshape(-1, rows.p, rows.p))
             vectors = vectors.reshape(-1, rows.p**2).T
-            [numbers[rows.trial, others]] = within_radius(numbers[:, others], eigenvalues.T, vectors, *self._bounds)
+            [numbers[rows.trial, others]] = within_radius(numbers[:, others], eigenvalues.T, vectors)
 
 
 def _filled(columns: NDArray[np.int_]) -> NDArray[np.int_]:
@@ -239,10 +234,4 @@ def _width(m: int) -> int:
 def _narrowed(searches: _Searches) -> _Searches:
     """Return the searches without those that ended, where these are the most."""
     live = np.flatnonzero(searches.live)
-    width = _width(len(live))
-    if NARROWER * width > len(searches.live):
-        return searches
-    taken = searches.taken(_filled(live))
-    taken.owner[len(live) :] = -1
-    taken.live[len(live) :] = False
-    return taken
+    return searches if NARROWER * _width(len(live)) > len(searches.live) else searches.taken(live)

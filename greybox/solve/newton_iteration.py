@@ -18,13 +18,15 @@ RADIUS, LEVEL = 1, 2
 SWITCHED = 3  # whether the trial is the point again, at the next level
 SLOPE = 4  # the largest component of the projected gradient
 IS_NEWTON = 5  # whether the trial is where the model is least; where it is not, `bounded` finds one
-FLATNESS = 6  # of the pivots of the Hessian of the variables that no bound holds, the least over the largest
-SINGLE = 7
+END = 6  # 1 at a minimum, -1 where the search can go no further, else 0
+ITERATIONS = 7
+SINGLE = 8
 
 # Of the distance to a bound, how much of it a step takes while there is a barrier: that of IPOPT.
 TO_BOUND = 0.99
 
 LARGEST_RADIUS = 10.0
+LEAST_RADIUS = 1e-15  # beyond, rounding has the last word
 FLATTEST = 1e-12  # of the largest eigenvalue: curvatures below are rounding errors
 
 SUFFICIENT = 1e-4  # of the decrease that the gradient promises (Armijo)
@@ -39,7 +41,7 @@ TINY, LARGEST = float(np.finfo(float).tiny), float(np.finfo(float).max)
 
 @dataclass(frozen=True)
 class Vectors:
-    """The rows of the point z, of the trial that is evaluated next, and of gradient and Hessian (p * p,) at z."""
+    """The rows of the point z, the trial that is evaluated next, gradient and Hessian (p * p,) at z, and the bounds."""
 
     p: int
 
@@ -61,24 +63,35 @@ class Vectors:
     @property
     def hessian(self) -> slice:
         """(p * p,)."""
-        return slice(SINGLE + 3 * self.p, self.size)
+        return slice(SINGLE + 3 * self.p, self.size - 2 * self.p)
+
+    @property
+    def lower(self) -> slice:
+        """(p,)."""
+        return slice(self.size - 2 * self.p, self.size - self.p)
+
+    @property
+    def upper(self) -> slice:
+        """(p,)."""
+        return slice(self.size - self.p, self.size)
 
     @property
     def size(self) -> int:
         """How many numbers a search has."""
-        return SINGLE + 3 * self.p + self.p**2
+        return SINGLE + 5 * self.p + self.p**2
 
 
 def advanced(p: int, last: int, loose: float) -> ca.Function:
-    """Return (numbers, barrier, cost, gradient, Hessian, lower, upper) -> the numbers after the trial was judged.
+    """Return (numbers, barrier, tolerance, cost, gradient, Hessian) -> the numbers after the trial was judged.
 
     The cost and its derivatives are those of the trial, without the barrier. Below the `last` level a slope of at most
     `loose` takes the next one. With them comes the Hessian (p * p,) for the variables that no bound holds, that of the
     others being the identity: `bounded` takes its eigenvalues.
     """
     rows, numbers = Vectors(p), ca.SX.sym("numbers", Vectors(p).size)
-    barrier, found, slopes, curvatures = (ca.SX.sym("found", size) for size in (1, 1, p, p * p))
-    lower, upper = ca.SX.sym("lower", p), ca.SX.sym("upper", p)
+    inputs = [numbers, *(ca.SX.sym("v", size) for size in (1, 1, 1, p, p * p))]
+    _, barrier, tolerance, found, slopes, curvatures = inputs
+    lower, upper = numbers[rows.lower], numbers[rows.upper]
     z, trial, gradient = (numbers[at] for at in (rows.z, rows.trial, rows.gradient))
     hessian, new_hessian = ca.reshape(numbers[rows.hessian], p, p), ca.reshape(curvatures, p, p)
     old, radius, switched = numbers[COST], numbers[RADIUS], numbers[SWITCHED]
@@ -110,40 +123,44 @@ def advanced(p: int, last: int, loose: float) -> ca.Function:
     hessian = _chosen(taken, new_hessian, hessian)
 
     slope = ca.mmax(ca.fabs(z - ca.fmin(ca.fmax(z - gradient, lower), upper)))
+    is_minimum = ca.logic_and(level >= last, slope <= tolerance * ca.fmax(ca.fabs(cost), 1.0))
+    end = _chosen(is_minimum, 1.0, -(radius < LEAST_RADIUS))
     switched = ca.logic_and(level < last, slope <= loose)
     free = _free(z, gradient, lower, upper)
     hessian_of_free = hessian * (free @ free.T) + ca.diag(1 - free)
     newton, pivots = _eliminated(hessian_of_free, free * gradient)
-    least, largest = ca.mmin(pivots), ca.mmax(pivots)
-    is_newton = ca.logic_and(least > FLATTEST * largest, ca.sumsqr(newton) <= (CLOSE_TO_RADIUS * radius) ** 2)
+    is_newton = ca.logic_and(ca.mmin(pivots) > FLATTEST * ca.mmax(pivots), _is_within(newton, radius))
     moved = _moved(z, newton, free, level < last, lower, upper)
     trial = _chosen(ca.logic_and(is_newton, ca.logic_not(switched)), moved, z)
-    single = [ca.SX(cost), radius, level, switched, slope, ca.logic_or(is_newton, switched), least / largest]
-    after = ca.vertcat(*single, z, trial, gradient, ca.vec(hessian))
-    inputs = [numbers, barrier, found, slopes, curvatures, lower, upper]
+    single = [cost, radius, level, switched, slope, ca.logic_or(is_newton, switched), end, numbers[ITERATIONS] + 1]
+    after = ca.vertcat(*single, z, trial, gradient, ca.vec(hessian), lower, upper)
     return ca.Function("advanced", inputs, [after, ca.densify(ca.vec(hessian_of_free))])
 
 
 def bounded(p: int, last: int) -> ca.Function:
-    """Return (numbers, eigenvalues, eigenvectors, lower, upper) -> the trial (p,) that is least within the radius.
+    """Return (numbers, eigenvalues, eigenvectors (p * p,)) -> the trial (p,) that is least within the radius.
 
     The eigenvalues are made positive.
     """
     rows, numbers = Vectors(p), ca.SX.sym("numbers", Vectors(p).size)
     curvature, directions = ca.SX.sym("curvature", p), ca.SX.sym("directions", p * p)
-    lower, upper = ca.SX.sym("lower", p), ca.SX.sym("upper", p)
+    lower, upper = numbers[rows.lower], numbers[rows.upper]
     z, gradient, radius = numbers[rows.z], numbers[rows.gradient], numbers[RADIUS]
     free, each = _free(z, gradient, lower, upper), ca.reshape(directions, p, p).T
     positive = ca.fabs(curvature)
     positive = ca.fmax(positive, FLATTEST * ca.fmax(ca.mmax(positive), TINY))
     along = _within(radius, each.T @ (free * gradient), positive)
     trial = _moved(z, each @ along, free, numbers[LEVEL] < last, lower, upper)
-    return ca.Function("bounded", [numbers, curvature, directions, lower, upper], [trial])
+    return ca.Function("bounded", [numbers, curvature, directions], [trial])
 
 
 def _chosen(condition: Any, one: Any, other: Any) -> Any:
     """Return one of two; the other may be no number."""
     return ca.if_else(condition, one, other)
+
+
+def _is_within(step: ca.SX, radius: ca.SX) -> ca.SX:
+    return ca.sumsqr(step) <= (CLOSE_TO_RADIUS * radius) ** 2
 
 
 def _free(z: ca.SX, gradient: ca.SX, lower: ca.SX, upper: ca.SX) -> ca.SX:
