@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from copy import copy
 
 import casadi as ca
 import numpy as np
@@ -42,10 +41,11 @@ class HeldRecords:
         shapes: Sequence[tuple[int, ...]],
         places: Sequence[int] = (),
         quantity: ca.Function | None = None,
+        solver: GaussNewton | None = None,
     ) -> None:
-        """Build the solver."""
+        """Build the solver, unless it is there."""
         self._nlp, self._shapes, self._places, self._quantity = nlp, list(shapes), list(places), quantity
-        self._solver = GaussNewton(nlp)
+        self._solver = solver or GaussNewton(nlp)
 
     def __reduce__(
         self,
@@ -54,18 +54,20 @@ class HeldRecords:
 
     def of_quantity(self, quantity: ca.Function) -> "HeldRecords":
         """Return the same for a quantity (z) -> value."""
-        other = copy(self)
-        other._quantity = quantity
-        return other
+        return HeldRecords(self._nlp, self._shapes, (), quantity, self._solver)
 
     def of(self, *places: int) -> "HeldRecords":
         """Return the same for the parameters at these places."""
-        other = copy(self)
-        other._places = list(places)
-        return other
+        return HeldRecords(self._nlp, self._shapes, places, None, self._solver)
 
-    def solve(self, start: Array, value: float | Array) -> tuple[Array, float]:
-        """Return the best point with what is held at a value, or at as many values, and its cost; inf without one."""
+    def solve(self, starts: Sequence[Array], values: Sequence[float | Array]) -> list[tuple[Array, float]]:
+        """Return the best points with what is held at these values, from each start, and their cost; inf without one.
+
+        Several parameters have as many values.
+        """
+        return [self._solved(start, value) for start, value in zip(starts, values, strict=True)]
+
+    def _solved(self, start: Array, value: float | Array) -> tuple[Array, float]:
         scaling, p = self._nlp.scaling, len(self._nlp.free)
         x = scaling.to_parameters(start[:p])
         x[self._places] = value
