@@ -18,7 +18,7 @@ FEW = 128  # columns: a ufunc takes 0.2 µs whatever their number, an operation 
 
 
 def _if_else_zero(condition: Array, value: Array, out: Array) -> None:
-    np.copyto(out, np.where(condition != 0, value, 0.0))
+    np.copyto(out, np.where(condition, value, 0.0))
 
 
 def _assign(value: Array, out: Array) -> None:
@@ -197,6 +197,7 @@ class _Bound:
         self._writes: list[tuple[int, int, Array]] = []
         self._calls: list[tuple[Callable[..., Any], tuple[Array, ...]]] = []
         wide: dict[int, Array] = {}
+        flags: dict[int, Any] = {}
         narrow: dict[int, Array] = {}
         now: dict[int, Array] = {}
         for operation, sources, targets, constant in program:
@@ -216,13 +217,25 @@ class _Bound:
                 now[target] = value
                 continue
             arguments = tuple(now[source] for source in sources[: _arity(operation)])
+            if operation not in _TAKING_FLAGS:
+                arguments = tuple(self._number(argument) for argument in arguments)
             if all(a.ndim == 0 for a in arguments):
                 # Kept apart from the registers of columns, and from one another: results may be read much later.
                 out = narrow.setdefault(len(narrow), np.empty(()))
+            elif operation in _GIVING_FLAGS:
+                out = flags.setdefault(target, np.empty(m, bool))
             else:
                 out = wide.setdefault(target, np.empty(m))
             self._calls.append((_OPERATIONS[operation], (*arguments, out)))
             now[target] = out
+
+    def _number(self, value: Array) -> Array:
+        """Return what has flags as numbers."""
+        if value.dtype != bool:
+            return value
+        number = np.empty(value.shape)
+        self._calls.append((_assign, (value, number)))
+        return number
 
     def run(self, inputs: list[Array], outputs: list[Array]) -> None:
         """Evaluate into `outputs`."""
@@ -260,3 +273,7 @@ _BINARY = {
     ca.OP_FMAX,
     ca.OP_HYPOT,
 }
+
+# What is true or false is kept as such: as numbers, comparisons of many columns take three times as long.
+_GIVING_FLAGS = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR}
+_TAKING_FLAGS = {ca.OP_NOT, ca.OP_AND, ca.OP_OR, ca.OP_IF_ELSE_ZERO}

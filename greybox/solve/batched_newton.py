@@ -57,8 +57,8 @@ LAST = BARRIERS.shape[1] - 1
 
 FIRST_RADIUS = 1.0  # of the trust region: that of the box of the starts in the solver's variables
 
-# A batch is narrowed to a quarter or less, so that few layouts of registers serve.
-NARROWER = 2
+# A batch is narrowed to a quarter or less, so that few layouts of registers serve; to a half where none are laid out.
+NARROWER, NARROWER_OF_FEW = 4, 2
 
 SIZES = 16  # numbers of variables of which the iterations are kept
 
@@ -215,10 +215,10 @@ class BatchedNewton:
         searches.live &= np.isfinite(numbers[COST])
         others = np.flatnonzero(searches.live & (numbers[IS_NEWTON] == 0))
         if others.size:
-            others = _filled(others)
             eigenvalues, vectors = np.linalg.eigh(of_free[:, others].T.reshape(-1, rows.p, rows.p))
-            vectors = vectors.reshape(-1, rows.p**2).T
-            [numbers[rows.trial, others]] = within_radius(numbers[:, others], eigenvalues.T, vectors)
+            vectors, each = vectors.reshape(-1, rows.p**2), _filled(np.arange(others.size))
+            [trials] = within_radius(numbers[:, others[each]], eigenvalues[each].T, vectors[each].T)
+            numbers[rows.trial, others] = trials[:, : others.size]
 
 
 def _filled(columns: NDArray[np.int_]) -> NDArray[np.int_]:
@@ -234,4 +234,6 @@ def _width(m: int) -> int:
 def _narrowed(searches: _Searches) -> _Searches:
     """Return the searches without those that ended, where these are the most."""
     live = np.flatnonzero(searches.live)
-    return searches if NARROWER * _width(len(live)) > len(searches.live) else searches.taken(live)
+    width = _width(len(live))
+    narrower = NARROWER if width >= FEWEST_COLUMNS else NARROWER_OF_FEW
+    return searches if narrower * width > len(searches.live) else searches.taken(live)

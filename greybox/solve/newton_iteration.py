@@ -100,7 +100,7 @@ def advanced(p: int, last: int, loose: float) -> ca.Function:
     new, new_gradient = found, slopes
     for to_bound, is_bounded, sign in ((trial - lower, lower > -LARGEST, 1.0), (upper - trial, upper < LARGEST, -1.0)):
         factor = barrier * is_bounded
-        distance = _chosen(factor > 0, to_bound, 1.0)
+        distance = ca.fmin(ca.fmax(to_bound, TINY), LARGEST)  # of no matter where there is no barrier
         share = factor / distance
         new -= ca.sum1(factor * ca.log(distance))
         new_gradient -= sign * share
@@ -120,7 +120,8 @@ def advanced(p: int, last: int, loose: float) -> ca.Function:
     radius = _chosen(switched, radius, _next_radius(radius, ca.norm_2(step), promised, modeled, decrease, accepted))
     taken = ca.logic_or(accepted, switched)
     z, cost, gradient = (_chosen(taken, *pair) for pair in ((trial, z), (new, old), (new_gradient, gradient)))
-    hessian = _chosen(taken, new_hessian, hessian)
+    upper_triangle = ca.Sparsity.upper(p)
+    hessian = ca.triu2symm(_chosen(taken, ca.project(new_hessian, upper_triangle), ca.project(hessian, upper_triangle)))
 
     slope = ca.mmax(ca.fabs(z - ca.fmin(ca.fmax(z - gradient, lower), upper)))
     is_minimum = ca.logic_and(level >= last, slope <= tolerance * ca.fmax(ca.fabs(cost), 1.0))
