@@ -279,17 +279,18 @@ class _Held:
         lower, upper = (np.tile(bound, (len(starts), 1)) for bound in (programs.lower, programs.upper))
         if self._places:
             x = np.ones(lower.shape)
-            x[:, self._places] = np.reshape(values, (len(starts), -1))
+            x[:, self._places] = np.array([np.ravel(value) for value in values])
             held = nlp.scaling.to_solver(x)[:, self._places]
             lower[:, self._places] = upper[:, self._places] = held
-        ends, arrived, left = np.clip(starts, lower, upper), np.zeros(len(starts), bool), np.arange(len(starts))
+        ends, arrived = np.clip(np.array(starts), lower, upper), np.zeros(len(starts), bool)
+        left = np.flatnonzero(~arrived)
         if programs.newton is not None:
             limits = {"max_iterations": MOST_STEPS, "tolerance": TOLERANCE, "bounds": (lower.T, upper.T)}
             found = programs.newton.minimize(ends.T, from_near=True, **limits)
             ends[found.at_minimum], arrived = found.z.T[found.at_minimum], found.at_minimum
             # Where rounding ended it, IPOPT may see a minimum; what took all steps runs away.
             left = np.flatnonzero(~arrived & (found.iterations < MOST_STEPS))
-        for k in left:
+        for k in left.tolist():
             ipopt, equations = programs.ipopt
             bounds = {"lbx": lower[k], "ubx": upper[k], **equations}
             ends[k], status, _ = ipopt.solve(ends[k], [SMOOTHING, np.ravel(values[k])[0]], bounds)

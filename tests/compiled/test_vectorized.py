@@ -122,3 +122,14 @@ def test_constants_and_structural_zeros():
     found = Columns(f)(GRID[None])
     assert_allclose(found[0], [np.zeros(7), GRID, np.full(7, 3.5)])
     assert_allclose(found[1], np.zeros((4, 7)))
+
+
+def test_comparisons_count_as_numbers_where_they_are_calculated_with():
+    x = ca.SX.sym("x", 3)
+    low, high = x[0] < x[1], x[1] <= x[2]
+    both = ca.logic_and(low, ca.logic_not(high))
+    values = [low + high, low - high, -low, 3 * low, ca.if_else(both, x[0], x[1] / x[2]), ca.sqrt(low) + both, high]
+    function = ca.Function("f", [x], [ca.vertcat(*values)])
+    points = np.random.default_rng(0).integers(-2, 3, (3, 500)).astype(float)
+    [found] = Columns(function)(points)
+    assert_allclose(found, function(points).full(), equal_nan=True)

@@ -13,6 +13,7 @@ from scipy.stats import t as student
 
 import greybox as gb
 from greybox.problems import pitch_hover, yaw_hover
+from greybox.solve.ipopt import Ipopt
 
 OMEGA = np.geomspace(0.3, 30, 15)
 
@@ -224,3 +225,22 @@ def test_a_level_is_a_share(level):
     fit = fitted(OneSided(), noisy(OneSided(), {"b": 100.0, "a": 100.0}, 0.02, 0))
     with pytest.raises(ValueError, match=f"level {level} must lie between 0 and 1"):
         gb.profile(fit, level=level)
+
+
+def test_profiles_by_newtons_method_are_those_by_ipopt_which_is_built_once(monkeypatch):
+    built = []
+
+    class Counted(Ipopt):
+        def __init__(self, *arguments):
+            built.append(self)
+            super().__init__(*arguments)
+
+    fit = fitted(LagLagDelay(), noisy(LagLagDelay(), TWO_LAGS, 0.03, 2, TWO_LAGS_OMEGA), gb.SquaredRelativeError())
+    monkeypatch.setattr("greybox.estimate.profile.Ipopt", Counted)
+    found = gb.profile(fit, list(fit.free)[:2], fresh_starts=0)
+    assert not built
+    monkeypatch.setattr("greybox.estimate.profile.BatchedSolver.serves", lambda nlp: False)
+    wanted = gb.profile(fit, list(fit.free)[:2], fresh_starts=0)
+    assert len(built) == 1
+    for one, other in zip(found.profiles, wanted.profiles, strict=True):
+        assert one.interval == pytest.approx(other.interval, rel=1e-3)

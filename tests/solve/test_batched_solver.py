@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from declared_models import TILT, TILT_OMEGA, TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
 from numpy.testing import assert_array_equal
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, lsq_linear
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
@@ -15,6 +15,7 @@ from greybox.models.tilt import Tilt
 from greybox.problems import pitch_5deg, pitch_hover, pitch_operating_points, rotors, yaw_hover
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.batched_solver import BatchedSolver
+from greybox.solve.newton_iteration import RADIUS, Vectors, bounded
 from greybox.solve.waves import probability_of_no_other
 
 PAPER = (pitch_hover, pitch_5deg, yaw_hover, rotors)
@@ -159,6 +160,49 @@ def test_every_end_is_a_minimum_within_the_bounds():
     assert nearest.max() < 1e-8
     assert {int(np.argmin(np.abs(x - np.array(wells)))) for x in ends.z[0]} == {0, 1}
     assert_array_equal(ends.z[1], -1)
+
+
+def test_searches_keep_to_bounds_of_their_own():
+    """Of least squares, whose minima within bounds scipy knows."""
+    import casadi as ca
+
+    rng = np.random.default_rng(1)
+    a, b = rng.normal(size=(5, 3)), rng.normal(size=5)
+    z, smoothing = ca.SX.sym("z", 3), ca.SX.sym("smoothing")
+    cost = ca.Function("f", [z, smoothing], [ca.sumsqr(ca.DM(a) @ z - b) / 2])
+    low = rng.uniform(-1, 0, (3, 11))
+    high = low + rng.uniform(0, 0.5, low.shape)
+    low[0, :3] = high[0, :3]  # held
+    ends = BatchedNewton(cost, np.full(3, -9.0), np.full(3, 9.0)).minimize(
+        np.zeros((3, 11)), max_iterations=50, tolerance=1e-10, from_near=True, bounds=(low, high)
+    )
+    assert ends.at_minimum.all()
+    for k in range(3, 11):
+        assert ends.z[:, k] == pytest.approx(lsq_linear(a, b, (low[:, k], high[:, k]), tol=1e-14).x, abs=1e-7)
+    for k in range(3):
+        rest = lsq_linear(a[:, 1:], b - a[:, 0] * low[0, k], (low[1:, k], high[1:, k]), tol=1e-14).x
+        assert ends.z[:, k] == pytest.approx(np.r_[low[0, k], rest], abs=1e-7)
+
+
+def test_a_step_within_the_radius_is_the_best_of_many():
+    """Of a convex model; brute force over the sphere."""
+    p, rng = 3, np.random.default_rng(2)
+    rows = Vectors(p)
+    half = rng.normal(size=(p, p))
+    hessian, gradient = half @ half.T + 0.1 * np.eye(p), 10 * rng.normal(size=p)
+    numbers = np.zeros(rows.size)
+    numbers[RADIUS], numbers[rows.gradient], numbers[rows.hessian] = 0.1, gradient, hessian.ravel()
+    numbers[rows.lower], numbers[rows.upper] = -9, 9
+    values, vectors = np.linalg.eigh(hessian)
+    step = bounded(p, 3)(numbers, values, vectors.ravel()).full().ravel()
+    length = np.linalg.norm(step)
+    assert length == pytest.approx(0.1, rel=0.051)
+    others = rng.normal(size=(p, 20_000))
+    others *= length / np.linalg.norm(others, axis=0)
+    models = gradient @ others + 0.5 * np.einsum("pm,pq,qm->m", others, hessian, others)
+    best = gradient @ step + 0.5 * step @ hessian @ step
+    assert best == pytest.approx(models.min(), rel=1e-3)
+    assert best <= models.min()
 
 
 def test_a_start_that_is_not_finite_does_not_disturb_the_others():
