@@ -213,7 +213,7 @@ def test_other_outputs_make_the_part_of_the_record_that_has_them():
 
 
 def test_residuals_are_held_against_the_spread_of_their_signal(made):
-    part, z, trajectory = made
+    part, _, trajectory = made
     errors = part.residuals(trajectory)
     measured = np.concatenate([stretch.outputs for stretch in part.data.stretches], axis=1)
     spread = np.nanstd(measured, axis=1)

@@ -2,7 +2,17 @@ import math
 
 import pytest
 
-from greybox.data.text_table import counted, is_number, listed, number, one_line, printable, text_table, with_error
+from greybox.data.text_table import (
+    counted,
+    is_number,
+    listed,
+    number,
+    one_line,
+    printable,
+    some,
+    text_table,
+    with_error,
+)
 
 
 def test_columns_are_aligned():
@@ -55,6 +65,13 @@ def test_a_cell_is_a_number_or_not(cell, yes):
 
 def test_names_are_listed_as_in_a_sentence():
     assert [listed(["a", "b", "c"][:k]) for k in (1, 2, 3)] == ["a", "a and b", "a, b and c"]
+
+
+def test_of_many_names_the_first_are_given_and_how_many_more_there_are():
+    assert some(list("abcd")) == "a, b, c and d"
+    assert some(list("abcde")) == "a, b, c, d and e"  # which is no longer than "1 more"
+    assert some(list("abcdef")) == "a, b, c, d and 2 more"
+    assert some(list("abcdef"), 2) == "a, b and 4 more"
 
 
 def test_a_representation_is_one_short_line():

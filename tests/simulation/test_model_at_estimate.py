@@ -48,6 +48,17 @@ def test_a_fit_gives_its_covariance_and_noise():
         model_at(fit, driven(8.0))
 
 
+def test_a_model_with_a_parameter_that_the_fit_does_not_have_is_refused():
+    class Heavier(Spring):
+        extra = gb.Parameter(0.0, bounds=(0, 1))
+
+    fit = gb.fit(gb.Problem(Spring(), driven(4.0, noise=0.05)), starts=[{}], progress=False)
+    with pytest.raises(
+        ValueError, match=r"the fit has no 'extra', which Heavier needs; it has .*: give the model that"
+    ):
+        model_at(Heavier(), fit)
+
+
 @pytest.mark.parametrize(
     ("model", "values", "error", "sentence"),
     [

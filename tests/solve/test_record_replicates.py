@@ -47,15 +47,16 @@ def test_missing_samples_stay_missing_and_do_not_count():
         assert np.isnan(drawn[0]).tolist() == np.isnan(values).tolist()
 
 
-def test_every_sample_is_left_out_once_in_stretches_too():
-    """One sample a piece, of two records of which the second begins where the first has ended."""
-    record = gb.Record(np.arange(12) / 10, {"u": np.ones(12), "y": VALUES})
-    nlp = compile_problem(gb.several(Ramp(), [record, record.between(0, 0.75)]))
+def test_every_sample_is_left_out_once_where_pieces_cross_from_record_to_record_too():
+    """Two samples a piece, of records of 13 and 27."""
+    records = [gb.Record(np.arange(n) / 10, {"u": np.ones(n), "y": np.arange(n) % 3.0}) for n in (13, 27)]
+    nlp = compile_problem(gb.several(Ramp(), records))
     trajectories = tuple(part.initial_trajectory(nlp.scaling.to_solver(np.array([2.0]))) for part in nlp.parts)
     draws = record_draws(nlp, trajectories, "residuals", 0, None)
-    every = np.array([np.concatenate([np.isnan(v).ravel() for (v,) in draws.without(k)]) for k in range(PIECES)])
-    assert every.shape == (20, 20)
-    assert every.sum(axis=0).tolist() == every.sum(axis=1).tolist() == [1] * 20
+    left_out = np.array([np.concatenate([np.isnan(v).ravel() for (v,) in draws.without(k)]) for k in range(PIECES)])
+    assert left_out.shape == (20, 40)
+    assert left_out.sum(axis=0).tolist() == [1] * 40
+    assert left_out.sum(axis=1).tolist() == [2] * 20
 
 
 def test_a_block_is_no_longer_than_the_record():

@@ -57,3 +57,4 @@ def test_blocks_follow_each_other_on_a_circle():
 def test_no_block_is_longer_than_a_third_of_the_series():
     walks = np.random.default_rng(0).normal(size=(20, 30)).cumsum(axis=1)
     assert max(block_length([walk]) for walk in walks) == 10
+    assert block_length(list(walks[:, :5])) == 1

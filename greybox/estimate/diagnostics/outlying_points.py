@@ -119,7 +119,7 @@ def _ratios(residual: NDArray[np.complex128], sensitivity: NDArray[np.complex128
     z = z - basis @ (basis.T @ z)
     total = float(z @ z)
     if dof < LEAST_LEFT or not total > 0:
-        return np.full(n, math.nan), float(max(dof, 1))
+        return np.full(n, math.nan), float(dof)
     re, im = basis[:n], basis[n:]
     a, b, c = 1 - np.sum(re**2, axis=1), -np.sum(re * im, axis=1), 1 - np.sum(im**2, axis=1)  # [[a, b], [b, c]] = M_kk
     remains = (a + c) / 2 - np.hypot((a - c) / 2, b) > DEPENDENT

@@ -51,6 +51,7 @@ def test_a_pipe_is_refused_before_it_blocks(tmp_path):
     ("data", "match"),
     [
         (b"", "is empty: logging never started"),
+        (b"to whom it may concern, greetings\n", "looks like text that starts with .to whom"),
         (b"PK\3\4rest", "looks like a zip archive, which greybox does not read; supported are: ArduPilot DataFlash"),
         (b"just a few words", "looks like text that starts with 'just a few words', which"),
         (b"\1\2\3\4\5", "looks like binary data that start with 01 02 03 04, which"),

@@ -113,17 +113,21 @@ def test_arrays_become_signals_and_instances_records(saved):
     assert battery.units["voltages[3]"] == "mV"
 
 
-def test_px4_sends_the_bytes_of_integer_parameters(saved):
-    value = struct.unpack("<f", struct.pack("<i", 4))[0]
+@pytest.mark.parametrize(
+    ("kind", "code", "number"),
+    [(1, "B", 200), (2, "b", -3), (3, "H", 40_000), (4, "h", -300), (5, "I", 3_000_000_000), (6, "i", 4)],
+)
+def test_px4_sends_the_bytes_of_integer_parameters(saved, kind, code, number):
+    value = struct.unpack("<f", struct.pack(f"<{code}", number).ljust(4, b"\0"))[0]
     packets = [
         (BOOT, 1, 1, mavlink.MAVLink_heartbeat_message(2, 12, 81 | 128, 3 << 16, 4, 3)),
-        (BOOT + 1000, 1, 1, mavlink.MAVLink_param_value_message(b"CBRK_IO", value, 6, 2, 0)),
+        (BOOT + 1000, 1, 1, mavlink.MAVLink_param_value_message(b"CBRK_IO", value, kind, 2, 0)),
         (BOOT + 2000, 1, 1, mavlink.MAVLink_param_value_message(b"MC_PITCH_P", 6.5, 9, 2, 1)),
         (BOOT + 3000, 1, 1, mavlink.MAVLink_heartbeat_message(2, 12, 81 | 128, 3 << 16, 4, 3)),
     ]
     about = saved(tlog(packets)).metadata
     assert about["vehicle"] == "PX4"
-    assert about["parameters"] == {"CBRK_IO": 4, "MC_PITCH_P": 6.5}
+    assert about["parameters"] == {"CBRK_IO": number, "MC_PITCH_P": 6.5}
     assert about["modes"] == ((0, "POSCTL"),)
 
 
