@@ -156,9 +156,10 @@ class Information:
         For a record whose errors are taken as correlated in time: what that makes of it, for the directions of the root
         of the covariance of the free parameters for white errors times the weight of the part. `spread` takes them as
         white. Directions of unit variance keep their digits where parameters are hardly determined.
-    offset : (rows,) array or None
-        Of a frequency response, what noise adds to the residuals at the true values in the mean, by the `gain_bias` of
-        the criterion: the bias of the estimate is its least squares on the Jacobian. None where there is none.
+    offset : function of a correction, or None
+        Of a frequency response, what noise adds to the residuals (rows,) in the mean, by the `gain_bias` of the
+        criterion, with the noise larger by the correction: the bias of the estimate is its least squares on the
+        Jacobian.
     told : function of directions (p, q)
         What each point of the data tells of these directions of the free parameters, for independent errors: its share
         (q, m) of their squared lengths by the bread. The m points are frequencies, of a manoeuvre those of one output
@@ -175,7 +176,7 @@ class Information:
     reach: Array
     initial: Mapping[str, Array] = field(default_factory=dict)
     colored: Callable[[Array], ColoredErrors] | None = None
-    offset: Array | None = None
+    offset: Callable[[float], Array] | None = None
     told: Callable[[Array], Array] | None = None
     output_errors: Callable[[Array], Array] | None = None
 

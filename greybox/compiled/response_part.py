@@ -167,10 +167,10 @@ class ResponsePart(PartWithoutNodes):
         # Of isotropic normal errors of deviation s in each component, the mean magnitude is s sqrt(π/2).
         noise = float(errors.mean()) * math.sqrt(2 / math.pi) if errors.size else math.nan
         bread = spread(1.0)[0]
-        offset = None
-        if criterion.gain_bias:
-            offset = criterion.jacobian(response, response[:, None], data)[:, 0]
-            offset *= criterion.gain_bias * criterion.bias_variance(response, data)
+
+        def offset(correction: float) -> Array:
+            bias = criterion.gain_bias(criterion.noise(response, data, correction), len(data))
+            return bias * criterion.jacobian(response, response[:, None], data)[:, 0]
 
         def told(directions: Array) -> Array:
             along = jacobian[:, : len(directions)] @ directions

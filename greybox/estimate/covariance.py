@@ -81,8 +81,8 @@ class Accuracy:
     noise : (parts,) array
         The standard deviation of one component of the relative error, of every part.
     bias : (k,) array
-        Of the estimate, to first order in the variance of the errors, by what the criteria normalize with: see
-        `AnyCriterion.gain_bias`. What an earlier fit has is not in it.
+        Of the estimate, by what the criteria normalize with: see `AnyCriterion.gain_bias`. What an earlier fit has is
+        not in it.
     white : (p, p) array or None
         The covariance of the free parameters if the cost were the likelihood of white errors: the inverse bread.
     correlation : (parts,) tuple of ColoredErrors or None
@@ -402,7 +402,7 @@ def _share(part: Information, *, p: int, correction: float, dof: float) -> _Shar
     """Return what a part tells of the `p` unknowns, its noise scaled by `correction`."""
     scale, meat = part.spread(correction)
     free, weight = part.jacobian[:, :p], part.part.weight
-    pull = np.zeros(p) if part.offset is None else weight * scale * correction**2 * (free.T @ part.offset)
+    pull = np.zeros(p) if part.offset is None else weight * scale * free.T @ part.offset(correction)
     return _Share(
         bread=weight * scale * free.T @ part.jacobian,
         root=math.sqrt(weight * scale) * free,

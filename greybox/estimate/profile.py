@@ -193,7 +193,7 @@ def ratio_refusal(nlp: Nlp, x: Array) -> str:
         bread, meat = part.criterion.spread(part.response(values), part.data, 1.0)
         if not np.isfinite(bread) or not meat.size or not np.all(meat > 0):
             return f"{part.problem.name!r} is fitted exactly, so that the size of its errors is not known"
-        if np.ptp(meat) > EVEN * meat.max():
+        if not part.criterion.weighs_alike and np.ptp(meat) > EVEN * meat.max():
             return (
                 f"{type(part.criterion).__name__} weighs the points of {part.problem.name!r} otherwise than their "
                 "errors, so that differences of its cost are no ratio of likelihoods: use RelativeError, "

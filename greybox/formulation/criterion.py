@@ -66,9 +66,8 @@ class AnyCriterion(ABC):
         """Return the condition for these data."""
         return self.condition
 
-    @property
-    def gain_bias(self) -> float:
-        """The relative error of the gain in units of σ², with relative noise σ in each component."""
+    def gain_bias(self, noise: float, points: int) -> float:
+        """Return the relative error of the gain by relative noise of this size in each component of so many points."""
         return 0.0
 
     @property

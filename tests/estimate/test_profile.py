@@ -55,7 +55,8 @@ def brute_force(fit, model, name, edge, level=0.95):
     dof = 2 * len(data) - len(names) - 1
     bias = {q.name: q.bias for q in fit.quantities}[name] / fit.standard_error[name]
     root = student.ppf(0.5 + level / 2, dof) + (bias if edge < start else -bias)
-    limit = fit.cost * (1 + root**2 / dof)
+    place = fit.free.index(name)
+    limit = fit.cost + root**2 / 2 * fit.covariance_of([name])[0, 0] / fit.white[place, place]
     return brentq(lambda value: lowest(value) - limit, start, edge, rtol=1e-8)
 
 
@@ -198,7 +199,8 @@ def test_a_contour_is_where_the_costs_of_a_dense_grid_cross_the_limit():
     # bias of the estimate, in the metric of the covariance, it is √(2 F) from the truth.
     dof = 2 * len(data) - 2
     error = found.points[:, :1] / (1j * data.omega * found.points[:, 1:] + 1) / data.response - 1
-    roots = np.sqrt(dof * ((np.abs(error) ** 2).sum(axis=1) / fit.cost - 1))
+    factor = np.mean(np.diag(fit.white) / np.diag(fit.covariance_of(["K", "T"])))
+    roots = np.sqrt(2 * factor * ((np.abs(error) ** 2).sum(axis=1) - fit.cost))
     angle = 2 * np.pi * np.arange(12) / 12
     axes = np.linalg.cholesky(fit.covariance_of(["K", "T"]))
     bias = np.linalg.solve(axes, [q.bias for q in fit.quantities if q.kind == "free"])

@@ -102,7 +102,9 @@ def held_residuals(criterion, data, scale):
             )
 
         return residuals
-    return lambda P: np.concatenate([((P - data.response) / scale).real, ((P - data.response) / scale).imag])
+    along = np.exp(1j * np.angle(MODEL)) if hasattr(criterion, "normalized") else 1.0
+    errors = lambda P: (P - data.response) / (scale * along)  # noqa: E731
+    return lambda P: np.concatenate([errors(P).real, errors(P).imag])
 
 
 @criteria

@@ -12,7 +12,7 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.repeated import Found, once
 
-# Relative noise of a component from which the bias of the gain, `gain_bias` times its square, reaches 1 %.
+# Relative noise of a component from which the bias of the gain (`gain_bias`) reaches 1 %.
 NOISY = 0.1
 
 # Ratio of the residual variance to the given one that noise alone does not explain: with 10 degrees of freedom
@@ -27,9 +27,9 @@ LARGEST_DEVIATION_RATIO = 1.6
 
 def biased_gains(nlp: Nlp, accuracy: Accuracy) -> Iterator[str]:
     """Say by how much the normalization of a relative criterion biases the gain, where the noise is large."""
-    for part, noise in zip(nlp.problem.parts, accuracy.noise, strict=True):
-        bias = part.criterion.gain_bias * noise**2
-        if bias and noise > NOISY:
+    for part, noise in zip(nlp.parts, accuracy.noise, strict=True):
+        bias = part.problem.criterion.gain_bias(noise, part.numbers // 2) if noise > NOISY else 0.0
+        if bias:
             other = "model" if bias < 0 else "measured"
             yield (
                 f"the residual of {part.name!r} is {100 * noise:.0f} % rms in each component: if that is noise, the "

@@ -1,0 +1,58 @@
+"""What noise makes of a sum of relative errors, against many data sets that were drawn."""
+
+import numpy as np
+import pytest
+from declared_models import measured
+
+import greybox as gb
+from greybox.formulation.relative_score import relative_score
+
+
+def gains(data, normalized, power):
+    """The complex gains (r,) that minimize Σ |e|^power for data (r, n), by reweighted least squares."""
+    factor = 1 / data if normalized == "measured" else data
+    gain = np.ones(len(data), dtype=complex)
+    for _ in range(30):
+        weight = np.abs(gain[:, None] * factor - 1) ** (power - 2)
+        gain = (weight * factor.conj()).sum(axis=1) / (weight * np.abs(factor) ** 2).sum(axis=1)
+    return gain if normalized == "measured" else 1 / gain
+
+
+@pytest.mark.parametrize("power", [1, 2])
+@pytest.mark.parametrize("normalized", ["measured", "model"])
+def test_bias_and_errors_of_a_gain_are_those_of_many_data_sets(normalized, power):
+    sigma, n = 0.2, 30
+    rng = np.random.default_rng(2)
+    draws = 1 + sigma * (rng.normal(size=(8000, n)) + 1j * rng.normal(size=(8000, n)))
+    found = gains(draws, normalized, power)
+    score = relative_score(sigma, n, power, normalized)
+    assert 1 - np.exp(-np.log(np.abs(found)).mean()) == pytest.approx(score.gain_bias, abs=0.2 * sigma / np.sqrt(n))
+    errors = np.sqrt(score.variance / n) / score.curvature
+    spread = [np.log(np.abs(found)).std(), np.angle(found).std()]
+    assert errors == pytest.approx(spread, rel=0.06)
+
+
+def test_small_noise_has_the_moments_of_the_linear_theory():
+    for sigma in (1e-9, 1e-3):
+        absolute, squared = (relative_score(sigma, 50, power, "measured") for power in (1, 2))
+        assert absolute.curvature * sigma == pytest.approx(np.sqrt(np.pi / 2) / 2, rel=1e-3)
+        assert absolute.variance == pytest.approx([0.5, 0.5], rel=1e-3)
+        assert squared.curvature == pytest.approx(2, rel=1e-5)
+        assert squared.variance / sigma**2 == pytest.approx([4, 4], rel=1e-4)
+        assert squared.gain_bias / sigma**2 == pytest.approx(-2, rel=1e-4)
+
+
+def test_the_size_of_the_noise_is_that_of_the_data_whatever_divides_the_errors():
+    class Gain(gb.TransferFunction):
+        K = gb.Parameter(1.0, bounds=(0.1, 10))
+
+        def response(self, s, p):
+            return p.K + 0 * s
+
+    sigma = 0.2
+    data = measured(Gain(), np.geomspace(0.1, 10, 4000), {"K": 2.0}, noise=sigma, seed=5)
+    for criterion in (gb.RelativeError, gb.SquaredRelativeError):
+        for normalized in ("measured", "model"):
+            chosen = criterion(normalized=normalized)
+            estimate = 2.0 / (1 - chosen.gain_bias(sigma, 100))
+            assert chosen.noise(np.full(4000, estimate + 0j), data) == pytest.approx(sigma, rel=0.02)
