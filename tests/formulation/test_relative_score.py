@@ -28,8 +28,9 @@ def test_bias_and_errors_of_a_gain_are_those_of_many_data_sets(normalized, power
     score = relative_score(sigma, n, power, normalized)
     assert 1 - np.exp(-np.log(np.abs(found)).mean()) == pytest.approx(score.gain_bias, abs=0.2 * sigma / np.sqrt(n))
     errors = np.sqrt(score.variance / n) / score.curvature
-    spread = [np.log(np.abs(found)).std(), np.angle(found).std()]
-    assert errors == pytest.approx(spread, rel=0.06)
+    # The few data sets with a point next to zero take part in a standard deviation, not in an interval.
+    middle = [np.diff(np.quantile(part, [0.025, 0.975]))[0] / 3.92 for part in (np.log(np.abs(found)), np.angle(found))]
+    assert errors == pytest.approx(middle, rel=0.15)
 
 
 def test_small_noise_has_the_moments_of_the_linear_theory():
