@@ -215,9 +215,9 @@ class BatchedNewton:
         searches.live &= np.isfinite(numbers[COST])
         others = np.flatnonzero(searches.live & (numbers[IS_NEWTON] == 0))
         if others.size:
-            eigenvalues, vectors = np.linalg.eigh(of_free[:, others].T.reshape(-1, rows.p, rows.p))
+            eigenvalues, vectors = np.linalg.eigh(of_free.T[others].reshape(-1, rows.p, rows.p))
             vectors, each = vectors.reshape(-1, rows.p**2), _filled(np.arange(others.size))
-            [trials] = within_radius(numbers[:, others[each]], eigenvalues[each].T, vectors[each].T)
+            [trials] = within_radius(numbers.take(others[each], axis=1), eigenvalues[each].T, vectors[each].T)
             numbers[rows.trial, others] = trials[:, : others.size]
 
 
