@@ -123,7 +123,7 @@ RECORD_DATA = '''\
     # Yours, from a table with the columns time [s], theta [rad], v [m/s], or from a flight log:
     #     return gb.read("flight.csv")["flight"]
     #     return gb.prepare(gb.read("flight.BIN"), {{"theta": "ATT.Pitch", "v": "XKF1.VN"}}, rate=50)
-    time = np.arange(0, 20, 0.02)  # s
+    time = np.arange(0, 60, 0.02)  # s
     theta = 0.2 * np.sin(0.8 * time) + 0.1 * np.sin(2.5 * time)
     between = {{"theta": 0.0}}  # samples of what is continuous; math.inf for what a controller holds until the next one
     flown = gb.Record(time, {{"theta": theta}}, {{"theta": "rad"}}, hold=between, name="made up")
