@@ -19,11 +19,12 @@ from greybox.logs.readers.ardupilot_metadata import unit
 from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.dataflash_index import text
 from greybox.logs.readers.messages import Messages, bare, records
-from greybox.logs.readers.telemetry_frames import KINDS, Frames, find_packets, payloads
+from greybox.logs.readers.telemetry_frames import KINDS, SAMPLED, Frames, find_packets, payloads
 
 Floats = NDArray[np.float64]
 
 TICKS = {"time_boot_ms": 1e3, "time_boot_us": 1e6, "time_usec": 1e6}  # the sender's time, ticks per second
+BLOCK = 2**16  # packets whose times are set at once
 EPOCH = 1e9  # s; a larger time counts from 1970, not from the sender's start
 ABOUT = ("PARAM_VALUE", "STATUSTEXT")  # part of the metadata; no time histories
 SENDER = "sender"  # the text column that distinguishes senders and instances
@@ -61,7 +62,9 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
         raise ValueError(f"{path} holds no MAVLink packet that can be read; copy it from the ground station again.")
 
     sender_time = _sender_times(data, frames)
+    timed = np.unique(frames.kinds[np.isfinite(sender_time)])
     time, restarts = _common_clock(frames, sender_time, telemetry_metadata.vehicle_sender(data, frames))
+    del sender_time
     names = {kind: KINDS[kind].msgname for kind in np.unique(frames.kinds).tolist()}
     wanted = [k for k, name in names.items() if (name not in ABOUT if messages is None else name in messages)]
     about = telemetry_metadata.metadata(data, frames, time)
@@ -71,7 +74,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
         *_damage(frames),
         *restarts,
         *_missing(frames, messages),
-        *_received(frames, sender_time, wanted),
+        *_received(set(wanted) - set(timed.tolist())),
         *problems,
     )
     return Recording(found, path.name, checksum, about, findings)
@@ -83,7 +86,7 @@ def _sender_times(data: mmap.mmap, frames: Frames) -> Floats:
     for kind in np.unique(frames.kinds).tolist():
         timer = next((name for name in TICKS if name in KINDS[kind].fieldnames), "")
         if timer:
-            ticks = payloads(data, frames, kind)[timer] / TICKS[timer]
+            ticks = payloads(data, frames, kind, timer) / TICKS[timer]
             sender_time[frames.kinds == kind] = np.where((ticks > 0) & (ticks < EPOCH), ticks, np.nan)
     return sender_time
 
@@ -92,32 +95,38 @@ def _common_clock(frames: Frames, sender_time: Floats, vehicle: int) -> tuple[Fl
     """Return the time of every packet, s since the vehicle's first start, and where senders restarted.
 
     The median difference between reception and the sender's time is the sender's start; it changes when it restarts.
+    These times take the place of the reception times: a log has ten million packets.
     """
-    time = frames.received.copy()
+    time = frames.received
     findings = []
     zero = None
     senders = np.unique(frames.senders).tolist()
     for sender in sorted(senders, key=lambda s: s != vehicle):
-        rows = np.flatnonzero((frames.senders == sender) & np.isfinite(sender_time))
+        rows = np.flatnonzero((frames.senders == sender) & np.isfinite(sender_time)).astype(frames.starts.dtype)
         starts = (0, *time_stamps.restarts(sender_time[rows]))
         for piece in np.split(rows, starts[1:]) if rows.size else ():
-            start = float(np.median(frames.received[piece] - sender_time[piece]))
+            some = piece[:: max(piece.size // SAMPLED, 1)]
+            start = float(np.median(time[some] - sender_time[some]))
             zero = start if zero is None else zero
-            time[piece] = sender_time[piece] + start
+            for begin in range(0, piece.size, BLOCK):
+                block = piece[begin : begin + BLOCK]
+                time[block] = sender_time[block] + start
         findings += [
             f"sender {_address(sender)} restarted at {time[rows[i]] - (zero or 0.0):.1f} s; its clock continues there."
             for i in starts[1:]
         ]
-    return time - (float(time[0]) if zero is None else zero), tuple(findings)
+    time -= float(time[0]) if zero is None else zero
+    return time, tuple(findings)
 
 
 def _messages(data: mmap.mmap, frames: Frames, kind: int, time: Floats) -> Messages:
     """Return the packets of one kind, in the order of their times: a link may deliver them in another."""
     known = KINDS[kind]
     rows = np.flatnonzero(frames.kinds == kind)
-    sorting = np.argsort(time[rows], kind="stable")
-    rows = rows[sorting]
-    packets = payloads(data, frames, kind)[sorting]
+    packets = payloads(data, frames, kind)
+    if np.any(np.diff(time[rows]) < 0):
+        sorting = np.argsort(time[rows], kind="stable")
+        rows, packets = rows[sorting], packets[sorting]
 
     columns: dict[str, Floats] = {}
     texts: dict[str, Sequence[str]] = {}
@@ -163,9 +172,9 @@ def _address(sender: int) -> str:
     return f"{sender >> 8}:{sender & 0xFF}"
 
 
-def _received(frames: Frames, sender_time: Floats, wanted: Collection[int]) -> tuple[str, ...]:
+def _received(untimed: Collection[int]) -> tuple[str, ...]:
     """Say which kinds have their reception time."""
-    names = [KINDS[kind].msgname for kind in wanted if np.isnan(sender_time[frames.kinds == kind]).all()]
+    names = [KINDS[kind].msgname for kind in sorted(untimed)]
     if not names:
         return ()
     return (f"these carry no time stamp and are given their time of reception: {', '.join(names)}.",)

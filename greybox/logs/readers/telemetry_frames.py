@@ -9,6 +9,7 @@ from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,8 @@ from greybox.data.progress import reading
 from greybox.logs.readers.mapped_file import release
 
 PIECE = 2**20  # bytes after which the bar moves on
+WINDOW = 2**23  # bytes of which packets are decoded at once: the file is mapped, and what was touched is in memory
+SAMPLED = 10_000  # stamps whose median is the middle of the log: of all of them it would take twice their memory
 STAMP = 8  # bytes of time before a packet: µs since 1970, big-endian
 MARK = re.compile(b"[\xfd\xfe]")  # the first byte of a packet of MAVLink 2 or 1
 SIGNED = 1
@@ -51,7 +54,7 @@ class Frames:
 
     kinds: NDArray[np.uint32]
     senders: NDArray[np.uint16]
-    starts: NDArray[np.int64]
+    starts: NDArray[np.integer]
     lengths: NDArray[np.uint8]
     received: NDArray[np.float64]
     skipped: int
@@ -61,9 +64,10 @@ class Frames:
 
 def find_packets(data: mmap.mmap) -> Frames:
     """Find every packet in `data` whose checksum is right."""
-    kinds, senders, starts, lengths, stamps = array("I"), array("H"), array("q"), array("B"), array("q")
-    at = 0
     size = len(data)
+    kinds, senders, lengths, stamps = array("I"), array("H"), array("B"), array("q")
+    starts = array("I" if size < 2**32 else "q")
+    at = 0
     skipped = 0
     places = 0
     unknown = 0
@@ -93,10 +97,12 @@ def find_packets(data: mmap.mmap) -> Frames:
         at = end
 
     bar.close()
-    received = np.asarray(stamps)
-    received -= np.int64(np.median(received)) if stamps else 0  # 53 bits would not hold µs since 1970 in s
+    ticks = np.asarray(stamps)
+    if ticks.size:  # 53 bits would not hold µs since 1970 in s
+        ticks -= np.int64(np.median(ticks[:: max(ticks.size // SAMPLED, 1)]))
+    received = np.divide(ticks, 1e6, out=ticks.view(float))
     where = np.asarray(starts), np.asarray(lengths)
-    return Frames(np.asarray(kinds), np.asarray(senders), *where, received / 1e6, skipped, places, unknown)
+    return Frames(np.asarray(kinds), np.asarray(senders), *where, received, skipped, places, unknown)
 
 
 def _frame(data: mmap.mmap, at: int) -> tuple[int, int, int, int, int] | None:
@@ -156,18 +162,25 @@ def layout(kind: int) -> np.dtype:
     return np.dtype(fields)
 
 
-def payloads(data: mmap.mmap, frames: Frames, kind: int) -> NDArray[Any]:
-    """Return the packets of one kind as a structured array; what a packet leaves out at its end is zero."""
+def payloads(data: mmap.mmap, frames: Frames, kind: int, field: str = "") -> NDArray[Any]:
+    """Return the packets of one kind, structured, or one field of them; what a packet leaves out at its end is zero."""
     chosen = frames.kinds == kind
     starts = frames.starts[chosen]
     lengths = frames.lengths[chosen]
     dtype = layout(kind)
-    rows = np.zeros((starts.size, dtype.itemsize), dtype=np.uint8)
     raw = np.frombuffer(data, dtype=np.uint8)
-    for length in np.unique(lengths):
-        same = lengths == length
-        width = min(int(length), dtype.itemsize)
-        if width:
-            rows[same, :width] = np.lib.stride_tricks.sliding_window_view(raw, width)[starts[same]]
-    release(data, 0, len(data))
-    return rows.view(dtype)[:, 0]
+    found = np.empty(starts.size, dtype[field] if field else dtype)
+    edges = np.append(np.arange(0, len(data), WINDOW), len(data))
+    ends = np.searchsorted(starts, edges.astype(starts.dtype)).tolist()
+    for begin, (first, last) in zip(edges.tolist(), pairwise(ends), strict=False):
+        here = slice(first, last)
+        rows = np.zeros((here.stop - here.start, dtype.itemsize), dtype=np.uint8)
+        for length in np.unique(lengths[here]):
+            same = lengths[here] == length
+            width = min(int(length), dtype.itemsize)
+            if width:
+                rows[same, :width] = np.lib.stride_tricks.sliding_window_view(raw, width)[starts[here][same]]
+        packets = rows.view(dtype)[:, 0]
+        found[here] = packets[field] if field else packets
+        release(data, begin, begin + 2 * WINDOW)  # the last packet of a window ends in the next one
+    return found

@@ -7,7 +7,7 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from synthetic_logs import radio, tlog
 
-from greybox.logs.readers import read
+from greybox.logs.readers import read, telemetry_frames
 
 BOOT = 1_700_000_000_000_000  # µs since 1970
 
@@ -147,16 +147,25 @@ def test_a_file_without_packets_is_refused(saved):
         saved(BOOT.to_bytes(8, "big") + b"\xfd" * 300)
 
 
-def test_what_is_not_asked_for_is_not_in_memory(tmp_path):
-    """Neither its values nor, packet by packet, more than where it is."""
-    packet = tlog([(0, 1, 1, mavlink.MAVLink_vfr_hud_message(1.0, 1.5, 90, 30, 12.0, 0.5))])[8:]
+@pytest.mark.parametrize(
+    "message",
+    [
+        mavlink.MAVLink_vfr_hud_message(1.0, 1.5, 90, 30, 12.0, 0.5),
+        mavlink.MAVLink_attitude_message(9000, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6),
+    ],
+    ids=["received", "stamped"],
+)
+def test_what_is_not_asked_for_is_not_in_memory(tmp_path, monkeypatch, message):
+    """Neither its values nor, packet by packet, more than where it is and two times."""
+    packet = tlog([(0, 1, 1, message)])[8:]
     path = tmp_path / "long.tlog"
     path.write_bytes(
         tlog(radio(1.0)) + b"".join((BOOT + 10_000 * k).to_bytes(8, "big") + packet for k in range(20_000))
     )
+    monkeypatch.setattr(telemetry_frames, "WINDOW", 2**16)  # the file has a megabyte
     tracemalloc.start()
     recording = read(path, ["HEARTBEAT"])
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert [*recording] == ["HEARTBEAT[1:1]", "HEARTBEAT[255:190]"]
-    assert peak < 2.2 * path.stat().st_size  # 23 bytes and three times a packet of 38; of five integers 3.2
+    assert peak < 65 * 20_000  # bytes a packet: 19 of frames, its time by the sender, and where these are
