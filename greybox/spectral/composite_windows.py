@@ -110,11 +110,11 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     -------
     FrequencyResponse
         With coherence, variance E|P̂ - P|² and its degrees of freedom; points that leave too little to judge the noise
-        by are left out. The coherence is partial, without transients and conditioned inputs; with an instrument it is
-        the lower one of instrument with input and with output. The variance assumes noise that is as strong in the
-        quiet parts of a record as in the excited ones. That of combined windows is the one of fully correlated parts,
-        an upper bound, and contains the square of the difference from the longest window where noise does not explain
-        it.
+        by are left out, and those where the instrument hardly moves the input. The coherence is partial, without
+        transients and conditioned inputs; with an instrument it is the lower one of instrument with input and with
+        output. The variance assumes noise that is as strong in the quiet parts of a record as in the excited ones. That
+        of combined windows is the one of fully correlated parts, an upper bound, and contains the square of the
+        difference from the longest window where noise does not explain it.
 
     Raises
     ------
@@ -213,7 +213,7 @@ def _combined(estimates: Sequence[WindowedPoint]) -> WindowedPoint:
     """Weight the window lengths at one frequency by their random errors."""
     known = [e for e in estimates if math.isfinite(e.variance)]
     if not known:
-        return WindowedPoint()
+        return WindowedPoint(weak=any(e.weak for e in estimates))
     response = np.array([e.response for e in known])
     error = np.sqrt([e.variance for e in known]) / np.abs(response)
     weight = (error / error.min()) ** -SHARPNESS

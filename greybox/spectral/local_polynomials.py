@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.spectral.uniform_stretches import UniformStretch
-from greybox.spectral.welch import EPS, HZ, WORST_CONDITION, WindowedPoint
+from greybox.spectral.welch import EPS, HZ, STRONG, WORST_CONDITION, WindowedPoint
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -444,40 +444,46 @@ def _estimates(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths)
     found = _noise(lines, band, bands, widths)
     if found is None:
         return [WindowedPoint()] * band.omega.size
-    noise, dof = found
+    noise, of_input, dof = found
 
     fitted = band.fitted
     weights = fitted.weights(band.omega)
+    spread = np.sum(np.abs(weights) ** 2, axis=1)
     response = weights @ lines.values[1, fitted.rows] - band.correction
-    variance = noise * np.sum(np.abs(weights) ** 2, axis=1) + band.squared_error
+    variance = noise * spread + band.squared_error
     rounding = (4 * EPS * np.abs(response)) ** 2  # noise-free data have no smaller variance than their rounding errors
     coherence = _coherence(lines, fitted, noise)
+    weak = STRONG * spread * of_input > 1
     return [
-        WindowedPoint(complex(p), float(v), dof, coherence)
-        for p, v in zip(response, np.maximum(variance, rounding), strict=True)
+        WindowedPoint(weak=True) if hidden else WindowedPoint(complex(p), float(v), dof, coherence)
+        for p, v, hidden in zip(response, np.maximum(variance, rounding), weak, strict=True)
     ]
 
 
 class _Residual(NamedTuple):
-    """What polynomials leave in a narrow band: sum of squares, their number, and the projection (n, n) to them."""
+    """What polynomials leave in a narrow band.
+
+    Sums of squares (2,), of the output and of what the instrument leaves of the input; their number; the projection
+    (n, n) to them.
+    """
 
     center: float
     rows: NDArray[np.int64]
-    squares: float
+    squares: Array
     number: int
     projection: Complex
 
 
-def _noise(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths) -> tuple[float, float] | None:
-    """Return the spectral density of the noise around a band, and its degrees of freedom.
+def _noise(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths) -> tuple[float, float, float] | None:
+    """Return the spectral densities of the noise of output and input around a band, and the degrees of freedom.
 
-    Bands in which the polynomials are visibly wrong do not count; if the band itself is one, its residuals with the
-    pole do.
+    The noise of the input is what the instrument does not explain: none in the direct estimate. Bands in which the
+    polynomials are visibly wrong do not count; if the band itself is one, its residuals with the pole do.
     """
-    if band.pole_noise is not None:
-        squares, number = band.pole_noise
-        if number >= LEAST_RESIDUALS:
-            return squares / number, 2 * number
+    squares, number = band.pole_noise or (0.0, 0.0)
+    told = number >= LEAST_RESIDUALS
+    if told and lines.same:
+        return squares / number, 0.0, 2 * number
 
     center, half = band.fitted.center, band.fitted.half
     wrong = [b.fitted for b in bands if b.pole_noise is not None]
@@ -490,7 +496,7 @@ def _noise(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths) -> 
     octaves = residuals(np.geomspace(center / 2, 2 * center, places))
     if not octaves:
         return None
-    slope = _slope(octaves, 1.5 * center / widths.noise)
+    slopes = _slopes(octaves, 1.5 * center / widths.noise)
 
     width = max(2 * half, math.ceil(NEIGHBORHOOD / widths.residuals) * widths.noise)
     near: list[_Residual] = []
@@ -502,9 +508,12 @@ def _noise(lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths) -> 
     if not near:
         return None
 
-    level = np.array([(r.center / center) ** slope for r in near])
+    level = np.array([(r.center / center) ** slopes for r in near])
     trace = sum(r.number for r in near)
-    return float(np.array([r.squares for r in near]) @ (1 / level) / trace), 2 * trace**2 / _overlap(near)
+    output, input = np.sum([r.squares for r in near] / level, axis=0) / trace
+    if told:
+        return squares / number, float(input), 2 * number
+    return float(output), float(input), 2 * trace**2 / _overlap(near)
 
 
 def _overlap(residuals: Sequence[_Residual]) -> float:
@@ -536,11 +545,12 @@ def _residual(lines: Lines, center: float, half: float, bands: Sequence[Band]) -
         y = y - nearest.weights(inside) @ lines.values[1, nearest.rows] * u
     projection = np.eye(fitted.rows.size) - fitted.basis @ fitted.basis.conj().T
     projection -= fitted.transients @ fitted.transients.T
-    return _Residual(center, fitted.rows, float(np.sum(np.abs(projection @ y) ** 2)), fitted.number, projection)
+    squares = np.sum(np.abs(projection @ np.stack([y, u], axis=1)) ** 2, axis=0)
+    return _Residual(center, fitted.rows, squares, fitted.number, projection)
 
 
-def _slope(residuals: Sequence[_Residual], apart: float) -> float:
-    """Return the slope of the noise, log power by log frequency, held back where few residuals tell it.
+def _slopes(residuals: Sequence[_Residual], apart: float) -> Array:
+    """Return the slopes (2,) of the noise, log power by log frequency, held back where few residuals tell them.
 
     So many bands lie `apart`; where there are more residuals than that, they tell as much as these.
     """
@@ -548,7 +558,8 @@ def _slope(residuals: Sequence[_Residual], apart: float) -> float:
     power = np.log(np.maximum([r.squares / r.number for r in residuals], np.finfo(float).tiny))
     omega = omega - omega.mean()
     scatter = LOG_SCATTER / math.sqrt(residuals[0].number) * math.sqrt(max(len(residuals) / apart, 1.0))
-    return float(omega @ power / (omega @ omega + (scatter / STEEP) ** 2))
+    slopes: Array = omega @ power / (omega @ omega + (scatter / STEEP) ** 2)
+    return slopes
 
 
 def _coherence(lines: Lines, fitted: Fitted, noise: float) -> float:

@@ -43,6 +43,11 @@ PERIODS = 2
 # deviation, has a finite variance.
 LEAST_DOF = 3
 
+# How many times as strong as its noise the part of the input must be that the instrument explains, in power: with less
+# the ratio is drawn toward the direct estimate, and its standard error is too small (Staiger and Stock (1997),
+# Econometrica 65, for the bias of instrumental variables; the F statistic of their first stage).
+STRONG = 10
+
 COHERENT = 0.6  # below, a point of the automatic grid is left out: Tischler and Remple, section 5.5
 
 # Of ZᴴX with columns of length one. Rounding errors of the solution reach this times 2e-16; beyond it, the leakage
@@ -51,12 +56,13 @@ WORST_CONDITION = 1e6
 
 
 class WindowedPoint(NamedTuple):
-    """One frequency, one window length; NaN where there are too few windows."""
+    """One frequency, one window length; NaN where there are too few windows, or the instrument is `weak`."""
 
     response: complex = complex("nan")
     variance: float = math.nan
     dof: float = math.nan
     coherence: float = math.nan
+    weak: bool = False
 
 
 class Transforms(NamedTuple):
@@ -157,8 +163,13 @@ def estimate(spectra: Transforms, k: int) -> WindowedPoint:
     if trace < 1e-9 * c.trace() or dof < LEAST_DOF:  # a trace of rounding errors: as many unknowns as windows
         return WindowedPoint()
 
+    spread = (solution[0] @ c @ solution[0].conj()).real
+    basis = np.linalg.qr(z)[0].astype(complex)
+    unexplained = x[:, 0] - basis @ (basis.conj().T @ x[:, 0])
+    if STRONG * spread * np.sum(np.abs(unexplained) ** 2) > _traces(c, basis, basis)[0]:
+        return WindowedPoint(weak=True)
     noise = np.sum(np.abs(y - x @ (solution @ y)) ** 2) / trace
-    variance = noise * (solution[0] @ c @ solution[0].conj()).real
+    variance = noise * spread
     response = complex(solution[0] @ y)
     rounding = (4 * EPS * abs(response)) ** 2  # noise-free data have no smaller variance than their rounding errors
     return WindowedPoint(response, max(variance, rounding), dof, _coherence(x, z, y))
@@ -172,16 +183,23 @@ def response_at(
 ) -> FrequencyResponse:
     """Collect the points that could be estimated; `names` are those of input, output and response.
 
+    Where the instrument is too weak there is none, as `about` says.
+
     Raises
     ------
     ValueError
         If there is none.
     """
-    response, variance, dof, coherence = (np.array(column) for column in zip(*estimates, strict=True))
+    response, variance, dof, coherence, weak = (np.array(column) for column in zip(*estimates, strict=True))
     good = np.isfinite(variance)
+    input, output, name = names
+    if not good.any() and weak.any():
+        raise ValueError(
+            f"the instrument hardly moves {input}: at no frequency is its part {STRONG} times as strong as the noise; "
+            "excite more strongly or longer, or give another instrument."
+        )
     if not good.any():
         raise ValueError("no frequency has enough windows for a variance: record longer, or give shorter windows.")
-    input, output, name = names
     return FrequencyResponse(
         omega[good],
         response[good],
@@ -194,6 +212,7 @@ def response_at(
         ", ".join(dict.fromkeys(s.source for s in stretches if s.source)),
         [s.origin for s in stretches if s.origin is not None],
         {n: u for s in stretches[:1] for n, u in s.units.items() if n in (input, output) and u},
+        about={"dropped": _dropped(omega, weak, f"where the instrument hardly moves {input}")} if weak.any() else {},
     )
 
 
@@ -202,10 +221,16 @@ def without_incoherent(response: FrequencyResponse) -> FrequencyResponse:
     coherent = response.coherence >= COHERENT  # type: ignore[operator]
     if not coherent.any() or coherent.all():
         return response
-    low, high = response.omega[~coherent].min(), response.omega[~coherent].max()
+    text = _dropped(response.omega, ~coherent, f"of a coherence below {COHERENT}")
+    earlier = [response.about["dropped"]] if "dropped" in response.about else []
+    return replace(response.where(coherent), about={**response.about, "dropped": "; ".join([*earlier, text])})
+
+
+def _dropped(omega: Array, gone: NDArray[np.bool_], why: str) -> str:
+    """Say which points are left out, and why."""
+    low, high = omega[gone].min(), omega[gone].max()
     where = f"{low:.4g} to {high:.4g} rad/s" if high > low else f"{low:.4g} rad/s"
-    text = f"{(~coherent).sum()} of {counted(len(response), 'point')}, of a coherence below {COHERENT}, at {where}"
-    return replace(response.where(coherent), about={"dropped": text})
+    return f"{gone.sum()} of {counted(omega.size, 'point')}, {why}, at {where}"
 
 
 def _hann_tapers(count: int, derivatives: int) -> Array:

@@ -154,9 +154,27 @@ def test_feedback_biases_the_direct_estimate_and_not_the_joint_one():
     joint = spectral_response(flown, omega=omega, instrument="r")
     assert np.mean(np.abs(direct.response / truth - 1)) > 0.3
     assert np.mean(covered(direct, truth)) < 0.3
+    truth = vehicle_response(joint.omega)
     assert np.mean(np.abs(joint.response / truth - 1)) < 0.12
     assert np.mean(covered(joint, truth)) >= 0.85
     assert np.all(direct.coherence[-2:] > 0.6)  # and a fair coherence is no excuse
+
+
+@pytest.mark.parametrize("windows", [None, [20.0, 10.0]])
+def test_where_the_instrument_hardly_moves_the_input_there_is_no_joint_estimate(windows):
+    """4 sweeps in a gale: at low frequencies the loop holds the input, and what moves it there is noise."""
+    r = np.tile(flown_sweep(FAST, amplitude=0.06), (4, 1))
+    standardized = []
+    for u, theta, injected in zip(*fly(r, 0.04), r, strict=True):
+        flown = record(FAST, u=u, theta=theta, r=injected)
+        joint = spectral_response(flown, instrument="r", band=(0.7, 30), windows=windows)
+        truth = vehicle_response(joint.omega)
+        assert "where the instrument hardly moves u, at 0." in joint.about["dropped"]
+        standardized.append(np.abs(joint.response - truth) ** 2 / joint.variance)
+    assert 0.7 < np.sqrt(np.mean(np.concatenate(standardized))) < 1.4
+    noise = np.random.default_rng(3).standard_normal(theta.size)
+    with pytest.raises(ValueError, match="the instrument hardly moves u: at no frequency is its part 10 times"):
+        spectral_response(record(FAST, u=u, theta=theta, r=noise), instrument="r", omega=[3.0, 6.0], windows=windows)
 
 
 def test_unstable_plant_without_noise():
