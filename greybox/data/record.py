@@ -4,6 +4,7 @@ import hashlib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
@@ -136,7 +137,7 @@ class Record:
         if not self.has_time:
             return (self,)
         cuts = np.flatnonzero(np.diff(self.time) > GAP * self.step) + 1
-        return tuple(self.rows(rows) for rows in np.split(np.arange(len(self)), cuts))
+        return tuple(self.rows(slice(*ends)) for ends in pairwise([0, *cuts.tolist(), len(self)]))
 
     @property
     def independent_pieces(self) -> list[NDArray[np.integer]]:
@@ -209,8 +210,8 @@ class Record:
         about = {"units": dict(self.units), "hold": dict(self.hold), "name": self.name, "source": self.source}
         return frame_of(self.signals, self.time, "time" if self.has_time else "row", about)
 
-    def rows(self, rows: NDArray[np.integer]) -> "Record":
-        """Return the samples of these indices, (m,)."""
+    def rows(self, rows: NDArray[np.integer] | slice) -> "Record":
+        """Return the samples of these indices, (m,), or of a slice, which takes no memory of its own."""
         signals = {name: values[rows] for name, values in self.signals.items()}
         return replace(self, time=self.time[rows], signals=signals)
 
@@ -368,8 +369,9 @@ def _row_numbers(signals: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
 
 
 def _read_only(values: ArrayLike, name: str) -> NDArray[np.float64]:
-    # An array of its own that nobody can write to is kept: records of long logs are made without a copy.
-    frozen = isinstance(values, np.ndarray) and not values.flags.writeable and values.base is None
+    # An array that nobody can write to is kept, or a part of one: records of long logs are made without a copy.
+    owner = values.base if isinstance(values, np.ndarray) and values.base is not None else values
+    frozen = all(isinstance(each, np.ndarray) and not each.flags.writeable for each in (values, owner))
     array = np.asarray(values, dtype=float) if frozen else np.array(values, dtype=float)
     if array.ndim != 1:
         raise ValueError(f"{name} must be one-dimensional, but has shape {array.shape}.")

@@ -61,6 +61,17 @@ def test_pieces_are_cut_at_gaps_and_put_together_give_the_record():
     assert "in 2 pieces" in str(flown)
 
 
+def test_pieces_of_a_long_record_take_no_memory_and_what_others_can_write_is_copied():
+    flown = Record([0.0, 0.1, 0.2, 5.0, 5.1], {"u": np.arange(5.0)})
+    assert all(np.shares_memory(piece["u"], flown["u"]) for piece in flown.pieces)
+    buffer = np.arange(5.0)
+    part = buffer[1:]
+    part.setflags(write=False)
+    kept = Record(np.arange(4.0), {"u": part})
+    buffer[:] = 7.0
+    np.testing.assert_array_equal(kept["u"], [1, 2, 3, 4])
+
+
 def test_a_cut_keeps_its_ends():
     cut = record().between(0.02, 0.1)
     assert (cut.time[0], cut.time[-1]) == (0.02, 0.1)
