@@ -37,3 +37,10 @@ def test_a_figure_that_cannot_be_drawn_leaves_no_file(tmp_path):
     assert save_figure(tmp_path / "a.png", Figure) == [f"drew {tmp_path / 'a.png'}"]
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     assert save_figure(None, broken) == []
+
+
+def test_a_folder_that_cannot_be_written_is_said_before_the_work(tmp_path, monkeypatch):
+    """As of another user; this one may be root, who can write everywhere."""
+    monkeypatch.setattr("greybox.cli.output.os.access", lambda path, mode: path != tmp_path)
+    with pytest.raises(UsageError, match=r"the folder of .*fit\.h5 cannot be written: give another one"):
+        require_writable(tmp_path / "fit.h5", force=False)

@@ -73,3 +73,10 @@ def test_the_tilt_of_a_log_in_degrees_is_refused():
     data = gb.Record(t, {"u": np.sin(t), "theta": np.cos(t)}, units={"theta": "deg"})
     with pytest.raises(ValueError, match=r"theta is in deg .* and in rad in NonlinearTilt"):
         gb.Problem(NonlinearTilt(), data)
+
+
+def test_a_spectrum_in_other_units_is_refused_with_where_to_convert_it():
+    degrees = record(180 / np.pi, q="deg/s", delta="rad", T="K")
+    spectrum = gb.spectral.transient_spectrum(degrees, "delta", "q", (0.5, 20.0))
+    with pytest.raises(ValueError, match=r"q is in deg/s in the spectrum .* convert the record that the"):
+        gb.fit(gb.Problem(Rate(), spectrum), starts=1, progress=False)

@@ -56,6 +56,7 @@ def test_a_lag_has_a_negative_phase_and_a_delay_too(method):
     assert_allclose(found.response.response, truth, rtol=1e-9)
     assert found.response.beta[0] < 0
     assert found.response.omega[0] == omega
+    assert max(found.points[0].distortion) < 1e-9
 
 
 # --- closed loop with noise: an unstable plant, cascaded control of the measured output
