@@ -275,6 +275,8 @@ class _Held:
 
         Several parameters have as many values.
         """
+        if not starts:  # of a profile that could leave the best point on neither side
+            return []
         nlp, programs = self._nlp, self._programs
         lower, upper = (np.tile(bound, (len(starts), 1)) for bound in (programs.lower, programs.upper))
         if self._places:

@@ -45,3 +45,14 @@ def test_names_may_be_replaced(tmp_path):
     record = gb.read(path, columns={"time": "tick:ms", "theta": "angle:deg"})["flight"]
     assert list(record.signals) == ["theta"]
     assert record.rate == pytest.approx(100)
+
+
+def test_of_two_clocks_the_one_that_is_named_is_the_time(tmp_path):
+    """The reader takes the column `time`; the other began at 20 s."""
+    path = tmp_path / "flight.csv"
+    rows = np.c_[TIME, 1e3 * (20 + TIME), np.sin(TIME)]
+    np.savetxt(path, rows, delimiter=",", header="time,clock,stick", comments="")
+    record = gb.read(path, columns={"time": "clock:ms", "u": "stick"})["flight"]
+    np.testing.assert_allclose(record.time, 20 + TIME)
+    kept = gb.read(path, columns={"time": "time", "u": "stick"})["flight"]
+    np.testing.assert_allclose(kept.time, TIME)
