@@ -36,7 +36,7 @@ from greybox.estimate.diagnostics.harmonics import harmonic_warnings
 from greybox.estimate.diagnostics.intersample import intersample_warnings
 from greybox.estimate.diagnostics.not_finite import explained, not_finite_warnings
 from greybox.estimate.diagnostics.outlying_points import outlying_points
-from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
+from greybox.estimate.diagnostics.records import finding_warnings, hidden_errors, record_warnings
 from greybox.estimate.diagnostics.unused_noise import unused_noise
 from greybox.estimate.equivalent_minima import equivalent_estimates
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
@@ -360,7 +360,7 @@ def assemble(
             *(warnings(nlp, search, accuracy, pade_errors, trajectories) if found else ()),
             *(outlying_points(nlp, best, accuracy) if found else ()),
         ),
-        notes=tuple(unused_noise(problem)) if found else (),
+        notes=(*unused_noise(problem), *hidden_errors(accuracy)) if found else (),
         seed=seed,
         starts=starts,
         seconds=time.perf_counter() - began,

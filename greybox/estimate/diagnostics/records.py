@@ -57,7 +57,7 @@ def record_warnings(
     every = zip(nlp.parts, fitted, strict=True)
     pairs = [(part, one) for part, one in every if isinstance(part, RecordPart) and isinstance(one, FittedRecord)]
     return (
-        *(tuple(once(_short(nlp, accuracy))) or _hidden(accuracy)),
+        *once(_short(nlp, accuracy)),
         *once(found for part, fitted in pairs for found in _unexplained(part, fitted, alone=len(pairs) == 1)),
         *_fed_back(pairs),
         *_colored(pairs),
@@ -66,6 +66,21 @@ def record_warnings(
         *(_resting([part for part, _ in pairs]) if len(pairs) == len(nlp.parts) else ()),
         *_weights([_Residuals.of(part, fitted) for part, fitted in pairs if part.covariance.known is None]),
     )
+
+
+def hidden_errors(accuracy: Accuracy) -> Iterator[str]:
+    """Say that slow errors which the residuals do not exclude would make the intervals much wider.
+
+    Those of several records are independent numbers. No warning, since most short records hold no such errors. Where
+    errors are known to be slow, `record_warnings` says so.
+    """
+    found = [known for known in accuracy.correlation if known is not None]
+    wider = math.exp(math.hypot(*(math.log(known.wider) for known in found)))
+    if wider > NARROW and all(known.is_long_enough for known in found):
+        yield (
+            "so short a record hides slow errors, such as a drift, in its noise: those that the residuals do not "
+            f"exclude would make the intervals up to {wider:.2g} times wider than they are."
+        )
 
 
 def _short(nlp: Nlp, accuracy: Accuracy) -> Iterator[Found]:
@@ -84,19 +99,6 @@ def _short(nlp: Nlp, accuracy: Accuracy) -> Iterator[Found]:
             f"({counted(max(round(found.dof), 1), 'degree of', 'degrees of')} freedom); use a longer record."
         )
         yield part.outputs[slowest], name, text
-
-
-def _hidden(accuracy: Accuracy) -> Iterator[str]:
-    """Say that slow errors which the residuals do not exclude would make the intervals much wider.
-
-    Those of several records are independent numbers.
-    """
-    wider = math.exp(math.hypot(*(math.log(found.wider) for found in accuracy.correlation if found is not None)))
-    if wider > NARROW:
-        yield (
-            "so short a record hides slow errors, such as a drift, in its noise: those that the residuals do not "
-            f"exclude would make the intervals up to {wider:.2g} times wider than they are; use a longer record."
-        )
 
 
 def _unexplained(part: RecordPart, fitted: FittedRecord, *, alone: bool) -> Iterator[Found]:
