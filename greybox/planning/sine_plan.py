@@ -214,12 +214,12 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         amplitude=amplitude,
         rate=max(rates, default=rate),
     )
-    bounds = {excitation: np.full(len(omega), amplitude)}
-    bounds |= {name: limit / np.abs(gains[name]) for name, limit in limits.items()}
-    bounds |= {name: limit * omega / np.abs(gains[name]) for name, limit in travel.items()}
-    each = np.array(list(bounds.values()))
+    bounds = [(excitation, np.full(len(omega), amplitude))]  # a signal may have a limit and one of its travel
+    bounds += [(name, limit / np.abs(gains[name])) for name, limit in limits.items()]
+    bounds += [(name, limit * omega / np.abs(gains[name])) for name, limit in travel.items()]
+    each = np.array([most for _, most in bounds])
     size = each.min(axis=0)
-    limited_by = tuple(list(bounds)[k] for k in each.argmin(axis=0))
+    limited_by = tuple(bounds[k][0] for k in each.argmin(axis=0))
 
     nlp, sensitivity = _sensitivities(model, values, omega, (input, output), free=free, fixed=fixed)
     missing = [name for name in wanted if name not in nlp.free]

@@ -102,3 +102,58 @@ def test_a_step_that_swings_far_beyond_its_ends_is_none(between, kind):
     values = np.where(time < 10, 0.0, np.where(time < 10.4, between, 1.0))
     (found,) = manoeuvres_in(time, values)
     assert found.kind == kind
+
+
+def named(*levels, tail=8.0):
+    """What is found in levels held one after the other, (level, seconds), after and before a rest of 8 s at zero."""
+    values = np.concatenate([np.full(round(50 * t), x) for x, t in ((0.0, 8.0), *levels, (levels[-1][0], 0.0))])
+    values = np.append(values, np.full(round(50 * tail), 0.0 if tail == 8.0 else levels[-1][0]))
+    return manoeuvres_in(np.arange(values.size) / 50, values)
+
+
+def kinds(*levels, **options):
+    return [segment.kind for segment in named(*levels, **options)]
+
+
+@pytest.mark.parametrize(("off", "doublet", "three"), [(0.28, True, True), (0.32, False, False), (-0.28, True, True)])
+def test_pulses_are_named_up_to_thirty_percent_off_their_durations(off, doublet, three):
+    """Of a doublet one is longer and one shorter by as much; of a 2-1-1 the last two, the first of twice the unit."""
+    found = kinds((1.0, 2 * (1 + off)), (-1.0, 2 * (1 - off)))
+    assert found == ["doublet" if doublet else "stick input"]
+    found = kinds((1.0, 4.0), (-1.0, 2 * (1 + off)), (1.0, 2 * (1 - off)))
+    assert found == ["2-1-1" if three else "stick input"]
+
+
+def test_pulses_of_one_sign_and_pulses_apart_have_no_name():
+    assert kinds((1.0, 2.0), (0.0, 0.9), (1.0, 2.0)) == ["pulse"]  # shorter than 0.6 of the longer: one way of the hand
+    assert kinds((1.0, 1.4), (0.0, 0.9), (1.0, 1.4)) == ["stick input"]  # longer: a pause
+    assert kinds((1.0, 2.0), (0.0, 0.9), (-1.0, 2.0)) == ["doublet"]
+    assert kinds((1.0, 1.4), (0.0, 0.9), (-1.0, 1.4)) == ["stick input"]
+    assert kinds((1.0, 1.6), (-1.0, 0.3)) == ["pulse"]  # shorter than a fifth of the longest: it swings over
+    assert kinds((1.0, 1.6), (-1.0, 0.34)) == ["stick input"]
+    assert kinds((1.0, 1.6), (-0.49, 1.6)) == ["pulse"]  # below a half of the largest
+    assert kinds((1.0, 1.6), (-0.51, 1.6)) == ["doublet"]
+
+
+def test_a_second_of_rest_ends_a_manoeuvre_and_six_at_another_level_too():
+    assert kinds((1.0, 0.9), (0.0, 0.94), (1.0, 0.9)) == ["stick input"]
+    assert kinds((1.0, 0.9), (0.0, 1.06), (1.0, 0.9)) == ["pulse", "pulse"]
+    assert kinds((1.0, 5.9)) == ["pulse"]
+    assert kinds((1.0, 6.1)) == ["step", "step"]
+
+
+def test_a_return_is_to_within_four_percent_of_the_range():
+    assert kinds((1.0, 2.0), (0.039, 0.0), tail=7.9) == ["pulse"]
+    assert kinds((1.0, 2.0), (0.041, 0.0), tail=7.9) == ["stick input"]
+
+
+def test_what_stays_within_two_percent_of_the_range_is_rest():
+    assert kinds((1.0, 2.0), (0.0, 8.0), (0.019, 2.0)) == ["pulse"]
+    assert len(kinds((1.0, 2.0), (0.0, 8.0), (0.021, 2.0))) > 1
+
+
+def test_times_size_and_first_level_are_those_that_were_held():
+    time = np.arange(0, 20, 0.02)
+    (found,) = manoeuvres_in(time, 3.0 + np.where((time >= 8) & (time < 10), -0.7, 0.0))
+    assert (found.start, found.end) == pytest.approx((8, 10), abs=0.03)
+    assert (found.amplitude, found.offset) == pytest.approx((0.7, 3.0))

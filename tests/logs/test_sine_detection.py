@@ -8,8 +8,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sine_schedules import STEP, schedule
 
-from greybox.data.test_segment import segment_table
-from greybox.logs.sine_detection import _phase_bend, sines_and_sweeps
+from greybox.data.test_segment import Segment, segment_table
+from greybox.logs.sine_detection import (
+    _beyond,
+    _continues,
+    _crossings,
+    _end_frequency,
+    _part_of,
+    _phase_bend,
+    _sweeps,
+    _turning_points,
+    _waves,
+    sines_and_sweeps,
+)
 
 
 def assert_found(runs, plan, starts, within=1.0):
@@ -150,3 +161,100 @@ def test_the_bend_of_the_phase_is_that_of_a_slow_chirp(phase, rate):
     t = np.linspace(-5, 5, 2001)
     x = 2 * np.sin(4 * t + rate * t**2 + phase) + 0.3
     assert _phase_bend(t, x, 4.0, 5.0) == pytest.approx(abs(rate) * 5**2, rel=0.05)
+
+
+def test_turning_points_are_where_the_signal_turned_by_the_height():
+    values = np.array([5.0, 5.5, 9.0, 7.5, 8.0, 3.0, 4.5, 2.0, 4.0, 6.0])
+    for offset in (0.0, 1000.0, -1000.0):  # a constant turns nothing
+        corners = _turning_points(values + offset, np.arange(10), 2.0)
+        assert [*corners] == [0, 2, 7, 9]
+
+
+def test_crossings_are_halfway_between_turning_points_and_swings_their_distance():
+    time = np.arange(0, 20, 0.01)
+    crossings, swings = _crossings(time, np.cos(2 * time) + 7, np.rint(np.arange(0, 20, np.pi / 2) * 100).astype(int))
+    assert crossings == pytest.approx(np.pi / 4 + np.arange(crossings.size) * np.pi / 2, abs=0.006)
+    assert swings == pytest.approx(2.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(("swing", "late", "continues"), [
+    (1.0, 0.18, True), (1.0, 0.22, False), (1.0, -0.18, True), (1.0, -0.22, False),
+    (0.62, 0.0, True), (0.58, 0.0, False), (1.58, 0.0, True), (1.62, 0.0, False),
+])  # fmt: skip
+def test_a_crossing_continues_within_a_fifth_of_a_half_period_of_the_regression_line(swing, late, continues):
+    """The line by numpy's polyfit through crossings that scatter."""
+    k = np.arange(7)
+    past = 3.0 + 0.5 * k + 0.03 * np.array([1, -2, 0, 3, -1, 1, -2])
+    slope, first = np.polyfit(k, past, 1)
+    next_ = first + slope * (7 + late)
+    swings = np.array([2.0, 2.2, 1.8, 2.0, 2.0 * swing])
+    assert _continues(np.append(past, next_), swings) is continues
+
+
+@pytest.mark.parametrize("steps", [1.0, 1.5])
+def test_a_sweep_is_extrapolated_by_the_line_through_four_values(steps):
+    values = np.array([3.0, 2.0, 2.5, 0.7])
+    assert _beyond(steps) @ values == pytest.approx(np.polyval(np.polyfit(np.arange(4), values, 1), -steps))
+
+
+def test_the_frequency_at_the_end_of_a_sweep_lies_half_a_wave_beyond_its_last_crossing():
+    """Half periods of 1, 1/1.1, 1/1.2, 1/1.3 s: frequencies on a line; at half of the last one it stays."""
+    crossings = np.cumsum([0, 1 / 1.0, 1 / 1.1, 1 / 1.2, 1 / 1.3])
+    assert _end_frequency(crossings) == pytest.approx((math.pi * (1.0 - 0.15), math.pi))
+    steep = np.cumsum([0, 1.0, 1 / 2, 1 / 3, 1 / 4])
+    assert _end_frequency(steep) == pytest.approx((0.5 * math.pi, math.pi))
+    assert _end_frequency(crossings[::-1]) == pytest.approx((1.3 * math.pi, 1.3 * math.pi))  # not above the last
+
+
+def test_the_columns_of_a_fit_are_the_derivatives_of_a_sine_by_its_frequency():
+    x, h = np.linspace(-2, 3, 11), 1e-4
+    low, at, high = (_waves(x, omega, 8) for omega in (1.7 - h, 1.7, 1.7 + h))
+    assert np.column_stack([at[:, 0], at[:, 1], at[:, 2], at[:, 3]]) == pytest.approx(
+        np.column_stack([np.ones(11), x, np.sin(1.7 * x), np.cos(1.7 * x)])
+    )
+    slope, curve = (high - low)[:, 2:4] / (2 * h), (high - 2 * at + low)[:, 2:4] / h**2
+    assert at[:, 4:6] == pytest.approx(slope, abs=1e-6)
+    assert -at[:, 6:8] == pytest.approx(curve, abs=1e-5)
+
+
+def sweep(start, end, low=1.0, high=8.0):
+    return Segment(start, end, "sweep", band=(low, high))
+
+
+@pytest.mark.parametrize(("duration", "gap", "omega", "part"), [
+    (14.0, 27.0, 1.0, True), (14.0, 29.0, 1.0, False),  # next to it: within twice its own duration
+    (4.0, 29.0, 4.0, True), (4.0, 31.0, 4.0, False),  # very short: within 0.3 of the sweep's
+    (14.9, 1.0, 5.0, True), (15.1, 1.0, 5.0, False),  # of its frequencies: up to 15 % of its duration
+    (10.0, 1.0, 11.9, True), (10.0, 1.0, 12.1, False),  # within a factor of 1.5 of its band
+    (30.0, 1.0, 0.83, True), (30.0, 1.0, 0.84, False),  # of up to four periods: 30 s at 2 π 4/30
+    (10.0, 1.0, 0.9, True),
+])  # fmt: skip
+def test_what_is_a_part_of_a_sweep(duration, gap, omega, part):
+    """Beside a sweep of 100 s from 1 to 8 rad/s, before and after it."""
+    for start in (100 - gap - duration, 200 + gap):
+        sine = Segment(start, start + duration, "sine", omega=omega)
+        assert bool(_part_of(sine, sweep(100, 200))) is part
+
+
+def test_pieces_are_a_sweep_from_three_on_of_thirty_percent_and_without_a_pause():
+    def pieces(*omega, gap=0.0):
+        starts = 10.0 * np.arange(len(omega))
+        return [
+            Segment(t, t + 10 - gap, "sweep", band=(w, w), amplitude=1.0) for t, w in zip(starts, omega, strict=True)
+        ]
+
+    (joined,) = _sweeps(pieces(2.0, 2.3, 2.61))
+    assert (joined.start, joined.end, joined.band) == (0.0, 30.0, (2.0, 2.61))
+    assert _sweeps(pieces(2.0, 2.3, 2.59)) == []
+    assert _sweeps(pieces(2.0, 4.0)) == []
+    assert _sweeps(pieces(2.0, 4.0, 3.0)) == []  # not one way
+    assert _sweeps(pieces(4.0, 3.0, 2.0))[0].band == (2.0, 4.0)
+    assert len(_sweeps(pieces(2.0, 2.3, 2.7, gap=math.pi / 1.36))) == 1  # a period of the later piece at most
+    assert _sweeps(pieces(2.0, 2.3, 2.7, gap=math.pi / 1.34)) == []
+
+
+@pytest.mark.parametrize(("omega", "duration", "found"), [(20.0, 1.1, 1), (20.0, 0.9, 0), (2.0, 8.0, 1), (2.0, 6.0, 0)])
+def test_a_sine_lasts_a_second_and_two_periods(omega, duration, found):
+    t = np.arange(0, 30, STEP)
+    r = np.where((t > 10) & (t < 10 + duration), np.sin(omega * (t - 10)), 0.0)
+    assert len([run for run in sines_and_sweeps(t, r) if run.kind == "sine"]) == found

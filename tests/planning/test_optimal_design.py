@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from greybox.planning.optimal_design import shares, time_needed
+from greybox.planning.optimal_design import require_determined, shares, size_of_errors, time_needed, variances
 
 
 def test_two_frequencies_that_tell_of_one_parameter_each():
@@ -25,3 +25,39 @@ def test_no_other_shares_are_better(matters):
     near = 0.98 * found + 0.02 * others
     for tried in (*others, *near):
         assert time_needed(np.tensordot(tried, informations, 1), wanted) > best * (1 - 1e-5)
+
+
+def test_a_parameter_of_which_nothing_is_told_has_no_variance_and_the_others_theirs():
+    information = np.array([[4.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 0.0]])
+    found = variances(information)
+    assert found[:2] == pytest.approx(np.diag(np.linalg.inv(information[:2, :2])))
+    assert np.isnan(found[2])
+    assert np.isnan(variances(np.ones((2, 2)))).all()
+    assert time_needed(information, np.array([0.5, np.inf, np.inf])) == pytest.approx(found[0] / 0.25)
+    assert time_needed(information, np.array([np.inf, np.inf, 1.0])) == np.inf
+
+
+@pytest.mark.parametrize(("apart", "told"), [(4e-10, True), (0.5e-10, False)])
+def test_parameters_that_differ_by_rounding_are_not_told_apart(apart, told):
+    """With unit diagonal the smallest eigenvalue is the difference; sizes of the parameters do not matter."""
+    size = np.outer([1e4, 1e-3, 7.0], [1e4, 1e-3, 7.0])
+    information = np.array([[1.0, 1 - apart, 0.0], [1 - apart, 1.0, 0.0], [0.0, 0.0, 1.0]]) * size
+    if told:
+        require_determined(information, ["a", "b", "c"], "no test", "add one")
+    else:
+        with pytest.raises(ValueError, match=r"^no test tells a, b apart: fix one of them, or add one\.$"):
+            require_determined(information, ["a", "b", "c"], "no test", "add one")
+
+
+def test_a_silent_parameter_is_named():
+    with pytest.raises(ValueError, match=r"^no test tells of b: fix it, or add one\.$"):
+        require_determined(np.diag([1.0, 0.0]), ["a", "b"], "no test", "add one")
+
+
+def test_the_size_of_errors_is_the_trace_or_the_determinant_of_the_covariance():
+    information = np.array([[4.0, 1.0], [1.0, 2.0]])
+    covariance = np.linalg.inv(information)
+    assert size_of_errors(information, "A") == pytest.approx(np.trace(covariance))
+    assert size_of_errors(information, "D") == pytest.approx(np.log(np.linalg.det(covariance)))
+    assert size_of_errors(np.diag([1.0, 2e-12]), "A") == pytest.approx(1 + 5e11)
+    assert size_of_errors(np.diag([1.0, 0.5e-12]), "A") == np.inf

@@ -8,7 +8,7 @@ import greybox as gb
 from greybox.models.controller import AttitudeController
 from greybox.models.tilt import NonlinearTilt
 from greybox.planning import expected_errors, plan_sines
-from greybox.planning.sine_plan import _density, _with_spare
+from greybox.planning.sine_plan import _density, _lines_around, _with_spare
 
 TILT = {"a1": -14.6, "a2": 3.0, "a3": 8.5, "a4": 295.0}
 RATE = 100  # Hz
@@ -171,3 +171,56 @@ def test_sines_that_are_added_stand_in_the_middle_of_the_widest_gap():
     """One sine of sixteen frequencies, at the thirteenth: below it is most room."""
     chosen, _ = _with_spare(np.arange(1.0, 17.0), np.array([12]), np.array([5.0]), 2, 3)
     assert [*chosen] == [5, 12]  # twelve places from 0 to 11
+
+
+def test_the_plan_is_that_of_the_closed_formulas(lag):
+    """In open loop: the Fisher information of sines of amplitude U in white noise, t |U dP/dθ|² rate / (2 σ²)."""
+    s = 1j * lag.omega
+    slopes = np.array([1 / (0.3 * s + 1), -2.0 * s / (0.3 * s + 1) ** 2])
+    weight = lag.duration * lag.amplitude**2 * 50 / (2 * 0.05**2)
+    errors = np.sqrt(np.diag(np.linalg.inv(np.real(np.conj(slopes) * weight @ slopes.T))))
+    assert [*lag.standard_error.values()] == pytest.approx(errors, rel=1e-4)
+    assert [*lag.amplitude] == [0.5] * 3
+    assert lag.limited_by == ("u",) * 3
+
+    periods = lag.duration * lag.omega / (2 * np.pi)
+    assert periods == pytest.approx(np.round(periods), abs=1e-9)
+    assert min(periods) >= 9.99
+    settling = np.ceil(2 * lag.omega / (2 * np.pi)) * 2 * np.pi / lag.omega  # whole periods of 2 s at least
+    assert lag.flight_time == pytest.approx(np.sum(lag.duration + settling) + 4 * 2.0)  # and pauses of 2 s around all
+
+    said = str(lag).splitlines()
+    assert said[0] == f"3 sines in u, {lag.flight_time:.0f} s of flight;"
+    assert said[1] == f"equally spaced sines would take {lag.equally_spaced / lag.flight_time:.2g} times as long."
+    first = [f"{lag.omega[0]:.4g}", f"{lag.omega[0] / 2 / np.pi:.3g}", "0.5", "u", f"{lag.duration[0]:.0f}"]
+    assert next(line for line in said if line.split()[:1] == first[:1]).split() == [*first, f"{periods[0]:.0f}"]
+
+
+def test_a_signal_that_is_limited_itself_and_in_its_travel_keeps_both():
+    """|P| = 2 / |0.3 s + 1| in open loop: the output below 0.4, its integral below 0.22, and the input below 0.3."""
+    limits, travel = {"y": 0.4, "u": 0.3}, {"y": 0.22}
+    wanted = {"K": 0.005, "tau": 0.002}
+    found = plan_sines(Lag(), LAG, wanted, amplitude=0.5, noise=0.05, limits=limits, travel=travel, **OPEN_LOOP)
+    gain = 2 / np.abs(0.3j * found.omega + 1)
+    each = np.array([0.4 / gain, 0.22 * found.omega / gain, np.full(len(gain), 0.3)])
+    assert found.amplitude == pytest.approx(each.min(axis=0), rel=1e-3)
+    assert found.limited_by == tuple("yyu"[k] for k in each.argmin(axis=0))
+    assert {*each.argmin(axis=0)} == {0, 1, 2}  # each of the three somewhere
+
+
+def test_a_quiet_flight_of_fewer_than_four_of_the_slowest_periods_is_refused():
+    for periods in (3.9, 4.1):
+        time = np.arange(round(periods * 2 * np.pi / 0.5 * 50)) / 50
+        quiet = gb.Record(time, {"u": np.sin(time), "y": np.random.default_rng(0).normal(size=time.size)})
+        if periods > 4:
+            _density(quiet, Lag(), LAG, np.array([0.5, 2.0]), ("u", "y"), 50.0)
+            continue
+        with pytest.raises(ValueError, match=r"has 49 s, fewer than 4 periods of 0\.5 rad/s: give a longer one"):
+            _density(quiet, Lag(), LAG, np.array([0.5, 2.0]), ("u", "y"), 50.0)
+
+
+def test_a_density_is_averaged_over_a_third_of_its_frequency_and_four_lines_at_least():
+    """From 5/6 to 7/6 of it; of a flight of 20 π s, whose lines are 0.1 rad/s apart, from two below to two above."""
+    low, high = _lines_around(np.array([0.15, 0.9, 6.0]), 20 * np.pi)[:, [0, -1]].T
+    assert low == pytest.approx([0.1, 0.7, 5.0])  # none below the first line
+    assert high == pytest.approx([0.35, 1.1, 7.0])

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.signal import lfilter
-from scipy.stats import kstest
+from scipy.stats import chi2, kstest, norm
 
 from greybox.statistics import metrics
+from greybox.statistics.residual_autocorrelation import autoregression
 
 Y = np.array([1.0, 2.0, np.nan, 4.0, 7.0])
 P = np.array([1.5, 1.0, 3.0, np.nan, 6.0])
@@ -187,3 +188,68 @@ def test_theils_shares_are_those_of_what_was_made():
     assert metrics.theil(y, -y).coefficient == pytest.approx(1)
     assert metrics.variance_accounted_for(y, y + 3) == pytest.approx(100)
     assert metrics.fit_percent(y, np.full(1000, y.mean())) == pytest.approx(0)
+
+
+def test_the_bound_is_that_of_99_percent_of_a_normal_distribution_and_its_crossings_are_counted():
+    random = np.random.default_rng(3)
+    e, u = random.normal(size=(2, 500))
+    for tested, used in (
+        (metrics.whiteness([e]), 500),
+        (metrics.input_correlation([e], [u]), 500 - metrics.LAGS),
+        (metrics.feedback_correlation([e], [u]), 499),
+    ):
+        assert tested.bound == pytest.approx(norm.ppf(0.995) / math.sqrt(used), rel=2e-4)
+        assert tested.outside < 3
+    periodic = np.tile([2.0, -1.0, -1.0], 100)  # r is 1 at every third lag and -1/2 beside it, less what is cut off
+    assert metrics.whiteness([periodic], lags=12).outside == 12
+    assert metrics.whiteness([periodic * (np.arange(300) < 60)], lags=60).outside == 60 - sum(
+        abs(1 - k / 60) * (1.0 if k % 3 == 0 else 0.5) <= 2.576 / math.sqrt(300) for k in range(1, 61)
+    )
+
+
+def test_fitted_parameters_of_the_noise_are_no_degrees_of_freedom():
+    e = np.random.default_rng(1).normal(size=60)
+    found = [metrics.whiteness([e], lags=5, fitted=k) for k in (0, 2, 4, 9)]
+    assert [tested.dof for tested in found] == [5, 3, 1, 1]
+    for tested in found:
+        assert tested.p_value == pytest.approx(chi2.sf(found[0].statistic, tested.dof))
+
+
+def test_three_values_are_tested():
+    three = np.array([1.0, 3.0, -2.0])
+    assert math.isfinite(metrics.whiteness([three], lags=1).p_value)
+    assert math.isfinite(metrics.input_correlation([three], [three[::-1]], lags=1).p_value)
+    assert math.isfinite(metrics.feedback_correlation([three], [three[::-1]], lags=1).p_value)
+    mean, error = metrics.mean_test([three])
+    assert (mean, error) == pytest.approx((2 / 3, np.std(three) / math.sqrt(3)))
+
+
+def test_correlations_of_white_signals_are_those_of_a_regression_and_of_products():
+    """Without color nothing is filtered: n R² of a regression on past inputs, and n r² of single products."""
+    random = np.random.default_rng(6)
+    e, u = random.normal(size=(2, 300))
+    e, u = e - e.mean(), u - u.mean()
+    assert autoregression([e]).size == autoregression([u]).size == 1
+    past = np.column_stack([u[4 - k : 300 - k] for k in range(1, 5)])
+    left = e[4:] - past @ np.linalg.lstsq(past, e[4:], rcond=None)[0]
+    tested = metrics.input_correlation([e], [u], lags=4)
+    assert tested.dof == 4
+    assert tested.statistic == pytest.approx(296 * (1 - left @ left / (e[4:] @ e[4:])))
+    assert_allclose(tested.correlations, [e[4:] @ p / math.sqrt(e[4:] @ e[4:] * (p @ p)) for p in past.T])
+
+    back = metrics.feedback_correlation([e], [u], lags=4)
+    r = [u[k:] @ e[:-k] / (300 - k) / math.sqrt(np.mean(e**2) * np.mean(u**2)) for k in range(1, 5)]
+    assert back.dof == 4
+    assert_allclose(back.correlations, r)
+    assert back.statistic == pytest.approx(np.sum((300 - np.arange(1, 5)) * np.square(r)))
+
+
+def test_theils_coefficient_and_shares_are_their_formulas():
+    y, p = Y[KNOWN], P[KNOWN]
+    found = metrics.theil(Y, P)
+    square = np.mean((y - p) ** 2)
+    assert found.coefficient == pytest.approx(np.sqrt(square) / (np.sqrt(np.mean(y**2)) + np.sqrt(np.mean(p**2))))
+    assert found.bias == pytest.approx((y.mean() - p.mean()) ** 2 / square)
+    assert found.variance == pytest.approx((y.std() - p.std()) ** 2 / square)
+    apart = 2 * (1 - np.corrcoef(y, p)[0, 1]) * y.std() * p.std() / square  # Theil's third share
+    assert found.covariance == pytest.approx(apart)

@@ -11,6 +11,7 @@ import greybox as gb
 from greybox.validation import significance
 from greybox.validation.comparison import p_text
 from greybox.validation.held_out import Predictions
+from greybox.validation.nested_models import NestedTest
 
 
 @pytest.fixture(scope="module")
@@ -196,3 +197,65 @@ def test_held_out_evidence_stands_beside_that_of_the_fits(estimation, held_out, 
 
     found = {"estimation": evidence(estimation), "identification": {}, "held-out": evidence(held_out)}
     assert significance._by_evidence(("a", "b", "c"), 2, (0, 1), found, "zero") == said
+
+
+@pytest.mark.parametrize(
+    ("aic", "better", "said"),
+    [
+        (1.9, 0, "a and b fit the data equally well (AIC differs by 1.9; below 2 neither is preferred)."),
+        (2.1, None, "It cannot be told which of a and b fits the data better (AIC differs by 2.1; from 10 on one "),
+        (9.9, None, "It cannot be told which of a and b fits the data better (AIC differs by 9.9; from 10 on one "),
+        (10.1, 1, "a fits the data better than b (AIC differs by 10.1)."),
+        (-10.1, -1, "b fits the data better than a (AIC differs by 10.1)."),
+    ],
+)
+def test_support_by_aic_is_that_of_burnham_and_anderson(aic, better, said):
+    found, sentence = significance._by_aic(("a", "b"), (0, 1), (100.0, 100.0 + aic))
+    assert found == better
+    assert sentence.startswith(said)
+
+
+@pytest.mark.parametrize(("t", "p_values", "not_found"), [
+    (1.99, (), True), (2.01, (), False), (9.0, (0.051,), True), (0.1, (0.049,), False), (9.0, (0.01, 0.2), True),
+])  # fmt: skip
+def test_a_term_is_found_beyond_two_errors_or_by_its_own_test_where_there_is_one(t, p_values, not_found):
+    def nested(p, terms):
+        return NestedTest("b", "a", terms, 4.0, 1.0, 4.0, (1, 50.0), p)
+
+    tests = {(0, k + 1): significance.Evidence(1, "said", nested(p, ("C",))) for k, p in enumerate(p_values)}
+    tests[0, 5] = significance.Evidence(1, "said", nested(0.9, ("C", "D")))  # of two terms: says nothing of one
+    without = [*range(1, len(p_values) + 1), 5]
+    assert significance._not_found("C", t, 0, without, {"estimation": tests}) is not_found
+
+
+def test_differences_below_a_thousandth_are_a_tie_and_their_percentage_is_that_of_the_mean_squares(fits):
+    """The second predicts a little worse in every window: significant, and no matter below 0.1 %."""
+    made = gb.predict(fits[1], horizon=2.0)
+    errors = np.linspace(1.0, 2.0, len(made))
+    for more, better in ((0.0009, 0), (0.0011, 1)):
+        pair = ((shifted(made, errors),), (shifted(made, errors * np.sqrt(1 + more)),))
+        found, sentence = significance._errors_window_by_window(("a", "b"), pair, (0, 1), "held-out")
+        assert found == better
+        if not better:
+            assert f"differ by {100 * more / (1 + more):.2g} % ({len(made)} windows), and below 0.1 %" in sentence
+
+
+def test_three_windows_are_tested_by_students_t(fits):
+    made = gb.predict(fits[1], horizon=4.5)
+    assert len(made) == 3
+    errors, worse = np.array([1.0, 1.1, 1.2]), np.array([1.5, 1.45, 1.7])
+    pair = ((shifted(made, errors),), (shifted(made, worse),))
+    p = ttest_1samp(worse**2 - errors**2, 0).pvalue
+    better, sentence = significance._errors_window_by_window(("a", "b"), pair, (0, 1), "identification")
+    assert 0.01 < p < 0.05
+    assert (better, sentence) == (1, f"a predicts its own data better than b, in 100 % of 3 windows ({p_text(p)}).")
+
+
+def test_values_from_the_record_itself_make_its_errors_smaller_by_their_share(fits):
+    one = gb.predict(fits[1], horizon=2.0)
+    other = replace(one, own={"v_bias": (0.1, 0.01), "theta_bias": (0.0, 0.01)})
+    n = int(np.isfinite(one.measured("v")).sum())
+    first, second, rounding = significance._mean_squares(one, other)
+    assert second / first == pytest.approx(np.full(len(one), n / (n - 2)))
+    spread = np.nanstd(one.data["v"])
+    assert rounding == pytest.approx(np.full(len(one), (1e-6 * spread) ** 2 / one.noise[0, 0]))
