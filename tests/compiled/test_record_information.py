@@ -41,3 +41,9 @@ def test_numbers_that_say_the_same_count_once():
     assert_allclose(independent_numbers(1000, 2, 3, 1.0), 1000)
     assert_allclose(independent_numbers(1000, 2, 3, 5.0), 200)
     assert independent_numbers(10, 8, 3, 100.0) > 8
+
+
+def test_a_record_that_is_explained_to_the_last_digit_has_no_errors():
+    J, e, inverse = regression(60, 0)
+    found = colored_errors([J], [0 * e], inverse, np.eye(1), 1)
+    assert np.all(found.meat == 0)

@@ -217,3 +217,21 @@ def test_one_of_a_thing_is_singular():
     assert "; Student's t with 1 degree of freedom." in alone
     assert "1 frequency from 1 to 1 rad/s" in str(one)
     assert "1 sample at" in str(record.rows(np.arange(1)))
+
+
+@pytest.mark.parametrize("ratio", [0.38, 0.42, 2.4, 2.6])
+def test_given_variances_are_doubted_from_a_factor_of_two_and_a_half_on(ratio):
+    """Of the residuals' own variance, the fitted parameters counted; a factor of all variances moves no estimate."""
+    data = measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0, "T": 0.3}, noise=0.02, seed=4)
+
+    def with_variance(variance):
+        given = gb.FrequencyResponse(data.omega, data.response, variance=variance, name="made")
+        return gb.fit(gb.Problem(Lag(), given, gb.MaximumLikelihood()), starts=[{}], progress=False)
+
+    shape = np.abs(data.response) ** 2
+    residuals = data.response - with_variance(shape).responses[0].response
+    own = np.sum(np.abs(residuals) ** 2 / shape) / (len(data) - 1)  # two parameters, of two numbers a point
+    texts = [t for t in with_variance(shape * own / ratio).warnings if "given variances" in t]
+    assert len(texts) == (not 0.4 <= ratio <= 2.5)
+    assert all(t.startswith(f"the residuals of 'made' are {ratio:.2g} times what") for t in texts)
+    assert all(("incomplete" in t) == (ratio > 1) for t in texts)

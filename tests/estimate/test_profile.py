@@ -12,6 +12,7 @@ from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 import greybox as gb
+from greybox.estimate import profile as profile_module
 from greybox.problems import pitch_hover, yaw_hover
 from greybox.solve.ipopt import Ipopt
 
@@ -246,3 +247,47 @@ def test_profiles_by_newtons_method_are_those_by_ipopt_which_is_built_once(monke
     assert len(built) == 1
     for one, other in zip(found.profiles, wanted.profiles, strict=True):
         assert one.interval == pytest.approx(other.interval, rel=1e-3)
+
+
+def walk(cost, **options):
+    """A search along a quantity of estimate 1 and size 0.1, of a cost that no other parameter lowers."""
+
+    class Held:
+        def solve(self, starts, values):
+            return [(np.array([value]), cost(value)) for value in values]
+
+    point, z = profile_module._Point, np.array([1.0])
+    given = {"factor": 1.0, "numbers": np.inf, "limit": 1.96, "bounds": (-np.inf, np.inf), "size": 0.1, "first": 0.05}
+    given |= {"held": Held(), "best": point(1.0, z, cost(1.0)), "starts": np.zeros((0, 1)), **options}
+    return profile_module._Search(**given)
+
+
+def parabola(value):
+    return 0.5 * ((value - 1) / 0.1) ** 2
+
+
+@pytest.mark.parametrize("direction", [-1, 1])
+def test_a_walk_ends_beyond_the_limit_at_a_bound_or_where_nothing_changes_any_more(direction):
+    points, end = walk(parabola).side(direction)
+    assert end == "crossed"
+    roots = [abs(point.value - 1) / 0.1 for point in points]
+    assert roots == sorted(roots)
+    assert roots[-2] < 1.2 * 1.96 < roots[-1] < 1.6 * 1.96
+    assert np.diff(roots[1:]) == pytest.approx(np.full(len(roots) - 2, 0.35 * 1.96))
+
+    points, end = walk(parabola, bounds=(0.9, 1.1)).side(direction)
+    assert (end, points[-1].value) == ("bound", 1 + direction * 0.1)
+
+    points, end = walk(lambda value: 0.5 * np.tanh(parabola(value))).side(direction)
+    assert end == "flat"
+    assert 1e6 * 0.1 < abs(points[-1].value - 1) < 3.1e6 * 0.1
+
+
+def test_roots_are_those_of_the_likelihood_ratio_or_of_the_f_statistic_with_their_sign():
+    point = profile_module._Point
+    assert walk(parabola).signed_root(point(0.8, None, parabola(0.8))) == pytest.approx(-2)
+    assert walk(parabola, factor=4.0).root(point(1.2, None, parabola(1.2))) == pytest.approx(4)
+    assert walk(parabola).root(point(1.2, None, -1.0)) == 0
+    # Of 20 numbers whose variance is estimated: N (S / S0 - 1), the cost N / 2 log S, of S larger by a tenth.
+    ratio = walk(lambda value: 0.0, numbers=20.0).root(point(1.2, None, 10 * np.log(1.1)))
+    assert ratio == pytest.approx(np.sqrt(20 * 0.1))

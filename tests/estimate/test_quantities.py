@@ -69,3 +69,12 @@ def test_what_depends_on_the_undetermined_has_no_error():
     )
     assert np.isnan(found.covariance_of(("K", "T"))[0]).all()
     assert found.covariance_of(("T",))[0, 0] > 0
+
+
+def test_a_tied_parameter_at_its_bound_is_marked_and_what_is_derived_of_it_is_not():
+    for bounds, at_bound in (((0.3, 0.5), True), ((0.1, 0.5), False)):
+        found = fit(gb.Problem(Lag(), lag("one"), tied={"T": lambda p: p.K / 10}, bounds={"T": bounds}))
+        marked = {q.name: q.at_bound for q in found.quantities}
+        assert marked["T"] is at_bound
+        assert not marked["area"]
+    assert found.estimate["T"] < 0.3

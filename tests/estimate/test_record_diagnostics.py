@@ -1,6 +1,8 @@
 """What fits of records say of samples that they did not see, of rest, of poor fits and of unequal records."""
 
+import math
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.signal import lfilter
 
 import greybox as gb
+from greybox.estimate.diagnostics.records import _Residuals, _successive, _weights, hidden_errors
 
 TRUTH = {"K": 2.0, "T": 0.1, "d": 0.023}
 STEP = 0.01
@@ -391,3 +394,45 @@ def test_a_record_that_is_too_short_to_exclude_a_drift_says_so(n, hides):
     found = fit(Late(), driven(n), starts=1, fixed={"d": 0.02})
     assert any("hides slow errors" in note for note in found.notes) == hides
     assert not said(found, "slow errors")
+
+
+@pytest.mark.parametrize(("most", "weighs"), [(0.49, None), (0.51, 26), (0.99e5, 9.8e11), (1.1e5, None)])
+def test_records_weigh_differently_from_five_standard_deviations_to_where_there_is_no_noise(most, weighs):
+    least, middle, other = (
+        _Residuals(name, {"y": deviation}, {"y": count})
+        for name, deviation, count in (("least", 0.1, 300), ("middle", 0.2, 0), ("most", most, 100))
+    )
+    found = [*_weights([other, least, middle])]
+    assert len(found) == (weighs is not None)
+    if found:
+        start = f"the fitted standard deviation of y is {most:.2g} in 'most' and 0.1 in 'least', so that"
+        assert found[0].startswith(f"{start} a sample of the latter weighs {weighs:g} times as much")
+        pooled = math.sqrt((300 * 0.1**2 + 100 * most**2) / 400)
+        assert float(re.search(r"noise=\{'y': ([^}]+)\}", found[0])[1]) == pytest.approx(pooled, rel=0.05)
+
+
+def test_the_correlation_of_successive_residuals_is_over_pairs_that_are_both_there():
+    e = np.array([1.0, 2.0, np.nan, -1.0, 3.0, 0.5])
+    assert _successive(e) == pytest.approx(((2 - 3 + 1.5) / (1 + 4 + 1 + 9 + 0.25), 3))
+    assert _successive(np.zeros(4)) == (0.0, 3)
+
+
+@pytest.mark.parametrize(("wider", "said"), [((1.49,), ""), ((1.51,), "1.5"), ((1.3, 1.3), ""), ((1.4, 1.4), "1.6")])
+def test_slow_errors_are_told_where_they_would_make_intervals_half_as_wide_again(wider, said):
+    """Of two records the logarithms add as squares."""
+    found = [SimpleNamespace(wider=w, is_long_enough=True) for w in wider]
+    texts = [*hidden_errors(SimpleNamespace(correlation=[*found, None]))]
+    assert len(texts) == bool(said)
+    assert all(f"up to {said} times wider" in text for text in texts)
+    short = SimpleNamespace(wider=3.0, is_long_enough=False)
+    assert not [*hidden_errors(SimpleNamespace(correlation=[short]))]
+
+
+@pytest.mark.parametrize("ratio", [0.58, 0.62, 1.57, 1.64])
+def test_a_given_standard_deviation_is_doubted_below_0_6_and_above_1_6_of_it(ratio):
+    record = driven(300)
+    own = float(np.sqrt(np.nanmean(fit(Late(), record, starts=[TRUTH]).records[0].residual("y") ** 2)))
+    given = gb.OutputError(inputs="held", noise={"y": own / ratio})
+    texts = said(fit(Late(), record, [TRUTH], given), "given standard deviation")
+    assert len(texts) == (not 0.6 <= ratio <= 1.6)
+    assert all(f"is {ratio:.2g} times the given standard deviation" in text for text in texts)
