@@ -35,6 +35,10 @@ SCALE_ITERATIONS = 40
 BIAS_ITERATIONS = 6
 ACCURATE = 1e-3
 
+# Of the measured magnitude, the least of a model that measurements are divided by: at a bound it may be zero, and noise is
+# not what lies between them.
+LEAST_MODEL = 0.01
+
 
 class Criterion(AnyCriterion):
     """A rule that measures the mismatch of frequency responses; its `cost` is what is minimized.
@@ -97,7 +101,8 @@ class Criterion(AnyCriterion):
 
         `correction` scales it for the parameters estimated.
         """
-        ratio = data.response / model
+        least = LEAST_MODEL * np.abs(data.response)
+        ratio = data.response / np.where(np.abs(model) < least, least, model)
         size = self.size_of(ratio - 1, correction)
         for _ in range(BIAS_ITERATIONS):
             before = size
