@@ -35,8 +35,8 @@ SCALE_ITERATIONS = 40
 BIAS_ITERATIONS = 6
 ACCURATE = 1e-3
 
-# Of the measured magnitude, the least of a model that measurements are divided by: at a bound it may be zero, and noise is
-# not what lies between them.
+# Of the measured magnitude, the least of a model that measurements are divided by: at a bound it may be zero, and it is
+# not noise that lies between them.
 LEAST_MODEL = 0.01
 
 
