@@ -1,6 +1,7 @@
 """What the figures hold is what was measured and what the fitted model gives."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,11 +10,12 @@ from page_results import lag
 import greybox as gb
 from greybox.html_report.figure import Series
 from greybox.html_report.history_figures import history_figure
+from greybox.html_report.interval_section import profile_figures
 from greybox.html_report.residual_figures import residual_figures
 from greybox.html_report.response_figures import response_figures
-from greybox.html_report.sensitivity_figure import sensitivity_figure
+from greybox.html_report.sensitivity_figure import information_figure, sensitivity_figure
 from greybox.html_report.spectrum_figures import spectrum_figure
-from greybox.html_report.starts_figure import starts_figure
+from greybox.html_report.starts_figure import _limits, starts_figure
 from greybox.models.polynomial import Polynomial
 
 
@@ -114,3 +116,42 @@ def test_numbers_keep_the_digits_that_zooming_needs():
     plain = Series("a", "line", clock, np.array([1 / 3, np.nan, np.inf, 2.0, 1e-9])).plain
     assert np.diff(plain["x"]) == pytest.approx(np.full(4, 0.01), rel=1e-3)
     assert plain["y"] == [0.33333, None, None, 2, 1e-9]
+
+
+@pytest.mark.parametrize(
+    ("costs", "is_logarithmic", "limits"),
+    [
+        ([], False, (0.0, 1.0)),
+        ([2.0, 3.0, 300.0], True, (2 / 1.5, 450.0)),
+        ([-5.0, -4.9], False, (-5.5, -3.9)),  # rounding is no range: a tenth of the cost below, and two above
+        ([1.0, 21.0], False, (-1.0, 25.0)),
+    ],
+)
+def test_the_axis_of_costs_shows_neither_rounding_nor_one_point(costs, is_logarithmic, limits):
+    assert _limits(costs, is_logarithmic) == pytest.approx(limits)
+
+
+def test_what_tells_of_parameters_is_drawn_in_percent_of_all(fit):
+    figure = information_figure(fit, 0)
+    along, alone = figure.panels
+    found = fit.sensitivity(0)
+    for panel, shares in ((along, found.shares), (alone, found.alone)):
+        for k, name in enumerate(found.names):
+            assert named(panel, name, "line").y == pytest.approx(100 * shares[k].sum(axis=0))
+    assert figure.label == "ω, rad/s"
+    assert figure.is_logarithmic
+    assert not figure.is_wide
+
+
+def test_profiles_are_drawn_beside_the_cone_of_the_standard_error():
+    values, roots = np.array([0.7, 1.0, 1.4]), np.array([-2.5, 0.0, 2.6])
+    given = {"interval": (0.8, np.inf), "estimate": 1.0, "bias": 0.1, "standard_error": 0.15, "unit": "s"}
+    profile = SimpleNamespace(name="T", values=values, roots=roots, **given)
+    (figure,) = profile_figures(SimpleNamespace(profiles=[profile], limit={"T": 2.0}))
+    (panel,) = figure.panels
+    assert named(panel, "profile", "line").y == pytest.approx([2.5, 0.0, 2.6])
+    cone = named(panel, "by the standard error", "line")
+    assert (cone.x, cone.y) == (pytest.approx([1 - 0.15 * 3.2, 1, 1 + 0.15 * 3.2]), pytest.approx([3.2, 0, 3.2]))
+    assert named(panel, "limit", "line").y == pytest.approx([2.1, 2.1, 1.9, 1.9])
+    assert named(panel, "interval", "band").x == pytest.approx([0.8, 1.4])  # open above: to the end of the curve
+    assert (figure.limits, panel.limits, figure.label) == ((0.7, 1.4), (0.0, 3.2), "T, s")

@@ -7,7 +7,14 @@ from scipy.signal import lfilter
 from scipy.stats import bootstrap, norm
 from scipy.stats import t as student
 
-from greybox.statistics.resampling import acceleration, bca_interval, block_length, drawn_blocks, percentile_interval
+from greybox.statistics.resampling import (
+    acceleration,
+    bca_interval,
+    block_length,
+    drawn_blocks,
+    percentile_interval,
+    tail,
+)
 
 
 def test_intervals_are_those_of_scipy():
@@ -58,3 +65,27 @@ def test_no_block_is_longer_than_a_third_of_the_series():
     walks = np.random.default_rng(0).normal(size=(20, 30)).cumsum(axis=1)
     assert max(block_length([walk]) for walk in walks) == 10
     assert block_length(list(walks[:, :5])) == 1
+
+
+def test_accelerations_need_two_estimates_that_differ():
+    left_out = np.array([[1.0, 3.0], [2.0, 3.0], [4.0, 3.0], [np.nan, 5.0]])
+    away = 7 / 3 - np.array([1.0, 2.0, 4.0])
+    assert_allclose(acceleration(left_out), [np.sum(away**3) / (6 * np.sum(away**2) ** 1.5), 0.0])
+    assert_allclose(acceleration(left_out[2:]), [0.0, 0.0])
+
+
+@pytest.mark.parametrize("level", [0.8, 0.95])
+def test_the_share_beyond_an_end_is_that_of_students_t_among_normal_replicates(level):
+    assert tail(level) == pytest.approx(0.5 - level / 2)
+    assert tail(level, 4) == pytest.approx(norm.sf(student.ppf(0.5 + level / 2, 4)))
+
+
+def test_replicates_that_equal_the_estimate_count_half_below_it():
+    """So many on either side: no bias, and without acceleration the interval is that of percentiles."""
+    values = np.concatenate([np.arange(40.0), np.full(20, 40.0), np.arange(41.0, 81.0)])
+    assert bca_interval(values, 40.0, 0.0, 0.9) == pytest.approx(percentile_interval(values, 0.9))
+
+
+@pytest.mark.parametrize(("count", "blocks"), [(9, False), (10, True)])
+def test_a_series_of_fewer_than_ten_is_drawn_one_by_one(count, blocks):
+    assert (block_length([np.arange(count) - (count - 1) / 2]) > 1) is blocks

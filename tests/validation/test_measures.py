@@ -1,11 +1,14 @@
 """The rows of a comparison are those of the predictions and of the likelihood."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from drag_flights import QUADRATIC, LinearDrag, QuadraticDrag, fitted, flight
 
 import greybox as gb
 from greybox.statistics.metrics import LAGS, whiteness
+from greybox.validation.measures import _information_rows, _is_constant, _relative_rms
 
 
 @pytest.fixture(scope="module")
@@ -65,3 +68,34 @@ def test_gains_of_an_output_count_in_the_test_of_its_whiteness():
         assert test.dof == LAGS - gains
         assert found.value("  white (p)", label, "identification", "v") == pytest.approx(test.p_value)
         assert sum(o == "v" for _, o in fit.records[0].gains) == gains
+
+
+def test_criteria_of_information_are_their_formulas_and_count_from_the_least():
+    """AICc as Burnham and Anderson have it, AIC + 2 k (k + 1) / (n - k - 1); none where n is k + 1 or less."""
+    k, n, cost = np.array([2, 4, 9]), np.array([12, 12, 10]), np.array([5.0, 2.5, 1.0])
+    rows = {row.measure: row.values for row in _information_rows(cost, k.tolist(), n.tolist())}
+    aic = 2 * k + 2 * cost
+    corrected = aic[:2] + 2 * k[:2] * (k[:2] + 1) / (n[:2] - k[:2] - 1)
+    assert rows["AIC"] == pytest.approx(aic)
+    assert rows["AICc"][:2] == pytest.approx(corrected)
+    assert rows["AICc"][2] is None
+    assert rows["BIC"] == pytest.approx(k * np.log(n) + 2 * cost)
+    assert rows["AIC less the least"] == pytest.approx(aic - aic.min())
+    assert rows["AICc less the least"][:2] == pytest.approx(corrected - corrected.min())
+    (last,) = [row for row in _information_rows([1.0], [9], [11]) if row.measure == "AICc"]
+    assert last.values == pytest.approx((2 * 9 * 11 / 1 + 2,))
+
+
+def test_the_size_of_relative_residuals_is_that_of_all_points_of_all_responses_in_percent():
+    parts = [
+        SimpleNamespace(response=np.array(fitted), data=SimpleNamespace(response=np.array(measured)))
+        for fitted, measured in (([1.1, 2.0j], [1.0, 2.0]), ([3.0], [4.0]))
+    ]
+    squares = [0.1**2, abs(1j - 1) ** 2, 0.25**2]
+    assert _relative_rms(SimpleNamespace(responses=parts)) == pytest.approx(100 * np.sqrt(np.mean(squares)))
+
+
+def test_signals_that_keep_one_value_are_no_inputs():
+    assert _is_constant([np.array([2.0, np.nan]), np.array([2.0])])
+    assert _is_constant([np.array([np.nan])])
+    assert not _is_constant([np.array([2.0]), np.array([2.0 + 1e-9])])
