@@ -528,7 +528,8 @@ def _warnings(statuses: tuple[str, ...], dof: float) -> Iterator[str]:
         )
     beyond = tail(0.95, dof)
     if beyond * len(statuses) < FEWEST_BEYOND:
+        few = f"with {dof:.3g} degrees of freedom " if math.isfinite(dof) else ""
         yield (
-            f"with {dof:.3g} degrees of freedom {100 * beyond:.1g} % of the replicates lie beyond each end of a 95 % "
-            f"interval: make {math.ceil(FEWEST_BEYOND / beyond / 100) * 100} instead of {len(statuses)}."
+            f"{few}{100 * beyond:.2g} % of the replicates lie beyond each end of a 95 % interval: "
+            f"make {math.ceil(FEWEST_BEYOND / beyond / 100) * 100} instead of {len(statuses)}."
         )

@@ -8,7 +8,7 @@ import pytest
 from page_results import lag
 
 import greybox as gb
-from greybox.html_report.figure import Series
+from greybox.html_report.figure import Figure, Series, figure_grid
 from greybox.html_report.history_figures import history_figure
 from greybox.html_report.interval_section import profile_figures
 from greybox.html_report.residual_figures import residual_figures
@@ -155,3 +155,19 @@ def test_profiles_are_drawn_beside_the_cone_of_the_standard_error():
     assert named(panel, "limit", "line").y == pytest.approx([2.1, 2.1, 1.9, 1.9])
     assert named(panel, "interval", "band").x == pytest.approx([0.8, 1.4])  # open above: to the end of the curve
     assert (figure.limits, panel.limits, figure.label) == ((0.7, 1.4), (0.0, 3.2), "T, s")
+
+
+@pytest.mark.parametrize(("cost", "is_logarithmic"), [(2.0, False), (500.0, True)])
+def test_costs_that_span_decades_have_a_logarithmic_axis(fit, cost, is_logarithmic):
+    first, second, *_ = fit.runs
+    runs = (replace(first, cost=1.0, converged=True), replace(second, cost=cost, converged=True))
+    minima = tuple(replace(fit.minima[0], cost=run.cost, runs=(run.index,)) for run in runs)
+    (panel,) = starts_figure(replace(fit, runs=runs, minima=minima)).panels
+    assert panel.is_logarithmic is is_logarithmic
+    assert [series.name for series in panel.series] == [f"minimum {k}: 1 × cost {c:g}" for k, c in ((1, 1), (2, cost))]
+
+
+def test_wide_figures_and_a_figure_alone_take_the_whole_width():
+    usual, wide = Figure("a", "x", []), Figure("b", "x", [], is_wide=True)
+    assert [element.get("class") for element in figure_grid([usual, wide])] == [None, "wide"]
+    assert [element.get("class") for element in figure_grid([usual])] == ["wide"]

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 from drag_flights import Drag, LinearDrag, fitted, flight
+from numpy.testing import assert_allclose
 
 import greybox as gb
+from greybox.simulation import own_values
 
 TRUTH = {"a5": 0.2, "C_x": 0.05}
 BIASES = gb.OutputError(biases=("v", "theta"))
@@ -187,3 +189,69 @@ def test_the_error_of_a_constant_offset_is_that_of_a_mean(every):
     value, error = found.own["y_bias"]
     assert value == pytest.approx(np.nanmean(y - 2 * u), abs=0.3 * error)
     assert error == pytest.approx(0.1 / np.sqrt(400 / every), rel=0.12)
+
+
+def informed(matrix, squares=100.0, numbers=100, overlap=1.0):
+    matrix = np.array(matrix)
+    return own_values._Information(matrix, np.zeros(len(matrix)), squares, numbers, overlap)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "limits", "lost"),
+    [
+        (np.diag([4.0, 100.0]), (10.0, 10.0), ""),
+        (np.diag([4.0, 100.0]), (0.4, 10.0), "a"),  # its error of 0.5 is more than half of ± 0.4
+        (np.diag([4.0, 100.0]), (0.6, 0.09), "b"),
+        (np.diag([4.0, 0.0]), (np.inf, np.inf), "b"),  # no sample changes with it
+        ([[1.0, 1.0 - 1e-11], [1.0 - 1e-11, 1.0]], (np.inf, np.inf), "a"),
+        ([[1.0, 1.0 - 1e-7], [1.0 - 1e-7, 1.0]], (np.inf, np.inf), ""),
+    ],
+)
+def test_a_value_is_lost_where_no_sample_shows_it_or_its_error_exceeds_half_of_its_bounds(matrix, limits, lost):
+    of = {name: (-limit, limit) for name, limit in zip("ab", limits, strict=True)}
+    found = own_values._not_determined(informed(matrix), ("a", "b"), of)
+    assert bool(found) == bool(lost)
+    if np.isfinite(limits).all() or np.count_nonzero(matrix) < 4:
+        assert found == lost
+
+
+def test_directions_that_are_not_seen_have_no_inverse():
+    random = np.random.default_rng(0)
+    size = np.array([1e3, 1.0, 1e-4])
+    J = random.normal(size=(6, 3)) * size
+    assert_allclose(own_values._pseudo_inverse(J.T @ J), np.linalg.inv(J.T @ J), rtol=1e-9)
+    J[:, 1] = 0
+    found = own_values._pseudo_inverse(J.T @ J)
+    assert np.all(found[1] == 0)
+    seen = np.ix_([0, 2], [0, 2])
+    assert_allclose(found[seen], np.linalg.inv((J.T @ J)[seen]), rtol=1e-9)
+
+
+def test_errors_are_larger_by_what_is_left_over_and_by_numbers_that_were_used_twice():
+    for squares, numbers, overlap, factor in ((50.0, 100, 1.0, 1.0), (200.0, 100, 1.0, 2.0), (200.0, 100, 1.5, 3.0)):
+        assert own_values._inflation(informed(np.eye(1), squares, numbers, overlap)) == pytest.approx(factor)
+        found = own_values._Found(None, None, ("a",), informed([[4.0]], squares, numbers, overlap))
+        assert found.errors() == pytest.approx([np.sqrt(factor) / 2])
+
+
+@pytest.mark.parametrize(
+    ("squares", "before", "follows"),
+    [(119.0, 100.0, True), (121.0, 100.0, False), (119.0, 50.0, True), (121.0, 50.0, False), (235.0, 200.0, True)],
+)
+def test_longer_windows_count_while_their_errors_grow_by_a_tenth_at_most(squares, before, follows):
+    """A fifth in squares, over those of shorter ones or over the noise."""
+    longer, shorter = (own_values._Found(None, None, ("a",), informed([[4.0]], s)) for s in (squares, before))
+    assert longer.follows_noise_as(shorter) is follows
+    nothing = own_values._Found(None, None, (), None)
+    assert longer.follows_noise_as(nothing)
+    assert not nothing.follows_noise_as(shorter)
+
+
+def test_what_determines_more_values_or_the_same_better_is_taken():
+    def found(*diagonal):
+        return own_values._Found(None, None, tuple("abc"[: len(diagonal)]), informed(np.diag(diagonal)))
+
+    assert found(1.0, 1.0).is_more_certain_than(found(100.0))
+    assert not found(100.0).is_more_certain_than(found(1.0, 1.0))
+    assert found(1.0, 5.0).is_more_certain_than(found(2.0, 2.0))
+    assert not found(1.0, 3.0).is_more_certain_than(found(2.0, 2.0))

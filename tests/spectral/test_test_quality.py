@@ -181,3 +181,57 @@ def test_a_test_is_judged_by_the_periods_of_its_lowest_frequency(periods, severi
     assert (length and length.severity) == severity
     if length:
         assert length.value == pytest.approx(periods)
+
+
+@pytest.mark.parametrize(
+    ("measured", "about", "severity", "said"),
+    [
+        (response(0.099), "noise", None, ""),
+        (response(0.11), "noise", "warning", "half of the points have a standard deviation above 11 %: excite more"),
+        (response(0.49), "noise", "warning", "above 49 %"),
+        (response(0.51), "noise", "refusal", "above 51 %"),
+        (response(0.01, 0.61), "coherence", None, ""),
+        (response(0.01, 0.59), "coherence", "warning", "half of the points have a coherence below 0.59: the output is"),
+        (response(0.01, 0.21), "coherence", "warning", "below 0.21"),
+        (response(0.01, 0.19), "coherence", "refusal", "below 0.19"),
+    ],
+)
+def test_a_response_is_judged_by_the_stated_coherence_and_error(measured, about, severity, said):
+    """On both sides of 0.6 and 0.2, and of 10 and 50 %."""
+    texts = [f for f in check(record(), measured, GOOD).findings if f.about == about]
+    assert [f.severity for f in texts] == ([severity] if severity else [])
+    assert all(said in f.text for f in texts)
+
+
+@pytest.mark.parametrize(("count", "places"), [(1, "1"), (5, "1, 1.23, 1.52, 1.87, 2.31"), (6, "2.31 ...")])
+def test_points_of_low_coherence_are_named(count, places):
+    made = response(0.01, 0.9)
+    weak = gb.FrequencyResponse(
+        made.omega, made.response, variance=made.variance, coherence=np.where(np.arange(12) < count, 0.59, 0.61)
+    )
+    (text,) = [f for f in check(record(), weak, GOOD).findings if f.about == "coherence"]
+    assert (text.severity, text.value) == ("warning", count)
+    assert f"{places} rad/s: leave these points out" in text.text
+
+
+@pytest.mark.parametrize(("highest", "severity"), [(3.97, "warning"), (4.03, None)])
+def test_less_than_an_octave_is_told(highest, severity):
+    found = [f for f in check(record(), None, [sine(2.0), sine(highest)]).findings if f.about == "spread"]
+    assert [f.severity for f in found] == ([severity] if severity else [])
+    assert all("covers 2 to 3.97 rad/s" in f.text and f.value == pytest.approx(3.97 / 2) for f in found)
+
+
+@pytest.mark.parametrize(("samples", "severity"), [(10.1, None), (9.9, "warning"), (2.51, "warning"), (2.4, "refusal")])
+def test_samples_per_period_are_those_of_the_highest_frequency(samples, severity):
+    omega = 2 * np.pi * 50 / samples
+    measured = gb.FrequencyResponse([1.0, 5.0, omega], [1, 1, 1])
+    found = [f for f in check(record(), measured, GOOD).findings if f.about == "rate"]
+    assert [f.severity for f in found] == ([severity] if severity else [])
+    assert all(f.text.startswith(f"there are {samples:.2g} samples per period of the highest") for f in found)
+
+
+@pytest.mark.parametrize(("above", "notes"), [(1.0005, 0), (1.002, 1)])
+def test_a_sweep_to_the_end_of_what_the_rate_resolves_is_not_cut(above, notes):
+    sweep = Segment(0.0, 60.0, "sweep", band=(0.6, above * 2 * np.pi * 20 / 2.5))
+    findings = check(record(rate=20.0), None, [sweep]).findings
+    assert sum(f.about == "rate" and f.severity == "note" for f in findings) == notes

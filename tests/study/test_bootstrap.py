@@ -11,6 +11,8 @@ from benchmark_module import benchmark
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import lfilter
+from scipy.stats import norm
+from scipy.stats import t as student
 
 import greybox as gb
 from greybox.cli.main import main
@@ -19,7 +21,7 @@ from greybox.html_report.elements import html
 from greybox.html_report.interval_section import bootstrap_table
 from greybox.problems import pitch_hover, yaw_hover
 from greybox.solve.response_replicates import response_draws
-from greybox.study.bootstrap import _warnings
+from greybox.study.bootstrap import Bootstrap, _warnings, interval_text
 
 OMEGA = np.geomspace(0.5, 20, 8)
 SIGMA = 0.05
@@ -208,3 +210,82 @@ def test_many_failed_replicates_are_told_and_few_are_not():
     assert not [*_warnings(("",) * 999 + ("stagnated",), math.inf)]
     (said,) = _warnings(("",) * 500 + ("stagnated",) * 500, math.inf)
     assert said.startswith("500 of 1000 replicates failed (500 stagnated)")
+
+
+@pytest.fixture(scope="module")
+def replicates():
+    """Two quantities of 40 replicates, two of which failed; the first is held by its bounds, 0 and 10."""
+    random = np.random.default_rng(0)
+    values = np.column_stack([np.clip(random.normal(2.0, 2.0, 40), 1e-9, 10 * (1 - 2e-5)), random.normal(size=40)])
+    values[[3, 7]] = np.nan
+    given = {"resampling": "points", "about": "points drawn", "seed": 3, "names": ("a", "b"), "units": ("s", "")}
+    given |= {"estimate": np.array([1.8, 0.1]), "given_error": np.array([0.5, np.nan]), "left_out": np.zeros((0, 2))}
+    given |= {"statuses": tuple("stagnated" if k in (3, 7) else "" for k in range(40)), "dof": np.array([5.0, np.inf])}
+    return Bootstrap("made", values=values, bounds=np.array([[1e-9, 10.0], [-np.inf, np.inf]]), seconds=1.25, **given)
+
+
+def test_errors_and_biases_are_those_of_the_replicates_that_did_not_fail(replicates):
+    done = np.delete(replicates.values, [3, 7], axis=0)
+    assert replicates.failed == 2
+    assert [*replicates.standard_error.values()] == pytest.approx(np.std(done, axis=0, ddof=1))
+    assert [*replicates.bias.values()] == pytest.approx(done.mean(axis=0) - [1.8, 0.1])
+    low, high = replicates.at_bound["a"]
+    assert (low, high) == (np.mean(done[:, 0] == 1e-9), np.mean(done[:, 0] > 9.999))
+    assert low > 0
+    assert replicates.at_bound["b"] == (0, 0)
+    alone = replace(replicates, values=replicates.values[:1])
+    assert np.isnan([*alone.standard_error.values()]).all()
+    two = replace(replicates, values=replicates.values[:2])
+    assert two.standard_error["b"] == pytest.approx(abs(np.diff(replicates.values[:2, 1])[0]) / np.sqrt(2))
+
+
+def test_an_interval_is_open_where_replicates_reach_the_bound(replicates):
+    done = np.delete(replicates.values, [3, 7], axis=0)
+    found = replicates.interval(0.5, "percentile", widened=False)
+    assert found["a"] == pytest.approx(np.quantile(done[:, 0], [0.25, 0.75]))
+    wide = replicates.interval(0.95, "percentile")
+    assert wide["a"][0] == -math.inf
+    assert wide["a"][1] < 10
+    held = replace(replicates, bounds=np.array([[1e-9, done[:, 0].max() * (1 + 0.5e-4)], [-np.inf, np.inf]]))
+    assert held.interval(0.9999999, "percentile")["a"] == (-math.inf, math.inf)
+    apart = replace(replicates, bounds=np.array([[1e-9, done[:, 0].max() * (1 + 3e-4)], [-np.inf, np.inf]]))
+    assert apart.interval(0.9999999, "percentile")["a"][1] == pytest.approx(done[:, 0].max())
+
+
+def test_a_bootstrap_is_printed_with_its_numbers(replicates):
+    text = str(replicates).splitlines()
+    assert text[0] == "made: bootstrap, points drawn; 40 replicates, 2 failed"
+    assert text[-1] == "  1.25 s; seed 3"
+    (row,) = [line.split() for line in text if line.split()[:1] == ["a"]]
+    error, bias = replicates.standard_error["a"], replicates.bias["a"]
+    assert [float(x) for x in row[1:5]] == pytest.approx([1.8, error, 0.5, bias], rel=0.05)
+    said = replicates.summary(0.8)
+    assert (said["level"], said["statuses"], said["replicates"]) == (0.8, {"stagnated": 2}, 40)
+    assert said["quantities"]["b"]["percentile"] == pytest.approx(replicates.interval(0.8, "percentile")["b"])
+    assert said["quantities"]["b"]["fit_standard_error"] is None
+
+
+@pytest.mark.parametrize(
+    ("ends", "text"),
+    [(None, "-"), ((None, None), "open"), ((None, 2.5), "below 2.5"), ((1.5, None), "above 1.5"), ((1, 2), "1 to 2")],
+)
+def test_an_interval_is_said(ends, text):
+    assert interval_text(ends) == text
+
+
+@pytest.mark.parametrize(("failed", "told"), [(50, False), (51, True)])
+def test_a_twentieth_of_the_replicates_may_fail(failed, told):
+    said = [*_warnings(("stagnated",) * failed + ("",) * (1000 - failed), math.inf)]
+    assert [text.startswith(f"{failed} of 1000 replicates failed (") for text in said] == [True] * told
+
+
+@pytest.mark.parametrize(("count", "dof", "make"), [(161, math.inf, None), (159, math.inf, 200), (300, 3.0, 5500)])
+def test_four_replicates_lie_beyond_each_end(count, dof, make):
+    """Of 2.5 % of them, or of what normal replicates leave beyond Student's t of the degrees of freedom."""
+    said = [text for text in _warnings(("",) * count, dof) if "beyond each end" in text]
+    assert [text.endswith(f"make {make} instead of {count}.") for text in said] == [True] * (make is not None)
+    if make:
+        share = norm.sf(student.ppf(0.975, dof))
+        assert make - 100 < 4 / share <= make
+        few = f"with {dof:.3g} degrees of freedom " if math.isfinite(dof) else ""
+        assert said[0].startswith(f"{few}{100 * share:.2g} % of the replicates lie beyond each end of a 95 % interval")
