@@ -189,3 +189,66 @@ def test_lost_samples_and_slow_logging_before_do_not_hide_a_sine():
     assert found.omega == pytest.approx(3, rel=1e-3)
     kept &= (time < 49) | (time > 51)
     assert len(find_segments(Record(time[kept], {"r": setpoint[kept]}))) == 2
+
+
+@pytest.mark.parametrize(
+    ("short", "usable"),
+    [
+        ((2.0, 16.0 * 0.74), False),  # 3.8 of 10 periods, and 0.74 of the median duration
+        ((2.0, 16.0 * 0.76), True),
+        ((20.0, 2.0), True),  # periods of high frequency take less time
+    ],
+)
+def test_a_test_ended_early_with_less_periods_and_less_time_than_others(short, usable):
+    """Others have 10 periods in 16 s; early is less than half of the one and less than three quarters of the other."""
+    omega = 2 * np.pi * 10 / 16
+    found = find_segments(announced([(omega, 16.0), (omega, 16.0), (omega, 16.0), short]), message="SINE")
+    assert [s.usable for s in found] == [True] * 3 + [usable]
+
+
+@pytest.mark.parametrize(("share", "usable"), [(0.48, False), (0.52, True)])
+def test_half_of_the_periods_of_others_are_enough(share, usable):
+    omega = 2 * np.pi * 10 / 16
+    found = find_segments(announced([(omega, 16.0)] * 3 + [(omega * share * 16 / 8, 8.0)]), message="SINE")
+    assert found[-1].usable is usable
+
+
+@pytest.mark.parametrize(("weak", "usable"), [(0.029, False), (0.031, True)])
+def test_a_hundredth_of_the_largest_amplitude_is_an_excitation(weak, usable):
+    flight = announced()
+    found = find_segments(announced(Eta=np.where(flight["SINE"]["Seg"] == 3, weak, 3.0)), message="SINE")
+    assert [s.usable for s in found] == [True, True, usable, True]
+
+
+@pytest.mark.parametrize(("pause", "tests"), [(0.95, 1), (1.05, 2)])
+def test_a_second_without_its_announcement_ends_a_test(pause, tests):
+    time = np.concatenate([np.arange(0, 10, 0.02), np.arange(9.98 + pause, 20, 0.02)])
+    record = Record(time, {"W": np.full(time.size, 5.0)})
+    assert len(find_segments(record, fields={"omega": "W"})) == tests
+    slow = np.concatenate([np.arange(0, 30, 0.5), np.arange(29.5 + 2.5 * pause, 60, 0.5)])  # five of its intervals
+    record = Record(slow, {"W": np.full(slow.size, 5.0)})
+    assert len(find_segments(record, fields={"omega": "W"})) == tests
+
+
+@pytest.mark.parametrize(("moment", "usable"), [(22.05, True), (22.15, False), (36.95, True), (36.85, False)])
+def test_a_mode_that_changes_within_a_tenth_of_a_second_of_an_end_is_outside(moment, usable):
+    """The second test lasts from 22 to 37 s."""
+    found = find_segments(announced(modes=((moment, "LOITER"),)), message="SINE")
+    assert (round(found[1].start, 1), round(found[1].end, 1)) == (22.0, 37.0)
+    assert [s.usable for s in found] == [True, usable, True, True]
+
+
+@pytest.mark.parametrize(("travel", "usable"), [(48.0, True), (52.0, False)])
+def test_a_stick_that_moves_by_a_twentieth_of_its_travel_flies(travel, usable):
+    """Of 1000 µs, peak to peak."""
+    time = np.arange(0, 40, 0.02)
+    sine = np.where((time > 5) & (time < 35), np.sin(2 * time), 0)
+    records = {"ATT": Record(time, {"DesRoll": 5 * sine}), "RCIN": Record(time, {"C1": 1500 + travel / 2 * sine})}
+    (found,) = find_segments(Recording(records))
+    assert found.usable is usable
+
+
+@pytest.mark.parametrize(("periods", "usable"), [(0.97, False), (1.03, True)])
+def test_a_test_has_one_period_at_least(periods, usable):
+    (found,) = find_segments(announced([(2 * np.pi * periods / 10, 10.0)]), message="SINE")
+    assert found.usable is usable

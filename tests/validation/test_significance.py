@@ -259,3 +259,18 @@ def test_values_from_the_record_itself_make_its_errors_smaller_by_their_share(fi
     assert second / first == pytest.approx(np.full(len(one), n / (n - 2)))
     spread = np.nanstd(one.data["v"])
     assert rounding == pytest.approx(np.full(len(one), (1e-6 * spread) ** 2 / one.noise[0, 0]))
+
+
+@pytest.mark.parametrize(("share", "better"), [(0.098, 0), (0.102, None)])
+def test_equally_good_is_an_interval_of_the_difference_within_a_tenth(fits, share, better):
+    """The wider end of Student's interval of 95 %, as scipy has it, over the smaller mean square."""
+    made = gb.predict(fits[1], horizon=2.0)
+    z = np.array([1.0, -0.7, 0.2, -0.9, 0.8, -0.6, 0.5])
+    assert len(made) == len(z)
+    test = ttest_1samp(z, 0)
+    widest = test.confidence_interval(0.95).high
+    assert test.pvalue > 0.05
+    errors = np.linspace(1.0, 2.0, len(z))
+    other = np.sqrt(errors**2 + z * share * np.mean(errors**2) / widest)
+    pair = ((shifted(made, errors),), (shifted(made, other),))
+    assert significance._errors_window_by_window(("a", "b"), pair, (0, 1), "held-out")[0] == better
