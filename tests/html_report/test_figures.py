@@ -1,5 +1,6 @@
 """What the figures hold is what was measured and what the fitted model gives."""
 
+import json
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -8,7 +9,7 @@ import pytest
 from page_results import lag
 
 import greybox as gb
-from greybox.html_report.figure import Figure, Series, figure_grid
+from greybox.html_report.figure import Figure, Panel, Series, figure_grid
 from greybox.html_report.history_figures import history_figure
 from greybox.html_report.interval_section import profile_figures
 from greybox.html_report.residual_figures import residual_figures
@@ -171,3 +172,11 @@ def test_wide_figures_and_a_figure_alone_take_the_whole_width():
     usual, wide = Figure("a", "x", []), Figure("b", "x", [], is_wide=True)
     assert [element.get("class") for element in figure_grid([usual, wide])] == [None, "wide"]
     assert [element.get("class") for element in figure_grid([usual])] == ["wide"]
+
+
+def test_limits_of_axes_are_handed_on_where_there_are_any():
+    assert Panel("a", [], limits=(0.5, np.inf)).plain["limits"] == [0.5, None]
+    assert Panel("a", []).plain["limits"] is None
+    for limits, plain in (((0.0, 3.0), [0, 3]), (None, None)):
+        plot = Figure("a", "x", [], limits=limits).element.find("div")
+        assert json.loads(plot.get("data-figure"))["limits"] == plain

@@ -224,7 +224,8 @@ def test_a_hundredth_of_the_largest_amplitude_is_an_excitation(weak, usable):
 def test_a_second_without_its_announcement_ends_a_test(pause, tests):
     time = np.concatenate([np.arange(0, 10, 0.02), np.arange(9.98 + pause, 20, 0.02)])
     record = Record(time, {"W": np.full(time.size, 5.0)})
-    assert len(find_segments(record, fields={"omega": "W"})) == tests
+    found = find_segments(record, fields={"omega": "W"})
+    assert (len(found), found[0].start, found[-1].end) == (tests, time[0], time[-1])
     slow = np.concatenate([np.arange(0, 30, 0.5), np.arange(29.5 + 2.5 * pause, 60, 0.5)])  # five of its intervals
     record = Record(slow, {"W": np.full(slow.size, 5.0)})
     assert len(find_segments(record, fields={"omega": "W"})) == tests

@@ -14,6 +14,7 @@ from greybox.logs.sine_detection import (
     _continues,
     _crossings,
     _end_frequency,
+    _first_half_wave,
     _part_of,
     _phase_bend,
     _sweeps,
@@ -258,3 +259,14 @@ def test_a_sine_lasts_a_second_and_two_periods(omega, duration, found):
     t = np.arange(0, 30, STEP)
     r = np.where((t > 10) & (t < 10 + duration), np.sin(omega * (t - 10)), 0.0)
     assert len([run for run in sines_and_sweeps(t, r) if run.kind == "sine"]) == found
+
+
+@pytest.mark.parametrize("offset", [0.0, 40.0])
+def test_a_sweep_begins_where_its_first_half_wave_leaves_the_middle(offset):
+    """A sine of half periods of 1 s about the rest before it; without a rest, at the first crossing."""
+    t = np.arange(0, 12, 0.01)
+    r = offset + np.where(t > 3, np.sin(math.pi * (t - 3)), 0.0)
+    peak, other, crossings = 350, 450, np.array([4.0, 5.0, 6.0])
+    # The middle of the first two turning points, that of the sweep, is left by a twentieth of the amplitude.
+    assert _first_half_wave(t, r, peak, other, crossings) == pytest.approx(3 + math.asin(0.05) / math.pi, abs=0.011)
+    assert _first_half_wave(t, np.where(t > 3.5, r, offset + 1), peak, other, crossings) == 4.0

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.linalg import expm, solve_discrete_lyapunov, toeplitz
 from scipy.signal import lfilter
 
-from greybox.statistics.residual_spectrum import colored_information
+from greybox.statistics.residual_spectrum import _Grid, _Sandwich, colored_information
 
 AR2 = np.array([1.0, -1.5, 0.7])
 
@@ -229,3 +229,31 @@ def test_how_uncertain_the_size_of_slow_errors_is_is_seen_in_repeated_records():
     found = [information([J], [e]) for J, e, _ in (experiment("drift", 300, seed) for seed in range(20))]
     scatter = np.var(np.log([one.taken for one in found]))
     assert 0.4 * scatter < np.mean([one.uncertainty for one in found]) < 2.5 * scatter
+
+
+def test_the_outputs_of_the_only_record_tell_all_that_there_is_together():
+    """In directions of unit variance that is the identity; with as much from other data it is half of it."""
+    random = np.random.default_rng(0)
+    noise = np.diag([0.04, 9.0])
+    slopes = random.normal(size=(2, 3, 200))
+    weighted = np.linalg.solve(noise, slopes.reshape(2, -1)).reshape(slopes.shape)
+    information = np.einsum("kpn,kqn->pq", weighted, slopes)
+    residuals = np.sqrt(np.diag(noise))[:, None] * random.normal(size=(2, 200))
+    for share in (1.0, 0.5):
+        made = _Sandwich.of([weighted], [residuals], share * np.linalg.inv(information), noise)
+        assert_allclose(made.root @ made.root.T, share * np.linalg.inv(information))
+        told = [made._not_excluded(i)[0] for i in range(2)]
+        assert_allclose(sum(told), share * np.eye(3), atol=1e-9)
+        each = [share * np.einsum("pn,qn->pq", weighted[i], slopes[i]) for i in range(2)]
+        assert_allclose([np.trace(t) for t in told], [np.trace(np.linalg.solve(information, e)) for e in each])
+
+
+def test_values_of_bands_are_interpolated_between_their_mean_frequencies():
+    grid = _Grid.of(4000)
+    omega = 2 * np.pi * np.arange(len(grid.weight)) / grid.size
+    assert len(grid.omega) < len(omega) / 4
+    values = np.sin(3 * grid.omega) + 2
+    assert_allclose(grid.spread_out(values), np.interp(omega, grid.omega, values))
+    assert grid.mean(np.ones(len(grid.omega))) == pytest.approx(1)
+    # The mean over all frequencies of a slowly changing density is that of its bands.
+    assert grid.mean(grid.banded(np.cos(omega) ** 2)) == pytest.approx(0.5, abs=1e-3)
