@@ -13,7 +13,7 @@ from scipy import signal, stats
 
 from greybox.data.record import Record
 from greybox.data.test_segment import Segment
-from greybox.spectral.single_sine import _saturation, finite_frequency
+from greybox.spectral.single_sine import _frequency_error, _saturation, finite_frequency
 
 STEP = 1 / 400  # s
 K, A, TAU = 91.0, -0.68, 0.05  # an unstable plant K / ((TAU s + 1) s (s + A)), one step of delay
@@ -321,3 +321,11 @@ def test_limits_are_reached_by_values_that_were_logged_in_single_precision():
     assert logged.min() > 0.1
     assert logged.max() < 0.9
     assert _saturation(logged, (0.1, 0.9)) == pytest.approx(np.mean((wave <= 0.1) | (wave >= 0.9)))
+
+
+def test_the_error_of_a_frequency_is_the_drift_of_the_phase():
+    t = 5 + np.arange(4000) / 100
+    for omega in (1.98, 2.0, 2.03):
+        r = np.sin(omega * t + 0.3) + 0.7
+        assert _frequency_error(t, r, 2.0) == pytest.approx(omega - 2.0, abs=5e-4)
+    assert _frequency_error(t, np.zeros(t.size), 2.0) == 0

@@ -89,7 +89,8 @@ def test_a_response_of_the_size_of_the_noise_is_refused(measured, expected):
 
 def test_the_bands_are_octaves_that_hold_every_point():
     quality = check(record(), response(0.02, 0.9), GOOD)
-    assert [b.low for b in quality.bands] == [1.0, 2.0, 4.0, 8.0]
+    assert [(b.low, b.high) for b in quality.bands] == [(1.0, 2.0), (2.0, 4.0), (4.0, 8.0), (8.0, 16.0)]
+    assert quality.bands[-1].samples == pytest.approx(2 * np.pi * 50 / 10)
     assert sum(b.points for b in quality.bands) == 12
     assert quality.bands[0].coherence == pytest.approx(0.9)
     assert quality.bands[0].error == pytest.approx(0.02)

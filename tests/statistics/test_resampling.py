@@ -89,3 +89,22 @@ def test_replicates_that_equal_the_estimate_count_half_below_it():
 @pytest.mark.parametrize(("count", "blocks"), [(9, False), (10, True)])
 def test_a_series_of_fewer_than_ten_is_drawn_one_by_one(count, blocks):
     assert (block_length([np.arange(count) - (count - 1) / 2]) > 1) is blocks
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_length_of_a_block_is_that_of_politis_and_white_step_by_step(seed):
+    """Flat-top window of twice the first lag after which K correlations in a row are small; circular blocks."""
+    e = lfilter([1], [1, -0.7], np.random.default_rng(seed).normal(size=400))
+    n, K = 400, 5  # √(log10 400) is less than five
+    R = np.array([e[k:] @ e[: n - k] / n for k in range(41)])
+    small = np.abs(R / R[0]) < 2 * np.sqrt(np.log10(n) / n)
+    m = next(k for k in range(30) if small[k + 1 : k + 1 + K].all())
+    M = min(2 * m, 20 + K)
+
+    def window(t):
+        return 1.0 if t <= 0.5 else 2 * (1 - t)
+
+    weights = np.array([window(k / (2 * m)) for k in range(1, M + 1)])
+    G = 2 * np.sum(weights * np.arange(1, M + 1) * R[1 : M + 1])
+    g = R[0] + 2 * np.sum(weights * R[1 : M + 1])
+    assert block_length([e]) == round((2 * G**2 / (4 / 3 * g**2)) ** (1 / 3) * n ** (1 / 3))

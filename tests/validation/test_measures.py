@@ -7,7 +7,7 @@ import pytest
 from drag_flights import QUADRATIC, LinearDrag, QuadraticDrag, fitted, flight
 
 import greybox as gb
-from greybox.statistics.metrics import LAGS, whiteness
+from greybox.statistics.metrics import LAGS, input_correlation, whiteness
 from greybox.validation.measures import _information_rows, _is_constant, _relative_rms
 
 
@@ -99,3 +99,20 @@ def test_signals_that_keep_one_value_are_no_inputs():
     assert _is_constant([np.array([2.0, np.nan]), np.array([2.0])])
     assert _is_constant([np.array([np.nan])])
     assert not _is_constant([np.array([2.0]), np.array([2.0 + 1e-9])])
+
+
+def test_every_input_is_held_against_the_errors_one_step_ahead(quadratic):
+    right, _, other = quadratic
+    record = gb.Record(other.time, {**other.signals, "still": np.ones(len(other))}, other.units)
+    found = gb.compare(right, right, records=record, labels=("a", "b"))
+    (made,) = found.predictions["held-out"][0]
+    along = np.full(len(record), np.nan)
+    along[made.rows.ravel()] = made.one_step[0].ravel()
+    test = input_correlation([along], [record["theta"]])
+    assert found.value("  not correlated with theta (p)", "a", "held-out", "v") == pytest.approx(test.p_value)
+    assert found.value("  lags of theta beyond 99 %", "a", "held-out", "v") == test.outside
+    measures = {row.measure for row in found.rows}
+    assert not any("still" in measure or "with v " in measure for measure in measures)
+    assert found.value("one step ahead: error over noise", "a", "held-out", "v") == pytest.approx(
+        np.sqrt(np.nanmean(along**2))
+    )
