@@ -238,7 +238,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     chosen, duration = _fewest(omega, information, target, card)
     chosen, duration = _with_spare(omega, chosen, duration, math.ceil((len(nlp.free) + SPARE) / 2), periods)
     achieved = np.linalg.inv(np.tensordot(duration, information[chosen], 1))
-    spaced = np.unique(np.rint(np.linspace(0, len(omega) - 1, max(len(chosen), 2))).astype(int))
+    spaced = np.unique(np.rint(np.linspace(0, len(omega) - 1, len(chosen))).astype(int))
     total = time_needed(information[spaced].mean(axis=0), target)
     equal = card.flown(omega[spaced], np.full(len(spaced), total / len(spaced)))
     return SinePlan(

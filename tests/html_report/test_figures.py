@@ -158,14 +158,18 @@ def test_profiles_are_drawn_beside_the_cone_of_the_standard_error():
     assert (figure.limits, panel.limits, figure.label) == ((0.7, 1.4), (0.0, 3.2), "T, s")
 
 
-@pytest.mark.parametrize(("cost", "is_logarithmic"), [(2.0, False), (500.0, True)])
-def test_costs_that_span_decades_have_a_logarithmic_axis(fit, cost, is_logarithmic):
+@pytest.mark.parametrize(
+    ("least", "cost", "is_logarithmic"), [(1.0, 2.0, False), (1.0, 500.0, True), (0.0, 500.0, False)]
+)
+def test_costs_that_span_decades_have_a_logarithmic_axis(fit, least, cost, is_logarithmic):
     first, second, *_ = fit.runs
-    runs = (replace(first, cost=1.0, converged=True), replace(second, cost=cost, converged=True))
+    runs = (replace(first, cost=least, converged=True), replace(second, cost=cost, converged=True))
     minima = tuple(replace(fit.minima[0], cost=run.cost, runs=(run.index,)) for run in runs)
     (panel,) = starts_figure(replace(fit, runs=runs, minima=minima)).panels
     assert panel.is_logarithmic is is_logarithmic
-    assert [series.name for series in panel.series] == [f"minimum {k}: 1 × cost {c:g}" for k, c in ((1, 1), (2, cost))]
+    assert [series.name for series in panel.series] == [
+        f"minimum {k}: 1 × cost {c:g}" for k, c in ((1, least), (2, cost))
+    ]
 
 
 def test_wide_figures_and_a_figure_alone_take_the_whole_width():

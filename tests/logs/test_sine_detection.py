@@ -270,3 +270,14 @@ def test_a_sweep_begins_where_its_first_half_wave_leaves_the_middle(offset):
     # The middle of the first two turning points, that of the sweep, is left by a twentieth of the amplitude.
     assert _first_half_wave(t, r, peak, other, crossings) == pytest.approx(3 + math.asin(0.05) / math.pi, abs=0.011)
     assert _first_half_wave(t, np.where(t > 3.5, r, offset + 1), peak, other, crossings) == 4.0
+
+
+def test_a_constant_beside_a_sweep_changes_nothing():
+    t = np.arange(0, 50, 0.02)
+    since = np.clip(t - 5, 0, 40)
+    r = np.where((t > 5) & (t < 45), 2 * np.sin(40 * (20 ** (since / 40) - 1) / math.log(20)), 0.0)
+    (alone,), (beside,), (below,) = (sines_and_sweeps(t, r + offset) for offset in (0.0, 300.0, -300.0))
+    for found in (beside, below):
+        assert (found.start, found.end) == (alone.start, alone.end)
+        assert (found.band, found.amplitude) == (pytest.approx(alone.band), pytest.approx(alone.amplitude))
+    assert (alone.start, alone.end) == pytest.approx((5, 45), abs=0.5)

@@ -224,3 +224,16 @@ def test_a_density_is_averaged_over_a_third_of_its_frequency_and_four_lines_at_l
     low, high = _lines_around(np.array([0.15, 0.9, 6.0]), 20 * np.pi)[:, [0, -1]].T
     assert low == pytest.approx([0.1, 0.7, 5.0])  # none below the first line
     assert high == pytest.approx([0.35, 1.1, 7.0])
+
+
+def test_equally_spaced_sines_are_those_of_the_band_for_the_same_errors(lag):
+    """As many, from end to end of the band, equally long for the wanted errors, and rounded up to whole periods."""
+    omega = np.geomspace(0.5, 15, 40)[[0, 20, 39]]  # of forty frequencies the first, the middle and the last
+    s = 1j * omega
+    slopes = np.array([1 / (0.3 * s + 1), -2.0 * s / (0.3 * s + 1) ** 2])
+    weight = 0.5**2 * 50 / (2 * 0.05**2)
+    variance = np.diag(np.linalg.inv(weight * np.real(np.conj(slopes) @ slopes.T)))  # of a second of each
+    seconds = max(variance / np.square([*lag.wanted.values()]))
+    period = 2 * np.pi / omega
+    flown = np.maximum(np.ceil(seconds / period), 10) * period + np.ceil(2 / period) * period
+    assert lag.equally_spaced == pytest.approx(np.sum(flown) + 4 * 2, rel=0.03)
