@@ -66,8 +66,8 @@ def test_it_is_drawn_a_panel_for_each_parameter(answer):
     assert_allclose(gray.get_ydata(), 100 * answer.sensitivity().alone[2, 0])
 
 
-@pytest.mark.parametrize("lost", [6, 400])
-def test_all_parts_of_a_record_tell_everything_together(lost):
+@pytest.mark.parametrize("lost", [4, 400])
+def test_every_part_of_a_record_in_which_the_input_moves_tells_something(lost):
     """Also where the record goes on, after a sample that was lost, in the second of its parts."""
     time = 0.02 * np.arange(1000)
     u = np.cos(time**2 / 4)
@@ -77,3 +77,4 @@ def test_all_parts_of_a_record_tell_everything_together(lost):
     found = gb.fit(gb.Problem(Polynomial(1, 0), record), starts=[{"b0": 2.0, "a0": 1.5}], progress=False).sensitivity()
     assert_allclose(found.shares.sum(axis=(1, 2)), 1.0)
     assert_allclose(found.alone.sum(axis=(1, 2)), 1.0)
+    assert np.all(found.alone > 0)  # the input moves all the time
