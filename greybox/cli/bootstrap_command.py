@@ -26,12 +26,12 @@ def add_command(commands: Any) -> None:
     add(
         "--resampling",
         choices=get_args(Resampling),
-        help="what is drawn: parametric errors (default), residuals or points of responses; blocks of residuals "
-        "(default) or parametric errors of records; parts: whole records or responses",
+        help="what is drawn: parametric errors (default), residuals or points of responses; residuals in time, "
+        "blocks of them with --block (default), or parametric errors of records; parts: whole records or responses",
     )
     add("--replicates", type=positive, default=1000, metavar="N", help="1000 by default")
     add("--seed", type=nonnegative, default=0, help="of what is drawn, 0 by default")
-    add("--block", type=positive, metavar="N", help="samples of a block (default: as the residuals say)")
+    add("--block", type=positive, default=1, metavar="N", help="samples of a block of residuals, 1 by default")
     add("--level", type=float, default=0.95, help="of the intervals in the JSON object, 0.95 by default")
     add("--out", type=Path, metavar="DIR", help="keep the replicates in this folder; the same command goes on there")
     add_worker_options(parser)

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.formulation.problem import Problem
+from greybox.statistics.error_spectrum import ErrorSpectrum
 
 Array = NDArray[np.float64]
 
@@ -121,6 +122,8 @@ class ColoredErrors:
         Whether that is long enough, against the correlation times, for the spectrum of the errors to be known.
     wider : float
         How many times wider intervals of 95 % would be by slow errors that the residuals do not exclude.
+    spectrum : ErrorSpectrum or None
+        Of the errors, enlarged for what the fit took from them; None where all residuals are zero.
     """
 
     meat: Array
@@ -129,6 +132,7 @@ class ColoredErrors:
     duration: float
     is_long_enough: bool
     wider: float
+    spectrum: ErrorSpectrum | None
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.statistics.error_spectrum import ErrorSpectrum
 from greybox.statistics.residual_spectrum import colored_information
 
 Array = NDArray[np.float64]
@@ -34,7 +35,8 @@ class RecordErrors:
     """The meat (p, p), the degrees of freedom of the variances, and the correlation times (k,) of the errors, samples.
 
     `is_long_enough` tells whether the longest stretch has as many of these times as their spectrum needs; `wider`, how
-    many times wider intervals of 95 % would be by slow errors that the residuals do not exclude.
+    many times wider intervals of 95 % would be by slow errors that the residuals do not exclude; `spectrum` is that of
+    the errors, None where all residuals are zero.
     """
 
     meat: Array
@@ -42,6 +44,7 @@ class RecordErrors:
     correlation_times: Array
     is_long_enough: bool
     wider: float
+    spectrum: ErrorSpectrum | None
 
 
 def colored_errors(
@@ -74,17 +77,24 @@ def colored_errors(
     factor = max(found.taken / max(paid * squares, 1e-300), 1.0)
 
     independent = independent_numbers(numbers, initial_states, math.ceil(paid), factor)
-    meat = found.meat * independent / (independent - initial_states)
+    larger = independent / (independent - initial_states)
     left = max(independent - initial_states - paid, 0.5)
     if not found.corrected:
-        meat = meat * (left + paid) / left
+        larger *= (left + paid) / left
     dof = 1 / (1 / left + found.uncertainty / 2)
     slowest = float(found.correlation_times.max())
     times = max(e.shape[1] for e in residuals) / slowest if slowest > 0 else math.inf
     if times < FEWEST_TIMES:
         dof = min(dof, max(times / TIMES_PER_DOF, 1.0))
     wider = math.sqrt(found.hidden) * float(ndtri(0.975) / stdtrit(dof, 0.975))
-    return RecordErrors(meat, dof, found.correlation_times, times >= FEWEST_TIMES, max(wider, 1.0))
+    return RecordErrors(
+        larger * found.meat,
+        dof,
+        found.correlation_times,
+        times >= FEWEST_TIMES,
+        max(wider, 1.0),
+        None if found.spectrum is None else found.spectrum.enlarged(larger),
+    )
 
 
 def independent_numbers(measured: int, initial_states: int, parameters: int, factor: float) -> float:

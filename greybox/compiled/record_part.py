@@ -786,6 +786,7 @@ class RecordPart(Part):
                 duration=len(longest) * longest.step,
                 is_long_enough=found.is_long_enough,
                 wider=found.wider,
+                spectrum=found.spectrum,
             )
 
         noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)

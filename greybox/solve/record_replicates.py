@@ -6,7 +6,7 @@ piece. What travels is the compiled problem with the fitted outputs and the resi
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -20,7 +20,8 @@ from greybox.compiled.record_part import RecordPart
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.local_solver import Runner
 from greybox.solve.outcome import Outcome
-from greybox.statistics.resampling import block_length, drawn_blocks
+from greybox.statistics.error_spectrum import ErrorSpectrum
+from greybox.statistics.resampling import drawn_blocks
 
 Array = NDArray[np.float64]
 
@@ -33,14 +34,10 @@ PIECES = 20
 
 @dataclass(frozen=True, eq=False)
 class Stretched:
-    """One stretch of a record: its measured and fitted outputs (k, n), and residuals as large as errors, without gaps.
-
-    Where an output is missing, its residual is drawn from the others by the replicate: NaN here.
-    """
+    """One stretch of a record, without gaps: its measured and fitted outputs (k, n)."""
 
     measured: Array
     fitted: Array
-    residuals: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +50,13 @@ class RecordDraws:
     seed : int
     stretches : tuple of tuple of Stretched
         Of every part.
-    lengths : tuple of int
-        Samples of a block, of every part.
+    residuals : tuple of (k, samples) arrays
+        Of every part, of mean zero: whitened where there is a spectrum, elsewhere as large as errors. Where an output
+        is missing, NaN, the replicate draws from its others.
+    spectra : tuple of ErrorSpectrum or None
+        What gives whitened residuals their color again, of every part.
+    block : int
+        Samples of a block.
     roots : tuple of (k, k) arrays
         Square roots of the covariance of the errors of the outputs, of every part.
     """
@@ -62,25 +64,35 @@ class RecordDraws:
     drawn: Drawn
     seed: int
     stretches: tuple[tuple[Stretched, ...], ...]
-    lengths: tuple[int, ...]
+    residuals: tuple[Array, ...]
+    spectra: tuple[ErrorSpectrum | None, ...]
+    block: int
     roots: tuple[Array, ...]
 
     def outputs(self, number: int) -> list[list[Array]]:
         """Return the outputs (k, n) of every stretch of every part for a replicate."""
         random = np.random.default_rng([self.seed, number])
-        each = zip(self.stretches, self.lengths, self.roots, strict=True)
-        return [[self._drawn(random, one, length, root) for one in some] for some, length, root in each]
+        return [[self._drawn(random, one, part) for one in some] for part, some in enumerate(self.stretches)]
 
-    def _drawn(self, random: np.random.Generator, one: Stretched, length: int, root: Array) -> Array:
+    def _drawn(self, random: np.random.Generator, one: Stretched, part: int) -> Array:
         k, n = one.measured.shape
         if self.drawn == "parametric":
-            errors = root @ random.standard_normal((k, n))
+            errors = self.roots[part] @ random.standard_normal((k, n))
+        elif (spectrum := self.spectra[part]) is None:
+            errors = self._residuals(random, n, part)
         else:
-            errors = one.residuals[:, drawn_blocks(random, n, n, length)]
-            for row, residuals in zip(errors, one.residuals, strict=True):
-                known, missing = residuals[np.isfinite(residuals)], np.isnan(row)
-                row[missing] = random.choice(known, int(missing.sum())) if known.size else np.nan
+            # Of a circle twice as long, so that no sample is the neighbor of the last one.
+            errors = spectrum.colored(self._residuals(random, 2 * n, part))[:, :n]
         return np.where(np.isfinite(one.measured), one.fitted + errors, np.nan)
+
+    def _residuals(self, random: np.random.Generator, count: int, part: int) -> Array:
+        """Draw `count` residuals of all outputs in blocks."""
+        given = self.residuals[part]
+        drawn = given[:, drawn_blocks(random, count, given.shape[1], self.block)]
+        for row, residuals in zip(drawn, given, strict=True):
+            missing = np.isnan(row)
+            row[missing] = random.choice(residuals[np.isfinite(residuals)], int(missing.sum()))
+        return drawn
 
     def counts(self, number: int) -> Array:
         """Return how often every part is in a replicate of whole parts."""
@@ -105,12 +117,17 @@ class RecordDraws:
 
 
 def record_draws(
-    nlp: Nlp, trajectories: tuple[Trajectory, ...], drawn: Drawn, seed: int, block: int | None
+    nlp: Nlp,
+    trajectories: tuple[Trajectory, ...],
+    spectra: Sequence[ErrorSpectrum | None],
+    drawn: Drawn,
+    seed: int,
+    block: int,
 ) -> RecordDraws:
     """Return how replicates are drawn of a problem of records, along its best `trajectories`.
 
-    Residuals are enlarged for the parameters and initial states that were fitted. Blocks are as long as the output
-    whose residuals are correlated the longest needs.
+    Residuals are whitened by the `spectra` of the errors, one for every part; where there is none, they are enlarged
+    for the parameters and initial states that were fitted.
 
     Raises
     ------
@@ -118,9 +135,9 @@ def record_draws(
         Where the residuals correct the states, for a block that is longer than the records, and for data that are
         fitted exactly.
     """
-    stretches, lengths, roots = [], [], []
+    stretches, drawn_from, colors, roots = [], [], [], []
     share = len(nlp.free) / len(nlp.parts)
-    for part, trajectory in zip(nlp.parts, trajectories, strict=True):
+    for part, trajectory, spectrum in zip(nlp.parts, trajectories, spectra, strict=True):
         assert isinstance(part, RecordPart)
         if part.gains and drawn != "parts":
             raise ValueError(
@@ -130,25 +147,32 @@ def record_draws(
         left = max(1 - (share + part.unknown_initial_states) / max(part.numbers, 1), 1 / max(part.numbers, 1))
         larger = 1 / math.sqrt(left)
         fitted = part.data.unpadded(part.simulated_outputs(trajectory))
-        own = []
-        for stretch, values in zip(part.data.stretches, fitted, strict=True):
-            residuals = stretch.outputs - values
-            counts = np.isfinite(residuals).sum(axis=1, keepdims=True)
-            means = np.nansum(residuals, axis=1, keepdims=True) / np.maximum(counts, 1)
-            own.append(Stretched(stretch.outputs, values, larger * (residuals - means)))
+        own = [Stretched(one.outputs, values) for one, values in zip(part.data.stretches, fitted, strict=True)]
         stretches.append(tuple(own))
-        series = [[np.nan_to_num(one.residuals[k]) for one in own] for k in range(len(part.outputs))]
-        if not all(any(values.any() for values in each) for each in series):
+        each = [one.measured - one.fitted for one in own]
+        residuals = _centered(each)
+        if not np.nan_to_num(residuals).any(axis=1).all():
             raise ValueError(f"{part.name!r} is fitted exactly, so that the size of its errors is not known.")
+        if spectrum is None:
+            drawn_from.append(larger * residuals)
+            colors.append(None)
+        else:
+            drawn_from.append(_centered([spectrum.whitened(values) for values in each]))
+            colors.append(spectrum.of_draws(drawn_from[-1]))
         longest = max(one.measured.shape[1] for one in own)
-        if block is not None and not 1 <= block <= longest:
+        if not 1 <= block <= longest:
             raise ValueError(f"block is {block}: give a number of samples from 1 to {longest}, those of the record.")
-        chosen = max(block_length(each) for each in series) if part.model.has_time else 1
-        lengths.append(chosen if block is None else block)
         given = part.covariance.known is not None
         covariance = part.covariance.covariance(trajectory.products) * (1.0 if given else larger**2)
         roots.append(np.linalg.cholesky(covariance))
-    return RecordDraws(drawn, seed, tuple(stretches), tuple(lengths), tuple(roots))
+    return RecordDraws(drawn, seed, tuple(stretches), tuple(drawn_from), tuple(colors), block, tuple(roots))
+
+
+def _centered(stretches: Sequence[Array]) -> Array:
+    """Return the values (k, n) of stretches side by side, less their means."""
+    values = np.hstack(stretches)
+    counts = np.isfinite(values).sum(axis=1, keepdims=True)
+    return values - np.nansum(values, axis=1, keepdims=True) / np.maximum(counts, 1)
 
 
 class RecordReplicates(Runner):

@@ -1,22 +1,11 @@
-"""Intervals from replicates of an estimate, and blocks of a series that is correlated in time."""
+"""Intervals from replicates of an estimate, and blocks of a series in time."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from greybox.statistics.residual_autocorrelation import autocovariance
-
 Array = NDArray[np.float64]
-
-# Of the rule for block lengths: autocorrelations within so many standard deviations (that is, log10 n of them, as many
-# as are looked at in a row) count as none. Politis and White (2004), section 3.2.
-SIGNIFICANT = 2.0
-FEWEST_LOOKED_AT = 5
-
-# Of a series, the longest block: with fewer than three there is nothing to draw from.
-LONGEST_BLOCK = 1 / 3
 
 
 def percentile_interval(values: ArrayLike, level: float, dof: float = math.inf) -> tuple[float, float]:
@@ -70,37 +59,6 @@ def acceleration(left_out: ArrayLike) -> Array:
     away = values.mean(axis=0) - values
     squares = (away**2).sum(axis=0)
     return np.where(squares > 0, (away**3).sum(axis=0) / (6 * np.where(squares > 0, squares, 1.0) ** 1.5), 0.0)
-
-
-def block_length(stretches: Sequence[Array]) -> int:
-    """Return the length, in samples, of the blocks in which residuals (n,) of stretches are drawn; 1 for white ones.
-
-    What makes the variance of a mean, as estimated from blocks on a circle, most accurate. Source: Politis and White
-    (2004), Automatic block-length selection for the dependent bootstrap, Econometric Reviews 23, with the correction of
-    Patton, Politis and White (2009), Econometric Reviews 28.
-    """
-    count = sum(len(stretch) for stretch in stretches)
-    longest = max((len(stretch) for stretch in stretches), default=0)
-    most = max(int(LONGEST_BLOCK * longest), 1)
-    if count < 2 * FEWEST_LOOKED_AT or most == 1:
-        return 1
-    looked_at = max(FEWEST_LOOKED_AT, math.ceil(math.sqrt(math.log10(count))))
-    lags = min(math.ceil(math.sqrt(count)) + looked_at, longest - 1)
-    r = autocovariance(list(stretches), lags)
-    if not r[0] > 0:
-        return 1
-    small = np.abs(r[1:] / r[0]) < SIGNIFICANT * math.sqrt(math.log10(count) / count)
-    runs = [k for k in range(len(small) - looked_at + 1) if small[k : k + looked_at].all()]
-    first = runs[0] if runs else int(np.flatnonzero(~small)[-1]) + 1
-    if first == 0:
-        return 1
-    k = np.arange(1, min(2 * first, lags) + 1)
-    window = np.clip(2 * (1 - k / (2 * first)), 0.0, 1.0)  # flat up to a half, then falling
-    spectrum = r[0] + 2 * float(window @ r[k])
-    slope = 2 * float((window * k) @ r[k])
-    if not spectrum > 0:
-        return most
-    return int(np.clip(round((1.5 * (slope / spectrum) ** 2 * count) ** (1 / 3)), 1, most))
 
 
 def drawn_blocks(random: np.random.Generator, count: int, size: int, length: int) -> NDArray[np.int_]:

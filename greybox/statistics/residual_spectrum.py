@@ -21,6 +21,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.statistics.error_spectrum import ErrorSpectrum
 from greybox.statistics.residual_autocorrelation import levinson
 
 Array = NDArray[np.float64]
@@ -93,6 +94,8 @@ class ColoredInformation:
         Whether what the fit took from the errors is accounted for.
     hidden : float
         How many times larger the variances would be by the worst spectrum that the residuals do not exclude.
+    spectrum : ErrorSpectrum or None
+        Of the errors; None where all residuals are zero.
     """
 
     meat: Array
@@ -101,6 +104,7 @@ class ColoredInformation:
     correlation_times: Array
     corrected: bool
     hidden: float
+    spectrum: ErrorSpectrum | None
 
 
 def colored_information(
@@ -125,7 +129,7 @@ def colored_information(
     there = np.any([e.any(axis=1) for e in residuals], axis=0)
     if not there.any():
         nothing = np.zeros(there.size)
-        return ColoredInformation(np.zeros_like(inverse), 0.0, 0.0, nothing, corrected=True, hidden=1.0)
+        return ColoredInformation(np.zeros_like(inverse), 0.0, 0.0, nothing, corrected=True, hidden=1.0, spectrum=None)
     problem = _Sandwich.of(
         [J[there] for J in weighted], [e[there] for e in residuals], inverse, noise[np.ix_(there, there)]
     )
@@ -140,7 +144,12 @@ def colored_information(
     times = np.zeros(there.size)
     times[there] = problem.grid.correlation_times(mixture.typical)
     taken = float(np.sum(inverse * meat))
-    return ColoredInformation(meat, taken, mixture.uncertainty, times, corrected, problem.hidden(meat))
+    density = np.zeros((there.size, there.size, len(problem.grid.omega)), dtype=complex)
+    density[np.ix_(there, there)] = mixture.density
+    deviation = np.ones(there.size)
+    deviation[there] = problem.deviation
+    spectrum = ErrorSpectrum(problem.grid.omega, density, deviation)
+    return ColoredInformation(meat, taken, mixture.uncertainty, times, corrected, problem.hidden(meat), spectrum)
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from greybox.compiled.compiled_problem import AnyProblem, Nlp
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.json_numbers import finite
 from greybox.data.text_table import alternatives, counted, number, one_line, text_table
-from greybox.estimate.covariance import known_covariances
+from greybox.estimate.covariance import assess, known_covariances
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.quantities import formulas
 from greybox.estimate.result import Fit
@@ -38,6 +38,7 @@ from greybox.solve.multistart import multistart, solver_for
 from greybox.solve.outcome import Outcome
 from greybox.solve.record_replicates import RecordReplicates, record_draws
 from greybox.solve.response_replicates import response_draws, response_replicates
+from greybox.statistics.error_spectrum import ErrorSpectrum
 from greybox.statistics.resampling import acceleration, bca_interval, percentile_interval, tail
 from greybox.study.run_files import RunFiles
 from greybox.study.study_folder import locked
@@ -59,7 +60,7 @@ WORDS = {
     "points": "points drawn with replacement",
     "parametric": "normal errors of the fitted size",
     "parts": "whole parts drawn with replacement",
-    "blocks": "blocks of residuals drawn in time",
+    "blocks": "residuals drawn",
 }
 
 
@@ -270,7 +271,7 @@ def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)
     *,
     problem: AnyProblem | None = None,
     seed: int = 0,
-    block: int | None = None,
+    block: int = 1,
     method: Transcription | None = None,
     executor: Executor | None = None,
     folder: str | Path | None = None,
@@ -287,8 +288,9 @@ def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)
                       with white normal errors of the fitted, or given, covariance
     ``"points"``      responses: as many of the measured points, drawn with replacement. Nothing is taken of the errors
                       but their independence
-    ``"blocks"``      records: the fitted outputs with their residuals in blocks, so that errors may be correlated in
-                      time. The length of the blocks is chosen from the autocorrelation of the residuals
+    ``"blocks"``      records: the fitted outputs with errors that are correlated in time as the residuals are, and
+                      from output to output. Residuals are whitened by the spectrum that the standard errors use, drawn,
+                      and colored again
     ``"parts"``       sums: whole records or responses, drawn with replacement, and of parameters those that all share
     ================  ==================================================================================================
 
@@ -297,9 +299,9 @@ def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)
     to zero, as errors are not, so that replicates of residuals scatter too little: widened percentile intervals of 5 to
     24 points covered 90 to 95 %, those of normal errors 92 to 95 %, those of points 89 to 95 %. Of a pole that the data
     bound on one side alone they covered 91 to 93 %, BCa intervals 86 to 91, the standard error 84: a profile serves
-    better there. In time blocks of 400 samples with errors of correlation 0.8 from one to the next covered 86 to 89 %,
-    as blocks cut off what is correlated over more than their length; the standard errors of the fit covered 96 %. (100
-    repeats each, hence ± 2 %; all figures by ``benchmarks/bootstrap_coverage.py``.)
+    better there. In time, of 400 samples with errors of correlation 0.8 from one to the next, percentile intervals
+    covered 92 %, BCa intervals 91, the standard error 94 (300 repeats; the others 100 each, hence ± 2 %; all figures by
+    ``benchmarks/bootstrap_coverage.py``).
 
     Residuals are enlarged by what the fit took from them. Constants that an earlier fit gave with errors are drawn too.
     Every replicate is solved from the estimate: the spread of one minimum, not of the choice among several.
@@ -315,8 +317,9 @@ def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)
         What was fitted; needed where it has ties, constraints, or values fixed by an earlier fit.
     seed : int
         The replicates do not depend on how many workers make them.
-    block : int, optional
-        Samples of a block, instead of what the residuals say.
+    block : int
+        Samples of the blocks in which whitened residuals are drawn, all outputs together. One serves, unless errors
+        come in bursts.
     method : Transcription, optional
         Of records, as in the fit.
     executor : concurrent.futures.Executor, optional
@@ -409,7 +412,7 @@ def _resampling(fit: Fit, asked: str | None) -> Any:
 
 
 def _of_records(
-    nlp: Nlp, x: Array, cost: float, resampling: Any, seed: int, block: int | None
+    nlp: Nlp, x: Array, cost: float, resampling: Any, seed: int, block: int
 ) -> tuple[RecordReplicates, str]:
     """Return what makes the refits of records, and what is drawn in words."""
     if nlp.problem.held_estimates:
@@ -424,11 +427,16 @@ def _of_records(
     if not search.minima or search.nodes is None or search.minima[0].cost > cost + same_cost(nlp, cost):
         raise ValueError(f"the fit of {nlp.problem.name!r} is not found again from its estimate: give its method=...")
     x = search.minima[0].estimate
-    draws = record_draws(nlp, solver.profile(x, search.nodes).trajectories, resampling, seed, block)
-    about = WORDS[resampling]
+    trajectories = solver.profile(x, search.nodes).trajectories
+    spectra: list[ErrorSpectrum | None] = [None] * len(nlp.parts)
     if resampling == "blocks":
-        least, most = min(draws.lengths), max(draws.lengths)
-        about += f", {least} to {most} samples each" if least < most else f", {counted(most, 'sample')} each"
+        spectra = [each and each.spectrum for each in assess(nlp, x, trajectories).correlation]
+    draws = record_draws(nlp, trajectories, spectra, resampling, seed, block)
+    about = WORDS[resampling]
+    if any(spectra):
+        about += " with their correlation in time"
+    if resampling == "blocks" and block > 1:
+        about += f", in blocks of {block} samples"
     return RecordReplicates(nlp, draws, x, search.nodes), about
 
 

@@ -1,0 +1,95 @@
+"""The spectrum of errors in time: residuals are whitened by it, and errors drawn that have it.
+
+Blocks of correlated residuals cut off the correlation at their ends, so that the variance of a mean comes out too
+small: by a fifth with 23 samples of an autoregression of coefficient 0.8. Whitened residuals have none to cut off.
+Sources: Davison and Hinkley (1997), Bootstrap Methods and their Application, section 8.2.3 (post-blackening); Kirch and
+Politis (2011), TFT-bootstrap, Annals of Statistics 39 (by the spectrum, back in time).
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+FLOOR = 1e-9  # of spectra, in units of an output's variance: what is below is rounding
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorSpectrum:
+    """A spectrum of the errors of k outputs.
+
+    Attributes
+    ----------
+    omega : (b,) array
+        rad/sample, increasing from zero to pi.
+    density : (k, k, b) array
+        Its mean over the frequencies is the covariance, in units of the outputs' deviations.
+    deviation : (k,) array
+    """
+
+    omega: Array
+    density: Complex
+    deviation: Array
+
+    def enlarged(self, factor: float) -> "ErrorSpectrum":
+        """Return that of errors whose variance is so many times larger."""
+        return ErrorSpectrum(self.omega, self.density, np.sqrt(factor) * self.deviation)
+
+    def whitened(self, residuals: Array) -> Array:
+        """Return residuals (k, n) without their correlation; those that are missing, NaN, stay so.
+
+        Mirrored at the ends, and straight across gaps: a jump there would be an error of its own.
+        """
+        there = np.isfinite(residuals)
+        samples = np.arange(residuals.shape[1])
+        filled = np.zeros_like(residuals)
+        for row, known, values in zip(filled, there, residuals, strict=True):
+            if known.any():
+                row[:] = np.interp(samples, samples[known], values[known])
+        scaled = filled / self.deviation[:, None]
+        white = self._filtered(np.hstack([scaled, scaled[:, ::-1]]), -0.5)[:, : len(samples)]
+        return np.where(there, white, np.nan)
+
+    def colored(self, white: Array) -> Array:
+        """Return white errors (k, m) with this spectrum, stationary on the circle of m samples."""
+        return self.deviation[:, None] * self._filtered(white, 0.5)
+
+    def of_draws(self, white: Array) -> "ErrorSpectrum":
+        """Return the one by which draws of whitened residuals (k, n) get the variances of this one.
+
+        Fits take from residuals, samples are missing, and of outputs that are combinations of others the whitened
+        residuals are too: their covariance is not one.
+        """
+        there = np.isfinite(white)
+        known = np.nan_to_num(white)
+        covariance = known @ known.T / white.shape[1]
+        np.fill_diagonal(covariance, (known**2).sum(axis=1) / there.sum(axis=1))
+        roots = self._roots(0.5)
+        width = np.gradient(self.omega)
+        drawn = np.einsum("bij,jk,bik,b->i", roots, covariance, roots.conj(), width, optimize=True).real
+        wanted = np.einsum("bij,bij,b->i", roots, roots.conj(), width, optimize=True).real
+        return ErrorSpectrum(self.omega, self.density, np.sqrt(wanted / drawn) * self.deviation)
+
+    def _roots(self, power: float) -> Complex:
+        size, vectors = self._principal
+        return (vectors * size[:, None] ** power) @ vectors.conj().transpose(0, 2, 1)
+
+    @cached_property
+    def _principal(self) -> tuple[Array, Complex]:
+        size, vectors = np.linalg.eigh(self.density.transpose(2, 0, 1))
+        return np.maximum(size, FLOOR), vectors
+
+    def _filtered(self, values: Array, power: float) -> Array:
+        """Return values (k, m) on a circle, filtered without delay by a power of the spectrum."""
+        m = values.shape[1]
+        roots = self._roots(power)
+        omega = 2 * np.pi * np.arange(m // 2 + 1) / m
+        there = np.fft.rfft(values)
+        result = np.zeros_like(there)
+        for i, j in np.ndindex(*roots.shape[1:]):
+            result[i] += np.interp(omega, self.omega, roots[:, i, j]) * there[j]
+        return np.fft.irfft(result, m)
