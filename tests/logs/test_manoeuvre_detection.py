@@ -157,3 +157,10 @@ def test_times_size_and_first_level_are_those_that_were_held():
     (found,) = manoeuvres_in(time, 3.0 + np.where((time >= 8) & (time < 10), -0.7, 0.0))
     assert (found.start, found.end) == pytest.approx((8, 10), abs=0.03)
     assert (found.amplitude, found.offset) == pytest.approx((0.7, 3.0))
+
+
+def test_the_level_of_rest_is_no_part_of_the_band():
+    doublet = pulses(10.0, 0.8, (1, 1), 0.8)[TIME < 30]
+    (alone,), (trimmed,) = (manoeuvres_in(TIME[TIME < 30], doublet + level) for level in (0.0, 1500.0))
+    assert trimmed.band == pytest.approx(alone.band)
+    assert alone.band[1] > 3

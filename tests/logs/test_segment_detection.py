@@ -253,3 +253,19 @@ def test_a_stick_that_moves_by_a_twentieth_of_its_travel_flies(travel, usable):
 def test_a_test_has_one_period_at_least(periods, usable):
     (found,) = find_segments(announced([(2 * np.pi * periods / 10, 10.0)]), message="SINE")
     assert found.usable is usable
+
+
+def test_a_stick_that_moves_before_and_after_a_test_does_not_fly_it():
+    time = np.arange(0, 40, 0.02)
+    sine = np.where((time > 10) & (time < 30), np.sin(2 * time), 0)
+    stick = 1500 + 200 * np.sign(np.sin(1.3 * time)) * ((time < 7) | (time > 33))
+    records = {"ATT": Record(time, {"DesRoll": 5 * sine}), "RCIN": Record(time, {"C1": stick})}
+    (found,) = find_segments(Recording(records))
+    assert found.usable
+
+
+@pytest.mark.parametrize("others", [1, 2])
+def test_two_other_sines_are_enough_to_compare_with(others):
+    omega = 2 * np.pi * 10 / 16
+    found = find_segments(announced([(omega, 16.0)] * others + [(omega, 5.0)]), message="SINE")
+    assert found[-1].usable is (others == 1)

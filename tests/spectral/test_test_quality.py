@@ -236,3 +236,15 @@ def test_a_sweep_to_the_end_of_what_the_rate_resolves_is_not_cut(above, notes):
     sweep = Segment(0.0, 60.0, "sweep", band=(0.6, above * 2 * np.pi * 20 / 2.5))
     findings = check(record(rate=20.0), None, [sweep]).findings
     assert sum(f.about == "rate" and f.severity == "note" for f in findings) == notes
+
+
+def test_a_gap_among_steady_samples_is_no_jitter():
+    time = np.arange(3000) / 50
+    assert found(check(record(time=time[(time < 20) | (time > 30)]), None, GOOD)) == {"gaps": "warning"}
+
+
+def test_a_control_at_its_limit_outside_of_the_tests_does_not_count():
+    made = record(u=lambda t: np.where(t < 30, np.sin(3 * t), np.clip(5 * np.sin(3 * t), -1, 1)))
+    segments = [Segment(0.0, 29.9, "sweep", band=(1.0, 9.0))]
+    assert "saturation" not in found(check(made, None, segments))
+    assert found(check(made, None, GOOD))["saturation"] == "refusal"

@@ -253,3 +253,21 @@ def test_theils_coefficient_and_shares_are_their_formulas():
     assert found.variance == pytest.approx((y.std() - p.std()) ** 2 / square)
     apart = 2 * (1 - np.corrcoef(y, p)[0, 1]) * y.std() * p.std() / square  # Theil's third share
     assert found.covariance == pytest.approx(apart)
+
+
+@pytest.mark.parametrize(("beside", "directions"), [(0.01, 2), (1e-4, 1)])
+def test_directions_of_the_input_below_a_millionth_are_not_tested(beside, directions):
+    """Of a drift, two successive values differ by what is beside it: its square is the ratio of the eigenvalues."""
+    random = np.random.default_rng(0)
+    u = np.repeat([-1.0, 1.0], 200) + beside * random.normal(size=400)
+    u[199:203] = np.nan  # no pair across the step
+    assert metrics.input_correlation([random.normal(size=400)], [u], lags=2).dof == directions
+
+
+def test_constants_in_residuals_and_inputs_change_no_test():
+    random = np.random.default_rng(5)
+    e, u = lfilter([1], [1, -0.5], random.normal(size=(2, 300)))
+    for tested in (metrics.input_correlation, metrics.feedback_correlation):
+        found, alone = tested([e + 7], [u - 400]), tested([e], [u])
+        assert_allclose([found.statistic, *found.correlations], [alone.statistic, *alone.correlations])
+    assert metrics.whiteness([e + 7]).statistic == pytest.approx(metrics.whiteness([e]).statistic)

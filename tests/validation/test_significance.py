@@ -1,6 +1,7 @@
 """The sentences of a comparison, and the tests behind them, against brute force and a known truth."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from drag_flights import LINEAR, QUADRATIC, Drag, LinearDrag, QuadraticDrag, fit
 from scipy.stats import multivariate_normal, norm, ttest_1samp
 
 import greybox as gb
+from greybox.data.text_table import number
 from greybox.validation import significance
 from greybox.validation.comparison import p_text
 from greybox.validation.held_out import Predictions
@@ -286,3 +288,14 @@ def test_samples_that_one_of_two_predictions_lacks_count_in_neither(fits):
     for found, e in zip((first, second), errors, strict=True):
         e[1, 1:] = np.nan
         assert found == pytest.approx(np.nanmean(e**2, axis=1) / noise)
+
+
+@pytest.mark.parametrize(("errors", "verdict"), [(1.9, "not distinguishable"), (2.1, "distinguishable")])
+def test_a_term_is_told_from_the_value_at_which_others_hold_it_beyond_two_errors(fits, errors, verdict):
+    fit = fits[1]
+    (name,) = fit.free
+    held = fit.estimate[name] + errors * fit.standard_error[name]
+    other = SimpleNamespace(free=(), estimate={name: held})
+    (said,) = significance._terms((fit, other), ("a", "b"), 0, {})
+    assert said.startswith(f"{name} = ")
+    assert said.endswith(f"(a): {verdict} from {number(held)}.")
