@@ -248,6 +248,11 @@ class Part(ABC):
         self.is_likelihood = problem.criterion.is_likelihood
         self.is_smoothed = problem.criterion.smoothed
 
+    def take_after(self, other: "Part") -> None:
+        """Take the problem of another part and the facts, which it alone has where the problem was left behind."""
+        facts = ("problem", "name", "weight", "is_likelihood", "is_smoothed")
+        vars(self).update({name: value for name, value in vars(other).items() if name in facts})
+
     def __getstate__(self) -> dict[str, Any]:
         """Leave the problem behind."""
         return {name: value for name, value in vars(self).items() if name != "problem"}

@@ -58,7 +58,8 @@ class RecordGroup(RecordPart):
             None if each[0].known is None else np.array([one.known for one in each]),
             each[0].full,
         )
-        super().__init__(first.model, data, first.substeps, step=first.step, segments=segments, covariance=covariance)
+        given: dict[str, Any] = {"step": first.step, "segments": segments, "covariance": covariance}
+        super().__init__(first.model, data, first.substeps, **given, like=first)
 
     def excerpt(self, samples: int) -> "RecordGroup":
         """Return the group on excerpts of about so many samples in all."""

@@ -200,9 +200,16 @@ class RecordPart(Part):
         segments: Segments | None = None,
         covariance: ResidualCovariance | None = None,
         compile_linearization: bool = False,
+        like: "RecordPart | None" = None,
     ) -> None:
-        """Build the functions; what is given serves: a `step` of these substeps, `segments` of this step."""
-        super().__init__(model.problem)
+        """Build the functions; what is given serves: a `step` of these substeps, `segments` of this step.
+
+        A part that is made of another is `like` it in name and weight.
+        """
+        if like is None:
+            super().__init__(model.problem)
+        else:
+            self.take_after(like)
         self.model = model
         self.data = data
         self._substeps = substeps
@@ -229,7 +236,7 @@ class RecordPart(Part):
 
     def excerpt(self, samples: int) -> "RecordPart":
         """Return the part on excerpts, evenly over the record, of about so many samples in all."""
-        return RecordPart(self.model, self.data.excerpts(samples), self.substeps, step=self.step)
+        return RecordPart(self.model, self.data.excerpts(samples), self.substeps, step=self.step, like=self)
 
     def with_outputs(self, outputs: Sequence[Array]) -> "RecordPart":
         """Return the part with other measured outputs (k, n) of every stretch, NaN where there are none."""
@@ -251,7 +258,8 @@ class RecordPart(Part):
 
     def with_inputs(self, between: tuple[Intersample, ...]) -> "RecordPart":
         """Return the part with inputs that run otherwise between their samples."""
-        return RecordPart(self.model.with_inputs(between), self.data, self.substeps, covariance=self.covariance)
+        model = self.model.with_inputs(between)
+        return RecordPart(model, self.data, self.substeps, covariance=self.covariance, like=self)
 
     def refined(self, factor: int, *, compiled: bool = True) -> "RecordPart":
         """Return the part with `factor` times the substeps; not `compiled` for a look that no compiler is worth."""
@@ -261,6 +269,7 @@ class RecordPart(Part):
             self.data,
             factor * self.substeps,
             covariance=self.covariance,
+            like=self,
             compile_linearization=compile_linearization,
         )
 

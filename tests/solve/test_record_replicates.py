@@ -1,5 +1,7 @@
 """Errors that replicates of a record draw, against those of a mean."""
 
+import pickle
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -8,7 +10,7 @@ from scipy.signal import lfilter
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess
-from greybox.solve.record_replicates import PIECES, record_draws
+from greybox.solve.record_replicates import PIECES, RecordReplicates, record_draws
 
 VALUES = 2 + 0.1 * np.random.default_rng(1).normal(size=12)
 
@@ -81,6 +83,35 @@ def test_every_sample_is_left_out_once_where_pieces_cross_from_record_to_record_
     assert left_out.shape == (20, 40)
     assert left_out.sum(axis=0).tolist() == [1] * 40
     assert left_out.sum(axis=1).tolist() == [2] * 20
+
+
+def levels():
+    """Five records of a constant that differs between them, and their solver's begin."""
+    random = np.random.default_rng(2)
+    values = [2 + 0.3 * k + 0.1 * random.normal(size=20 + 5 * k) for k in range(5)]
+    records = [gb.Record(np.arange(v.size) / 10, {"u": np.ones(v.size), "y": v}) for v in values]
+    nlp = compile_problem(gb.several(Ramp(), records))
+    start = nlp.scaling.to_solver(np.array([2.0]))
+    return records, nlp, start, tuple(part.initial_trajectory(start) for part in nlp.parts)
+
+
+def test_records_that_are_drawn_twice_count_twice():
+    """Three of five records, two of them twice, against the fit of five."""
+    records, nlp, start, trajectories = levels()
+    draws = record_draws(nlp, trajectories, (None,) * 5, "parts", 0, 1)
+    number = next(k for k in range(100) if sorted(draws.counts(k)) == [0, 0, 1, 2, 2])
+    found = RecordReplicates(nlp, draws, start, tuple(t.nodes for t in trajectories)).run(np.array([float(number)]))
+    drawn = [record for record, count in zip(records, draws.counts(number), strict=True) for _ in range(int(count))]
+    fit = gb.fit(gb.several(Ramp(), drawn), starts=[{}], progress=False)
+    assert_allclose(found.estimate, fit.estimate["K"], rtol=1e-6)
+
+
+def test_replicates_of_several_records_are_the_same_where_the_problem_was_left_behind():
+    _, nlp, start, trajectories = levels()
+    draws = record_draws(nlp, trajectories, (None,) * 5, "parametric", 0, 1)
+    here = RecordReplicates(nlp, draws, start, tuple(t.nodes for t in trajectories))
+    there = pickle.loads(pickle.dumps(here))
+    assert_allclose(there.run(np.array([3.0])).estimate, here.run(np.array([3.0])).estimate, rtol=1e-12)
 
 
 def test_a_block_is_no_longer_than_the_record():
