@@ -60,7 +60,7 @@ def seconds(problem, starts, executor):
 def main():
     """Print times and efficiencies of every round, and their medians."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--starts", type=int, default=200, help="of the fit; some take seconds")
+    parser.add_argument("--starts", type=int, default=800, help="of the fit; some take seconds")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
