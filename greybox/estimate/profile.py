@@ -285,14 +285,14 @@ class _Held:
             held = nlp.scaling.to_solver(x)[:, self._places]
             lower[:, self._places] = upper[:, self._places] = held
         ends, arrived = np.clip(np.array(starts), lower, upper), np.zeros(len(starts), bool)
-        left = np.flatnonzero(~arrived)
+        left = np.ones(len(starts), bool)
         if programs.newton is not None:
             limits = {"max_iterations": MOST_STEPS, "tolerance": TOLERANCE, "bounds": (lower.T, upper.T)}
             found = programs.newton.minimize(ends.T, from_near=True, **limits)
             ends[found.at_minimum], arrived = found.z.T[found.at_minimum], found.at_minimum
             # Where rounding ended it, IPOPT may see a minimum; what took all steps runs away.
-            left = np.flatnonzero(~arrived & (found.iterations < MOST_STEPS))
-        for k in left.tolist():
+            left = ~arrived & (found.iterations < MOST_STEPS)
+        for k in np.flatnonzero(left).tolist():
             ipopt, equations = programs.ipopt
             bounds = {"lbx": lower[k], "ubx": upper[k], **equations}
             ends[k], status, _ = ipopt.solve(ends[k], [SMOOTHING, np.ravel(values[k])[0]], bounds)

@@ -429,11 +429,6 @@ def _variance(data: FrequencyResponse) -> NDArray[np.float64]:
     return data.variance
 
 
-def _rms(errors: NDArray[np.complex128]) -> float:
-    """Return the root mean square of one component."""
-    return math.sqrt(float(np.mean(np.abs(errors) ** 2)) / 2)
-
-
 def _squares(value: Complex) -> Any:
     return value.re**2 + value.im**2
 

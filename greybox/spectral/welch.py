@@ -164,9 +164,7 @@ def estimate(spectra: Transforms, k: int) -> WindowedPoint:
         return WindowedPoint()
 
     spread = (solution[0] @ c @ solution[0].conj()).real
-    basis = np.linalg.qr(z)[0].astype(complex)
-    unexplained = x[:, 0] - basis @ (basis.conj().T @ x[:, 0])
-    if STRONG * spread * np.sum(np.abs(unexplained) ** 2) > _traces(c, basis, basis)[0]:
+    if not np.array_equal(z, x) and STRONG * spread * _unexplained(c, x[:, 0], z) > 1:
         return WindowedPoint(weak=True)
     noise = np.sum(np.abs(y - x @ (solution @ y)) ** 2) / trace
     variance = noise * spread
@@ -255,6 +253,13 @@ def _solvable(z: Complex, x: Complex) -> bool:
     if len(x) <= x.shape[1]:
         return False
     return bool(np.linalg.cond((z / z_length).conj().T @ (x / x_length)) < WORST_CONDITION)
+
+
+def _unexplained(c: Any, input: Complex, z: Complex) -> float:
+    """Return the spectral density of what the instruments leave of an input."""
+    basis = np.linalg.qr(z)[0].astype(complex)
+    left = input - basis @ (basis.conj().T @ input)
+    return float(np.sum(np.abs(left) ** 2)) / _traces(c, basis, basis)[0]
 
 
 def _traces(c: Any, left: Complex, right: Complex) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-FLOOR = 1e-9  # of spectra, in units of an output's variance: what is below is rounding
+ROUNDING = 1e-9  # of spectra, in units of an output's variance: what is below is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ class ErrorSpectrum:
     @cached_property
     def _principal(self) -> tuple[Array, Complex]:
         size, vectors = np.linalg.eigh(self.density.transpose(2, 0, 1))
-        return np.maximum(size, FLOOR), vectors
+        return np.maximum(size, ROUNDING), vectors
 
     def _filtered(self, values: Array, power: float) -> Array:
         """Return values (k, m) on a circle, filtered without delay by a power of the spectrum."""

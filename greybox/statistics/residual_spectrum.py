@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.statistics.error_spectrum import ErrorSpectrum
+from greybox.statistics.error_spectrum import ROUNDING, ErrorSpectrum
 from greybox.statistics.residual_autocorrelation import levinson
 
 Array = NDArray[np.float64]
@@ -70,8 +70,6 @@ WITHIN = 1 - math.exp(-1)
 # -2 log likelihood above its least value from which the residuals exclude a spectrum: chi-squared, one number, 95 %.
 EXCLUDED = 3.84
 
-# Rounding, in units of an output's variance.
-ROUNDING = 1e-9
 TINY = 1e-300
 
 
