@@ -169,7 +169,7 @@ def cell(plant: Plant, errors: Errors, samples: int, repeats: int, seed: int) ->
         profiled = _without(weighted * np.diag(weight)[:, None, None], initial * np.diag(weight)[:, None, None])
         inverse = np.linalg.inv(np.einsum("kpn,kqn->pq", profiled, profiled))
         found = colored_errors(
-            [profiled * np.diag(weight)[:, None, None]], [residuals], inverse, weight, initial.shape[1]
+            [profiled * np.diag(weight)[:, None, None]], [residuals], inverse, weight, initial.shape[1], 1.0
         )
         z = error / np.sqrt(np.diag(inverse @ found.meat @ inverse))
         scaled.append(z)

@@ -11,6 +11,7 @@ check of the discretization (`refined`), IPOPT (`program`, where there are nodes
 (`information`), the diagnostics (the properties at the end).
 """
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -120,8 +121,8 @@ class ColoredErrors:
         Of the longest gapless stretch, s.
     is_long_enough : bool
         Whether that is long enough, against the correlation times, for the spectrum of the errors to be known.
-    wider : float
-        How many times wider intervals of 95 % would be by slow errors that the residuals do not exclude.
+    hidden : float
+        How many times larger the variances would be by slow errors that the residuals do not exclude, one at least.
     spectrum : ErrorSpectrum or None
         Of the errors, enlarged for what the fit took from them; None where all residuals are zero.
     """
@@ -131,8 +132,15 @@ class ColoredErrors:
     correlation_times: Array
     duration: float
     is_long_enough: bool
-    wider: float
+    hidden: float
     spectrum: ErrorSpectrum | None
+
+    @property
+    def wider(self) -> float:
+        """How many times wider intervals of 95 % would be: the normal quantile, where Student's is taken now."""
+        from scipy.special import ndtri, stdtrit  # noqa: PLC0415  (takes a tenth of a second to import)
+
+        return max(math.sqrt(self.hidden) * float(ndtri(0.975) / stdtrit(self.dof, 0.975)), 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +176,7 @@ class Information:
         What each point of the data tells of these directions of the free parameters, for independent errors: its share
         (q, m) of their squared lengths by the bread. The m points are frequencies, of a manoeuvre those of one output
         after the other, or outputs one after the other, each over `TIME_BINS` equal parts of the record.
-    output_errors : function of the covariance (k, k) of all values, or None
+    output_errors : function of the covariance (k, k) of all values and the colored errors or None, or None
         Of a record, the standard errors (outputs, rows) of the fitted outputs; NaN where none was compared.
     """
 
@@ -182,7 +190,7 @@ class Information:
     colored: Callable[[Array], ColoredErrors] | None = None
     offset: Callable[[float], Array] | None = None
     told: Callable[[Array], Array] | None = None
-    output_errors: Callable[[Array], Array] | None = None
+    output_errors: Callable[[Array, ColoredErrors | None], Array] | None = None
 
 
 class Program(ABC):

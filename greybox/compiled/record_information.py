@@ -8,12 +8,11 @@ what they take from these.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.statistics.error_spectrum import ErrorSpectrum
+from greybox.compiled.part import ColoredErrors
 from greybox.statistics.residual_spectrum import colored_information
 
 Array = NDArray[np.float64]
@@ -30,26 +29,14 @@ FEWEST_TIMES = 12.0
 TIMES_PER_DOF = 4.0
 
 
-@dataclass(frozen=True, eq=False)
-class RecordErrors:
-    """The meat (p, p), the degrees of freedom of the variances, and the correlation times (k,) of the errors, samples.
-
-    `is_long_enough` tells whether the longest stretch has as many of these times as their spectrum needs; `wider`, how
-    many times wider intervals of 95 % would be by slow errors that the residuals do not exclude; `spectrum` is that of
-    the errors, None where all residuals are zero.
-    """
-
-    meat: Array
-    dof: float
-    correlation_times: Array
-    is_long_enough: bool
-    wider: float
-    spectrum: ErrorSpectrum | None
-
-
 def colored_errors(
-    weighted: Sequence[Array], residuals: Sequence[Array], inverse: Array, weight: Array, initial_states: int
-) -> RecordErrors:
+    weighted: Sequence[Array],
+    residuals: Sequence[Array],
+    inverse: Array,
+    weight: Array,
+    initial_states: int,
+    step: float,
+) -> ColoredErrors:
     """Return what the correlation of the residuals makes of an estimate.
 
     Parameters
@@ -63,9 +50,9 @@ def colored_errors(
         W.
     initial_states : int
         Fitted along.
+    step : float
+        From sample to sample, s.
     """
-    from scipy.special import ndtri, stdtrit  # noqa: PLC0415  (importing greybox stays light)
-
     noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)
     found = colored_information(weighted, residuals, inverse, noise)
     numbers = sum(int(np.count_nonzero(e)) for e in residuals)
@@ -82,18 +69,19 @@ def colored_errors(
     if not found.corrected:
         larger *= (left + paid) / left
     dof = 1 / (1 / left + found.uncertainty / 2)
+    longest = max(e.shape[1] for e in residuals)
     slowest = float(found.correlation_times.max())
-    times = max(e.shape[1] for e in residuals) / slowest if slowest > 0 else math.inf
+    times = longest / slowest if slowest > 0 else math.inf
     if times < FEWEST_TIMES:
         dof = min(dof, max(times / TIMES_PER_DOF, 1.0))
-    wider = math.sqrt(found.hidden) * float(ndtri(0.975) / stdtrit(dof, 0.975))
-    return RecordErrors(
-        larger * found.meat,
-        dof,
-        found.correlation_times,
-        times >= FEWEST_TIMES,
-        max(wider, 1.0),
-        None if found.spectrum is None else found.spectrum.enlarged(larger),
+    return ColoredErrors(
+        meat=larger * found.meat,
+        dof=dof,
+        correlation_times=found.correlation_times * step,
+        duration=longest * step,
+        is_long_enough=times >= FEWEST_TIMES,
+        hidden=found.hidden,
+        spectrum=None if found.spectrum is None else found.spectrum.enlarged(larger),
     )
 
 

@@ -43,6 +43,7 @@ from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import traced
 from greybox.statistics.metrics import whiteness
+from greybox.statistics.residual_spectrum import score_covariance
 
 Array = NDArray[np.float64]
 
@@ -781,25 +782,16 @@ class RecordPart(Part):
 
         def colored(root: Array) -> ColoredErrors:
             directions = in_columns(root)
-            found = colored_errors(
+            return colored_errors(
                 [directions.T @ J for J in self.data.unpadded(weighted)],
                 self.data.unpadded(part.residuals(trajectory)),
                 np.eye(root.shape[1]),
                 weight,
                 initial,
-            )
-            return ColoredErrors(
-                meat=found.meat,
-                dof=found.dof,
-                correlation_times=found.correlation_times * longest.step,
-                duration=len(longest) * longest.step,
-                is_long_enough=found.is_long_enough,
-                wider=found.wider,
-                spectrum=found.spectrum,
+                max(self.data.stretches, key=len).step,
             )
 
         noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)
-        longest = max(self.data.stretches, key=len)
         by_output = self.model.has_time and not self.model.errors_are_white
         return Information(
             self,
@@ -811,9 +803,7 @@ class RecordPart(Part):
             initial={name: of_all_columns(rows) for name, rows in told.initial.items()},
             colored=colored if by_output else None,
             told=lambda directions: self._told(weighted, noise, in_columns(directions)),
-            output_errors=lambda covariance: self._output_errors(
-                told, noise, scaled(covariance), part.residuals(trajectory) if by_output else None, weight
-            ),
+            output_errors=lambda covariance, colored: self._output_errors(told, noise, scaled(covariance), colored),
         )
 
     def _told(self, weighted: Array, noise: Array, directions: Array) -> Array:
@@ -829,11 +819,11 @@ class RecordPart(Part):
         return found.reshape(len(found), -1)
 
     def _output_errors(
-        self, told: "_Sensitivity", noise: Array, covariance: Array, colored: Array | None, weight: Array
+        self, told: "_Sensitivity", noise: Array, covariance: Array, colored: ColoredErrors | None
     ) -> Array:
         """Return the standard errors (k, rows) of the outputs at this covariance of the columns of the Jacobian.
 
-        `colored` are the residuals (k, samples) where their correlation in time counts.
+        `colored` are the errors where their correlation in time counts.
         """
         J = np.einsum("kl,lpt->kpt", noise, told.weighted)
         variance = np.einsum("kpt,pq,kqt->kt", J, covariance, J, optimize=True)
@@ -843,10 +833,7 @@ class RecordPart(Part):
             if colored is not None:
                 # Of directions of unit variance, the mean over the stretches.
                 pieces = self.data.unpadded(told.by_initial)
-                found = colored_errors(
-                    pieces, self.data.unpadded(colored), np.eye(m), weight, self.unknown_initial_states
-                )
-                meat = found.meat / len(pieces)
+                meat = score_covariance(pieces, colored.spectrum) / len(pieces)
             J = np.einsum("kl,lmt->kmt", noise, told.by_initial)
             variance += np.einsum("kmt,mn,knt->kt", J, meat, J, optimize=True)
 

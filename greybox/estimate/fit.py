@@ -389,10 +389,11 @@ def _with_errors(nlp: Nlp, parts: Sequence[FittedPart], accuracy: Accuracy) -> I
     if accuracy.white is None:
         yield from parts
         return
-    for part, (along, alone), told in zip(parts, told_by(nlp, accuracy), accuracy.informations, strict=True):
+    each = zip(parts, told_by(nlp, accuracy), accuracy.informations, accuracy.correlation, strict=True)
+    for part, (along, alone), told, colored in each:
         changes: dict[str, Any] = {"information": along, "information_alone": alone}
         if isinstance(part, FittedRecord) and told.output_errors is not None:
-            changes["error"] = told.output_errors(accuracy.covariance)
+            changes["error"] = told.output_errors(accuracy.covariance, colored)
         yield replace(part, **changes)
 
 

@@ -19,7 +19,7 @@ def test_initial_states_that_were_fitted_along_are_paid_for():
     n, initial_states, dof, shares = 60, 50, [], []
     for seed in range(12):
         J, e, inverse = regression(n, seed)
-        found = colored_errors([J], [e], inverse, np.eye(1), initial_states)
+        found = colored_errors([J], [e], inverse, np.eye(1), initial_states, 1.0)
         dof.append(found.dof)
         shares.append(np.trace(found.meat @ inverse) / 4)
     assert max(dof) < n - initial_states - 4
@@ -32,7 +32,7 @@ def test_a_record_of_a_few_correlation_times_leaves_as_few_degrees_of_freedom():
     J = np.ones((1, 1, n))
     drift = np.cumsum(np.random.default_rng(1).normal(size=n))
     e = (drift - drift.mean())[None]
-    found = colored_errors([J], [e], np.eye(1) / n, np.eye(1) / np.std(e), 1)
+    found = colored_errors([J], [e], np.eye(1) / n, np.eye(1) / np.std(e), 1, 1.0)
     assert not found.is_long_enough
     assert found.dof <= max(n / found.correlation_times[0], 1)
 
@@ -45,5 +45,5 @@ def test_numbers_that_say_the_same_count_once():
 
 def test_a_record_that_is_explained_to_the_last_digit_has_no_errors():
     J, e, inverse = regression(60, 0)
-    found = colored_errors([J], [0 * e], inverse, np.eye(1), 1)
+    found = colored_errors([J], [0 * e], inverse, np.eye(1), 1, 1.0)
     assert np.all(found.meat == 0)

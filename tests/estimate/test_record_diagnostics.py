@@ -420,11 +420,13 @@ def test_the_correlation_of_successive_residuals_is_over_pairs_that_are_both_the
 @pytest.mark.parametrize(("wider", "said"), [((1.49,), ""), ((1.51,), "1.5"), ((1.3, 1.3), ""), ((1.4, 1.4), "1.6")])
 def test_slow_errors_are_told_where_they_would_make_intervals_half_as_wide_again(wider, said):
     """Of two records the logarithms add as squares."""
-    found = [SimpleNamespace(wider=w, is_long_enough=True) for w in wider]
+    found = [SimpleNamespace(wider=w, hidden=w**2, is_long_enough=True) for w in wider]
     texts = [*hidden_errors(SimpleNamespace(correlation=[*found, None]))]
     assert len(texts) == bool(said)
     assert all(f"up to {said} times wider" in text for text in texts)
-    short = SimpleNamespace(wider=3.0, is_long_enough=False)
+    few = SimpleNamespace(wider=1.4, hidden=9.0, is_long_enough=True)  # Student's quantile is as wide as that
+    assert not [*hidden_errors(SimpleNamespace(correlation=[few]))]
+    short = SimpleNamespace(wider=3.0, hidden=9.0, is_long_enough=False)
     assert not [*hidden_errors(SimpleNamespace(correlation=[short]))]
 
 

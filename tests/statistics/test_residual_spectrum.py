@@ -3,10 +3,17 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.fft import dct
 from scipy.linalg import expm, solve_discrete_lyapunov, toeplitz
 from scipy.signal import lfilter
 
-from greybox.statistics.residual_spectrum import _Grid, _Sandwich, colored_information
+from greybox.statistics.residual_spectrum import (
+    _cosine_transform,
+    _Grid,
+    _Sandwich,
+    colored_information,
+    score_covariance,
+)
 
 AR2 = np.array([1.0, -1.5, 0.7])
 
@@ -257,3 +264,19 @@ def test_values_of_bands_are_interpolated_between_their_mean_frequencies():
     assert grid.mean(np.ones(len(grid.omega))) == pytest.approx(1)
     # The mean over all frequencies of a slowly changing density is that of its bands.
     assert grid.mean(grid.banded(np.cos(omega) ** 2)) == pytest.approx(0.5, abs=1e-3)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 8, 61])
+def test_cosine_transforms_are_those_of_scipy(n):
+    rows = np.random.default_rng(n).normal(size=(2, n))
+    assert_allclose(_cosine_transform(rows), dct(rows, axis=1, norm="ortho"), atol=1e-13)
+
+
+def test_the_covariance_of_another_score_is_that_of_the_spectrum_of_the_errors():
+    """Of the same sensitivities that of the estimate itself, and nothing where there are no errors."""
+    random = np.random.default_rng(0)
+    e = lfilter([1], [1, -0.9], random.normal(size=(2, 400)))
+    J = random.normal(size=(2, 3, 400))
+    found = colored_information([J], [e], np.linalg.inv(np.einsum("kpn,kqn->pq", J, J)), np.eye(2))
+    assert_allclose(score_covariance([J], found.spectrum), found.meat)
+    assert np.all(score_covariance([J], None) == 0)

@@ -75,8 +75,14 @@ def hidden_errors(accuracy: Accuracy) -> Iterator[str]:
     errors are known to be slow, `record_warnings` says so.
     """
     found = [known for known in accuracy.correlation if known is not None]
+    if not all(known.is_long_enough for known in found):
+        return
+    # Without Student's quantiles, by which it is a little less.
+    at_most = math.exp(math.hypot(*(math.log(known.hidden) / 2 for known in found)))
+    if at_most <= NARROW:
+        return
     wider = math.exp(math.hypot(*(math.log(known.wider) for known in found)))
-    if wider > NARROW and all(known.is_long_enough for known in found):
+    if wider > NARROW:
         yield (
             "so short a record hides slow errors, such as a drift, in its noise: those that the residuals do not "
             f"exclude would make the intervals up to {wider:.2g} times wider than they are."
