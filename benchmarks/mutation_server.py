@@ -28,6 +28,7 @@ LIBRARIES = (
     "scipy.stats",
     "xdist",
 )
+MEMORY = 4 * 2**30  # bytes of addresses, several times what any test takes: a fault can make an array without end
 # Plugins are imported already: pytest cannot rewrite their assertions, and says so.
 OPTIONS = "-p mutation_plugin -p no:cacheprovider -p no:benchmark -n 0 -x --tb=line -W".split()
 OPTIONS += ["ignore::pytest.PytestAssertRewriteWarning"]
@@ -53,6 +54,7 @@ def run(order: str, output: str, limit: int) -> None:
     """Run the tests in this process, and end it."""
     os.setsid()
     resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     for source, flags, targets in ((os.devnull, os.O_RDONLY, (0,)), (output, os.O_WRONLY | os.O_CREAT, (1, 2))):
         opened = os.open(source, flags)
         for target in targets:
