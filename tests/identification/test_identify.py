@@ -1,5 +1,7 @@
 """From a log to a model in one go, held against a simulator's truth."""
 
+import re
+import shlex
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -39,6 +41,96 @@ def test_the_chain_says_what_it_chose(flown):
         assert words in text
     assert flown.comparison.value("BIC less the least", "1") > 100
     assert len(flown.measurement.response) == 10
+    about = dict(flown.measurement.response.about)
+    assert about.pop("log sha256") == flown.recording.checksum
+    assert about == {
+        "log": "sitl_pitch.BIN",
+        "signals": "u = RATE.POut, theta = ATT.Pitch",
+        "converted": "theta from deg to rad with half a step of 0.01 deg that the log cuts off",
+        "sampling": "57.166 Hz",
+        "excitation": "10 sines of 2, amplitude 3, 1 to 20.11 rad/s, 65.70 to 309.99 s",
+        "estimate": "single sines, least-squares",
+        "gyro-filter": "LowPass(20.0, 0.7071067811865476)",
+        "d-term-filter": "FirstOrderLowPass(20.0)",
+        "target-filter": "FirstOrderLowPass(20.0)",
+    }
+
+
+def test_the_ladder_is_a_table_of_costs_and_bic(flown):
+    lines = str(flown).splitlines()
+    begins = lines.index("Structures:")
+    assert lines[begins + 1].split() == "structure free cost BIC less the least what it is".split()
+    for k, step in enumerate(flown.steps, start=1):
+        cost, free = step.fit.cost, len(step.fit.free)
+        bic = 2 * cost + free * np.log(20)
+        least = min(2 * s.fit.cost + len(s.fit.free) * np.log(20) for s in flown.steps)
+        name = step.model + (f" with {', '.join(step.free)} free" if step.free else "")
+        row = [str(k), name, str(free), f"{cost:.4g}", f"{bic:.4g}", f"{bic - least:.4g}", step.about]
+        assert re.split(r"\s{2,}", lines[begins + 2 + k]) == row
+    assert flown.fit is flown.chosen.fit
+    assert repr(flown) == "<Identification sitl_pitch.BIN, rate:DampedAngle>"
+
+
+def test_the_single_commands_say_what_was_chosen_and_stated(flown):
+    found, measured, fitted = flown.commands()
+    assert found == "greybox inspect sitl_pitch.BIN --announced SINE"
+    assert measured == (
+        "greybox response sitl_pitch.BIN --input u=RATE.POut --output theta=ATT.Pitch --announced SINE --out "
+        "sitl_pitch_response.csv"
+    )
+    assert fitted == (
+        "greybox fit --model rate:DampedAngle --data sitl_pitch_response.csv --criterion maximum-likelihood --starts "
+        "20 --seed 0 --out sitl_pitch_fit.h5 --plot sitl_pitch.png"
+    )
+    stated = replace(
+        flown.measurement.settings, announced="", fields={"omega": "W"}, setpoint="ATT.DesPitch", axis="pitch",
+        tests="1-3", instrument="SIDD.Targ", rate=50.0, settle=1.0, period=20.0, method="quadrature", points=30,
+        band=(1.0, 8.5), whole=True,
+    )  # fmt: skip
+    other = replace(
+        flown,
+        measurement=replace(flown.measurement, settings=stated),
+        chosen=flown.steps[3]._replace(through=("gyro-filter", "gyro-notch")),
+        starts=3,
+        seed=7,
+    )
+    finding = ["--fields", "omega=W", "--setpoint", "ATT.DesPitch"]
+    found, measured, fitted = map(shlex.split, other.commands("my flight.BIN", "mine"))
+    assert found == ["greybox", "inspect", "my flight.BIN", *finding]
+    assert measured == [
+        *("greybox", "response", "my flight.BIN", "--input", "u=RATE.POut", "--output", "theta=ATT.Pitch", *finding),
+        *"--axis pitch --tests 1-3 --instrument SIDD.Targ --rate 50.0 --settle 1.0 --period 20.0".split(),
+        *"--method quadrature --points 30 --band 1.0 8.5 --whole --out mine_response.csv".split(),
+    ]
+    assert fitted == [
+        *"greybox fit --model tilt:Tilt --data mine_response.csv --through gyro-filter gyro-notch".split(),
+        *"--free T_rotor T_delay --criterion maximum-likelihood --starts 3 --seed 7 --out mine_fit.h5".split(),
+        *("--plot", "mine.png"),
+    ]
+    assert [words.split()[1] for words in replace(other, chosen=None).commands()] == ["inspect", "response"]
+
+
+def test_what_to_do_next_follows_from_the_answer(flown):
+    again = (
+        "Hold the model against a flight that it has not seen: greybox identify OTHER_LOG, and compare the estimates."
+    )
+    assert flown.next == (
+        "T_delay is not distinguishable from zero: try --fix T_delay=0, or excite higher.",
+        again,
+    )
+    largest = replace(flown, chosen=flown.steps[-1])
+    said = "The largest structure was needed: look for what it still misses in the figure, and add it."
+    assert (largest.next[0], largest.next[-1]) == (said, again)
+    estimate, error = largest.fit.estimate, largest.fit.standard_error
+    weak = [name for name in largest.fit.free if abs(estimate[name]) < 2 * error[name]]
+    assert len(weak) > 1
+    assert largest.next[1].startswith(f"{', '.join(weak)} are not distinguishable from zero: try --fix {weak[0]}=0")
+    failed = replace(flown, chosen=None)
+    assert failed.fit is None
+    assert failed.next == (
+        "No structure converged: look at the response, and fit a model of your own, greybox new model NAME.",
+    )
+    assert replace(failed, steps=()).next == ("Fly the test again, with what the verdict above asks for.",)
 
 
 def made_log(**extra):
@@ -61,7 +153,61 @@ def test_the_best_sampled_signal_is_chosen():
     settings, choices = choose(made_log())
     assert settings.output == "phi=ANG.Roll"
     assert settings.input == "u=RATE.ROut"
-    assert "the roll angle, at 100 Hz, ATT.Roll at 10 Hz" in str(choices[-1])
+    assert list(map(str, choices)) == [
+        "axis roll: ATT.DesRoll moves (--axis)",
+        "input u=RATE.ROut: the control of roll (--input)",
+        "output phi=ANG.Roll: the roll angle, at 100 Hz, ATT.Roll at 10 Hz (--output)",
+    ]
+    # Within 5 % of the fastest, the first of the list is as good.
+    for rate, output in ((96.0, "phi=ATT.Roll"), (94.0, "phi=ANG.Roll")):
+        time = np.arange(0, 80, 1 / rate)
+        log = made_log()
+        att = {name: np.interp(time, log["ANG"].time, log["ANG"][name]) for name in ("DesRoll", "Roll")}
+        settings, choices = choose(made_log(ATT=Record(time, att)))
+        assert settings.output == output
+        assert choices[-1].why.endswith(f"ATT.Roll at {rate:.4g} Hz") == (rate < 95)
+
+
+def test_of_two_axes_the_one_with_the_longer_tests_is_taken_and_the_other_is_named():
+    log = made_log()
+    time = log["ANG"].time
+    pitch = np.where((time > 10) & (time < 40), np.interp(2 * time - 10, time, log["ANG"]["DesRoll"]), 0)
+    signals = {**log["ATT"].signals, "DesPitch": np.interp(log["ATT"].time, time, pitch)}
+    fast = {**log["ANG"].signals, "DesPitch": pitch, "Pitch": pitch}
+    both = made_log(
+        ATT=Record(time, {n: np.interp(time, log["ATT"].time, v) for n, v in signals.items()}),
+        ANG=Record(time, fast),
+        RATE=log["RATE"].with_signals(POut=np.gradient(pitch)),
+    )
+    settings, choices = choose(both)
+    assert (settings.axis, settings.input) == ("ATT.DesRoll", "u=RATE.ROut")
+    assert str(choices[0]) == "axis roll: ATT.DesRoll moves; there are tests of pitch too (--axis)"
+    for wanted in ("pitch", "ATT.DesPitch"):
+        settings, _ = choose(both, axis=wanted)
+        assert (settings.axis, settings.input, settings.output) == ("ATT.DesPitch", "u=RATE.POut", "theta=ANG.Pitch")
+
+
+def test_an_unannounced_name_takes_the_axis_whose_setpoint_moves_most():
+    """By its largest motion in any test, of angles that jump by a whole turn."""
+    log = made_log()
+    time = log["ANG"].time
+    test = Record(time, {"W": np.where((time > 10) & (time < 70), 2.0, 0.0), "Seg": 0 * time, "Eta": 0 * time + 1})
+    yaw = Record(
+        time, {"DesRoll": log["ANG"]["DesRoll"], "DesYaw": np.where(time % 2 < 1, 0.5, 359.5)}, {"DesYaw": "deg"}
+    )
+    settings, choices = choose(made_log(TEST=test, ATT=yaw))
+    assert (settings.announced, settings.input) == ("TEST", "u=RATE.ROut")
+    assert str(choices[1]) == "axis roll: its setpoint moves most (--axis)"
+    controls = {name: r for name, r in made_log(TEST=test).items() if name == "TEST"}
+    alone = Recording(
+        {**controls, "RATE": Record(time, {"POut": np.sin(time), "ROut": 0 * time, "P": 0 * time})}, "a.bin"
+    )
+    settings, _ = choose(alone)
+    assert (settings.input, settings.output) == ("u=RATE.POut", "q=RATE.P")
+    with pytest.raises(ValueError, match="no angle or rate is known for the axis 'pitch': give --output NAME=SIGNAL"):
+        choose(Recording({**controls, "RATE": Record(time, {"POut": np.sin(time)})}, "a.bin"))
+    with pytest.raises(ValueError, match="no input is known for this log: give it, --input NAME=SIGNAL"):
+        choose(Recording(controls, "a.bin"))
 
 
 def test_what_is_stated_is_kept():
