@@ -38,6 +38,8 @@ def test_the_bode_diagram_has_data_curve_band_and_errors(fit):
     magnitude, phase, coherence, error, _ = bode.panels
     measured = named(magnitude, "lag", "points")
     assert measured.y == pytest.approx(20 * np.log10(np.abs(part.data.response)))
+    for panel in bode.panels[:4]:
+        assert named(panel, "lag", "points").x.tolist() == part.data.omega.tolist()
     one_sided = np.abs(part.data.response) + np.sqrt(part.data.variance / 2)
     assert measured.high == pytest.approx(20 * np.log10(one_sided))
     assert named(phase, "lag", "points").y == pytest.approx(np.degrees(np.angle(part.data.response)))
@@ -49,7 +51,37 @@ def test_the_bode_diagram_has_data_curve_band_and_errors(fit):
     drawn = named(magnitude, "fit of", "band")
     assert np.interp(np.log(band.omega), np.log(drawn.x), drawn.low) == pytest.approx(low, abs=1e-3)
     assert np.interp(np.log(band.omega), np.log(drawn.x), drawn.high) == pytest.approx(high, abs=1e-3)
-    assert nyquist.panels[0].series[-1].notes[0].endswith("at 1 rad/s")
+    assert bode.is_logarithmic
+    assert bode.caption == (
+        "Shaded is the 95 % confidence band of the fitted response. Bars are one standard deviation of the "
+        "measurement. Errors are measured less fitted values."
+    )
+    points = nyquist.panels[0].series[-1]
+    assert points.x + 1j * points.y == pytest.approx(part.data.response)
+    assert points.notes[0].endswith("at 1 rad/s")
+    real, sign, imaginary = points.notes[3].split()[:3]
+    assert sign == "−"
+    assert float(real) - 1j * float(imaginary) == pytest.approx(part.data.response[3], rel=1e-3)
+    curve = named(nyquist.panels[0], "fit of", "line")
+    assert curve.x + 1j * curve.y == pytest.approx(fit.response(fit_omega(fit, curve)).response, rel=1e-6)
+    assert (nyquist.limits, nyquist.is_plane) == (None, True)
+
+
+def fit_omega(fit, curve):
+    """The frequencies of a lag's points, from the ratio of its parts."""
+    return -fit.estimate["a0"] * curve.y / curve.x
+
+
+def test_data_stay_readable_beside_a_curve_that_is_far_off(fit):
+    far = replace(
+        fit.responses[0], curve=replace(fit.responses[0].curve, response=1e3 * fit.responses[0].curve.response)
+    )
+    _, nyquist = response_figures([replace(fit, parts=(far, fit.parts[1]), models=None)])
+    data = fit.responses[0].data.response
+    half = np.abs(data).max() / 2
+    assert nyquist.limits == pytest.approx((-half, data.real.max() + half))
+    assert nyquist.panels[0].limits == pytest.approx((data.imag.min() - half, half))
+    assert nyquist.caption.startswith("Curves reach a magnitude of ")
 
 
 def test_sensitivities_are_differences_of_fits_that_differ_by_a_percent(fit):
@@ -71,6 +103,11 @@ def test_histories_show_degrees_and_extremes_of_what_is_too_long(fit):
     assert named(output, "measured", "points").y == pytest.approx(np.degrees(part.data["y"]))
     assert named(residual, "fit", "line").y == pytest.approx(np.degrees(part.residual("y")))
     assert given.series[0].y == pytest.approx(part.data["u"])
+    zero = named(residual, "", "rule")
+    assert (zero.x.tolist(), zero.y.tolist()) == ([0], [0])
+    whole = history_figure([fit], 0, ["fit"], 100)
+    assert "smallest and largest" not in (whole.caption or "")
+    assert "smallest and largest of each 3" in history_figure([fit], 0, ["fit"], 99).caption
     thinned = history_figure([fit], 0, ["fit"], 10)
     line = named(thinned.panels[0], "fit", "line")
     assert len(line.x) < 40
@@ -95,6 +132,15 @@ def test_starts_are_sorted_and_failed_ones_stand_at_the_right(fit):
     assert minimum.x.tolist() == [1, 2]
     assert failed.x.tolist() == [3]
     assert failed.notes == ["start 1, restoration failed"]
+    assert minimum.y.tolist() == sorted(run.cost for run in (first, third))
+    low, high = figure.panels[0].limits
+    assert low < failed.y[0] < high
+    assert [figure.panels[0].label, figure.label, figure.limits] == ["Cost", "Runs, sorted by cost", (0.0, 4.0)]
+    assert figure.caption == (
+        "2 of 3 starts agree on the best minimum. Failed runs stand at the right; their height means nothing."
+    )
+    none = replace(fit, runs=tuple(replace(run, converged=False) for run in fit.runs), minima=())
+    assert starts_figure(none).caption.startswith("None of 3 starts converged.")
 
 
 def test_the_spectrum_of_a_manoeuvre_has_data_fit_and_what_is_left(fit):
@@ -159,7 +205,8 @@ def test_profiles_are_drawn_beside_the_cone_of_the_standard_error():
 
 
 @pytest.mark.parametrize(
-    ("least", "cost", "is_logarithmic"), [(1.0, 2.0, False), (1.0, 500.0, True), (0.0, 500.0, False)]
+    ("least", "cost", "is_logarithmic"),
+    [(1.0, 2.0, False), (1.0, 500.0, True), (0.0, 500.0, False), (10.0, 90.0, False), (0.01, 0.9, True)],
 )
 def test_costs_that_span_decades_have_a_logarithmic_axis(fit, least, cost, is_logarithmic):
     first, second, *_ = fit.runs

@@ -1,13 +1,182 @@
-"""Cells of tables."""
+"""Tables of the page, read cell by cell."""
 
 import math
+from dataclasses import replace
 
 import pytest
+from page_results import lag
 
-from greybox.html_report.tables import number_cell
+from greybox.data.text_table import number, with_error
+from greybox.html_report.comparison_section import comparison_section, overview
+from greybox.html_report.entry import Entry
+from greybox.html_report.interval_section import bootstrap_table
+from greybox.html_report.provenance import data_summary, provenance
+from greybox.html_report.tables import Cell, number_cell, parameter_table, table
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return lag()
+
+
+def texts(element):
+    """The rows of a table, its header first."""
+    return [["".join(cell.itertext()) for cell in row] for row in element.iter("tr")]
+
+
+def facts(element):
+    """A list of terms with what they are."""
+    said = ["".join(part.itertext()) for part in element]
+    return dict(zip(said[::2], said[1::2], strict=True))
 
 
 @pytest.mark.parametrize("value", [None, math.nan, math.inf])
 def test_what_is_not_known_is_a_dash(value):
     assert number_cell(value).text == "–"
     assert number_cell(value).value is None
+
+
+def test_columns_with_a_number_are_sorted_by_it():
+    rows = [[Cell("a"), Cell("-1.5", -1.5)], [Cell("a-b"), Cell("–")], [Cell("x" * 25), Cell("∞", math.inf, "doubt")]]
+    made = table(["name", "value"], rows)
+    assert texts(made) == [["name", "value"], ["a", "−1.5"], ["a-b", "–"], ["x" * 25, "∞"]]
+    assert [cell.get("class") for cell in made.iter("th")] == [None, "number"]
+    cells = list(made.iter("td"))
+    assert [cell.get("class") for cell in cells] == [None, "number", None, "number", "prose", "doubt number"]
+    assert [cell.get("data-value") for cell in cells] == [None, "-1.5", None, None, None, None]
+
+
+def test_parameters_stand_with_errors_intervals_and_shares(fit):
+    bound = replace(fit, quantities=(replace(fit.quantities[0], at_bound=True), *fit.quantities[1:]))
+    header, *rows = texts(parameter_table(fit))
+    assert header[3] == "95 % interval"
+    judged = fit.identifiability
+    for q, row in zip(fit.quantities, rows, strict=True):
+        value, error = with_error(q.value, q.standard_error)
+        low, high = fit.interval(0.95)[q.name]
+        k = judged.names.index(q.name)
+        share, alone = (100 * float(s[k]) for s in (judged.error, judged.insensitivity))
+        assert row[:3] == [q.name, value.replace("-", "−"), error]
+        ends = [float(end.replace("−", "-")) for end in row[3].split(" to ")]
+        assert ends == pytest.approx([low, high], abs=0.03 * (high - low))
+        assert len(row[3]) < 20  # no more digits than the error has
+        assert row[4] == q.unit
+        assert [float(cell.removesuffix(" !")) for cell in row[5:7]] == pytest.approx([share, alone], rel=0.06)
+        assert row[7:] == [f"{q.bounds[0]:g} to {q.bounds[1]:g}".replace("-", "−"), q.kind, q.about]
+    assert texts(parameter_table(bound))[1][8] == "at bound"
+
+
+def test_provenance_says_where_everything_came_from(fit):
+    costs = {"relative-error": 1.23456, fit.criterion: fit.cost, "none": math.nan}
+    fact, data, *_ = provenance(replace(fit, costs=costs), "lag.h5", ("fit", "my lag"))
+    said = facts(fact)
+    assert said.pop("time taken").endswith(" s")
+    assert said.pop("versions").startswith("greybox")
+    assert said.pop("other criteria") == f"relative-error {number(1.23456)} at this estimate"
+    conditions = "; ".join(dict.fromkeys(part.condition for part in fit.parts))
+    assert said == {
+        "result file": "lag.h5",
+        "made by": "greybox fit 'my lag'",
+        "cost": f"{number(fit.cost, 6)} ({fit.rule})",
+        "delay": fit.delay,
+        "starts": f"{fit.starts}; 3 runs, 3 converged",
+        "seed": "0",
+        "standard errors": f"for {conditions}; Student's t with {round(fit.dof)} degrees of freedom"
+        if math.isfinite(fit.dof)
+        else f"for {conditions}",
+    }
+    no_other = replace(fit, costs={fit.criterion: fit.cost, "other": math.nan}, seed=None, dof=1.0)
+    said = facts(provenance(no_other)[0])
+    assert said["seed"] == "none"
+    assert said["made by"] == "gb.fit, from Python"
+    assert said["standard errors"].endswith("; Student's t with 1 degree of freedom")
+    assert "other criteria" not in said
+    assert "standard errors" not in facts(provenance(replace(fit, dof=0.0))[0])
+
+    response, record = fit.parts
+    first, second = (part.data.checksum for part in fit.parts)
+    assert texts(data)[1:] == [
+        [
+            response.name,
+            response.label,
+            "u → y",
+            "12 points",
+            "1 to 20 rad/s",
+            response.criterion,
+            "1",
+            "sweep.csv",
+            first,
+        ],
+        [record.name, record.label, "u → y", "200 samples", "9.95 s at 20 Hz", record.criterion, "1", "–", second],
+    ]
+    assert data_summary(fit) == (
+        f"{response.label} with 2 free parameters, fitted to 12 points in 1 frequency response and "
+        f"{record.compared} samples in 1 record by {fit.rule}."
+    )
+
+
+def test_results_side_by_side_stand_in_one_table(fit):
+    failed = Entry("bad", None, error="no log")
+    warned = replace(fit, name="warned", warnings=("one", "two"))
+    entries = [Entry("lag", fit, anchor="result-1"), Entry("warned", warned), failed, Entry("none", None)]
+    header, first, second, *rest = texts(overview(entries))
+    assert header == ["result", "verdict", "model", "criterion", "cost", "starts agreeing", "warnings", "data"]
+    answer = fit.to_dict()
+    models, data = ", ".join(answer["model"]), ", ".join(answer["data"])
+    agreeing = f"{fit.agreeing} of {answer['starts']}"
+    cost = number(fit.cost, 6).replace("-", "−")
+    grade = {"good": "good", "doubt": "in doubt"}
+    assert first == [
+        "lag",
+        grade[answer["verdict"]["grade"]],
+        models,
+        fit.criterion,
+        cost,
+        agreeing,
+        str(len(fit.warnings)),
+        data,
+    ]
+    assert second[6] == "2"
+    assert [row[:2] for row in rest] == [["bad", "no log"], ["none", "no result"]]
+    assert [a.get("href") for a in overview(entries).iter("a")] == ["#result-1"]
+
+
+def test_estimates_of_several_fits_stand_with_their_errors(fit):
+    other = replace(
+        fit, name="other", quantities=(replace(fit.quantities[0], standard_error=math.nan), fit.quantities[1])
+    )
+    heading, estimates, *compared = comparison_section([Entry("a", fit), Entry("b", other)], None, 200)
+    assert heading.text == "Estimates with standard errors"
+    names = [q.name for q in fit.quantities]
+    header, first, second = texts(estimates)
+    assert header == ["result", *names]
+    for q, cell in zip(fit.quantities, first[1:], strict=True):
+        assert cell == " ± ".join(with_error(q.value, q.standard_error)).replace("-", "−")
+    assert "±" not in second[1]
+    assert "±" in second[2]
+    assert [part.text for part in compared if part.tag == "h3"] == ["Comparison"]
+    assert compared[-1].get("class") == "figures"
+    titles = ["".join(title.itertext()) for title in compared[-1].iter("strong")]
+    assert titles == ["Bode diagram", "Nyquist diagram, y/u", "Time history, flight"]
+    # One fit alone is compared with nothing, and seven are too many for a figure.
+    assert [part.text for part in comparison_section([Entry("a", fit)], None, 200) if part.tag == "h3"] == [
+        heading.text
+    ]
+    many = [Entry(str(k), fit) for k in range(7)]
+    assert [part.tag for part in comparison_section(many, None, 200)] == ["h3", "div"]
+
+
+def test_a_bootstrap_is_a_sentence_and_a_table():
+    q = {"estimate": 2.0, "standard_error": 0.1234, "fit_standard_error": 0.11, "bias": -0.01, "unit": "s"}
+    said = {
+        "about": "residuals resampled", "replicates": 1, "failed": 2, "seed": 5, "level": 0.9, "warnings": ["few."],
+        "quantities": {"T": {**q, "percentile": [1.5, 2.5], "bca": None}},
+    }  # fmt: skip
+    sentence, found, warning = bootstrap_table(said)
+    assert sentence.text == "Bootstrap: residuals resampled; 1 replicate, 2 failed; seed 5."
+    header, row = texts(found)
+    assert header[-2:] == ["90 % percentile", "90 % BCa"]
+    assert row[:6] == ["T", "2", "0.123", "0.11", "−0.01", "s"]
+    assert [cell.get("data-value") for cell in found.iter("td")][-2:] == ["1.5", None]
+    assert warning.text == "few."
+    assert bootstrap_table({**said, "failed": 0})[0].text == "Bootstrap: residuals resampled; 1 replicate; seed 5."
