@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from greybox.data.units import to_si
+from greybox.data.units import SUPERSCRIPTS, to_si
 from greybox.modeling.model import Model, Names
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.state_space import StateSpace
@@ -160,16 +160,20 @@ def _invariant(model: Model, name: str, size: float, member: str, power: int, va
         start,
         bounds=(low, high),
         unit=_unit(declared.unit, other.unit, power),
-        about=f"{operator}{'²³'[abs(power) - 2] if 1 < abs(power) < 4 else ''} ({declared.about or member})",
-        starts=(max(box[0], low), min(box[1], high)),
+        about=f"{operator}{_exponent(abs(power))} ({declared.about or member})",
+        starts=box,
     )
+
+
+def _exponent(power: int) -> str:
+    return "" if power == 1 else "".join(SUPERSCRIPTS[int(digit)] for digit in str(power))
 
 
 def _unit(one: str, other: str, power: int) -> str:
     """Return the unit of a member over a power of another one, as text where it is not a known one."""
     text = one
     for _ in range(abs(power)):
-        text = f"{text}/({other})" if power > 0 else f"({text})*({other})"
+        text = f"{text}{'/' if power > 0 else '*'}({other})"
     try:
         return to_si(text).si or "1"
     except ValueError:

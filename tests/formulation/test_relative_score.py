@@ -57,3 +57,21 @@ def test_the_size_of_the_noise_is_that_of_the_data_whatever_divides_the_errors()
             chosen = criterion(normalized=normalized)
             estimate = 2.0 / (1 - chosen.gain_bias(sigma, 100))
             assert chosen.noise(np.full(4000, estimate + 0j), data) == pytest.approx(sigma, rel=0.02)
+
+
+@pytest.mark.parametrize(("points", "same"), [(2, 8), (1000, 100)])
+def test_errors_are_those_that_one_of_so_many_points_may_have(points, same):
+    """Between 8 and 100 of them: 2.4 and 3.3 standard deviations."""
+    found, wanted, other = (relative_score(0.25, n, 1, "measured") for n in (points, same, 30))
+    assert found.gain_bias == wanted.gain_bias
+    assert found.gain_bias != pytest.approx(other.gain_bias, rel=1e-3)
+
+
+def test_beyond_the_largest_noise_all_grows_as_small_noise_does_but_the_bias():
+    at, above = (relative_score(sigma, 50, 2, "measured") for sigma in (0.3, 0.6))
+    assert above.gain_bias == at.gain_bias
+    assert above.curvature == at.curvature
+    assert above.variance == pytest.approx(4 * at.variance)
+    at, above = (relative_score(sigma, 50, 1, "measured") for sigma in (0.3, 0.6))
+    assert above.curvature == pytest.approx(at.curvature / 2)
+    assert above.variance == pytest.approx(at.variance)

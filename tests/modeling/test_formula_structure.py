@@ -54,6 +54,13 @@ def test_a_term_is_linear_or_left_over_even_where_its_derivative_is_zero(name, l
         (gb.sign(z[0]), True, True),
         (gb.where(z[0] > p, 1.0, 2.0), True, True),
         (ca.floor(z[0]), True, True),
+        (ca.ceil(z[0]), True, True),
+        (ca.fmod(z[0], 2.0), True, True),
+        (ca.remainder(z[0], 2.0), True, True),
+        (ca.copysign(z[0], z[1]), True, True),
+        (1e-3 * gb.sign(z[0] ** 3 + z[0] - 20), True, True),
+        (1e9 + 1e-3 * gb.sign(z[0]), False, False),  # a part in 1e12 is rounding
+        (gb.sign(z[0]) * (abs(z[0]) + 1), True, True),
         (gb.where(z[0] > 0, gb.sign(z[1]), 0.0), True, True),
         (abs(z[0]), True, False),
         (gb.maximum(z[0], p), True, False),
@@ -90,6 +97,31 @@ def integral(formula, wave, points, threshold=0.3):
     return total
 
 
+def mean_of_samples(formula, wave):
+    phase = 2 * np.pi * (np.arange(200_000) + 0.5) / 200_000
+    plain = ca.Function("plain", [z, p], [formula])
+    signals = np.array([1.6 * np.cos(phase), np.sin(phase), 0 * phase])
+    return np.mean(np.asarray(plain(signals, np.full((1, phase.size), 0.3))).ravel() * wave(phase))
+
+
+@pytest.mark.parametrize(
+    "formula",
+    [
+        ca.floor(z[0] + z[1]),
+        ca.ceil(z[0] - p),
+        ca.fmod(z[0] + 0.3 * z[1], 0.7),
+        ca.remainder(z[0], 0.7) * z[1],
+        ca.copysign(z[0] - p, z[1]),
+        ca.if_else(z[0] <= p, z[1], z[0] ** 2),
+        gb.maximum(z[0], z[1]) - 2 * gb.minimum(z[0], z[1] ** 2),
+        gb.sign(z[0] - 0.2 * gb.sign(z[1])),
+    ],
+    ids=str,
+)
+def test_every_operation_with_a_switch_has_its_means(formula):
+    assert integral(formula, np.cos, 65) == pytest.approx(mean_of_samples(formula, np.cos), abs=3e-4)
+
+
 @pytest.mark.parametrize(
     "formula",
     [
@@ -104,10 +136,7 @@ def integral(formula, wave, points, threshold=0.3):
 @pytest.mark.parametrize("wave", [np.cos, lambda x: np.sin(3 * x)], ids=["cos", "sin 3"])
 def test_interval_means_add_up_to_the_integral_over_a_period(formula, wave):
     """Against the midpoint rule on 200 000 samples; finer they are nearer, within its own error."""
-    phase = 2 * np.pi * (np.arange(200_000) + 0.5) / 200_000
-    plain = ca.Function("plain", [z, p], [formula])
-    signals = np.array([1.6 * np.cos(phase), np.sin(phase), 0 * phase])
-    wanted = np.mean(np.asarray(plain(signals, np.full((1, phase.size), 0.3))).ravel() * wave(phase))
+    wanted = mean_of_samples(formula, wave)
     coarse, fine = (abs(integral(formula, wave, points) - wanted) for points in (33, 131))
     assert coarse < 5e-4
     assert fine < 2e-5

@@ -79,6 +79,8 @@ def test_spread_is_the_rms_of_an_equation():
     assert_allclose(spread(parts, errors), [np.sqrt(np.mean(first**2)), np.sqrt(np.mean(second**2))])
     exact = spread(parts, [0 * e for e in errors])
     assert np.all((exact > 0) & (exact < 1e-10))
+    empty = [Block(0, np.zeros(5), np.zeros(5), np.ones((5, 1)))]
+    assert spread(empty, [np.zeros(5)]).tolist() == [1.0]  # of nothing, any would do
 
 
 @pytest.mark.parametrize("lags", [[0.3], [0.3, 0.2, 0.1, 0.02]])
@@ -118,6 +120,22 @@ def test_the_autocovariance_of_colored_residuals_is_theirs():
     # Squares of noisy lags add up, so that the number is on the low side.
     assert 0.7 < colored.independent / (40000 * (1 - a**2) / (1 + a**2)) < 1.05
     assert np.linalg.eigvalsh(toeplitz(colored.lags)).min() > -1e-9
+    # The window ends at eight correlation lengths.
+    assert len(colored.lags) == pytest.approx(8 * 40000 / colored.independent, abs=1)
+
+
+def test_the_autocovariance_is_that_of_the_samples_under_the_window_of_parzen():
+    """Of two stretches, one of which is shorter than the lags."""
+    errors = [lfilter([1.0], [1, -0.8], np.random.default_rng(k).normal(size=n)) for k, n in enumerate((60, 3, 40))]
+    parts = [Block(k, e, 0 * e, e[:, None]) for k, e in zip((0, 0, 1), errors, strict=True)]
+    for found, members in zip(autocovariances(parts, errors), (errors[:2], errors[2:]), strict=True):
+        total, lags = sum(e.size for e in members), len(found.lags)
+        raw = np.array([sum(e[k:] @ e[: e.size - k] for e in members if e.size > k) / total for k in range(total // 5)])
+        at = np.arange(lags) / lags
+        window = np.where(at <= 0.5, 1 - 6 * at**2 * (1 - at), 2 * (1 - at) ** 3)
+        assert_allclose(found.lags, raw[:lags] * window, rtol=1e-9)
+        length = max(1.0, 2 * np.sum((raw / raw[0]) ** 2) - 1 - 2 * len(raw) / total)
+        assert found.independent == pytest.approx(total / length)
 
 
 def test_exact_residuals_have_no_color():

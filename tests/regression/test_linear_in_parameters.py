@@ -94,3 +94,77 @@ def test_an_unstable_state_is_not_simulated():
     found = of(Motor(), ["u", "degrees"], start=[2.0, 0.5, -3.0, 0.5])
     assert found.equations == ()
     assert found.left_out == ("rate' (it needs current, not known)", "current' (the state current is not known)")
+
+
+@pytest.mark.parametrize("fixed", [{"T": 0.0}, {"T": 0.0, "current_bias": 0.4}])
+def test_biases_are_taken_off_wherever_what_is_measured_stands(fixed):
+    """Of an angle from degrees, a current and a voltage that are measured themselves, and an output of the state."""
+
+    class Measured(Motor):
+        outputs = ("degrees", "heat")
+
+        def output(self, x, u, p):
+            return (-180 / np.pi * x.angle + 4, p.R * x.current**2 + x.angle)
+
+    model, biased = Measured(), ("degrees", "current", "u", "heat")
+    names = [*model.parameters, *(f"{name}_bias" for name in biased)]
+    values = {"k": 2.0, "c": 0.5, "R": 3.0, "L": 0.5, "T": 0.0, **dict.fromkeys(names[5:], 0.0)}
+    values |= {"degrees_bias": 3.0, "current_bias": 0.4, "u_bias": -0.7, "heat_bias": 0.2}
+    free = [name for name in names if name not in fixed]
+    start = np.array([values[name] for name in free])
+    found = regressions(dynamics(model), ["u", "degrees", "current", "heat"], fixed, start, biased)
+    assert found.free == tuple(free)
+    assert [e.left for e in found.equations] == ["rate'", "current'", "heat"]
+    assert "heat_bias" in found.linear
+    assert ("current_bias" in found.free) == ("current_bias" not in fixed)
+
+    true = np.array([0.3, 1.2, 0.8])
+    measured = true + [-np.radians(3.0), 0.0, 0.4]  # the angle as it follows from the degrees
+    base, slopes = (np.asarray(v) for v in found.rows(measured, [4.0 - 0.7], start))
+    rows = base.ravel() + slopes @ [values[name] for name in found.linear]
+    p = [values[name] for name in model.parameters]
+    derivative = np.asarray(dynamics(model).derivative(true, [4.0], p)).ravel()
+    heat = float(dynamics(model).output(true, [4.0], p)[1])
+    assert_allclose(rows, [derivative[1], derivative[2], heat + 0.2])
+    rate = next(state for state in found.states if state.name == "rate")
+    assert_allclose(rate.value(measured, 0.9), 0.9)
+
+
+def test_what_multiplies_a_parameter_is_told():
+    found = of(Motor(), ["u", "degrees", "current"], fixed={"T": 0.0, "L": 0.5})
+    assert found.multiplied == {"k": (), "c": (), "R": ()}
+
+    class Product(gb.StateSpace):
+        states, inputs, outputs = ("x",), ("u", "w"), ("y",)
+        a, b, c = (gb.Parameter(1.0) for _ in range(3))
+
+        def derivative(self, x, u, p):
+            return (p.a * u.u * u.w + p.b * u.w + p.c * u.u - x.x,)
+
+        def output(self, x, u, p):
+            return (x.x + p.c,)
+
+    found = of(Product(), ["u", "w", "x", "y"], fixed={})
+    assert found.multiplied == {"a": ("u", "w"), "b": ("w",), "c": ()}
+    assert found.delayed == ()
+    assert [str(state) for state in found.states] == ["x from the signal x"]
+    assert found.simulated([0.0], [1.0, 1.0], [1, 1, 1])[0].shape == (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("term", "is_linear"),
+    [(lambda a, x: a * x, True), (abs, False), (lambda a, x: gb.sign(a), False), (lambda a, x: a * 1e9 + x, True)],
+    ids=["product", "size", "sign", "large"],
+)
+def test_a_parameter_is_linear_where_numbers_say_so(term, is_linear):
+    class Term(gb.StateSpace):
+        states, inputs, outputs = ("x",), (), ("y",)
+        a = gb.Parameter(1.0)
+
+        def derivative(self, x, u, p):
+            return (term(p.a, x.x) if term is not abs else abs(p.a),)
+
+        def output(self, x, u, p):
+            return (x.x,)
+
+    assert of(Term(), ["y"], fixed={}).linear == (("a",) if is_linear else ())

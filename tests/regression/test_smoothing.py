@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.fft import dst
 from scipy.signal import savgol_filter
 
 import greybox as gb
-from greybox.regression.smoothing import low_pass, reach, regular, smooth, stretches
+from greybox.regression.smoothing import low_pass, reach, regular, smooth, stretches, without_holes
 
 STEP = 0.02
 TIME = np.arange(1500) * STEP
@@ -45,7 +46,32 @@ def test_no_window_of_savitzky_and_golay_does_better(size):
 
 @pytest.mark.parametrize("size", [1e-3, 0.01, 0.1])
 def test_the_noise_is_found_again(size):
-    assert smooth(TIME, noisy(size)).noise == pytest.approx(size, rel=0.1)
+    found = smooth(TIME, noisy(size))
+    assert found.noise == pytest.approx(size, rel=0.1)
+    # Generalized cross-validation: of what a cutoff removes, the square over that of the degrees of freedom removed.
+    values = noisy(size)
+    amplitude = dst((values - np.linspace(values[0], values[-1], 1500))[1:-1], type=1, norm="ortho")
+    omega = np.pi * np.arange(1, 1499) / TIME[-1]
+
+    def score(cutoff):
+        removed = 1 - 1 / (1 + (omega / cutoff) ** 8)
+        return np.sum((removed * amplitude) ** 2) / np.sum(removed) ** 2
+
+    # Among many, as low as any; one between them may be better.
+    assert score(found.cutoff) <= min(map(score, np.geomspace(omega[2], omega[-1], 400))) * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-6, 1e6])
+def test_a_straight_line_has_no_noise_and_its_own_slope(unit):
+    known = smooth(TIME, unit * (3 - 0.5 * TIME))
+    assert known.cutoff == pytest.approx(np.pi * 1498 / TIME[-1])  # all passes
+    assert known.noise < 1e-12 * unit
+    assert_allclose(known.derivative, -0.5 * unit, rtol=1e-9)
+    assert smooth(TIME, unit * noisy(0.01)).cutoff == pytest.approx(smooth(TIME, noisy(0.01)).cutoff)
+
+
+def test_all_that_passes_leaves_no_noise():
+    assert smooth(TIME, noisy(0.01), cutoff=1e6).noise < 1e-12
 
 
 def test_a_lower_cutoff_passes_less():
@@ -71,6 +97,7 @@ def test_the_reach_is_that_of_an_impulse():
     answer = np.abs(low_pass(impulse, STEP, cutoff))
     beyond = np.abs(TIME - TIME[750]) > 2 * reach(cutoff)
     assert answer[beyond].max() < 0.02 * answer.max()
+    assert reach(cutoff) * cutoff == pytest.approx(np.log(10) / 0.38, rel=0.01)
 
 
 def test_nothing_crosses_a_gap():
@@ -89,6 +116,20 @@ def test_single_missing_samples_are_interpolated_and_longer_holes_are_not():
     assert np.flatnonzero(np.isnan(known.values)).tolist() == list(range(1000, 1010))
     assert known.values[[300, 700]] == pytest.approx(truth()[[300, 700]], abs=0.01)
     assert [rows.start for rows in stretches(TIME, known.values)] == [0, 1010]
+    assert stretches(TIME, np.full(1500, np.nan)) == []
+
+
+@pytest.mark.parametrize(("count", "is_filled"), [(3, False), (4, True)])
+def test_a_cubic_through_four_samples_fills_a_hole(count, is_filled):
+    cubic = 0.02 * np.arange(5.0) ** 3
+    values = np.where(np.isin(np.arange(5), (2, *range(count + 1, 5))), np.nan, cubic)
+    filled = without_holes(TIME[:5], values)
+    assert np.isfinite(filled[2]) == is_filled
+    if is_filled:
+        assert filled[2] == pytest.approx(cubic[2])
+    one = np.where(np.arange(5) == 2, 1.0, np.nan)
+    np.testing.assert_array_equal(without_holes(TIME[:5], one), one)
+    np.testing.assert_array_equal(without_holes(TIME[:5], np.full(5, np.nan)), np.full(5, np.nan))
 
 
 def test_a_missing_row_is_put_in():

@@ -42,3 +42,51 @@ def test_slow_residuals_are_white_up_to_the_ends_and_gaps(gap):
     assert np.isnan(white).sum() == gap
     assert np.nanmax(np.abs(white - np.nanmean(white))) < 5
     assert_allclose(np.nanstd(white), 1, rtol=0.15)
+
+
+def test_draws_of_correlated_residuals_get_the_variances_of_the_spectrum():
+    """Whitened residuals of outputs that are nearly one another, the first with half of its samples missing."""
+    random = np.random.default_rng(2)
+    spectrum = spectrum_of(F, C)
+    white = np.array([[0.7, 0.0], [0.5, 0.2]]) @ random.normal(size=(2, 400))
+    drawn = spectrum.of_draws(white)
+    assert drawn.omega is spectrum.omega
+    assert drawn.density is spectrum.density
+    colored = np.array([drawn.colored(white[:, random.integers(400, size=100)]) for _ in range(1000)])
+    assert_allclose(colored.std(axis=(0, 2)), spectrum.deviation, rtol=0.02)
+
+    # Missing samples do not count, neither in a variance nor, since they are drawn as zeros, in a covariance.
+    white[0, ::2] = np.nan
+    found = spectrum.of_draws(white).deviation / spectrum.deviation
+    known = np.nan_to_num(white)
+    covariance = known @ known.T / 400
+    covariance[0, 0] = np.nanmean(white[0] ** 2)
+    eigenvalues, vectors = np.linalg.eigh(spectrum.density.transpose(2, 0, 1))
+    root = vectors * np.sqrt(eigenvalues)[:, None] @ vectors.conj().transpose(0, 2, 1)
+    mean = np.trapezoid((root @ covariance @ root).transpose(1, 2, 0), OMEGA).real / np.pi
+    wanted = np.trapezoid(spectrum.density, OMEGA).real / np.pi
+    assert_allclose(found, np.sqrt(np.diag(wanted) / np.diag(mean)), rtol=1e-3)
+
+
+def test_a_variance_that_is_larger():
+    spectrum = spectrum_of(F, C)
+    larger = spectrum.enlarged(4.0)
+    assert_allclose(larger.deviation, 2 * spectrum.deviation)
+    white = np.random.default_rng(0).normal(size=(2, 30))
+    assert_allclose(larger.colored(white), 2 * spectrum.colored(white))
+
+
+def test_what_is_whitened_is_colored_again():
+    """On the circle that a record makes with its mirror image."""
+    spectrum = spectrum_of(np.array([[0.6]]), np.eye(1))
+    residuals = np.random.default_rng(3).normal(size=(1, 61))
+    white = spectrum.whitened(residuals)
+    assert_allclose(spectrum.colored(np.hstack([white, white[:, ::-1]]))[:, :61], residuals, atol=1e-3)
+
+
+def test_an_output_that_was_not_measured_has_no_whitened_residuals():
+    residuals = np.random.default_rng(3).normal(size=(2, 61))
+    residuals[1] = np.nan
+    white = spectrum_of(F, C).whitened(residuals)
+    assert np.isfinite(white[0]).all()
+    assert np.isnan(white[1]).all()

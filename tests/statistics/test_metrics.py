@@ -24,6 +24,8 @@ def test_measures_of_fit_are_their_formulas_on_what_both_have():
     assert metrics.fit_percent(Y, P) == pytest.approx(fit)
     assert metrics.variance_accounted_for(Y, P) == pytest.approx(100 * (1 - np.var(y - p) / np.var(y)))
     assert metrics.variance_accounted_for(Y, P + 5) == pytest.approx(metrics.variance_accounted_for(Y, P))
+    for measure in (metrics.fit_percent, metrics.variance_accounted_for):  # in any unit
+        assert measure(1e-3 * Y, 1e-3 * P) == pytest.approx(measure(Y, P))
 
 
 def test_measures_of_nothing_are_not_known():
@@ -262,6 +264,18 @@ def test_directions_of_the_input_below_a_millionth_are_not_tested(beside, direct
     u = np.repeat([-1.0, 1.0], 200) + beside * random.normal(size=400)
     u[199:203] = np.nan  # no pair across the step
     assert metrics.input_correlation([random.normal(size=400)], [u], lags=2).dof == directions
+
+
+def test_lags_without_a_pair_are_not_tested_and_one_pair_is():
+    random = np.random.default_rng(4)
+    e, u = random.normal(size=(2, 40))
+    e[1::2] = np.nan  # every second lag has no pair
+    odd = metrics.whiteness([e], lags=6)
+    assert odd.dof == 3
+    assert_allclose(odd.correlations[::2], 0)
+    back = metrics.feedback_correlation([e[:5]], [u[:5]], lags=4)
+    assert back.dof == 4  # of u at 4 and e at 0 there is one pair
+    assert back.correlations[3] != 0
 
 
 def test_constants_in_residuals_and_inputs_change_no_test():

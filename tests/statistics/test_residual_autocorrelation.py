@@ -2,9 +2,10 @@
 
 import numpy as np
 from numpy.testing import assert_allclose
+from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter
 
-from greybox.statistics.residual_autocorrelation import autocovariance, autoregression
+from greybox.statistics.residual_autocorrelation import autocovariance, autoregression, levinson
 
 AR2 = np.array([1.0, -1.5, 0.7])
 
@@ -41,3 +42,31 @@ def test_autocovariances_are_mean_products():
     for k in range(5):
         products = e[: 20 - k] @ e[k:20] + e[20 : 30 - k] @ e[20 + k :]
         assert_allclose(found[k], products / 30, rtol=1e-9)
+
+
+def test_the_recursion_solves_the_equations_of_yule_and_walker():
+    r = autocovariance([colored(AR2, 300)], 12)
+    steps = levinson(r)
+    assert len(steps) == 13
+    for order, (a, variance) in enumerate(steps):
+        assert_allclose(a, np.r_[1, solve_toeplitz(r[:order], -r[1 : order + 1]) if order else []], rtol=1e-9)
+        assert_allclose(variance, a @ r[: order + 1])
+
+
+def test_a_series_that_is_predictable_has_no_higher_order():
+    """Of a sine, two samples tell all the others: with rounding left over, no coefficient follows from it."""
+    steps = levinson(2.0 * np.cos(0.3 * np.arange(9)))
+    assert [len(a) for a, _ in steps] == [1, 2]
+    assert_allclose(steps[1][1], 2 * np.sin(0.3) ** 2)
+
+
+def test_the_order_is_that_of_least_bic_and_leaves_twenty_samples_a_coefficient():
+    e = colored(np.poly([0.95, -0.95, 0.9j, -0.9j]), 4000, seed=5)
+    assert len(autoregression([e])) - 1 >= 4
+    for n in (19, 39, 59, 79):
+        assert len(autoregression([e[:n]])) - 1 <= n // 20
+    values = np.r_[e[:150], np.zeros(50)]  # zeros are no data
+    r = autocovariance([values], 7)
+    assert_allclose(r[0], e[:150] @ e[:150] / 150)
+    scores = [150 * np.log(variance) + (len(a) - 1) * np.log(150) for a, variance in levinson(r)]
+    assert len(autoregression([values])) - 1 == int(np.argmin(scores))
