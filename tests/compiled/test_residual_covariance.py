@@ -7,7 +7,13 @@ from scipy.optimize import minimize
 from scipy.stats import multivariate_normal, norm
 
 import greybox as gb
-from greybox.compiled.residual_covariance import residual_covariance_of
+from greybox.compiled.residual_covariance import (
+    ResidualCovariance,
+    followed_by_covariance,
+    reduced_hessian,
+    require_independent,
+    residual_covariance_of,
+)
 
 RANDOM = np.random.default_rng(0)
 RESIDUALS = np.array([[1.0, 0.0, 0.0], [0.6, 0.5, 0.0], [0.0, -0.1, 2e-3]]) @ RANDOM.normal(size=(3, 400))
@@ -174,3 +180,81 @@ def test_the_hessian_of_the_cost_is_that_of_the_weighted_squares_less_what_the_c
     squares = np.einsum("vkn,wkn->vw", slopes, slopes)
     followed = noise.curvature_of_covariance(np.einsum("an,vbn->abv", white, slopes))
     assert_allclose(squares - followed @ followed.T, hessian, rtol=1e-4, atol=1e-3)
+
+
+def test_a_predicted_covariance_is_that_of_the_density():
+    predicted = np.array([[2.0, 0.3], [0.3, 0.5]])
+    noise = ResidualCovariance(np.array([400, 400]), np.ones(2), None, True, predicted)
+    values = RESIDUALS[:2]
+    assert noise.cost(values @ values.T) == pytest.approx(-multivariate_normal(cov=predicted).logpdf(values.T).sum())
+    assert noise.covariance(values @ values.T) is predicted
+    assert noise.cost(np.full((2, 2), np.nan)) == np.inf
+
+
+@pytest.mark.parametrize("choice", [SIGMA, "diagonal", "full"])
+def test_costs_of_records_add_and_each_has_a_covariance_of_its_own(choice):
+    records = [RESIDUALS[:, :150], 3 * RESIDUALS[:, 150:], RESIDUALS[:, 5:25]]
+    each = [made(choice, values) for values in records]
+    known = None if each[0][0].known is None else np.array([noise.known for noise, _ in each])
+    together = ResidualCovariance(
+        np.array([noise.counts for noise, _ in each]), np.array([n.spread for n, _ in each]), known, choice == "full"
+    )
+    products = np.array([product for _, product in each])
+    assert together.cost(products) == pytest.approx(sum(noise.cost(product) for noise, product in each))
+    wanted = [noise.covariance(product) for noise, product in each]
+    assert_allclose(together.covariance(products), wanted)
+    assert_allclose(together.weight(products), [noise.weight(product) for noise, product in each], atol=1e-9)
+    moments = np.random.default_rng(8).normal(size=(3, 3, 3, 4))
+    curvature = [noise.curvature_of_covariance(m) for (noise, _), m in zip(each, moments, strict=True)]
+    assert_allclose(together.curvature_of_covariance(moments), curvature)
+
+    some = together.of(np.array([2, 0]))
+    assert_allclose(some.covariance(products[[2, 0]]), [wanted[2], wanted[0]])
+    assert some.cost(products[[2, 0]]) == pytest.approx(each[2][0].cost(products[2]) + each[0][0].cost(products[0]))
+    one = each[0][0]
+    assert one.of(np.array([0])) is one
+
+
+def test_the_spread_of_what_is_missing_or_constant():
+    values = np.array([[2.0, 2.0, np.nan], [np.nan] * 3, [0.0, 0.0, 0.0], [1.0, np.nan, 3.0]])
+    noise = residual_covariance_of(gb.OutputError(), ("a", "b", "c", "d"), values)
+    assert noise.spread.tolist() == [2, 1, 1, 1]
+    assert noise.counts.tolist() == [2, 0, 3, 2]
+    # Residuals of zero have the variance of rounding, beside the spread.
+    assert_allclose(np.diag(noise.covariance(np.zeros((4, 4)))), 1e-18 * noise.spread**2)
+
+
+@pytest.mark.parametrize(("apart", "refused"), [(3e-7, True), (3e-6, False)])
+def test_outputs_are_dependent_where_single_precision_does_not_part_them(apart, refused):
+    """Of two outputs of unit spread that differ by this, the combination that is nearly constant has half of it."""
+    random = np.random.default_rng(0)
+    x = random.normal(size=500)
+    # A third that is independent takes no part, nor does one that never moves, and rows with holes do not count.
+    measured = np.array([1e4 * x, np.ones(500), random.normal(size=500), x + apart * random.normal(size=500)])
+    measured[3, :30] = np.nan
+    if refused:
+        with pytest.raises(ValueError, match=r"^a and d are exactly dependent in the record, one following from the"):
+            require_independent(("a", "b", "c", "d"), measured)
+    else:
+        require_independent(("a", "b", "c", "d"), measured)
+    require_independent(("a", "d"), np.array([[1.0, 2.0], [2.0, 4.0]]))  # of two samples, all are
+
+
+def test_a_hessian_less_another_keeps_its_share_in_every_direction():
+    """Along common eigenvectors, where the difference would be 3, 0.5 and -7."""
+    axes = np.linalg.qr(np.random.default_rng(9).normal(size=(3, 3)))[0]
+    hessian, by = (axes * [4.0, 1.0, 1.0]) @ axes.T, (axes * [1.0, 0.5, 8.0]) @ axes.T
+    assert_allclose(reduced_hessian(hessian, by, 0.1), (axes * [3.0, 0.5, 0.1]) @ axes.T, atol=1e-7)
+    units = np.array([1.0, 1e5, 1e-4])
+    scaled = reduced_hessian(hessian * units * units[:, None], by * units * units[:, None], 0.1)
+    assert_allclose(scaled / units / units[:, None], (axes * [3.0, 0.5, 0.1]) @ axes.T, atol=1e-6)
+    assert_allclose(reduced_hessian(-hessian, by, 0.1), -hessian)  # what has no factor stays
+    blind = np.diag([2.0, 0.0])
+    assert_allclose(reduced_hessian(blind, np.diag([1.0, 0.0]), 0.1), np.diag([1.0, 0.0]), atol=1e-8)
+
+
+def test_what_follows_a_covariance_is_limited_where_the_hessian_is_flat():
+    hessian, right = np.diag([2.0, 1e-3]), np.array([4.0, 1.0])
+    assert_allclose(followed_by_covariance(hessian, right, 0.1), [-2.0, -10.0])
+    turned = np.array([[0.6, -0.8], [0.8, 0.6]])
+    assert_allclose(followed_by_covariance(turned @ hessian @ turned.T, turned @ right, 0.1), turned @ [-2.0, -10.0])

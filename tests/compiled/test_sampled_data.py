@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
 import greybox as gb
-from greybox.compiled.sampled_data import SampledData, Stretch, gapless, input_over_step, sampled_data
+from greybox.compiled.sampled_data import SampledData, Stretch, gapless, input_over_step, joined, sampled_data
 
 STEP = 0.02
 RANDOM = np.random.default_rng(0)
@@ -252,3 +252,121 @@ def test_stretches_of_a_record_with_ramp_times():
     (stretch,) = gapless(data, ("u",), ("y",))
     assert (stretch.rows[0], len(stretch)) == (0, 50)
     assert_allclose(stretch.step, STEP)
+
+
+def test_excerpts_of_several_stretches_have_shares_of_the_samples():
+    """As many pieces of a stretch as its share of five, from its beginning to its end."""
+    data = record(1000)
+    time = data.time + np.where(np.arange(1000) >= 700, 5.0, 0.0)
+    thin = cut(gb.Record(time, data.signals), segment_length=10).excerpts(200)
+    assert [len(s) for s in thin.stretches] == [25] * 4 + [50] * 2
+    assert [s.rows[0] for s in thin.stretches] == [0, 225, 450, 675, 700, 950]
+    for stretch in thin.stretches:
+        assert_allclose(stretch.inputs[0], data["u"][stretch.rows])
+        assert stretch.step == pytest.approx(STEP)
+    assert thin.segment_length == 10
+    # At least two segments each, where the stretch has them.
+    assert [len(s) for s in cut(record(100), segment_length=9).excerpts(20).stretches] == [18] * 5
+    assert [len(s) for s in cut(record(100), segment_length=30).excerpts(20).stretches] == [20] * 5
+
+
+def test_the_first_sample_of_a_record_begins_it_and_no_later_stretch_does():
+    u = np.random.default_rng(2).normal(size=60)
+    u[30] = np.nan
+    assert cut(record(60, u=u), segment_length=20).begins_record.tolist() == [True, False, False, False]
+    u[0] = np.nan
+    assert not cut(record(60, u=u), segment_length=20).begins_record.any()
+
+
+def test_every_stretch_may_have_delays_of_its_own():
+    u = np.random.default_rng(2).normal(size=40)
+    u[20] = np.nan
+    made = cut(record(40, u=u, w=np.arange(40.0)), inputs=("u", "w"), segment_length=20)
+    whole, around = made.delayed_inputs(STEP * np.array([[0.0, 2.0], [1.5, 3.0]]))
+    assert_allclose(whole, [[0] * 20 + [2] * 20, [1] * 20 + [3] * 20])
+    first, second = made.unpadded(around)
+    assert_allclose(first[:3, 5], u[4:7])
+    assert_allclose(second[:3, 5], u[21 + 2 : 21 + 5])
+    assert_allclose(first[3:, 5], [3, 4, 5])
+    assert_allclose(second[3:, 5], [22, 23, 24])
+    # Filled up with the last values; a delay below zero looks ahead, at the end at what is last.
+    assert_allclose(second[:, -1], around[:, -1])
+    ahead = cut(record(10, u=np.arange(10.0)), segment_length=10).delayed_inputs(np.array([-3 * STEP]))[1]
+    assert_allclose(
+        ahead, [[2, 3, 4, 5, 6, 7, 8, 9, 9, 9], [3, 4, 5, 6, 7, 8, 9, 9, 9, 9], [4, *range(5, 10), *[9] * 4]]
+    )
+
+
+@pytest.mark.parametrize(("delay", "late"), [(0.0, False), (0.9e-3, False), (1.1e-3, True)])
+def test_a_held_input_is_late_from_a_thousandth_of_a_step_on(delay, late):
+    assert input_over_step([1.0, 2.0, 5.0], delay, True)[2] == (1.0 if late else 2.0)
+
+
+def test_records_one_after_the_other():
+    first, second = cut(record(20)), cut(record(15))
+    both = joined([first, second])
+    assert [len(s) for s in both.stretches] == [20, 15]
+    assert (both.outputs, both.segment_length) == (("y",), 7)
+    assert both.segments == 6
+
+
+def static(data, **options):
+    return sampled_data(
+        data, ("u",), ("y",), **({"lead": 0.0, "segment_length": 7, "complete": False, "static": True} | options)
+    )
+
+
+def test_of_a_static_model_every_sample_counts():
+    u = np.random.default_rng(1).normal(size=7)
+    u[[1, 3, 4]] = np.nan
+    made = static(record(7, u=u, y=np.ones(7)))
+    assert [s.rows.tolist() for s in made.stretches] == [[0], [2], [5, 6]]
+    assert all(s.step == pytest.approx(STEP) for s in made.stretches)
+    (rows,) = static(gb.Record(None, {"u": u, "y": np.arange(7.0)})).stretches
+    assert rows.rows.tolist() == rows.outputs[0].tolist() == [0, 2, 5, 6]
+    with pytest.raises(ValueError, match=r"the record has no row with all inputs and an output"):
+        static(gb.Record(None, {"u": u, "y": np.where(np.isfinite(u), np.nan, 1.0)}))
+    with pytest.raises(ValueError, match=r"the record 'made' has no sample with all inputs and an output \(u; y\)"):
+        static(record(7, u=u, y=np.where(np.isfinite(u), np.nan, 1.0)))
+
+
+@pytest.mark.parametrize(("off", "is_uniform"), [(0.24, True), (0.26, False)])
+def test_samples_lie_within_a_quarter_of_a_step(off, is_uniform):
+    time = STEP * np.arange(60)
+    time[30] += off * STEP
+    data = gb.Record(time, {"u": RANDOM.normal(size=60), "y": np.arange(60.0)})
+    if is_uniform:
+        assert [len(s) for s in cut(data).stretches] == [60]
+    else:
+        with pytest.raises(ValueError, match=r"sampling is not uniform from 0 s on \(off by 0\.26 steps\)"):
+            cut(data)
+
+
+@pytest.mark.parametrize(("step", "stretches"), [(1.4, 1), (1.6, 2)])
+def test_a_step_and_a_half_is_a_gap(step, stretches):
+    time = STEP * np.arange(600)
+    time[300:] += (step - 1) * STEP
+    data = gb.Record(time, {"u": RANDOM.normal(size=600), "y": np.arange(600.0)})
+    assert len(gapless(data, ("u",), ("y",), lead=0.0)) == stretches
+
+
+@pytest.mark.parametrize(("samples", "is_usable"), [(2, False), (3, True)])
+def test_three_samples_say_something_of_a_model_with_states(samples, is_usable):
+    data = record(samples)
+    if is_usable:
+        assert [len(s) for s in cut(data).stretches] == [3]
+    else:
+        with pytest.raises(ValueError, match=r"gap-free one with all inputs lasts 0\.04 s; give a longer record\.$"):
+            cut(data)
+
+
+@pytest.mark.parametrize(("lead", "masked"), [(2.0, 2), (2.0009, 2), (2.002, 3)])
+def test_a_delay_is_whole_samples_to_a_thousandth(lead, masked):
+    made = cut(record(60), lead=lead * STEP)
+    assert made.masked == made.stretches[0].masked == masked
+
+
+def test_outputs_that_never_change_say_nothing():
+    with pytest.raises(ValueError, match=r"the outputs of the record never change \(y\): nothing can be estimated"):
+        cut(record(y=np.full(60, 3.0)))
+    assert cut(record(outputs=("y", "z"), y=np.full(60, 3.0)), outputs=("y", "z")).segments

@@ -119,7 +119,7 @@ def test_biases_are_taken_off_wherever_what_is_measured_stands(fixed):
     assert ("current_bias" in found.free) == ("current_bias" not in fixed)
 
     true = np.array([0.3, 1.2, 0.8])
-    measured = true + [-np.radians(3.0), 0.0, 0.4]  # the angle as it follows from the degrees
+    measured = true + np.array([-np.radians(3.0), 0.0, 0.4])  # the angle as it follows from the degrees
     base, slopes = (np.asarray(v) for v in found.rows(measured, [4.0 - 0.7], start))
     rows = base.ravel() + slopes @ [values[name] for name in found.linear]
     p = [values[name] for name in model.parameters]
