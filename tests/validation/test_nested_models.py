@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
 from drag_flights import LINEAR, Drag, LinearDrag, fitted, flight
-from scipy.stats import f
+from scipy.stats import chi2, f
 
 import greybox as gb
+from greybox.validation.nested_models import NestedTest, _p_value, cost_scale, ratio_test
 
 
 def test_a_nested_test_says_what_is_needed():
@@ -27,6 +28,103 @@ def test_a_nested_test_says_what_is_needed():
     t = large.estimate["C_x"] / large.standard_error["C_x"]
     assert 2 < t < 12
     assert gb.validation.nested_test(small, large).statistic == pytest.approx(t**2, rel=0.15)
+
+
+@pytest.fixture(scope="module")
+def drags():
+    record = flight({"a5": 0.2, "C_x": 0.03}, 8, duration=10.0, noise=0.6)
+    return fitted(LinearDrag(), record), fitted(Drag(), record)
+
+
+def test_the_scaled_ratio_is_held_against_f(drags):
+    """Every number of it, and the sentence."""
+    small, large = drags
+    found = gb.validation.nested_test(small, large)
+    ratio = 2 * (small.cost - large.cost)
+    covariance = large.covariance_of(["a5", "C_x"])
+    scale = covariance[1, 1] / large.white[1, 1]
+    assert found.likelihood_ratio == ratio > 0
+    assert found.scale == pytest.approx(scale)
+    assert found.statistic == pytest.approx(ratio / scale)
+    assert found.dof == (1, large.dof)
+    assert found.p_value == pytest.approx(f.sf(ratio / scale, 1, large.dof))
+    p = f"p = {found.p_value:.2g}" if found.p_value >= 0.001 else "p < 0.001"
+    assert str(found) == (
+        f"C_x {'is' if found.p_value < 0.05 else 'is not'} needed: LinearDrag is rejected by the test against Drag "
+        f"(F(1, {large.dof:.0f}) = {found.statistic:.4g}, {p}; likelihood ratio {ratio:.4g}, divided by {scale:.3g} "
+        "for residuals that are correlated in time)."
+    )
+    assert repr(found).startswith("<NestedTest LinearDrag in Drag, p")
+
+
+def test_without_a_ratio_the_estimates_are_held_against_their_errors(drags):
+    small, large = drags
+    found = gb.validation.nested_test(small, replace(large, white=None))
+    t = large.estimate["C_x"] / large.standard_error["C_x"]
+    assert np.isnan(found.likelihood_ratio)
+    assert (found.scale, found.statistic) == (1.0, pytest.approx(t**2))
+    assert found.p_value == pytest.approx(f.sf(t**2, 1, large.dof))
+    assert str(found).endswith("; Wald test with the standard errors of the fit).")
+
+
+def test_a_larger_model_that_has_the_smaller_one_as_a_limit_is_scaled_by_all_directions(drags):
+    small, large = drags
+    found = ratio_test(small, large, ("C_x",), ("limit", "structure"))
+    scale = np.trace(np.linalg.solve(large.white, large.covariance_of(["a5", "C_x"]))) / 2
+    assert cost_scale(large) == found.scale == pytest.approx(scale)
+    assert found.likelihood_ratio == 2 * (small.cost - large.cost)
+    assert found.statistic == pytest.approx(found.likelihood_ratio / scale)
+    assert found.dof == (1, large.dof)
+    assert found.p_value == pytest.approx(f.sf(found.statistic, 1, large.dof))
+    assert (found.small, found.large, found.terms) == ("limit", "structure", ("C_x",))
+    worse = ratio_test(replace(small, cost=large.cost - 1), large, ("C_x",), ("limit", "structure"))
+    assert (worse.statistic, worse.p_value) == (0.0, 1.0)
+    assert np.isnan(cost_scale(replace(large, white=None)))
+    with pytest.raises(ValueError, match="the data leave structure no degrees of freedom: nothing can be tested"):
+        ratio_test(small, replace(large, dof=0.0), ("C_x",), ("limit", "structure"))
+
+
+def test_on_a_bound_half_of_the_statistic_has_one_degree_less():
+    assert _p_value(3.0, 1, 40.0, on_bound=False) == pytest.approx(f.sf(3.0, 1, 40))
+    assert _p_value(3.0, 1, 40.0, on_bound=True) == pytest.approx(f.sf(3.0, 1, 40) / 2)
+    assert _p_value(0.0, 1, 40.0, on_bound=True) == 1.0
+    halves = f.sf(3.0, 2, 40), f.sf(6.0, 1, 40)
+    assert _p_value(3.0, 2, 40.0, on_bound=True) == pytest.approx(sum(halves) / 2)
+    assert _p_value(3.0, 2, np.inf, on_bound=False) == pytest.approx(chi2.sf(6.0, 2))
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({}, "(F(2, 30) = 1.5, p = 0.24; likelihood ratio 6, divided by 2 for residuals that are correlated in time)."),
+        ({"dof": (2, np.inf)}, "(chi2(2) = 3, p = 0.24; likelihood ratio 6, divided by 2 for residuals that are"),
+        ({"scaled_for": "residuals beyond the given variance", "scale": 1.0}, "p = 0.24; likelihood ratio 6)."),
+        ({"scaled_for": "the size of the errors"}, "; twice the difference of the costs 6, divided by 2 for the size"),
+        ({"p_value": 0.049}, "a, b are needed: small is rejected by the test against large (F(2, 30) = 1.5, p = 0.049"),
+        (
+            {"p_value": 0.051},
+            "a, b are not needed: small explains the data as well as large (F(2, 30) = 1.5, p = 0.051",
+        ),
+        ({"terms": ("a",)}, "a is not needed: small explains the data as well as large (F(2, 30) = 1.5, "),
+    ],
+)
+def test_what_is_said_of_a_test(given, words):
+    numbers = {"likelihood_ratio": 6.0, "scale": 2.0, "statistic": 1.5, "dof": (2, 30.0), "p_value": 0.24}
+    assert words in str(NestedTest(**{"small": "small", "large": "large", "terms": ("a", "b"), **numbers, **given}))
+
+
+def test_a_term_that_ended_at_another_bound_or_is_not_determined_is_told(drags):
+    small, large = drags
+    a5, c = large.quantities[:2]
+    stuck = replace(large, quantities=(a5, replace(c, at_bound=True), *large.quantities[2:]))
+    with pytest.raises(ValueError, match="C_x of Drag ended at a bound: widen it before testing"):
+        gb.validation.nested_test(small, stuck)
+    with pytest.raises(ValueError, match="the data do not determine C_x of Drag: nothing can be tested"):
+        gb.validation.nested_test(small, replace(large, dof=0.0))
+    # A cost that is larger by what solvers leave is none.
+    assert gb.validation.nested_test(small, replace(large, cost=small.cost + 0.009)).p_value == 1.0
+    with pytest.raises(ValueError, match="its fit has not found the minimum; give it more starts"):
+        gb.validation.nested_test(small, replace(large, cost=small.cost + 0.011))
 
 
 def test_a_nested_test_keeps_its_size_where_residuals_are_correlated():

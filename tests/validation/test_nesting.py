@@ -8,7 +8,16 @@ from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from drag_flights import Drag, LinearDrag, QuadraticDrag, fitted, flight
 
 import greybox as gb
-from greybox.validation.nesting import NotNestedError, _left_null_space, _require_fewer_terms, nesting
+from greybox.validation.nesting import (
+    NotNestedError,
+    _beyond,
+    _left_null_space,
+    _on_bound,
+    _require_fewer_terms,
+    _same,
+    _slope_of_tie,
+    nesting,
+)
 
 NAMES = ("small", "large")
 
@@ -233,3 +242,83 @@ def test_a_free_parameter_without_any_effect_leaves_every_direction():
     slope = np.array([[1.0, 0.0], [0.0, 0.0]])  # of two parameters by two free ones, of which the second does nothing
     directions = _left_null_space(slope, np.ones(2))
     np.testing.assert_allclose(np.abs(directions), [[0.0], [1.0]], atol=1e-12)
+
+
+class Third(gb.TransferFunction):
+    """A lag beside a gain that is like one in no place."""
+
+    K, T1, T2 = LagLagDelay.K, LagLagDelay.T1, LagLagDelay.T2
+    c = gb.Parameter(0.5, bounds=(-1, 2))
+
+    def response(self, s, p):
+        return p.K / ((p.T1 * s + 1) * (p.T2 * s + 1)) + (p.c + 0.3) * s / (s + 50)
+
+
+def test_transfer_functions_of_records_are_compared_in_the_plane():
+    time = 0.02 * np.arange(150)
+    u = np.sin(time) + np.sin(4 * time)
+    made = gb.Record(time, {"u": u})
+    y = gb.simulate(LagLag(), {"K": 2.0, "T1": 0.5, "T2": 0.1}, made)["y"]
+    record = made.with_signals(y=y + 0.01 * np.random.default_rng(0).normal(size=150))
+
+    def fit(model):
+        return gb.fit(gb.Problem(model, record), starts=1, progress=False, profiles=False)
+
+    small, delayed, third = map(fit, (LagLag(), LagLagDelay(), Third()))
+    found = nesting(small, delayed, NAMES)
+    assert (found.terms, found.on_bound) == (("tau",), ("tau",))
+    with pytest.raises(NotNestedError, match="large is not small where c is 0 or 1"):
+        nesting(small, third, NAMES)
+
+    class InTime(gb.StateSpace):
+        """A state where the other is a formula in s."""
+
+        states, inputs, outputs = ("y",), ("u",), ("y",)
+        K, T1, T2 = LagLag.K, LagLag.T1, LagLag.T2
+        c = gb.Parameter(0.5, bounds=(-2, 2))
+
+        def derivative(self, x, u, p):
+            return ((p.K * u.u - x.y) / p.T1 + p.c * x.y + p.T2,)
+
+        def output(self, x, u, p):
+            return (x.y,)
+
+    with pytest.raises(
+        NotNestedError,
+        match=r"the equations of small and large have different forms; if one is the other with c removed, state at",
+    ) as caught:
+        nesting(small, fit(InTime()), NAMES)
+    assert caught.value.undecided
+
+
+def test_the_slope_of_a_tie_follows_from_its_covariance_with_what_it_is_tied_to():
+    """Of parameters of very different size, of which one has no error."""
+    root = np.array([1e3, 1e-4, 0.0])
+    free = np.outer(root, root) * np.array([[1, 0.9, 0], [0.9, 1, 0], [0, 0, 1]])
+    slope = np.array([0.25, -3e5, 0.0])
+    whole = np.block([[free, (free @ slope)[:, None]], [free @ slope, slope @ free @ slope]])
+    fit = SimpleNamespace(free=("a", "b", "c"), covariance_of=lambda names: whole)
+    np.testing.assert_allclose(_slope_of_tie(fit, "tied"), slope, rtol=1e-9)
+    whole[0, -1] = np.nan
+    assert np.isnan(_slope_of_tie(fit, "tied")).all()
+
+
+def test_vectors_are_the_same_up_to_rounding_of_what_cancels():
+    one = np.array([1.0, 1e-3, np.inf])
+    assert _same(one, one * (1 + 0.9e-9), 1e-9)
+    assert not _same(one, one * (1 + 1.1e-9), 1e-9)
+    assert _same(np.array([1.0, 0.9e-14]), np.array([1.0, 0.0]), 1e-9)
+    assert not _same(np.array([1.0, 1.1e-14]), np.array([1.0, 0.0]), 1e-9)
+    assert not _same(one, np.array([1.0, 1e-3, 2.0]), 1e-9)
+    assert _same(1j * one[:2], 1j * one[:2], 1e-9)
+    assert not _same(1j * one[:2], -1j * one[:2], 1e-9)
+
+
+def test_a_value_on_a_bound_is_not_beyond_it():
+    quantity = SimpleNamespace(bounds=(-2.0, 4.0))
+    for value, beyond, on in ((-2.0, False, True), (4.0, False, True), (0.0, False, False), (4.1, True, False)):
+        assert (_beyond(quantity, value), _on_bound(quantity, value)) == (beyond, on)
+        assert _beyond(SimpleNamespace(bounds=(-4.0, 2.0)), -value) == beyond
+    assert not _beyond(quantity, 4.0 * (1 + 1e-10))
+    assert _beyond(quantity, -2.0 * (1 + 1e-8))
+    assert not _on_bound(quantity, 4.0 * (1 - 1e-8))
