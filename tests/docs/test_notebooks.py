@@ -11,10 +11,21 @@ NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
 each = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 
 
+@pytest.fixture(scope="module")
+def kernel():
+    """One process for all notebooks."""
+    client = NotebookClient(nbformat.v4.new_notebook(), timeout=300)
+    with client.setup_kernel():
+        yield client
+
+
 @each
-def test_it_runs_and_draws(path, tmp_path):
+def test_it_runs_and_draws(path, tmp_path, kernel):
     notebook = nbformat.read(path, as_version=4)
-    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    alone = nbformat.v4.new_code_cell(f"%reset -f\n%cd -q {tmp_path}")  # without the names of the others
+    kernel.nb = nbformat.v4.new_notebook(cells=[alone, *notebook.cells])
+    for index, cell in enumerate(kernel.nb.cells):
+        kernel.execute_cell(cell, index)
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     assert not [o for o in outputs if o.output_type == "stream" and o.name == "stderr"]
     drawing = [cell for cell in notebook.cells if cell.cell_type == "code" and "\ngb.plot" in f"\n{cell.source}"]
