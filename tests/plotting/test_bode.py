@@ -1,6 +1,7 @@
 """The Bode diagram: decibels, unwrapped phases, coherence."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from matplotlib.figure import Figure
 
 import greybox as gb
 from greybox.models.tilt import Tilt
+from greybox.plotting.bode import band_limits
 
 
 def test_bode_is_in_decibel_and_degrees(pitch):
@@ -122,3 +124,14 @@ def test_users_axes_may_leave_out_the_errors(pitch, sweep):
         assert len(gb.plotting.bode(pitch, axes=figure.subplots(count, 1))) == count
     with pytest.raises(ValueError, match="draws 2 panels"):
         gb.plotting.bode(sweep, axes=figure.subplots(4, 1))
+
+
+def test_bands_are_the_half_widths_about_the_response_less_its_bias_in_decibel_and_degrees():
+    omega = np.array([4.0, 1.0, 2.0])
+    offset, half = np.array([[0.0, 0.1, 0.2], [0.0, -0.1, 0.3]]), np.array([[0.01, 0.02, 0.03], [0.04, 0.05, 0.06]])
+    found, low, high = band_limits(SimpleNamespace(omega=omega, offset=offset, half_width=half))
+    order = [1, 2, 0]
+    np.testing.assert_array_equal(found, omega[order])
+    for limit, sign in ((low, -1), (high, 1)):
+        decibel = 20 * np.log10(np.exp(offset[0] + sign * half[0]))
+        np.testing.assert_allclose(limit, [decibel[order], np.degrees(offset[1] + sign * half[1])[order]])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from declared_models import TWO_LAGS_OMEGA, Lag, measured
 from hardening_spring import Spring, driven
 
 import greybox as gb
@@ -29,7 +30,15 @@ def test_residuals_have_a_histogram_and_their_correlations(spring, record):
     assert area == pytest.approx(1)
     for ax, test in ((autocorrelation, whiteness([e])), (force, input_correlation([e], [record["force"]]))):
         np.testing.assert_allclose(ax.get_lines()[-1].get_ydata(), test.correlations)
-        assert f"p = {test.p_value:.2g}" in ax.get_title()
+        assert ax.get_title().endswith(f", p = {test.p_value:.2g}")
+        np.testing.assert_array_equal(ax.get_lines()[-1].get_xdata(), np.arange(1, len(test.correlations) + 1))
+        (shade,) = ax.patches
+        box = shade.get_extents().transformed(ax.transData.inverted())
+        assert (box.y0, box.y1) == (pytest.approx(-test.bound), pytest.approx(test.bound))
+        assert ax.get_ylim()[1] > np.abs(test.correlations).max()
+    assert autocorrelation.get_ylabel() == "Autocorrelation"
+    assert force.get_ylabel().startswith("Correlation with")
+    assert histogram.get_xlabel() == "Residual of position, m"
 
 
 def test_what_the_model_lacks_shows(record):
@@ -52,5 +61,10 @@ def test_constant_inputs_and_rows_without_a_time_have_no_correlations(spring, re
     assert [len(gb.plotting.residuals(fit)) for fit in fits] == [2, 1]
     with pytest.raises(ValueError, match="there is no record 3"):
         gb.plotting.residuals(spring, 3)
+    response = gb.fit(gb.Problem(Lag(), measured(Lag(), TWO_LAGS_OMEGA)), starts=1, progress=False)
+    with pytest.raises(ValueError, match=r"has no record: gb\.plotting\.bode shows the errors of its responses"):
+        gb.plotting.residuals(response)
+    with pytest.raises(TypeError, match="cannot draw 3: give a Fit"):
+        gb.plotting.residuals(3)
     with pytest.raises(ValueError, match="draws 3 panels"):
         gb.plotting.residuals(spring, axes=gb.plotting.residuals(spring)[:2])

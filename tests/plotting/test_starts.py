@@ -17,6 +17,11 @@ def test_starts_shows_every_run_sorted_and_grouped(pitch):
     np.testing.assert_array_equal(np.sort(x), np.arange(1, 9))
     np.testing.assert_array_equal(y[np.argsort(x)], sorted(run.cost for run in pitch.runs))
     assert axes.get_title() == f"{pitch.agreeing} of 8 starts agree on the best minimum"
+    low, high = axes.get_ylim()
+    assert low < min(y) <= max(y) < high
+    assert axes.get_xlim() == (0, 9)
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("Runs, sorted by cost", "Cost")
+    assert legend(axes) == [f"minimum {k}: {len(m.runs)} × cost {m.cost:.5g}" for k, m in enumerate(pitch.minima, 1)]
 
 
 def test_starts_shows_failed_runs_at_the_right_and_never_their_cost(pitch):

@@ -43,6 +43,30 @@ def test_a_fit_is_drawn_over_what_was_measured_with_what_is_left_and_the_input(f
     assert np.isclose(np.nanmax(drawn), GAPPED["force"].max())
 
 
+def test_of_a_short_record_every_sample_is_a_dot():
+    time = 0.1 * np.arange(40)
+    record = gb.Record(
+        time, {"force": np.sin(time), "position": np.where(time == 1.0, np.nan, 2 + np.cos(time))}, {"position": "rad"}
+    )
+    short = gb.predict(Spring(), {}, record, horizon=1.0)
+    output, below, force = gb.plotting.time_history(short)
+    (dots,) = [k for k in output.lines if k.get_marker() == "." and k.get_color() == "#AAAAAA"]
+    there = np.isfinite(record["position"])
+    np.testing.assert_allclose(dots.get_xydata(), np.column_stack([time, np.degrees(record["position"])])[there])
+    at, left = line(below, "#0072B2")
+    known = np.isfinite(left)
+    expected = np.degrees(record["position"] - short.record["position"])
+    np.testing.assert_allclose(
+        left[known], np.interp(at[known], time[np.isfinite(expected)], expected[np.isfinite(expected)])
+    )
+    output_band, left_band = output.collections[0], below.collections[0]
+    half = np.nanmax(np.degrees(1.959964 * short.record["position_error"]))
+    assert max(path.get_extents().y1 for path in left_band.get_paths()) == pytest.approx(half, rel=1e-3)
+    assert min(path.get_extents().y0 for path in left_band.get_paths()) == pytest.approx(-half, rel=1e-3)
+    assert output_band.get_paths()
+    assert force.get_xlabel() == "Time, s"
+
+
 def test_a_gap_is_left_open(fit):
     for axis, color in zip(gb.plotting.time_history(fit), ("#0072B2", "#0072B2", "#222222"), strict=True):
         time, drawn = line(axis, color)

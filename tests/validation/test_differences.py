@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 from declared_models import Lag, measured
-from scipy.stats import ttest_ind_from_stats
+from scipy.stats import norm, t, ttest_ind_from_stats
 
 import greybox as gb
 from greybox.problems import pitch_5deg, pitch_hover, roll_hover
+from greybox.validation.differences import Difference, Differences, _holm, _welch
 
 
 def test_each_is_welch_and_all_are_holm():
@@ -40,3 +41,43 @@ def test_the_paper_finds_that_a1_and_a3_change_with_the_angle_of_flight():
     axis = gb.validation.differences(roll, pitch)
     assert axis["a1"].differs
     assert not axis["a4"].differs
+
+
+def test_holms_p_values_grow_with_the_raw_ones_and_end_at_one():
+    assert _holm([0.04, np.nan, 0.01, 0.03, 0.5]) == pytest.approx([0.09, np.nan, 0.04, 0.09, 0.5], nan_ok=True)
+    assert _holm([0.4, 0.6]) == pytest.approx([0.8, 0.8])
+    assert _holm([0.7, 0.6]) == [1.0, 1.0]
+    assert _holm([0.9]) == [0.9]
+
+
+def test_errors_that_are_known_exactly_make_the_test_normal():
+    known = _welch((1.0, 0.3, np.inf), (0.0, 0.4, np.inf))
+    assert known == pytest.approx(2 * norm.sf(2.0), rel=1e-6)
+    assert np.isnan(_welch((1.0, np.nan, 9.0), (0.0, 0.4, 9.0)))
+    assert np.isnan(_welch((1.0, 0.0, 9.0), (0.0, 0.0, 9.0)))
+    alone = _welch((1.0, 0.0, 3.0), (0.0, 0.5, 9.0))
+    assert alone == pytest.approx(2 * t.sf(2.0, 9))
+
+
+def test_it_prints_a_table_and_a_sentence():
+    rows = (
+        Difference("K", "1/s", (2.0, 3.0), (0.03, 0.04), 0.0001, 0.0002),
+        Difference("T", "s", (0.5, 0.52), (0.01, 0.02), 0.3, 0.3),
+        Difference("c", "", (0.5, 0.52), (0.01, np.nan), np.nan, np.nan),
+    )
+    found = Differences(("hover", "climb"), rows)
+    lines = [line.split("  ") for line in str(found).splitlines()]
+    header, k, lag, c = ([cell.strip() for cell in lines[i] if cell.strip()] for i in (0, 2, 3, 4))
+    assert header == ["parameter", "hover", "climb", "difference", "unit", "p"]
+    assert k == ["K", "2.000 ± 0.030", "3.000 ± 0.040", "1.000 ± 0.050", "1/s", "0.0002", "differs"]
+    assert lag == ["T", "0.500 ± 0.010", "0.520 ± 0.020", "0.020 ± 0.022", "s", "0.3"]
+    assert (c[0], c[-1]) == ("c", "-")
+    assert str(found).endswith(f"\n\n{found.verdict}")
+    assert found.verdict == (
+        "K differs beyond the errors; no difference of T is beyond the errors; of c nothing can be told without "
+        "standard errors (5 % for all 2 tests together, Holm)."
+    )
+    assert repr(found) == "<Differences hover and climb, 1 difference>"
+    assert (found["K"].differs, found["T"].differs) == (True, False)
+    with pytest.raises(KeyError, match="there is no 'tau'; there are K, T, c"):
+        found["tau"]
