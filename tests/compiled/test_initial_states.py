@@ -1,10 +1,13 @@
 """States to begin with where the model is not finite at zero."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.compiled.initial_states import InitialStates
+from greybox.compiled.initial_states import InitialStates, at_samples
+from greybox.compiled.sampled_data import SampledData, Stretch
 from greybox.modeling.realization import dynamics
 from greybox.solve import Strategies
 
@@ -45,3 +48,98 @@ def test_a_state_that_an_output_shows_begins_as_measured():
     states = InitialStates(dynamics(Scale()), ("w",), Strategies())
     found = states.at(2 * level + 3, np.zeros((1, 3)), np.ones(1), np.full(1, np.nan))
     assert found == pytest.approx(level)
+
+
+class Chain(gb.StateSpace):
+    """Two states that are seen, one of them reversed, and one that is not and enters a root."""
+
+    states, inputs, outputs = ("a", "b", "c"), ("u",), ("y", "sum", "z")
+    k = gb.Parameter(1.0, bounds=(0.1, 10))
+
+    def derivative(self, x, u, p):
+        return (x.b + u.u, -p.k * x.a - 3 * x.b, -x.c)
+
+    def output(self, x, u, p):
+        return (5 - 0.5 * x.a, x.a + x.b, 4 * x.b)
+
+
+def chain(outputs=("y", "sum", "z"), **strategies):
+    return InitialStates(dynamics(Chain()), outputs, replace(Strategies(), **strategies))
+
+
+UNKNOWN = np.full(3, np.nan)
+
+
+def test_states_that_stay_away_from_zero_begin_as_measured_and_others_at_rest():
+    """Away is a mean of more than half the deviation, on either side of zero."""
+    a, b = np.array([-2.0, -3.0, -2.5, -2.4]), np.array([1.0, -1.0, 2.0, -1.9])
+    measured, inputs = np.array([5 - 0.5 * a, a + b, 4 * b]), np.zeros((1, 4))
+    states = chain()
+    assert states.as_measured(np.full((3, 4), 7.0), measured) == pytest.approx(np.array([a, b, [7.0] * 4]))
+    found = states.at(measured, inputs, np.ones(1), UNKNOWN)
+    assert found == pytest.approx(np.array([a, [0.0] * 4, [0.0] * 4]))
+    given = states.at(measured, inputs, np.ones(1), np.array([9.0, 9.0, -0.3]))  # what is shown is not taken as known
+    assert given == pytest.approx(np.array([a, [0.0] * 4, [-0.3] * 4]))
+    always = chain(mean_over_deviation=0.01).at(measured, inputs, np.ones(1), UNKNOWN)
+    assert always == pytest.approx(np.array([a, b, [0.0] * 4]))
+    assert chain(("sum", "z")).at(measured[1:], inputs, np.ones(1), UNKNOWN) == pytest.approx(np.zeros((3, 4)))
+
+
+def test_poles_are_those_of_the_linearization():
+    found = chain().poles(np.zeros((3, 2)), np.zeros((1, 2)), np.array([2.0]))
+    assert np.sort(found, axis=1) == pytest.approx(np.array([[-2, -1, -1]] * 2))
+
+
+class Levels(gb.StateSpace):
+    """Two hidden levels above zero, of which what is measured shows products."""
+
+    states, inputs, outputs = ("h", "g"), ("u",), ("v", "w")
+    k = gb.Parameter(1.0, bounds=(0.1, 10))
+
+    def derivative(self, x, u, p):
+        return (u.u - gb.sqrt(x.h), gb.sqrt(x.h) - gb.sqrt(x.g))
+
+    def output(self, x, u, p):
+        return (gb.sqrt(x.h), 1e3 * gb.sqrt(x.h * x.g) / gb.sqrt(u.u))
+
+
+def test_sizes_are_tried_together_and_then_of_each_state():
+    """In units of the outputs, of which one is a thousand times as large; where an input is zero nothing is finite."""
+    inputs = np.array([[1.0, 1.0, 0.0, 1.0]])
+    measured = np.array([[0.1] * 4, [1000.0] * 4])
+    found = InitialStates(dynamics(Levels()), ("v", "w"), Strategies()).at(measured, inputs, np.ones(1), UNKNOWN[:2])
+    assert found == pytest.approx(np.array([[0.01] * 4, [100.0] * 4]))
+    one = InitialStates(dynamics(Levels()), ("v", "w"), replace(Strategies(), sweeps=0))
+    assert np.ptp(one.at(measured, inputs, np.ones(1), UNKNOWN[:2])) == 0  # all of one size
+    nowhere = InitialStates(dynamics(Levels()), ("v", "w"), Strategies())
+    assert not nowhere.at(measured, 0 * inputs, np.ones(1), UNKNOWN[:2]).any()
+
+
+def test_samples_without_a_finite_model_take_the_states_of_the_nearest():
+    """Levels as measured, below zero in the middle, where the root of the next sample that has one is taken."""
+
+    class Seen(Jet):
+        outputs = ("h",)
+
+        def output(self, x, u, p):
+            return (x.h,)
+
+    level = np.array([[2.0, 3.0, -1.0, -1.0, 5.0]])
+    found = InitialStates(dynamics(Seen()), ("h",), Strategies()).at(level, np.zeros((1, 5)), np.ones(1), UNKNOWN[:1])
+    assert found.tolist() == [[2.0, 3.0, 3.0, 5.0, 5.0]]
+
+
+def test_samples_at_which_states_begin():
+    """Every third of each stretch, gaps interpolated; of an output without a value in a stretch its mean elsewhere."""
+    y = np.array([[0.0, 1, np.nan, np.nan, 4, 5, 6], [np.nan] * 7])
+    z = np.array([[10.0, 20.0, 30.0, 40.0], [2.0, np.nan, np.nan, 6.0]])
+    stretches = (
+        Stretch(np.arange(7.0)[None], y, np.arange(7), 0.1),
+        Stretch(100 + np.arange(4.0)[None], z, 8 + np.arange(4), 0.1),
+    )
+    data = SampledData(stretches, ("y", "z"), 5)
+    outputs, inputs = at_samples(data, 3)
+    assert outputs == pytest.approx(np.array([[0, 3, 6, 10, 40], [4, 4, 4, 2, 6]]))
+    assert inputs.tolist() == [[0, 3, 6, 100, 103]]
+    begins = at_samples(data, 3, spread=True)[1]
+    assert begins.tolist() == [[0, 3, 6, 101]]  # the second stretch begins 0.618 of three samples later

@@ -12,18 +12,23 @@ from greybox.spectral import transient_spectrum
 
 study = benchmark("transient_coverage")
 MOVING = (8.0, (1.0, 2.0, 2.5, 3.0), [0.005, 0.01])
+SHORT = study.ShortPeriod(), study.SHORT_PERIOD, study.short_period_record(*MOVING), "u", "q"
+LATERAL = study.Lateral(), study.LATERAL, study.lateral_record(), ["da", "dr"], ["roll", "yaw"]
 CASES = {
-    "one output": (study.ShortPeriod(), study.SHORT_PERIOD, study.short_period_record(*MOVING), "u", "q"),
-    "two of each": (study.Lateral(), study.LATERAL, study.lateral_record(), ["da", "dr"], ["roll", "yaw"]),
+    "one output": (*SHORT, gb.OutputError()),
+    "two of each": (*LATERAL, gb.OutputError()),
+    "two of each, correlated": (*LATERAL, gb.OutputError(noise="full")),
+    "equation error of one output": (*SHORT, gb.EquationError()),
+    "equation error of all states": (*LATERAL, gb.EquationError(noise="full")),
 }
 
 
 @pytest.fixture(scope="module", params=CASES)
 def made(request):
-    model, truth, clean, inputs, outputs = CASES[request.param]
+    model, truth, clean, inputs, outputs, criterion = CASES[request.param]
     noise = dict.fromkeys([outputs] if isinstance(outputs, str) else outputs, 0.005)
     record = study.measured(clean, noise, np.random.default_rng(1))
-    nlp = compile_problem(gb.Problem(model, transient_spectrum(record, inputs, outputs, study.BAND), gb.OutputError()))
+    nlp = compile_problem(gb.Problem(model, transient_spectrum(record, inputs, outputs, study.BAND), criterion))
     (part,) = nlp.parts
     z = nlp.scaling.to_solver(np.array([truth[name] for name in nlp.free]))
     return nlp, part, z, part.trajectory(z, None)
@@ -45,4 +50,81 @@ def test_the_information_is_that_of_errors_whose_end_term_follows(made):
     _, information = part.linearize(trajectory, None)
     weight = trajectory.detail.covariance.weight(trajectory.products)
     J = numeric_jacobian(lambda v: weighted_errors(part, v, weight), z)
-    assert_allclose(information, J.T @ J, rtol=0.01, atol=0.002 * np.abs(J.T @ J).max())
+    # A full covariance follows the end term too.
+    rtol = 0.02 if trajectory.detail.covariance.full else 0.01
+    assert_allclose(information, J.T @ J, rtol=rtol, atol=0.002 * np.abs(J.T @ J).max())
+
+
+def numbers_of(part, at):
+    """The negative log-likelihood of the outputs, from the errors and the determinant of what they are transformed by."""
+    n = at.errors.shape[1]
+    covariance = at.errors @ at.errors.T / n
+    if not at.covariance.full:
+        covariance = np.diag(np.diag(covariance))
+    return n / 2 * (np.linalg.slogdet(2 * np.pi * covariance)[1] + len(covariance)) - 2 * at.logarithms
+
+
+def test_the_cost_is_that_of_normal_errors(made):
+    _, part, _, trajectory = made
+    at = trajectory.detail
+    assert part.cost(trajectory, 0.0) == pytest.approx(numbers_of(part, at))
+    assert part.numbers == at.errors.size
+    # Its errors are those of the modelled outputs, and no end term makes them smaller.
+    measured = np.array([part.data.outputs[name] for name in part.outputs])
+    unit = np.sqrt(part.data.step * part.data.duration / 2)
+    if not part._is_equation_error:
+        left = (measured - at.modelled) / unit
+        assert_allclose(at.errors, np.hstack([left.real, left.imag]), rtol=1e-9, atol=1e-12)
+    weight = at.covariance.weight(trajectory.products)
+    by_ends = np.einsum("ka,aln->kln", weight, at.basis).reshape(-1, at.basis.shape[-1])
+    slope = by_ends.T @ (weight @ at.errors).ravel()
+    assert_allclose(slope / np.linalg.norm(by_ends, axis=0), 0, atol=1e-4 * np.linalg.norm(weight @ at.errors))
+    signature = part.signature(trajectory)
+    size = np.sqrt(np.mean(np.abs(measured) ** 2, axis=1))[:, None]
+    assert_allclose(
+        signature, np.concatenate([v.ravel() for v in ((at.modelled / size).real, (at.modelled / size).imag)])
+    )
+
+
+def test_the_information_of_the_values_is_that_of_the_search(made):
+    """At white errors their spread is that of the likelihood, but for the end terms that were fitted along."""
+    nlp, part, z, trajectory = made
+    x = nlp.scaling.to_parameters(z)
+    found = part.information(tuple(nlp.free), x, tuple(range(len(x))), trajectory, np.zeros((0, 0)))
+    factor = (nlp.scaling.to_parameters(z + 1e-6) - x) / 1e-6
+    _, wanted = part.linearize(trajectory, None)
+    information = found.jacobian.T @ found.jacobian
+    assert_allclose(information * factor * factor[:, None], wanted, rtol=1e-4, atol=1e-6 * np.abs(wanted).max())
+    assert found.numbers == part.numbers - len(part.states)
+    one, meat = found.spread(1.0)
+    ratio = np.linalg.eigvals(np.linalg.solve(information, meat)).real
+    assert one == 1
+    assert np.all((ratio > 0.5) & (ratio < 1.7))
+    assert_allclose(found.spread(2.0)[1], 4 * meat)
+    told = found.told(np.eye(len(x)))
+    assert told.shape == (len(x), len(part.data) * len(part.outputs))
+    assert_allclose(told.sum(axis=1), np.diag(information), rtol=1e-6)
+
+
+def test_errors_by_output_follow_the_parameters(made):
+    """Turned by the phase of the modelled output, which is held."""
+    _, part, z, trajectory = made
+    turn = np.exp(-1j * np.angle(trajectory.detail.modelled))
+    lines = len(part.data)
+    slopes = numeric_jacobian(lambda v: fixed_ends(part, v, trajectory.detail.ends).ravel(), z)
+    slopes = slopes.reshape(len(part.outputs), 2 * lines, -1)
+    found = list(part.errors_by_output(z))
+    assert [name for name, *_ in found] == list(part.outputs)
+    for k, (_, errors, by) in enumerate(found):
+        own = trajectory.detail.errors[k]
+        assert_allclose(errors, turn[k] * (own[:lines] + 1j * own[lines:]))
+        wanted = turn[k][:, None] * (slopes[k, :lines] + 1j * slopes[k, lines:])
+        assert_allclose(by[:, : len(z)], wanted, rtol=1e-4, atol=1e-4 * np.abs(wanted).max())
+        basis = trajectory.detail.basis[k]
+        assert_allclose(by[:, len(z) :], turn[k][:, None] * (basis[:lines] + 1j * basis[lines:]))
+
+
+def fixed_ends(part, z, ends):
+    """The errors with these end terms."""
+    at = part.along(part.locate(z)[0].full().ravel())
+    return at.errors + at.basis @ (at.ends - ends)

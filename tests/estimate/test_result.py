@@ -1,13 +1,15 @@
 """Runs grouped into minima: by cost and response, whatever the parameters."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, Parabola, measured
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.solve.minima import Multistart, find_minima
-from greybox.solve.outcome import Run
+from greybox.solve.minima import Minimum, Multistart, agreeing_runs, best_unfinished, find_minima, same_cost
+from greybox.solve.outcome import SCREENED, TOO_COARSE, Run
 
 DATA = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=6)
 GAIN = measured(Parabola(), [0.5, 1.0, 2.0], {"x": 1.0, "slope": 0.0})
@@ -61,3 +63,60 @@ def test_a_multistart_counts_its_failures_by_status():
     search = Multistart(runs, (), 1.0)
     assert search.converged == 1
     assert search.failures == "2 × a, 1 × b"
+
+
+def test_runs_are_alike_to_a_ten_thousandth_of_the_cost_and_a_hundredth_of_the_response():
+    nlp = compile_problem(gb.Problem(Parabola(), GAIN))
+    signature = np.array([1.0, 2.0, -3.0, 0.1])
+    away = np.array([0.0, 0.0, 0.03, 0.0])  # a hundredth of the third, which is half of that of all four
+
+    def minima(costs, signatures):
+        return [m.runs for m in find_minima(nlp, [run(k, 0.9, c) for k, c in enumerate(costs)], signatures)]
+
+    assert minima([1.0, 1.00009, 1.00011], [signature] * 3) == [(0, 1), (2,)]
+    assert minima([1.0] * 3, [signature, signature + 1.9 * away, signature + 2.1 * away]) == [(0, 1), (2,)]
+    # What is below one counts as one: in units of the measured response.
+    assert minima([1.0] * 3, [signature, *(signature + [0, 0, 0, d] for d in (0.019, 0.021))]) == [(0, 1), (2,)]
+    # Six numbers of 5e-4 are rounding: costs below are not told apart by less than a ten thousandth of that.
+    assert minima([0.0, 2.9e-7, 3.1e-7], [signature] * 3) == [(0, 1), (2,)]
+    likely = compile_problem(gb.Problem(Parabola(), GAIN, gb.RelativeLikelihood()))
+    assert same_cost(likely, -1e4) == pytest.approx(0.011)
+
+
+def test_vectors_that_differ_by_a_twentieth_are_variants():
+    nlp = compile_problem(gb.Problem(Parabola(), GAIN))
+    size = float(nlp.scaling.to_solver(np.array([[2.0, 0.1]]))[0, 0])
+    found = find_minima(nlp, [_at(k, x) for k, x in enumerate((2.0, 2.08, 2.2, -2.0, 2.21))], [np.ones(3)] * 5)
+    assert size != 0
+    assert [m.variants for m in found] == [3]
+
+
+def _at(index, x):
+    return Run(index, np.array([0.1]), np.array([x, 0.1]), 1.0, "Solve_Succeeded", True, 3, 0.1)
+
+
+@pytest.mark.parametrize(("likelihood", "agreeing"), [(True, (0, 1, 4)), (False, (0, 1, 2, 4))])
+def test_runs_agree_up_to_a_tenth_of_a_unit_of_likelihood(likelihood, agreeing):
+    """Of a cost of 10 made of 5 numbers a unit is 2."""
+    runs = [run(0, 1.0, 10.0), run(1, 1.0, 10.09), run(2, 1.0, 10.19), run(3, 1.0, 10.05, False), run(4, 1.0, 99.0)]
+    runs.append(run(5, 1.0, 10.21))
+    minima = [Minimum(10.0, np.array([1.0]), (0, 4), 1)]
+    assert agreeing_runs(runs, minima, numbers=5, is_likelihood=likelihood) == agreeing
+    assert agreeing_runs(runs, [], numbers=5, is_likelihood=likelihood) == ()
+
+
+def test_the_best_run_that_did_not_end():
+    runs = [
+        run(0, 1.0, 1.0),
+        replace(run(1, 1.0, 2.0, False), stage=SCREENED),
+        run(2, 1.0, 4.0, False),
+        run(3, 1.0, 3.0, False),
+        run(4, 1.0, 0.5, False, TOO_COARSE),
+        run(5, 1.0, -np.inf, False),
+    ]
+    assert best_unfinished(runs).index == 3
+    assert best_unfinished(runs[:2]).index == 1
+    assert best_unfinished(runs[:1]) is None
+    search = Multistart(tuple(runs), (), 1.0)
+    assert [r.index for r in search.brought] == [0, 2, 3, 4, 5]
+    assert repr(search) == "<Multistart 1 of 5 runs converged, 0 minima>"

@@ -1,6 +1,8 @@
 """The scatter search that the paper was made by: few runs of the solver, the same minima."""
 
 import time
+from itertools import islice
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from sampled_lag import lag_problem
 
 import greybox as gb
 from greybox.problems import pitch_hover
-from greybox.solve.global_search import _Filters
+from greybox.solve.global_search import _Filters, _ScatterSearch
 
 DATA = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)
 
@@ -59,3 +61,71 @@ def test_what_it_cannot_do_is_refused():
         gb.fit(lag_problem(), search="global-search")
     with gb.solve.WorkerPool(1) as pool, pytest.raises(ValueError, match="leave out the executor"):
         gb.fit(gb.Problem(LagLagDelay(), DATA), search="global-search", executor=pool)
+
+
+def test_a_minimum_that_claims_too_large_a_region_gives_a_fifth_of_it_back():
+    filters = _Filters(threshold=5.0)
+    end = np.array([100.0, 0])
+    filters.reached(end + [4.0, 0], end, 1.0)
+    filters.reached(end + [-2.0, 0], end + [0.05, 0], 1.0)  # the same, from nearer
+    assert [minimum[2] for minimum in filters.minima] == [4.0]
+    filters.reached(end, end + [0.2, 0], 1.0)  # another, more than a thousandth away
+    assert len(filters.minima) == 2
+    filters.minima.pop()
+    for turned_down in range(20):
+        assert filters.minima[0][2] == 4.0, turned_down
+        assert not filters.let_pass(end + [2.9, 0], 0.0)
+    assert filters.minima[0][2] == pytest.approx(3.2)
+    assert filters.let_pass(end + [2.9, 0], 0.0)
+    assert filters.threshold == 0.0  # that of the last start
+    assert not filters.let_pass(end + [2.9, 0], 1e-9)
+
+
+def scatter(drawn, merit=lambda z: float(z @ z), low=-10.0, high=10.0):
+    """Trial points of a problem whose variables are those of the solver."""
+    same = SimpleNamespace(to_solver=lambda x: np.asarray(x))
+    nlp = SimpleNamespace(scaling=same, lower=np.full(2, low), upper=np.full(2, high))
+    return _ScatterSearch(nlp, np.asarray(drawn), merit, np.random.default_rng(0))
+
+
+def test_the_reference_set_has_the_best_points_and_those_farthest_from_all_in_it():
+    drawn = np.random.default_rng(1).uniform(-10, 10, (100, 2))
+    search = scatter(drawn)
+    trials = list(islice(search.points(), 23))
+    assert_array_equal([z for z, _ in trials[:20]], drawn[:20])  # a fifth of them
+    assert [value for _, value in trials[:20]] == pytest.approx((drawn[:20] ** 2).sum(axis=1))
+    order = np.argsort((drawn[:20] ** 2).sum(axis=1))
+    chosen = list(order[:5])
+    for _ in range(5):
+        away = [min(np.linalg.norm(drawn[k] - drawn[c]) for c in chosen) for k in range(20)]
+        chosen.append(int(np.argmax(away)))
+    one, other = drawn[chosen[0]], drawn[chosen[1]]
+    # Of the first pair, one beyond either point and one between them, up to half of their distance away.
+    for (z, value), origin, side in zip(trials[20:], (one, one, other), (-1, 1, 1), strict=True):
+        share = (z - origin) @ (other - one) / ((other - one) @ (other - one))
+        assert np.allclose(z, origin + share * (other - one))
+        assert 0 < side * share < 0.5
+        assert value == pytest.approx(z @ z)
+
+
+def test_the_worst_of_the_reference_set_makes_room_for_a_better_point_that_is_new():
+    search = scatter(np.zeros((5, 2)))
+    search._references = [(1.0, np.array([1.0, 0])), (4.0, np.array([2.0, 0])), (9.0, np.array([3.0, 0]))]
+    assert not search._improved(0.0, np.array([1.0, 5e-7]))  # known
+    assert not search._improved(9.0, np.array([0.0, 3.0]))  # no better
+    assert search._improved(0.0, np.array([0.0, 0.0]))
+    assert sorted(value for value, _ in search._references) == [0, 1, 4]
+
+
+def test_when_all_drawn_points_are_used_it_goes_on_around_the_best():
+    search = scatter(np.random.default_rng(1).uniform(2, 10, (30, 2)), low=1.0, high=11.0)
+    search._references = [(9.0, np.array([9.0, 9.0])), (4.0, np.array([4.0, 4.0])), (16.0, np.array([5.0, 5.0]))]
+    drawn = list(islice(search._renewed(), 20))
+    assert len(drawn) == len({tuple(z) for z, _ in drawn}) == 20
+    list(islice(search._drawn, 10))
+    search._references = [(9.0, np.array([9.0, 9.0])), (4.0, np.array([4.0, 4.0])), (16.0, np.array([5.0, 5.0]))]
+    around = np.array([z for z, _ in search._renewed()])
+    assert len(around) == 20
+    assert np.median(around, axis=0) == pytest.approx(4.0, abs=1.0)  # a tenth of the box is one
+    assert np.std(around) == pytest.approx(1.0, abs=0.3)
+    assert len(search._references) == 10

@@ -107,3 +107,19 @@ def test_limits_that_contradict_one_another_are_ignored():
 
 def test_nothing_to_choose():
     assert solve_small_qp(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0)).size == 0
+
+
+@pytest.mark.parametrize(("curvature", "moves"), [(1e-12, True), (1e-14, False)])
+def test_directions_are_flat_below_a_part_in_1e13(curvature, moves):
+    """Beside a curvature of two, after scaling to a diagonal of one."""
+    c = 1 - curvature
+    hessian = np.array([[1.0, c], [c, 1.0]])
+    step = solve_small_qp(hessian, np.array([-1e-9, 1e-9]), np.zeros((0, 2)), np.zeros(0))
+    assert (np.abs(step).max() > 1e-6) == moves
+
+
+def test_without_any_curvature_a_limit_moves_what_it_needs():
+    step = solve_small_qp(np.zeros((2, 2)), np.zeros(2), np.array([[0.0, 2.0]]), np.array([3.0]))
+    assert_allclose(step, [0, 1.5])
+    negative = solve_small_qp(-np.eye(2), np.zeros(2), np.array([[0.0, 2.0]]), np.array([3.0]))
+    assert_allclose(negative, [0, 1.5])

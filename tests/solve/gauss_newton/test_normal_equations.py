@@ -9,7 +9,7 @@ from spring_lag_tilt import HELD, SPRING, Spring, spring
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.gauss_newton.driver import GaussNewton
-from greybox.solve.gauss_newton.homotopy import Progress
+from greybox.solve.gauss_newton.homotopy import EXACTNESS, Progress
 from greybox.solve.gauss_newton.merit import merit_function
 from greybox.solve.gauss_newton.normal_equations import gauss_newton_step, largest_multiplier
 
@@ -95,3 +95,32 @@ def test_trajectories_of_the_wind_are_told_from_the_truth():
     far = parts.at(iterate.z, [nodes + 1.0 for nodes in iterate.nodes])
     assert not parts.is_continuous(far)
     assert nlp.parts[0].has_states
+
+
+@pytest.mark.parametrize("is_exact", [True, False], ids=["exact", "relaxed"])
+def test_a_missed_constraint_costs_its_penalty(is_exact):
+    """k <= 6 is missed by one; the penalty is at least that of the multiplier which holds the step."""
+    nlp, parts, iterate, weights, linearizations, progress = prepared(
+        {"k": 7.0, "c": 0.9, "b": 3.5}, constraints=[lambda p: 6.0 - p.k]
+    )
+    if not is_exact:
+        progress = Progress(parts.settings)
+        progress.begin(iterate, parts.gap_variances(linearizations))
+    assert progress.is_exact == is_exact
+    progress.constraint_penalty = 0.0
+    free = merit_function(parts, weights, progress)(iterate)
+    held = np.zeros(3, dtype=bool)
+    step = gauss_newton_step(parts, iterate, linearizations, progress, held=held, states_only=False)
+    penalty = progress.constraint_penalty
+    k, factor = nlp.free.index("k"), nlp.scaling.factor[nlp.free.index("k")]
+    assert factor * (iterate.z[k] + step.dz[k]) == pytest.approx(6.0, abs=1e-9)
+    damped = step.condensed[0].hessian * (1 + progress.damping * np.eye(3))
+    force = damped @ step.dz + step.condensed[0].gradient
+    assert penalty > 0
+    if is_exact:
+        assert penalty == pytest.approx(EXACTNESS * abs(force[k]) / factor, rel=1e-3)
+    assert merit_function(parts, weights, progress)(iterate) == pytest.approx(free + penalty * 1.0)
+    progress.constraint_penalty = 10 * penalty
+    again = gauss_newton_step(parts, iterate, linearizations, progress, held=held, states_only=False)
+    assert progress.constraint_penalty == 10 * penalty  # it never falls
+    assert again.decrease - step.decrease == pytest.approx(9 * penalty * 1.0, rel=1e-6)
