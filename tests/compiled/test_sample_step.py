@@ -27,12 +27,12 @@ class Chain(gb.StateSpace):
         return (x.a, x.b + 3 * u.w)
 
 
-NAMES = ("k", "tau", "u_bias", "z_bias", "K_a_z", "K_b_y")
-VALUES = np.array([2.0, 0.13, 0.5, -0.2, 0.3, 0.7])
+NAMES = ("k", "tau", "u_bias", "w_bias", "z_bias", "K_a_z", "K_b_y")
+VALUES = np.array([2.0, 0.13, 0.5, 0.25, -0.2, 0.3, 0.7])
 
 
 def made(held=(False, False), outputs=("y", "z")):
-    criterion = gb.PredictionError(biases=["u", "z"])
+    criterion = gb.PredictionError(biases=["u", "w", "z"])
     return sample_step(dynamics(Chain()), held, criterion, outputs, NAMES, gb.RungeKutta(), 4)
 
 
@@ -46,19 +46,19 @@ def test_residuals_and_innovations_are_of_delayed_inputs_less_their_biases(held,
     """The second input is 1.3 samples late: three tenths of the way back to the sample before."""
     step, x = made(held), np.array([0.8, -0.6])
     corrected, mean, change, residual, simulated = (v.full().ravel() for v in step.measurement(x, VALUES, data()))
-    outputs = np.array([0.8, -0.6 + 3 * now - 0.2])
+    outputs = np.array([0.8, -0.6 + 3 * (now - 0.25) - 0.2])
     assert_allclose(simulated, outputs)
     assert_allclose(residual, [1.5 - outputs[0], -0.4 - outputs[1]])
-    assert_allclose(corrected, x + [0.3 * residual[1], 0.7 * residual[0]])
+    assert_allclose(corrected, x + np.array([0.3 * residual[1], 0.7 * residual[0]]))
     if held[0]:  # three tenths of the step at the sample before
-        assert_allclose(mean, [1.2 - 0.5, 0.3 * 4 + 0.7 * 5])
+        assert_allclose(mean, [1.2 - 0.5, 0.3 * 4 + 0.7 * 5 - 0.25])
         assert_allclose(change, [0, 6 * 0.3 * 0.7])
     else:
         assert_allclose(mean[0], (1.2 + 1.8) / 2 - 0.5)
         assert_allclose(change[0], 0.6)
         t = np.linspace(0, 1, 200_001)
         late = np.interp(t - 0.3, [-1, 0, 1], [4.0, 5.0, 7.0])
-        assert_allclose(mean[1], late.mean(), rtol=1e-5)
+        assert_allclose(mean[1], late.mean() - 0.25, rtol=1e-5)
         assert_allclose(change[1], 12 * np.mean(late * (t - 0.5)), rtol=1e-4)
 
 
@@ -75,8 +75,8 @@ def test_some_outputs_in_another_order():
     step, x = made(outputs=("z",)), np.array([0.8, -0.6])
     d = np.array([0, 1, 1.0, 1.2, 1.8, 4.0, 5.0, 7.0, -0.4, 1, STEP])
     corrected, *_, residual, _ = (v.full().ravel() for v in step.measurement(x, VALUES, d))
-    assert_allclose(residual, [-0.4 - (-0.6 + 3 * 4.7 - 0.2)])
-    assert_allclose(corrected, x + [0.3 * residual[0], 0])
+    assert_allclose(residual, [-0.4 - (-0.6 + 3 * (4.7 - 0.25) - 0.2)])
+    assert_allclose(corrected, x + np.array([0.3 * residual[0], 0]))
 
 
 def test_the_step_goes_on_from_the_corrected_state():

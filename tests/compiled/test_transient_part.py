@@ -56,7 +56,7 @@ def test_the_information_is_that_of_errors_whose_end_term_follows(made):
 
 
 def numbers_of(part, at):
-    """The negative log-likelihood of the outputs, from the errors and the determinant of what they are transformed by."""
+    """The negative log-likelihood of the outputs, from the errors and the determinants of what transforms them."""
     n = at.errors.shape[1]
     covariance = at.errors @ at.errors.T / n
     if not at.covariance.full:

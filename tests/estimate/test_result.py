@@ -76,7 +76,10 @@ def test_runs_are_alike_to_a_ten_thousandth_of_the_cost_and_a_hundredth_of_the_r
     assert minima([1.0, 1.00009, 1.00011], [signature] * 3) == [(0, 1), (2,)]
     assert minima([1.0] * 3, [signature, signature + 1.9 * away, signature + 2.1 * away]) == [(0, 1), (2,)]
     # What is below one counts as one: in units of the measured response.
-    assert minima([1.0] * 3, [signature, *(signature + [0, 0, 0, d] for d in (0.019, 0.021))]) == [(0, 1), (2,)]
+    assert minima([1.0] * 3, [signature, *(signature + np.array([0, 0, 0, d]) for d in (0.019, 0.021))]) == [
+        (0, 1),
+        (2,),
+    ]
     # Six numbers of 5e-4 are rounding: costs below are not told apart by less than a ten thousandth of that.
     assert minima([0.0, 2.9e-7, 3.1e-7], [signature] * 3) == [(0, 1), (2,)]
     likely = compile_problem(gb.Problem(Parabola(), GAIN, gb.RelativeLikelihood()))

@@ -66,26 +66,26 @@ def test_what_it_cannot_do_is_refused():
 def test_a_minimum_that_claims_too_large_a_region_gives_a_fifth_of_it_back():
     filters = _Filters(threshold=5.0)
     end = np.array([100.0, 0])
-    filters.reached(end + [4.0, 0], end, 1.0)
-    filters.reached(end + [-2.0, 0], end + [0.05, 0], 1.0)  # the same, from nearer
+    filters.reached(end + np.array([4.0, 0]), end, 1.0)
+    filters.reached(end + np.array([-2.0, 0]), end + np.array([0.05, 0]), 1.0)  # the same, from nearer
     assert [minimum[2] for minimum in filters.minima] == [4.0]
-    filters.reached(end, end + [0.2, 0], 1.0)  # another, more than a thousandth away
+    filters.reached(end, end + np.array([0.2, 0]), 1.0)  # another, more than a thousandth away
     assert len(filters.minima) == 2
     filters.minima.pop()
     for turned_down in range(20):
         assert filters.minima[0][2] == 4.0, turned_down
-        assert not filters.let_pass(end + [2.9, 0], 0.0)
+        assert not filters.let_pass(end + np.array([2.9, 0]), 0.0)
     assert filters.minima[0][2] == pytest.approx(3.2)
-    assert filters.let_pass(end + [2.9, 0], 0.0)
+    assert filters.let_pass(end + np.array([2.9, 0]), 0.0)
     assert filters.threshold == 0.0  # that of the last start
-    assert not filters.let_pass(end + [2.9, 0], 1e-9)
+    assert not filters.let_pass(end + np.array([2.9, 0]), 1e-9)
 
 
-def scatter(drawn, merit=lambda z: float(z @ z), low=-10.0, high=10.0):
+def scatter(drawn, low=-10.0, high=10.0):
     """Trial points of a problem whose variables are those of the solver."""
-    same = SimpleNamespace(to_solver=lambda x: np.asarray(x))
+    same = SimpleNamespace(to_solver=np.asarray)
     nlp = SimpleNamespace(scaling=same, lower=np.full(2, low), upper=np.full(2, high))
-    return _ScatterSearch(nlp, np.asarray(drawn), merit, np.random.default_rng(0))
+    return _ScatterSearch(nlp, np.asarray(drawn), lambda z: float(z @ z), np.random.default_rng(0))
 
 
 def test_the_reference_set_has_the_best_points_and_those_farthest_from_all_in_it():

@@ -1,9 +1,14 @@
 """How data of replicates are drawn, by what chance says of the draws."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
-from greybox.solve.response_replicates import ResponseDraws
+import greybox as gb
+from greybox.compiled.compiled_problem import compile_problem
+from greybox.solve.response_replicates import ResponseDraws, response_draws, response_replicates
 
 
 def draws(drawn, *, parts=1, points=3, unknowns=4):
@@ -50,3 +55,145 @@ def test_one_observation_is_left_out():
     assert (part, values[:3].tolist()) == (None, [1, 0, 1])
     with pytest.raises(IndexError):
         draws("points").without(3)
+
+
+def measured_points(found, points=3):
+    """The measured responses among what is given for replicates of one part without constants: (replicates, points)."""
+    tables = np.array(found)[:, 1:].reshape(len(found), 3, points)
+    return tables[:, 1] + 1j * tables[:, 2]
+
+
+@pytest.mark.parametrize("dof", [None, 12.0])
+def test_parametric_errors_are_normal_or_of_student_and_what_points_have_in_common_is_added(dof):
+    """In proportion to the sizes, of one variance in both components; Student's is larger by f / (f - 2)."""
+    made = replace(
+        draws("parametric"),
+        responses=(np.array([1.0, 2j, -3.0]),),
+        sizes=(np.array([1.0, 0.5, 2.0]),),
+        deviations=(0.3,),
+        dofs=(None if dof is None else np.full(3, dof),),
+        common=(np.array([[0.4, 0.4j, 0.0]]),),
+    )
+    errors = measured_points([made.replicate(k) for k in range(4000)]) - made.responses[0]
+    size = 0.3 * np.array([1.0, 0.5, 2.0]) * (1 if dof is None else np.sqrt(dof / (dof - 2)))
+    assert errors.mean(axis=0) == pytest.approx(np.zeros(3), abs=0.04)
+    assert errors.real.std(axis=0) == pytest.approx(np.hypot(size, [0.4, 0, 0]), rel=0.06)
+    assert errors.imag.std(axis=0) == pytest.approx(np.hypot(size, [0, 0.4, 0]), rel=0.06)
+    assert np.mean(errors[:, 0].real * errors[:, 1].imag) == pytest.approx(0.16, abs=0.02)
+    assert np.mean(errors[:, 0].real * errors[:, 2].real) == pytest.approx(0, abs=0.02)
+    assert [*made.replicate(3)] == [*made.replicate(3)]
+    assert made.replicate(3)[1:4].tolist() == [1, 2, 3]  # frequencies stay
+
+
+def test_residuals_are_drawn_with_their_magnitudes_at_any_angle():
+    made = replace(draws("residuals"), errors=(np.array([0.1, 0.2j, -0.3]),), sizes=(np.array([1.0, 10.0, 100.0]),))
+    errors = (measured_points([made.replicate(k) for k in range(600)]) - 1) / made.sizes[0]
+    magnitudes, counts = np.unique(np.abs(errors).round(9), return_counts=True)
+    assert magnitudes.tolist() == [0.1, 0.2, 0.3]
+    assert counts == pytest.approx(np.full(3, 600), abs=100)
+    turns = np.angle(errors)
+    assert np.histogram(turns, 4, (-np.pi, np.pi))[0] == pytest.approx(np.full(4, 450), abs=90)
+
+
+def test_constants_of_an_earlier_fit_are_drawn_with_their_covariance():
+    root = np.array([[0.3], [-0.6]])
+    made = replace(draws("parametric"), constants=np.array([5.0, 7.0]), root=root)
+    found = np.array([made.constants_of(k) for k in range(2000)])
+    assert found.mean(axis=0) == pytest.approx([5, 7], abs=0.05)
+    assert np.cov(found.T) == pytest.approx(root @ root.T, rel=0.1)
+    assert made.replicate(8)[:2] == pytest.approx(found[8])
+    assert made.without(0)[1][:2].tolist() == [5, 7]
+
+
+class Lag(gb.TransferFunction):
+    input, output = "u", "y"
+    K = gb.Parameter(2.0, bounds=(0.1, 10))
+    T = gb.Parameter(0.5, bounds=(0.01, 10))
+
+    def response(self, s, p):
+        return p.K / (p.T * s + 1)
+
+
+OMEGA = np.array([0.5, 1.0, 2.0, 4.0, 8.0])
+
+
+def lag_draws(noise, criterion, *, at_bound=(False, False), covariance=None, **columns):
+    """The draws at K = 2 and T = 0.5, the residuals over the modelled response, and its derivatives (n, 2)."""
+    model = 2 / (0.5j * OMEGA + 1)
+    random = np.random.default_rng(3)
+    left = noise * (random.normal(size=5) + 1j * random.normal(size=5))
+    data = gb.FrequencyResponse(OMEGA, model * (1 + left), "u", "y", **columns)
+    nlp = compile_problem(gb.Problem(Lag(), data, criterion))
+    covariance = np.zeros((0, 0)) if covariance is None else covariance
+    made = response_draws(nlp, np.array([2.0, 0.5]), np.array(at_bound), covariance, "residuals", 4)
+    return made, model, left, np.transpose([model / 2, -1j * OMEGA * model**2 / 2])
+
+
+def leverage(slopes, size):
+    """The mean of the diagonal of the hat matrix over both components of every point."""
+    rows = np.vstack([(slopes / size[:, None]).real, (slopes / size[:, None]).imag])
+    return np.diag(rows @ np.linalg.pinv(rows)).reshape(2, -1).mean(axis=0)
+
+
+@pytest.mark.parametrize(("at_bound", "free"), [((False, False), [0, 1]), ((True, False), [1])])
+def test_residuals_are_enlarged_by_their_leverage(at_bound, free):
+    made, model, left, slopes = lag_draws(0.05, gb.SquaredRelativeError(), at_bound=at_bound)
+    assert_allclose(made.responses[0], model)
+    assert_allclose(made.sizes[0], np.abs(model))
+    wanted = left * model / np.abs(model) / np.sqrt(1 - leverage(slopes[:, free], np.abs(model)))
+    assert_allclose(made.errors[0], wanted, rtol=1e-6)
+    assert made.deviations[0] == pytest.approx(np.sqrt(np.mean(np.abs(wanted) ** 2) / 2), rel=1e-6)
+    assert (made.dofs, made.common, made.unknowns) == ((None,), (None,), 2)
+
+
+@pytest.mark.parametrize(("given", "believed"), [(1e-1, True), (1e-3, False)])
+def test_given_variances_are_believed_where_residuals_are_smaller(given, believed):
+    """And what the points have in common is no error of their own."""
+    variance, dof = given**2 * np.arange(1.0, 6.0), np.full(5, 20.0)
+    common = np.sqrt(variance * np.array([0.0, 0.5, 0.5, 0.99, 0.0]))[None]
+    made, model, left, slopes = lag_draws(
+        0.01, gb.MaximumLikelihood(), variance=variance, dof=dof, common_errors=common
+    )
+    size = np.sqrt(variance * [1.0, 0.5, 0.5, 0.1, 1.0])  # a tenth of the variance is left at least
+    assert_allclose(made.sizes[0], size)
+    wanted = left * model / size / np.sqrt(1 - leverage(slopes, size))
+    if believed:
+        wanted /= np.sqrt(np.mean(np.abs(wanted) ** 2))
+        assert made.deviations[0] == pytest.approx(np.sqrt(0.5))
+    else:
+        assert made.deviations[0] > 1
+    assert_allclose(made.errors[0], wanted, rtol=1e-6)
+    assert made.dofs[0].tolist() == dof.tolist()
+    assert_allclose(made.common[0], common)
+
+
+def test_a_covariance_of_constants_has_its_root():
+    covariance = np.array([[0.04, 0.02, 0.0], [0.02, 0.01, 0.0], [0.0, 0.0, 0.09]])
+    made, *_ = lag_draws(0.05, gb.SquaredRelativeError(), covariance=covariance)
+    assert_allclose(made.root @ made.root.T, covariance, atol=1e-12)
+    assert made.root.shape[1] <= 3
+
+
+def test_data_that_are_fitted_exactly_have_no_errors_to_draw():
+    with pytest.raises(ValueError, match="is fitted exactly, so that the size of its errors is not known"):
+        lag_draws(0.0, gb.SquaredRelativeError())
+
+
+def test_a_replicate_is_refitted_as_its_data_would_be():
+    """And so is what is left without a point, by Newton's method for all at once."""
+    made, *_ = lag_draws(0.05, gb.SquaredRelativeError())
+    nlp = compile_problem(
+        gb.Problem(Lag(), gb.FrequencyResponse(OMEGA, made.responses[0], "u", "y"), gb.SquaredRelativeError())
+    )
+    runner = response_replicates(nlp, made, np.array([2.0, 0.5]))
+    assert runner.left_out == 5
+    assert runner.constants_of(3).size == 0
+    outcomes = runner.run_together(np.array([[7.0], [-2.0]]))
+    table = made.replicate(7)[1:].reshape(6, 5)
+    drawn = gb.FrequencyResponse(OMEGA, table[1] + 1j * table[2], "u", "y")
+    keep = np.arange(5) != 1
+    without = gb.FrequencyResponse(OMEGA[keep], made.tables[0][1, keep] + 1j * made.tables[0][2, keep], "u", "y")
+    for outcome, data in zip(outcomes, (drawn, without), strict=True):
+        fit = gb.fit(gb.Problem(Lag(), data, gb.SquaredRelativeError()), starts=[{}], progress=False, profiles=False)
+        assert outcome.converged
+        assert outcome.estimate == pytest.approx([fit.estimate["K"], fit.estimate["T"]], rel=1e-5)
