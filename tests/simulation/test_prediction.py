@@ -1,5 +1,7 @@
 """What a prediction says of itself, against numbers made by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -77,8 +79,24 @@ def test_it_prints_itself(prediction):
     assert text.startswith("M: 3 windows of 0.4 s in r, the state of each estimated from the 0.2 s before it")
     header, row = text.splitlines()[2], text.splitlines()[4]
     assert header.split("  ")[-1].strip() == "standard error"
-    assert row.split()[-2:] == ["0.4", "0.3"]
-    assert text.endswith("\n  a note.")
+    fit = f"{prediction.fit_percent('y'):.4g}"
+    assert header.split() == [
+        *("output unit fit % error (rms) after 0.1 s after 0.2 s after 0.4 s noise standard error".split()),
+    ]
+    assert row.split() == ["y", "m", fit, f"{np.sqrt(0.075):.3g}", "0.1", "0.2", "0.4", "0.4", "0.3"]
+    assert text.endswith("\n\n  a note.")
+    assert repr(prediction) == "<Prediction M, 0.4 s ahead, 3 windows, y>"
+
+
+def test_rows_without_a_time_have_no_growth(prediction):
+    data = gb.Record(np.arange(20.0), dict(prediction.data.signals), name="r", has_time=False)
+    rows = replace(prediction, data=data, rows=ROWS[:, :1], notes=())
+    rows = replace(rows, **{name: getattr(rows, name)[..., :1] for name in ("predicted", "error", "trajectory")})
+    lines = str(rows).splitlines()
+    assert lines[0] == "M: 3 rows of r"
+    assert lines[2].split() == "output unit fit % error (rms) noise standard error".split()
+    assert lines[4].split()[2:] == ["0.1", "0.4", "0.3"]
+    assert (rows.title, rows.window, repr(rows)) == ("M", "row", "<Prediction M, 3 rows, y>")
 
 
 def test_an_output_that_was_not_predicted_is_refused(prediction):

@@ -1,6 +1,7 @@
 """The simulator: how finely it integrates, and what it calls diverged."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -77,3 +78,29 @@ def test_what_an_output_depends_on_is_told_from_rounding():
     slopes[1, 0, 1, 1] = 1e-12
     found = _depends(slopes, np.array([1.0, 0.0]))
     assert np.argwhere(found).tolist() == [[0, 1, 0, 0], [1, 0, 1, 1]]
+
+
+class Known:
+    """A growth rate with a variance."""
+
+    def __init__(self, rate, variance):
+        self.rate, self.variance = rate, variance
+
+    def at_estimate(self, model, **options):
+        return replace(model_at(Growth(), {"rate": self.rate}), covariance=np.array([[self.variance]]))
+
+
+def test_errors_of_predictions_follow_the_parameters_through_the_state_that_they_imply():
+    """By predictions at two neighboring values, of which each estimates its own states."""
+    time = 0.1 * np.arange(121)
+    u = 1 + np.sin(1.3 * time)
+    x = gb.simulate(Growth(), {"rate": -0.8}, gb.Record(time, {"u": u}), initial={"x": 1.0})["x"]
+    x = x + 0.05 * np.random.default_rng(0).normal(size=time.size)
+    options = {"record": gb.Record(time, {"u": u, "x": x}), "lead": 1.0, "horizon": 2.0}
+    alone = gb.predict(Growth(), {"rate": -0.8}, **options)
+    up, down = (gb.predict(Growth(), {"rate": rate}, **options) for rate in (-0.799, -0.801))
+    slope = (up.predicted - down.predicted) / 0.002
+    found = gb.predict(Known(-0.8, 0.01), **options)
+    assert_allclose(found.predicted, alone.predicted)
+    assert_allclose(found.error, np.sqrt(alone.error**2 + 0.01 * slope**2), rtol=0.02)
+    assert np.all(alone.error < 0.3 * found.error)
