@@ -47,6 +47,46 @@ def test_a_noise_free_periodic_response_is_exact(seed, omega, gain, phase, perio
     assert found.points[0].periods == periods
 
 
+def test_a_point_holds_amplitudes_distortion_and_drift_of_its_whole_periods():
+    """Of 10.5 s of a sine of 1 s, settled for 2 s: 8 periods, of control, output and setpoint, and of trends."""
+    t = 3 + 0.01 * np.arange(1050)
+    omega = 2 * math.pi
+    truth = 1.5 * np.exp(-0.4j)
+    since = t - t[0]
+    u = 0.5 * np.sin(omega * since) + 0.1 * np.cos(2 * omega * since) + 0.02 * since
+    y = np.imag(truth * 0.5 * np.exp(1j * omega * since)) + 0.03 * np.sin(3 * omega * since) + 0.05 * since - 1
+    r = 0.4 * np.cos(omega * since)
+    found = one_test(u, y, t, omega, signals={"r": r}, setpoint="r", settle=2.0)
+    (point,) = found.points
+    assert (point.omega, point.periods) == (omega, 8)
+    assert 5.0 <= point.start < 5.51
+    assert point.end - point.start == pytest.approx(8.0, abs=0.011)
+    # The setpoint's sine leads by a quarter of a turn.
+    for value, expected in ((point.u, 0.5), (point.y, 0.5 * truth), (point.r, 0.4j)):
+        assert value == pytest.approx(expected, abs=1e-3)
+    assert point.response == pytest.approx(truth, rel=1e-3)
+    assert point.distortion == pytest.approx((0.1 / 0.5, 0.03 / 0.75), rel=0.02)
+    assert point.drift == pytest.approx((0.02 * 8, 0.05 * 8), rel=0.02)
+    assert point.saturation < 0.02
+    assert found.findings == (
+        "6.28319 rad/s: the control has harmonics of 20% of its sine: the response is not linear there",
+        "6.28319 rad/s: the trim of the control drifts by 0.16 where its amplitude is 0.5",
+        "6.28319 rad/s: the trim of the output drifts by 0.4 where its amplitude is 0.75",
+    )
+
+
+@pytest.mark.parametrize(("every", "share"), [(10, "10%"), (15, "7%"), (25, "")])
+def test_missing_samples_are_told_from_five_percent(every, share):
+    t = 0.01 * np.arange(1000)
+    omega = 2 * math.pi
+    kept = np.arange(1000) % every != 5
+    u, y = np.sin(omega * t), 2 * np.cos(omega * t)
+    found = one_test(u[kept], y[kept], t[kept], omega, settle=1.0)
+    assert found.response.response[0] == pytest.approx(2j, rel=1e-6)
+    expected = (f"6.28319 rad/s: {share} of the samples are missing",) if share else ()
+    assert found.findings == expected
+
+
 @pytest.mark.parametrize("method", ["least-squares", "quadrature"])
 def test_a_lag_has_a_negative_phase_and_a_delay_too(method):
     t = np.arange(8000) * STEP

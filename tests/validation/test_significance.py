@@ -29,6 +29,12 @@ def test_log_likelihoods_are_those_of_the_normal_distribution(fits):
     assert np.sum(significance._log_likelihoods(part)) == pytest.approx(-fits[1].cost, rel=1e-6)
 
 
+def test_where_nothing_is_tested_both_aic_are_told(fits):
+    compared = gb.compare(*fits, labels=("a", "b"))
+    values = [number(compared.value("AIC", label), 6) for label in ("a", "b")]
+    assert significance._aic_text(fits) == f" (AIC {values[0]} and {values[1]})"
+
+
 class TwoOutputs:
     """A part with correlated residuals of two outputs, of which one sample lacks one."""
 

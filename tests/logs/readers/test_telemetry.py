@@ -8,6 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from synthetic_logs import radio, tlog
 
 from greybox.logs.readers import read, telemetry_frames
+from greybox.logs.readers.telemetry_metadata import HULLS
 
 BOOT = 1_700_000_000_000_000  # µs since 1970
 
@@ -169,3 +170,19 @@ def test_what_is_not_asked_for_is_not_in_memory(tmp_path, monkeypatch, message):
     tracemalloc.stop()
     assert [*recording] == ["HEARTBEAT[1:1]", "HEARTBEAT[255:190]"]
     assert peak < 65 * 20_000  # bytes a packet: 19 of frames, its time by the sender, and where these are
+
+
+def test_the_firmware_of_a_vehicle_is_that_of_its_type_in_mavlink():
+    """By the names that pymavlink gives to the numbers."""
+    firmware = {
+        "ArduCopter": "QUADROTOR COAXIAL HELICOPTER HEXAROTOR OCTOROTOR TRICOPTER DODECAROTOR DECAROTOR",
+        "ArduPlane": "FIXED_WING FLAPPING_WING VTOL_DUOROTOR VTOL_QUADROTOR VTOL_TILTROTOR PARAFOIL",
+        "ArduRover": "GROUND_ROVER SURFACE_BOAT",
+        "ArduSub": "SUBMARINE",
+        "Blimp": "AIRSHIP",
+    }
+    for vehicle, names in firmware.items():
+        for name in names.split():
+            assert HULLS[getattr(mavlink, f"MAV_TYPE_{name}")] == vehicle, name
+    for name in "GENERIC GCS GIMBAL ROCKET BATTERY CAMERA".split():
+        assert getattr(mavlink, f"MAV_TYPE_{name}") not in HULLS, name
