@@ -857,24 +857,26 @@ class RecordPart(Part):
 
         s, length, k, n = self.data.segments, self.data.segment_length, len(self.outputs), self.states
         m = initial_directions.shape[2]
-        by_initial = np.empty((s, length, k, m))
+        by_initial = np.empty((k, m, s, length))
         p = trajectory.z.size
-        weighted = np.empty((s, length, k, p))
+        weighted = np.empty((k, p, s, length))
         triangle = np.zeros((0, p))
         white = np.zeros((p, p))
         squares = np.zeros(p)
         for batch in self.segments.batches(s):
             _, J, _ = self.segments.sensitivities(trajectory.detail.states, placed.q, placed.data, batch)
-            by_states = weight @ (J[..., :n] @ sensitivity[batch, None])
-            by_parameters = weight @ (J[..., n:] @ placed.slope)
+            J = (weight @ J.reshape(length, k, -1)).reshape(J.shape)
+            by_states = np.einsum("lknc,cnp->lkpc", J[:, :, :n], sensitivity[batch])
+            by_parameters = placed.slope.T @ J[:, :, n:]
+            squares += np.einsum("lkpc,lkpc->p", by_states, by_states)
+            squares += np.einsum("lkpc,lkpc->p", by_parameters, by_parameters)
             root = by_states + by_parameters
-            rows = root.reshape(-1, p)
-            squares += np.einsum("ijkp,ijkp->p", by_states, by_states)
-            squares += np.einsum("ijkp,ijkp->p", by_parameters, by_parameters)
-            triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows]), mode="r"))
-            white += rows.T @ rows
-            weighted[batch] = weight.T @ root
-            by_initial[batch] = weight.T @ (weight @ (J[..., :n] @ initial_directions[batch, None]))
+            rows = np.moveaxis(root, 2, 0).reshape(p, -1)
+            triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows.T]), mode="r"))
+            white += rows @ rows.T
+            weighted[:, :, batch] = np.einsum("ka,kpcl->apcl", weight, root.transpose(1, 2, 3, 0))
+            directions = np.einsum("lknc,cnm->kmcl", J[:, :, :n], initial_directions[batch])
+            by_initial[:, :, batch] = np.einsum("ka,kmcl->amcl", weight, directions)
         if placed.filter is not None:
             rows = self._covariance_rows(placed.filter, weight) @ placed.slope
             squares += (rows**2).sum(axis=0)
@@ -884,8 +886,8 @@ class RecordPart(Part):
         return _Sensitivity(
             triangle=triangle,
             white=white,
-            weighted=np.moveaxis(weighted.reshape(s * length, k, p), 0, -1),
-            by_initial=np.moveaxis(by_initial.reshape(s * length, k, m), 0, -1),
+            weighted=weighted.reshape(k, p, s * length),
+            by_initial=by_initial.reshape(k, m, s * length),
             reach=np.sqrt(squares),
             initial={name: first[:, i] for i, name in enumerate(self.system.states) if not known[i]},
         )
@@ -902,7 +904,11 @@ class RecordPart(Part):
             return np.zeros((s, 0, 0))
         R = np.random.default_rng(0).normal(size=(s, n, n))
         R[np.ix_(self.data.begins_record, self.model.known_states)] = 0
-        X, _ = self._solve_continuity(b, R, np.zeros_like(R), np.zeros(n))
+        columns = 1 + b.cross_hessian.shape[2]  # as in `condense`, whose factorization then serves
+        each = np.split(np.pad(R, ((0, 0), (0, 0), (0, -n % columns))), -(-n // columns), axis=2)
+        exact = np.zeros(n)
+        X = np.concatenate([self._solve_continuity(b, own, np.zeros_like(own), exact)[0] for own in each], axis=2)
+        X = X[:, :, :n]
         X[np.ix_(self.data.begins_record, self.model.known_states)] = 0
         result = np.zeros_like(X)
         starts = np.flatnonzero(self.data.begins_stretch)

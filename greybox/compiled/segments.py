@@ -96,7 +96,7 @@ class Segments:
         self.n = step.function.size1_in(0)
         self.k = step.function.size1_out(1)
         self._ordered: tuple[Array, Array] | None = None
-        self._arrays: tuple[Array, Array, Array] | None = None
+        self._array: Array | None = None
         self._compiled = None
         if compile_linearization:
             self._compiled = CompiledLinearization(step.function, active.tolist(), count, length, each=self.number > 1)
@@ -297,16 +297,20 @@ class Segments:
         parameter_moments = np.zeros((self.number, k, k, v - n))
 
         for batch in self.batches(s):
-            transition[batch], J, e = self.sensitivities(states, q, data, batch)
-            W = weight if weight.ndim == 2 else weight[self.records[batch], None]
-            J = W @ J
-            e = W @ e[..., None]
+            ends, J, e = self.sensitivities(states, q, data, batch)
+            transition[batch] = ends.transpose(2, 0, 1)
+            if weight.ndim == 2:
+                J = (weight @ J.reshape(self.length, self.k, -1)).reshape(J.shape)
+                e = weight @ e
+            else:
+                J = np.einsum("cab,lbvc->lavc", weight[self.records[batch]], J)
+                e = np.einsum("cab,lbc->lac", weight[self.records[batch]], e)
             if moments:
-                M = (e[..., 0].transpose(0, 2, 1) @ J.reshape(*J.shape[:2], k * v)).reshape(-1, k, k, v)
+                M = np.einsum("lac,lbvc->cabv", e, J)
                 node_moments[batch] = M[..., :n]
                 parameter_moments += self.by_record(M[..., n:], batch)
-            J = J.reshape(len(J), -1, v)
-            e = e.reshape(len(e), -1)
+            J = np.ascontiguousarray(J.reshape(-1, v, J.shape[-1]).transpose(2, 0, 1))
+            e = e.reshape(-1, e.shape[-1]).T
             H = J.transpose(0, 2, 1) @ J
             g = (e[:, None, :] @ J)[:, 0]
             node_hessian[batch] = H[:, :n, :n]
@@ -354,7 +358,7 @@ class Segments:
         )
 
     def sensitivities(self, states: Array, q: Array, data: Array, batch: slice) -> tuple[Array, Array, Array]:
-        """Return derivatives of the ends (c, n, v) and residuals (c, length, k, v), and the residuals (c, length, k).
+        """Return derivatives of the ends (n, v, c) and residuals (length, k, v, c), and the residuals (length, k, c).
 
         Of the c segments of a `batch`, by node and active parameters. The second array is overwritten by the next call.
         """
@@ -367,7 +371,7 @@ class Segments:
         q = q[:, batch] if self._own else q
         A, C, e = _finite(self._evaluate(self._derivatives, chosen(states), q, chosen(data)))
         S, J = self._propagated(A, C, count)
-        return S, J, e.reshape(self.k, length, count).transpose(2, 1, 0)
+        return S, J, e.reshape(self.k, length, count).transpose(1, 0, 2)
 
     def output_sensitivities(self, states: Array, q: Array, data: Array) -> Array:
         """Return the derivatives of the simulated outputs at all samples, (s, length, k, v), measured or not.
@@ -378,7 +382,7 @@ class Segments:
         if not math.isfinite(A.sum() + C.sum()):
             lost = ~(np.isfinite(A).all(axis=0) & np.isfinite(C).all(axis=0)) & np.isfinite(states).all(axis=0)
             A[:, lost], C[:, lost] = self._differences(states, q, data, np.flatnonzero(lost))
-        return self._propagated(A, C, self.count)[1].copy()
+        return np.ascontiguousarray(self._propagated(A, C, self.count)[1].transpose(3, 0, 1, 2))
 
     def _differences(self, states: Array, q: Array, data: Array, columns: NDArray[np.integer]) -> tuple[Array, Array]:
         """Return what `_output_derivatives` gives of some columns, by central differences.
@@ -405,35 +409,33 @@ class Segments:
         return A, C
 
     def _propagated(self, A: Array, C: Array, count: int) -> tuple[Array, Array]:
-        """Carry the derivatives of every sample through the segments: of ends (count, n, v), of rows (c, length, k, v).
+        """Carry the derivatives of every sample through the segments: of ends (n, v, count), of rows (length, k, v, c).
 
         A and C are the derivatives by the state at a sample and the parameters, as CasADi stacks matrices, column by
-        column.
+        column. Segments come last: products of small matrices one after the other cost more than their arithmetic.
         """
         n, k, length = self.n, self.k, self.length
         v = n + len(self.active)
-        transitions, rows, J = self._workspace(count)
-        transitions[:] = A.reshape(v, n, length, count).transpose(2, 3, 1, 0)
-        rows[:] = C.reshape(v, k, length, count).transpose(3, 2, 1, 0)
-        S = np.tile(np.eye(n, v), (count, 1, 1))
+        transitions, rows = A.reshape(v, n, length, count), C.reshape(v, k, length, count)
+        J = self._workspace(count)
+        S = np.zeros((n, v, count))
+        S[range(n), range(n)] = 1
         for i in range(length):
-            np.matmul(rows[:, i, :, :n], S, out=J[:, i])
-            S = transitions[i, :, :, :n] @ S
-            S[:, :, n:] += transitions[i, :, :, n:]
-        J[..., n:] += rows[..., n:]
+            np.einsum("jac,jvc->avc", rows[:n, :, i], S, out=J[i])
+            S = np.einsum("jac,jvc->avc", transitions[:n, :, i], S)
+            J[i, :, n:] += rows[n:, :, i].swapaxes(0, 1)
+            S[:, n:] += transitions[n:, :, i].swapaxes(0, 1)
         return S, J
 
-    def _workspace(self, count: int) -> tuple[Array, Array, Array]:
-        """Return arrays for the derivatives of so many segments, the same as the last time for as many.
+    def _workspace(self, count: int) -> Array:
+        """Return an array for the derivatives of so many segments, the same as the last time for as many.
 
         Memory that is asked for anew at every iteration costs more than the arithmetic in it: its pages are zeroed by
         the system each time.
         """
-        if self._arrays is None or len(self._arrays[1]) != count:
-            v = self.n + len(self.active)
-            rows = (count, self.length, self.k, v)
-            self._arrays = (np.empty((self.length, count, self.n, v)), np.empty(rows), np.empty(rows))
-        return self._arrays
+        if self._array is None or self._array.shape[-1] != count:
+            self._array = np.empty((self.length, self.k, self.n + len(self.active), count))
+        return self._array
 
     def mean_transition(self, states: Array, q: Array, data: Array) -> tuple[Array, Array]:
         """Return the mean derivatives of the next state (n, n) and of the outputs (k, n) by the state."""
