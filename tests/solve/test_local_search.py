@@ -69,6 +69,13 @@ def test_initial_states_that_are_hardly_seen_hinder_nothing():
     assert all(abs(float(found.records[0].initial[name][0]) - 0.7) < 0.1 for name in ("r1", "r2", "r3", "r4"))
 
 
+def test_ipopt_too_begins_near_the_data_where_initial_states_are_hardly_seen():
+    # From initial states of several hundred, where steps without damping lead, it stagnates far above.
+    found = gb.fit(thrust(600), starts=[THRUST], method=gb.SingleShooting(hessian="exact"), progress=False)
+    assert found.converged
+    assert all(abs(found.estimate[name] - value) < 4 * found.standard_error[name] for name, value in THRUST.items())
+
+
 def test_an_alias_of_the_integrator_is_no_answer():
     # 101 and 76 turn four substeps of RK4 a sample into a slow pole, with the cost and response of the true values.
     starts = [{"k1": 101.0, "k2": 76.0}, {"k1": 1.0, "k2": 1.0}]

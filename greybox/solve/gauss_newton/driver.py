@@ -376,21 +376,13 @@ class GaussNewton(LocalSolver):
         None where the model diverges.
         """
         iterate = self._parts.from_data(z)
-        weights = self._parts.initial_weights()
-        progress = Progress(self._settings)
-        progress.gap_scale = 1.0
         if not iterate.finite:
             return None
         try:
-            for k in range(SMOOTHING_ITERATIONS):
-                linearizations = self._parts.linearize(iterate, weights)
-                if k == 0:
-                    progress.begin(iterate, self._parts.gap_variances(linearizations))
-                step = self._step(iterate, linearizations, progress, states_only=True)
-                iterate = self._parts.moved(iterate, step, 1.0)
+            smoothed, _, _ = self._descend(iterate, Progress(self._settings), SMOOTHING_ITERATIONS, states_only=True)
         except np.linalg.LinAlgError:
             return None
-        return self._parts.split(iterate) if iterate.finite else None
+        return self._parts.split(smoothed)
 
     def _progress(self, *, near_solution: bool = False) -> Progress:
         """Return the progress of an iteration that begins with nodes from the data, exact where there are none."""
