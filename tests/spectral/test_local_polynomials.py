@@ -107,3 +107,146 @@ def test_many_short_stretches():
     assert len(got) >= 9  # from 6 periods in a stretch to where the output drowns
     assert 0.88 <= np.mean(covered(got, truth)) <= 1
     assert np.median(np.abs(got.response / truth - 1)) < 0.05
+
+
+# --- one band, by matrices that are written out
+
+
+def random_lines(joint, seed=0, inputs=1):
+    """Lines of two stretches, of which the second has every other frequency; noise beside a smooth response."""
+    rng = np.random.default_rng(seed)
+    long, short = np.arange(1.0, 41.0), np.arange(2.0, 41.0, 2.0)
+    omega, stretch = np.concatenate([long, short]), np.repeat([0, 1], [40, 20])
+    order = np.argsort(omega, kind="stable")
+    omega, stretch = omega[order], stretch[order]
+    u, v, *others = rng.standard_normal((2 + inputs, 60)) + 1j * rng.standard_normal((2 + inputs, 60))
+    r = u + 0.3 * others[0] if joint else u
+    y = (2 + 0.01 * omega) * u + 0.1 * v
+    return local_polynomials.Lines(omega, np.array([u, y, r, *others[1:]]), stretch, 1.0, not joint)
+
+
+def by_matrices(lines, center, half):
+    """Rows, regressors with transients, the way from the output to all coefficients, and that to the residuals."""
+    rows = np.flatnonzero(np.abs(lines.omega - center) <= half)
+    x = (lines.omega[rows] - center) / half
+    powers = np.vander(x, local_polynomials.ORDER + 1, increasing=True)
+    slow = np.vander(x, local_polynomials.TRANSIENT_ORDER + 1, increasing=True)
+    transients = [slow * (lines.stretch[rows] == k)[:, None] for k in (0, 1)]
+    u, _, r, *others = lines.values[:, rows]
+    regressors, instruments = (
+        np.hstack([*(c[:, None] * powers for c in (first, *others)), *transients]) for first in (u, r)
+    )
+    solution = np.linalg.solve(instruments.conj().T @ regressors, instruments.conj().T)
+    return rows, regressors, solution, np.eye(rows.size) - regressors @ solution
+
+
+@pytest.mark.parametrize(("joint", "inputs"), [(False, 1), (True, 1), (True, 2)])
+def test_a_band_is_solved_with_the_transients_of_its_stretches(joint, inputs):
+    lines = random_lines(joint, inputs=inputs)
+    center, half = 20.0, 9.0
+    fitted = local_polynomials._fit(lines, center, half)
+    rows, _, solution, q = by_matrices(lines, center, half)
+    y = lines.values[1, rows]
+    omega = np.array([15.0, 22.5])
+    at = np.vander((omega - center) / half, local_polynomials.ORDER + 1, increasing=True)
+    np.testing.assert_array_equal(fitted.rows, rows)
+    np.testing.assert_allclose(fitted.weights(omega) @ y, at @ (solution @ y)[: local_polynomials.ORDER + 1])
+    np.testing.assert_allclose(fitted.residuals(y), q @ y)
+    assert fitted.trace() == pytest.approx(np.trace(q @ q.conj().T).real)
+    assert fitted.number == rows.size - len(solution)
+
+
+def test_what_is_left_in_narrow_bands_counts_as_often_as_they_overlap():
+    lines = random_lines(joint=False)
+    found = [local_polynomials._residual(lines, center, 7.0, []) for center in (14.0, 18.0, 33.0)]
+    whole = []
+    for residual, center in zip(found, (14.0, 18.0, 33.0), strict=True):
+        rows, _, solution, q = by_matrices(lines, center, 7.0)
+        u, y = lines.values[:2, rows]
+        assert residual.number == rows.size - len(solution)
+        assert residual.squares == pytest.approx([np.linalg.norm(q @ y) ** 2, np.linalg.norm(q @ u) ** 2], abs=1e-9)
+        wide = np.zeros((rows.size, 60), dtype=complex)
+        wide[:, rows] = q
+        whole.append(wide)
+    expected = sum(np.linalg.norm(a @ b.conj().T) ** 2 for a in whole for b in whole)
+    assert local_polynomials._overlap(found) == pytest.approx(expected)
+
+
+def test_the_residuals_with_an_instrument_are_those_of_the_response_of_the_nearest_band():
+    lines = random_lines(joint=True)
+    band = local_polynomials._fit(lines, 20.0, 15.0)
+    other = local_polynomials._fit(lines, 32.0, 8.0)
+    nearest = local_polynomials.Band(band, np.zeros(0), np.zeros(0), np.zeros(0), None)
+    far = nearest._replace(fitted=other)
+    found = local_polynomials._residual(lines, 12.0, 7.0, [far, nearest])
+    rows, *_ = by_matrices(lines, 12.0, 7.0)
+    u, y, *_ = lines.values[:, rows]
+    response = band.weights(np.maximum(lines.omega[rows], 5.0)) @ lines.values[1, band.rows]
+    known = local_polynomials.Lines(lines.omega, lines.values[[2, 1, 2]], lines.stretch, 1.0, True)
+    _, _, _, q = by_matrices(known, 12.0, 7.0)
+    squares = [np.linalg.norm(q @ (y - response * u)) ** 2, np.linalg.norm(q @ u) ** 2]
+    assert found.squares == pytest.approx(squares)
+
+
+def test_the_slope_of_noise_is_told_by_many_residuals_and_held_back_of_few():
+    centers = np.geomspace(10, 40, 30)
+
+    def residuals(number):
+        squares = [number * np.array([c**-1.5, 2 * c**0.5]) for c in centers]
+        return [local_polynomials._Residual(c, None, s, number, None) for c, s in zip(centers, squares, strict=True)]
+
+    many = local_polynomials._slopes(residuals(1e6), 30.0)
+    assert many == pytest.approx([-1.5, 0.5], rel=1e-4)
+    logs = np.log(centers) - np.log(centers).mean()
+    for apart, more in ((30.0, 1.0), (10.0, 3.0)):  # that overlap tell less
+        shrunk = logs @ logs / (logs @ logs + np.pi**2 / 6 / 4 * more)
+        assert local_polynomials._slopes(residuals(4), apart) == pytest.approx([-1.5 * shrunk, 0.5 * shrunk])
+
+
+@pytest.mark.parametrize("joint", [False, True])
+def test_a_pole_in_a_band_is_taken_off(joint):
+    """Of lines without noise the response is that of the polynomials over the pole, and nothing is left."""
+    lines = random_lines(joint)
+    center, half = 20.0, 8.0
+    x = (lines.omega - center) / (2 * half)
+    u = lines.values[0]
+    response = (2 + (0.3 - 0.2j) * x + 0.1 * x**2) / (1 + (0.5 - 0.4j) * x)
+    transient = (0.2 - 0.1 * x) / (1 + (0.5 - 0.4j) * x) * np.where(lines.stretch == 0, 1, -2)
+    lines.values[1] = response * u + transient
+    fitted = local_polynomials._fit(lines, center, half)
+    omega = np.array([15.0, 20.0, 26.0])
+    correction, (left, number) = local_polynomials._with_pole(lines, fitted, omega)
+    at = (omega - center) / (2 * half)
+    truth = (2 + (0.3 - 0.2j) * at + 0.1 * at**2) / (1 + (0.5 - 0.4j) * at)
+    polynomials = fitted.weights(omega) @ lines.values[1, fitted.rows]
+    assert np.abs(polynomials / truth - 1).max() > 1e-4
+    np.testing.assert_allclose(polynomials - correction, truth, rtol=1e-9)
+    assert left == pytest.approx(0, abs=1e-18)
+    assert number == np.sum(np.abs(x) <= 1) - (local_polynomials.ORDER + 2) - 2 * (
+        local_polynomials.TRANSIENT_ORDER + 1
+    )
+
+
+@pytest.mark.parametrize("joint", [False, True])
+def test_coherence_is_the_share_that_the_instrument_explains(joint):
+    lines = random_lines(joint, inputs=2)
+    lines.values[1] += 0.5 * (np.random.default_rng(1).standard_normal((2, 60)).T @ [1, 1j])
+    fitted = local_polynomials._fit(lines, 20.0, 9.0)
+    rows, regressors, *_ = by_matrices(lines, 20.0, 9.0)
+    u, y, r, _ = lines.values[:, rows]
+    split = local_polynomials.ORDER + 1
+
+    def unexplained(signal, columns):
+        left = signal - columns @ np.linalg.lstsq(columns, signal, rcond=None)[0]
+        return np.linalg.norm(left) ** 2 / (rows.size - columns.shape[1])
+
+    rest = regressors[:, split:]
+    powers = np.vander((lines.omega[rows] - 20.0) / 9.0, split, increasing=True)
+    everything = np.hstack([r[:, None] * powers, rest])
+    noise = 0.123
+    if joint:
+        expected = 1 - max(unexplained(s, everything) / unexplained(s, rest) for s in (u, y))
+    else:
+        expected = 1 - noise / unexplained(y, rest)
+    assert local_polynomials._coherence(lines, fitted, noise) == pytest.approx(expected)
+    assert 0.1 < expected < 1

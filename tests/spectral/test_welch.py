@@ -40,3 +40,82 @@ def test_stretches_as_long_as_a_window_have_one_each():
     )
     assert apart.response == pytest.approx(together.response)
     assert apart.dof == pytest.approx(2 * 19)
+
+
+def complexes(rng, *shape):
+    return rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+
+
+@pytest.mark.parametrize("joint", [False, True])
+def test_an_estimate_is_that_of_its_matrices(joint):
+    """Of correlated windows, with a second input and leakage, by matrices that are written out."""
+    rng = np.random.default_rng(2)
+    n = 15
+    x, y = complexes(rng, n, 3), complexes(rng, n)
+    x[:, 0] *= 5
+    z = x.copy()
+    if joint:
+        z[:, 0] = x[:, 0] + 2 * complexes(rng, n)
+    y = y + 2 * x[:, 0]
+    c = np.corrcoef(rng.standard_normal((n, 60)))
+    columns = [[column[:, None] for column in side.T] for side in (x, z)]
+    spectra = welch.Transforms(x[:, :1], y[:, None], z[:, :1], *columns, csr_array(c), 2)
+    found = welch.estimate(spectra, 0)
+
+    solution = np.linalg.solve(z.conj().T @ x, z.conj().T)
+    q = np.eye(n) - x @ solution
+    m = q @ c @ q.conj().T
+    noise = np.linalg.norm(q @ y) ** 2 / np.trace(m).real
+    assert found.response == pytest.approx(solution[0] @ y)
+    assert found.dof == pytest.approx(2 * np.trace(m).real ** 2 / np.trace(m @ m).real)
+    assert found.variance == pytest.approx(noise * (solution[0] @ c @ solution[0].conj()).real)
+
+    def left(signal):
+        return signal - x[:, 1:] @ np.linalg.lstsq(x[:, 1:], signal, rcond=None)[0]
+
+    pairs = [(left(z[:, 0]), left(other)) for other in ((y, x[:, 0]) if joint else (y,))]
+    shares = [abs(np.vdot(a, b)) ** 2 / (np.vdot(a, a) * np.vdot(b, b)).real for a, b in pairs]
+    assert found.coherence == pytest.approx(min(shares))
+
+
+def test_what_instruments_leave_of_an_input_is_its_density():
+    rng = np.random.default_rng(3)
+    z, u = complexes(rng, 12, 2), complexes(rng, 12)
+    c = np.corrcoef(rng.standard_normal((12, 60)))
+    q = np.eye(12) - z @ np.linalg.pinv(z)
+    expected = np.linalg.norm(q @ u) ** 2 / np.trace(q @ c @ q.conj().T).real
+    assert welch._unexplained(csr_array(c), u, z) == pytest.approx(expected)
+
+
+def test_columns_are_solvable_whatever_their_length():
+    rng = np.random.default_rng(4)
+    x, z = complexes(rng, 6, 2), complexes(rng, 6, 2)
+    assert welch._solvable(z * [1e8, 1e-8], x * [1e-9, 1e9])
+    assert not welch._solvable(z, x[:, [0, 0]])
+    assert not welch._solvable(z[:2], x[:2])
+
+
+def test_windows_are_transformed_at_the_time_of_the_stretch():
+    """By sums that are written out, with the correlation of windows that overlap; a short stretch has none."""
+    rng = np.random.default_rng(5)
+    values, omega, step = rng.standard_normal((4, 100)), np.array([3.0, 7.0]), 0.05
+    stretches = [UniformStretch(values, step, ""), UniformStretch(values[:, :30], step, "")]
+    found = welch.transforms(stretches, 2.0, 0.5, omega, leakage_terms=1)
+    count, hop = 40, 20
+    begins = range(0, 61, hop)
+    phase = 2 * np.pi * (np.arange(count) + 0.5) / count
+    tapers = [0.5 - 0.5 * np.cos(phase), 0.5 * np.sin(phase)]
+
+    def transform(signal, taper):
+        at = np.add.outer(begins, np.arange(count))
+        return step * np.einsum("bk,k,wbk->bw", signal[at], taper, np.exp(-1j * np.multiply.outer(omega, at * step)))
+
+    np.testing.assert_allclose([found.u, found.y, found.r], [transform(v, tapers[0]) for v in values[:3]])
+    expected = [transform(values[0], tapers[0]), transform(values[3], tapers[0])]
+    expected += [transform(values[0], tapers[1]), transform(values[3], tapers[1])]
+    np.testing.assert_allclose(found.regressors, expected)
+    np.testing.assert_allclose(found.instruments[::2], [transform(values[2], taper) for taper in tapers])
+    assert found.inputs == 2
+    own, next_ = step * np.sum(tapers[0] ** 2), step * np.sum(tapers[0][:20] * tapers[0][20:])
+    correlation = own * np.eye(4) + next_ * (np.eye(4, k=1) + np.eye(4, k=-1))
+    np.testing.assert_allclose(found.correlation.toarray(), correlation)
