@@ -165,3 +165,118 @@ def test_sensitivities_of_outputs_are_not_finite_where_the_simulation_is_not(mad
     found = segments.output_sensitivities(states, q, data)
     assert np.isfinite(found[[0, 2]]).all()
     assert not np.isfinite(found[1, 3:]).any()
+
+
+def measured_rows(rows, outputs=1):
+    """The data with the output measured at all samples but one."""
+    rows = rows.copy()
+    rows[-1 - outputs : -1] = 1.0
+    rows[-1 - 2 * outputs : -1 - outputs] = np.random.default_rng(5).normal(size=(outputs, rows.shape[1]))
+    rows[-2, 4] = 0.0
+    return rows
+
+
+def ends_and_residuals(step, initial, q, rows):
+    """By single steps: states at the ends (s, n) and residuals (s, length, k); q (p, s) of every segment."""
+    ends, residuals = [], []
+    for k in range(COUNT):
+        x = initial[k]
+        for j in range(LENGTH):
+            x, e, _ = (np.asarray(v).ravel() for v in step.function(x, q[:, k], rows[:, k * LENGTH + j]))
+            residuals.append(e)
+        ends.append(x)
+    return np.array(ends), np.reshape(residuals, (COUNT, LENGTH, -1))
+
+
+@pytest.mark.parametrize("records", [[0, 0, 0], [0, 0, 1]], ids=["one record", "two records"])
+@pytest.mark.parametrize("batch", [2 * LENGTH, 20_000], ids=["in batches", "at once"])
+def test_a_linearization_is_that_of_the_weighted_residuals(made, records, batch, monkeypatch):
+    """Products of derivatives by differences; one of the parameters differs between the records."""
+    monkeypatch.setattr("greybox.compiled.segments.BATCH", batch)
+    step, initial, q, rows = made
+    rows, records = measured_rows(rows), np.array(records)
+    many = records[-1] + 1
+    active, own = np.array([1, 0]), (1,)
+    each = np.tile(q[:, None], (1, COUNT))
+    each[1] += 0.3 * records
+    segments = Segments(step, COUNT, LENGTH, active, records=records, own=own)
+    data = segments.columns(rows)
+    states, _ = segments.simulate(initial, each, data)
+    residuals = segments.residuals(states, each, data)
+    k = residuals.shape[0]
+    weight = np.random.default_rng(6).normal(size=(many, k, k))
+    found = segments.linearize(states, each, weight, data, moments=True)
+    _, plain = ends_and_residuals(step, initial, each, rows)
+    assert_allclose(segments.by_segment(residuals), plain, rtol=1e-9, atol=1e-12)
+    products = segments.products(residuals)
+    assert_allclose(products, [sum(e.T @ e for e in plain[records == r]) for r in range(many)])
+
+    slopes, transitions = [], []
+    for column in range(4):
+        moved = []
+        for sign in (1e-6, -1e-6):
+            x, p = initial.copy(), each.copy()
+            if column < 2:
+                x[:, column] += sign
+            else:
+                p[active[column - 2]] += sign
+            moved.append(ends_and_residuals(step, x, p, rows))
+        transitions.append((moved[0][0] - moved[1][0]) / 2e-6)
+        slopes.append((moved[0][1] - moved[1][1]) / 2e-6)
+    transition = np.moveaxis(transitions, 0, -1)
+    of_each = weight[records]
+    J = np.einsum("sab,slbv->slav", of_each, np.moveaxis(slopes, 0, -1))
+    e = np.einsum("sab,slb->sla", of_each, plain)
+    hessian, gradient = np.einsum("slav,slaw->svw", J, J), np.einsum("sla,slav->sv", e, J)
+    moments = np.einsum("sla,slbv->sabv", e, J)
+
+    def summed(values):
+        return np.array([values[records == r].sum(axis=0) for r in range(many)])
+
+    close = {"rtol": 1e-5, "atol": 1e-6 * np.abs(hessian).max()}
+    assert_allclose(found.transition, transition[..., :2], **close)
+    assert_allclose(found.parameter_sensitivity, transition[..., 2:], **close)
+    assert_allclose(found.node_hessian, hessian[:, :2, :2], **close)
+    assert_allclose(found.cross_hessian, hessian[:, :2, 2:], **close)
+    assert_allclose(found.node_gradient, gradient[:, :2], **close)
+    assert_allclose(found.parameter_hessian, summed(hessian[:, 2:, 2:]), **close)
+    assert_allclose(found.parameter_gradient, summed(gradient[:, 2:]), **close)
+    assert_allclose(found.moments[0], moments[..., :2], **close)
+    assert_allclose(found.moments[1], summed(moments[..., 2:]), **close)
+    assert segments.linearize(states, each, weight, data).moments is None
+
+
+def test_stretches_are_simulated_through_their_segments(made):
+    """One of two segments and one of one, of a record each."""
+    step, initial, q, rows = made
+    rows = measured_rows(rows)
+    segments = Segments(step, COUNT, LENGTH, np.zeros(0, dtype=int), records=np.array([0, 0, 1]))
+    data = segments.columns(rows)
+    nodes, states, ends, products = segments.simulate_stretches([2, 1], initial, q, data)
+    joined, _ = step.simulate(initial[0], q, rows[:, : 2 * LENGTH].T)
+    assert_allclose(nodes, [initial[0], joined[LENGTH], initial[2]])
+    assert_allclose(ends[:2], joined[[LENGTH, -1]])
+    last, residuals = step.simulate(initial[2], q, rows[:, 2 * LENGTH :].T)
+    assert_allclose(ends[2], last[-1])
+    assert_allclose(products[1], residuals.T @ residuals)
+    assert_allclose(segments.in_order(states).T, np.vstack([joined[:-1], last[:-1]]))
+
+
+def test_the_mean_transition_is_that_of_samples_over_the_whole_record(made):
+    """Of the outputs, not of the residuals."""
+    step, initial, q, rows = made
+    rows = measured_rows(rows)
+    rows[-2] = 1.0
+    segments = Segments(step, COUNT, LENGTH, np.zeros(0, dtype=int))
+    data = segments.columns(rows)
+    states, _ = segments.simulate(initial, q, data)
+    transition, outputs = segments.mean_transition(states, q, data)
+    A, C = np.zeros((2, 2)), np.zeros((1, 2))
+    for k in range(COUNT * LENGTH):
+        x = segments.in_order(states)[:, k]
+        for column, h in enumerate(1e-6 * np.eye(2)):
+            more, less = ([np.asarray(v).ravel() for v in step.function(x + s * h, q, rows[:, k])] for s in (1, -1))
+            A[:, column] += (more[0] - less[0]) / 2e-6 / (COUNT * LENGTH)
+            C[:, column] += (more[2] - less[2]) / 2e-6 / (COUNT * LENGTH)
+    assert_allclose(transition, A, rtol=1e-6, atol=1e-8)
+    assert_allclose(outputs, C, rtol=1e-6, atol=1e-8)

@@ -100,3 +100,21 @@ def test_what_keeps_a_vector_holds_for_it_and_not_for_the_other(best, other, kee
 def test_nothing_is_said_where_there_is_one():
     fit = gb.fit(gb.Problem(Modes(), noisy(Modes()), fixed={"T2": 0.1}), starts=[{}], progress=False)
     assert len(fit.equivalents) == 1
+
+
+@pytest.mark.parametrize(
+    ("best", "other", "words", "keeps"),
+    [
+        # The largest that is positive, then the largest.
+        ([3.0, 2.0, 0.0, -5.0], [-3.0, -2.0, 0.0, 5.0], "a, b and d change their signs together", "p.a"),
+        ([-3.0, -2.0, 1.0, 0.0], [3.0, 2.0, 1.0, 0.0], "a and b change their signs together", "-p.a"),
+        # The pair that lies farthest apart beside its size.
+        ([10.0, 11.0, 1.0, 2.0], [11.0, 10.0, 2.0, 1.0], "a with b and c with d change places", "p.d - p.c"),
+        ([2.0, 1.0, 11.0, 10.0], [1.0, 2.0, 10.0, 11.0], "a with b and c with d change places", "p.a - p.b"),
+        ([1.0, 2.0, 4.0, 3.0], [4.0, 2.0, 1.0, 3.0], "a and c change places", "p.c - p.a"),
+        ([1.0, 2.0, 4.0, 3.0], [1.0, 2.0, 4.0, 3.01], "", ""),
+        ([1.0, 2.0, 4.0, 3.0], [2.0, 1.0, 4.0, 9.0], "", ""),
+    ],
+)
+def test_words_and_conditions_for_vectors_of_one_response(best, other, words, keeps):
+    assert relation(("a", "b", "c", "d"), np.array(best), np.array(other)) == (words, keeps)

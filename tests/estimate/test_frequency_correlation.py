@@ -74,3 +74,38 @@ def test_mean_and_variance_are_those_of_projected_noise():
 def test_too_few_residuals_say_nothing():
     assert neighbor_correlation(np.ones(3, complex), np.eye(6)[:, :3]) is None
     assert neighbor_correlation(np.zeros(9, complex), np.ones((18, 1))) is None
+
+
+@pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.MaximumLikelihood()], ids=str)
+def test_the_correlation_that_is_said_is_that_of_residuals_over_their_sizes(criterion):
+    """Less its mean for independent errors of which the parameters took a part; points are not in order."""
+    random, order = np.random.default_rng(1), np.random.default_rng(0).permutation(25)
+    exact = 2 / (0.3j * OMEGA + 1) * np.exp(-0.03j * OMEGA)
+    e = np.cumsum(random.standard_normal(25) + 1j * random.standard_normal(25))
+    deviation = 0.02 * np.abs(exact) * np.geomspace(1, 9, 25)
+    data = gb.FrequencyResponse(
+        OMEGA[order], (exact + deviation * e)[order], "u", "y", name="run", variance=2 * deviation[order] ** 2
+    )
+    fit = gb.fit(gb.Problem(Lag(), data, criterion), starts=[{"K": 2.0, "tau": 0.3, "T": 0.03}], progress=False)
+    p = fit.estimate
+    lag = 1 / (p["tau"] * 1j * OMEGA + 1)
+    model = p["K"] * lag * np.exp(-1j * OMEGA * p["T"])
+    measured = exact + deviation * e
+    size = deviation * np.sqrt(2) if isinstance(criterion, gb.MaximumLikelihood) else np.abs(measured)
+    left = (model - measured) / size
+    slopes = np.transpose([model / p["K"], -1j * OMEGA * lag * model, -1j * OMEGA * model]) / size[:, None]
+    rows = np.vstack([slopes.real, slopes.imag])
+    rest = np.eye(50) - rows @ np.linalg.pinv(rows)
+    neighbors = np.kron(np.eye(2), (np.eye(25, k=1) + np.eye(25, k=-1)) / 2)
+    r = np.sum((left[1:] * left[:-1].conj()).real) / np.sum(np.abs(left) ** 2)
+    mean = np.trace(rest @ neighbors) / 47
+    (text,) = [text for text in fit.warnings if "correlated along frequency" in text]
+    assert text.startswith(f"the residuals of 'run' are correlated along frequency ({r - mean:.2f} from one point to")
+
+
+@pytest.mark.parametrize(("parameters", "is_told"), [(4, True), (5, False)])
+def test_four_residuals_must_be_left(parameters, is_told):
+    random = np.random.default_rng(0)
+    residuals = random.normal(size=4) + 1j * random.normal(size=4)
+    found = neighbor_correlation(residuals, np.hstack([random.normal(size=(8, parameters)), np.zeros((8, 1))]))
+    assert (found is not None) == is_told

@@ -2,10 +2,17 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from greybox.estimate.diagnostics import global_minimum
-from greybox.estimate.diagnostics.global_minimum import few_agreeing_starts, rival_minima, unfinished_runs
+from greybox.estimate.diagnostics.global_minimum import (
+    discontinuous_costs,
+    few_agreeing_starts,
+    rival_minima,
+    several_estimates_of_one_response,
+    unfinished_runs,
+)
 from greybox.solve.outcome import TOO_COARSE
 
 
@@ -74,3 +81,24 @@ def test_the_lowest_end_that_did_not_converge_is_named():
         "run 2 ended at a lower cost, 4.25 instead of 5, but did not converge (iterations exceeded):"
     )
     assert not [*unfinished_runs(SimpleNamespace(minima=[SimpleNamespace(cost=4.25)], brought=brought))]
+
+
+def test_delays_at_which_the_cost_jumps_are_named_once_each():
+    parts = [
+        SimpleNamespace(discontinuous_delays={"tau": ("u", "y"), "known": ("w", "z")}),
+        SimpleNamespace(discontinuous_delays={"tau": ("u", "y")}),
+    ]
+    (text,) = discontinuous_costs(SimpleNamespace(parts=parts, free=["k", "tau"]))
+    assert text == (
+        "the held input u reaches y directly, so the cost is discontinuous where tau is a whole number of samples: "
+        "some start must lie in the right sample interval, and the standard error of tau holds within that interval."
+    )
+
+
+@pytest.mark.parametrize(("vectors", "combinations", "count"), [(1, (), 0), (2, (), 1), (2, ("a/b",), 0)])
+def test_several_estimates_are_told_where_no_combination_is(monkeypatch, vectors, combinations, count):
+    monkeypatch.setattr(global_minimum, "equivalent_estimates", lambda *_: np.arange(2.0 * vectors).reshape(-1, 2))
+    nlp, accuracy = SimpleNamespace(free=("a", "b")), SimpleNamespace(combinations=combinations)
+    texts = [*several_estimates_of_one_response(nlp, None, accuracy)]
+    assert len(texts) == count
+    assert all(text.startswith("at least 2 clearly different parameter vectors") for text in texts)

@@ -29,6 +29,14 @@ def test_an_outlier_is_named_with_the_answer_without_it(criterion):
     (said,) = [text for text in fit.warnings if "is an outlier" in text]
     assert said.startswith(f"the point at {OMEGA[7]:.4g} rad/s of 'sines' is an outlier")
     assert said in str(fit)
+    part = fit.responses[0]
+    off = abs(data.response[7] / part.response[7] - 1)
+    assert f"is an outlier, {100 * off:.2g} % from the model: fewer than one in " in said
+    nlp = compile_problem(gb.Problem(Lag(), data, criterion))
+    found = largest_deviation(nlp.parts[0], nlp.all_values(fit.minima[0].estimate), 2)
+    assert (found.index, found.relative) == (7, pytest.approx(off))
+    share = float(said.partition("one in ")[2].partition(" ")[0])
+    assert share == pytest.approx(np.floor(1 / max(20 * found.probability, 1e-12)), rel=0.05)
 
     without = gb.fit(gb.Problem(Lag(), data.where(np.arange(20) != 7), criterion), starts=3)
     for name in fit.free:
@@ -74,6 +82,26 @@ def test_probabilities_are_those_of_the_fisher_test_of_a_mean_shift():
     found = largest_deviation(part, nlp.all_values(x), 2)
     assert found.index == np.argmin(expected)
     assert found.probability == pytest.approx(expected.min(), rel=1e-6)
+
+
+def test_given_degrees_of_freedom_make_students_t_of_a_residual():
+    """Where the residuals are no larger than stated they are judged as they stand: (1 + |z|² / f)^(-f/2) for 2/f."""
+    exact = gb.frequency_response(Lag(), TRUTH, OMEGA).response
+    residual = np.where(np.arange(20) == 7, 3.0, 0.3) * np.exp(1j * np.arange(20))
+    variance, dof = np.linspace(0.01, 0.02, 20), np.linspace(8, 30, 20)
+    data = gb.FrequencyResponse(OMEGA, exact + residual * np.sqrt(variance), "u", "y", variance=variance, dof=dof)
+    nlp = compile_problem(gb.Problem(Lag(), data, gb.MaximumLikelihood()))
+    found = largest_deviation(nlp.parts[0], nlp.all_values(np.array([TRUTH[name] for name in nlp.free])), 2)
+    assert found.index == 7
+    assert found.probability == pytest.approx(fisher.sf(9.0, 2, dof[7]))
+
+
+@pytest.mark.parametrize(("points", "is_judged"), [(3, True), (2, False)])
+def test_two_degrees_of_freedom_must_be_left_of_the_other_points(points, is_judged):
+    data = measured(Lag(), OMEGA[:points], TRUTH, noise=0.1)
+    nlp = compile_problem(gb.Problem(Lag(), data, gb.SquaredRelativeError()))
+    values = nlp.all_values(np.array([TRUTH[name] for name in nlp.free]))
+    assert (largest_deviation(nlp.parts[0], values, 2) is not None) == is_judged
 
 
 @pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.MaximumLikelihood()], ids=repr)

@@ -108,7 +108,7 @@ def largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviation
 
 
 def _ratios(residual: NDArray[np.complex128], sensitivity: NDArray[np.complex128], least: float) -> tuple[Array, float]:
-    """Return Q/2 over the mean square of the rest, at least `least`, (n,), NaN where nothing is left; and its dof."""
+    """Return Q/2 over the mean square of the rest, at least `least`, (n,), and its dof; NaN where nothing is left."""
     n = residual.size
     jacobian = np.vstack([sensitivity.real, sensitivity.imag])
     length = np.linalg.norm(jacobian, axis=0)
@@ -119,7 +119,7 @@ def _ratios(residual: NDArray[np.complex128], sensitivity: NDArray[np.complex128
     z = z - basis @ (basis.T @ z)
     total = float(z @ z)
     if dof < LEAST_LEFT or not total > 0:
-        return np.full(n, math.nan), float(dof)
+        return np.full(n, math.nan), math.nan
     re, im = basis[:n], basis[n:]
     a, b, c = 1 - np.sum(re**2, axis=1), -np.sum(re * im, axis=1), 1 - np.sum(im**2, axis=1)  # [[a, b], [b, c]] = M_kk
     remains = (a + c) / 2 - np.hypot((a - c) / 2, b) > DEPENDENT
