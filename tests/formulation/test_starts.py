@@ -144,7 +144,7 @@ def test_a_fixed_parameter_has_no_start():
 
 @pytest.mark.parametrize("error", [0, 1, -0.1, "0.1", None])
 def test_an_error_is_a_probability(error):
-    with pytest.raises(ValueError, match="error of UntilFoundAgain is .*: give a probability between 0 and 1"):
+    with pytest.raises(ValueError, match=r"error of UntilFoundAgain is .*: give a probability between 0 and 1"):
         gb.solve.UntilFoundAgain(error=error)
     assert gb.solve.UntilFoundAgain(error=0.5) == gb.solve.UntilFoundAgain(10_000, 0, 0.5)
 

@@ -11,7 +11,7 @@ from pade_by_definition import pade
 
 import greybox as gb
 from greybox.modeling.complex_arithmetic import Complex
-from greybox.modeling.pade_delay import delay_order, pade_coefficients
+from greybox.modeling.pade_delay import delay_order, pade_coefficients, pade_rows, pade_states, pade_steady
 from greybox.modeling.rational import Rational
 
 
@@ -63,3 +63,27 @@ def test_pade_makes_a_loop_around_a_delay_rational():
 @pytest.mark.parametrize(("word", "order"), [("exact", None), ("pade:1", 1), ("pade:12", 12)])
 def test_delay_words(word, order):
     assert delay_order(word) == order
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 6])
+def test_the_states_have_the_response_and_rest_where_the_input_does(order):
+    """x' = A x + B u with the delayed input C x + D u, read off column by column."""
+    T = 0.3
+    unit = np.eye(order + 1)
+    columns = [pade_rows(list(row[:order]), row[order], T, order) for row in unit]
+    output, rates = np.array([column[0] for column in columns]), np.array([column[1] for column in columns]).T
+    s = 1j * np.array([0.2, 3.0, 40.0])
+    found = [output[:order] @ np.linalg.solve(v * np.eye(order) - rates[:, :order], rates[:, order]) for v in s]
+    c = pade_coefficients(order)[::-1]
+    close(np.array(found) + output[order], np.polyval(c, -s * T) / np.polyval(c, s * T))
+
+    delayed, rest = pade_rows(pade_steady(1.7, order), 1.7, T, order)
+    assert delayed == pytest.approx(1.7)
+    assert rest == pytest.approx(np.zeros(order), abs=1e-9)
+    x, u, delay = ca.SX.sym("x", order), ca.SX.sym("u"), ca.SX.sym("T")
+    symbolic = ca.Function("pade", [x, u, delay], list(pade_states(x, u, delay, order)))
+    point = np.linspace(-1, 1, order)
+    delayed, rest = symbolic(point, 0.4, T)
+    wanted = pade_rows(list(point), 0.4, T, order)
+    assert float(delayed) == pytest.approx(wanted[0])
+    assert rest.full().ravel() == pytest.approx(wanted[1])

@@ -55,3 +55,17 @@ def test_a_mapping_names_one_signal():
         as_sine(0.1)
     with pytest.raises(TypeError, match="the signal of a sine is 3: give its name"):
         gb.modeling.Sine(3, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("amplitude", "harmonics", "said"),
+    [
+        (2.0, None, "<Sine u, amplitude 2, as many harmonics as matter>"),
+        ([1.0, 0.25, 3.0], 1, "<Sine u, amplitude 0.25 to 3, 1 harmonic>"),
+        ([2.0, 2.0], 50, "<Sine u, amplitude 2, 50 harmonics>"),
+    ],
+)
+def test_a_sine_in_one_line(amplitude, harmonics, said):
+    sine = gb.modeling.Sine("u", amplitude, harmonics)
+    assert repr(sine) == said
+    assert sine.plain["harmonics"] == harmonics

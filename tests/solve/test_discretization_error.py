@@ -1,12 +1,25 @@
 """What a fixed-step integrator does to an estimate is seen, also where it feigns knowledge."""
 
+import math
 import re
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from hard_models import Swing, stiff_lag, swung
 from numpy.testing import assert_allclose
 
 import greybox as gb
+from greybox.solve.discretization_error import (
+    DiscretizationError,
+    _distinct_ends,
+    _followed,
+    _in_standard_errors,
+    _widened,
+    _without_aliases,
+)
+from greybox.solve.minima import Minimum, Multistart
+from greybox.solve.outcome import TOO_COARSE, Outcome, Run
 
 COARSE = gb.MultipleShooting(integrator=gb.RungeKutta(1))
 
@@ -60,3 +73,126 @@ def test_where_the_cap_is_reached_the_method_for_stiff_models_comes_first():
     (said,) = coarse_warnings(record)
     assert said.index("Rosenbrock()") < said.index("RungeKutta(substeps=")
     assert not coarse_warnings(record, gb.RungeKutta(int(PROPOSED.search(said)[1])))
+
+
+def made_run(index, x, cost, converged=True):
+    return Run(index, np.zeros(2), np.array(x, dtype=float), cost, "converged" if converged else "x", converged, 3, 0.1)
+
+
+# A problem whose variables are those of the solver.
+PLAIN = SimpleNamespace(
+    scaling=SimpleNamespace(to_solver=np.asarray),
+    parts=[SimpleNamespace(is_likelihood=True)],
+    strategies=SimpleNamespace(rival_cost=5.0),
+)
+
+
+def test_a_step_in_standard_errors_leaves_out_what_the_data_do_not_determine():
+    """-H⁻¹ g over the roots of the diagonal of H⁻¹, in any units."""
+    hessian, change = np.array([[4.0, 1.0], [1.0, 9.0]]), np.array([2.0, -3.0])
+    inverse = np.linalg.inv(hessian)
+    wanted = -(inverse @ change) / np.sqrt(np.diag(inverse))
+    assert_allclose(_in_standard_errors(hessian, change), wanted)
+    units = np.array([1e4, 1e-5])
+    assert_allclose(_in_standard_errors(hessian * units * units[:, None], change * units), wanted)
+    assert_allclose(_in_standard_errors(np.diag([4.0, 0.0]), np.array([2.0, 0.0])), [-1.0, 0.0])
+    both = _in_standard_errors(np.ones((2, 2)), np.array([2.0, 2.0]))  # of which the sum alone is determined
+    assert_allclose(both, [-2.0, -2.0])
+    assert np.isinf(_in_standard_errors(hessian, np.array([np.inf, 0.0]))).all()
+
+
+def test_errors_that_finer_steps_widen_or_narrow_count():
+    assert_allclose(_widened(np.diag([4.0, 4.0, 0.0, 1.0]), np.diag([9.0, 1.0, 1.0, -1.0])), [0.5, 0.5, 0, 1])
+    error = DiscretizationError(np.array([0.1, -0.4]), 4, 0.05)
+    assert error.largest == 0.4
+    assert error.matters
+    assert error.growth == 2  # 16 times as small
+    assert not DiscretizationError(np.array([0.05, -0.04]), 4, 0.05).matters
+    assert DiscretizationError(np.zeros(0), 4, 0.05).largest == 0
+
+
+def test_ends_within_a_hundredth_are_one():
+    ends = [(1.0, 0.0), (1.009, 0.0), (1.0, 9e-6), (1.011, 0.0), (1.0, 1.1e-5), (-1.0, 0.0)]
+    groups = _distinct_ends(PLAIN, [made_run(k, x, 1.0) for k, x in enumerate(ends)])
+    assert [[run.index for run in group] for group in groups] == [[0, 1, 2], [3], [4], [5]]
+
+
+class Solver:
+    """Ends where each start leads; the first component is the cost there."""
+
+    def __init__(self, ends):
+        self.ends, self.asked = ends, []
+
+    def run(self, start):
+        self.asked.append(float(start[0]))
+        cost = self.ends.get(float(start[0]), math.inf)
+        converged = math.isfinite(cost)
+        signature, nodes = np.array([cost]), (np.full((1, 1), cost),)
+        return Outcome(start + 0.5, "moved", 2, 0.0, converged, cost, signature, nodes)
+
+    def profile(self, x, nodes=None):
+        trajectory = SimpleNamespace(nodes=np.full((1, 1), x[0]), moves=x[0] in self.ends)
+        return SimpleNamespace(trajectories=(trajectory,), converged=True)
+
+
+def search_of(*minima):
+    """Runs and minima from lists of (first component, cost)."""
+    runs, found = [], []
+    for some in minima:
+        members = [made_run(len(runs) + k, (x, 1.0), cost) for k, (x, cost) in enumerate(some)]
+        found.append(Minimum(members[0].cost, members[0].estimate, tuple(run.index for run in members), len(some)))
+        runs += members
+    runs.append(made_run(len(runs), (99.0, 1.0), 0.0, converged=False))
+    return Multistart(tuple(runs), tuple(found), 1.0, nodes=(np.zeros((1, 1)),))
+
+
+def test_rivals_move_to_finer_steps_with_their_runs_and_may_change_places():
+    search = search_of([(1.0, 10.0), (1.001, 10.0), (2.0, 10.0)], [(3.0, 12.0)], [(4.0, 15.1)], [(5.0, 30.0)])
+    solver = Solver({1.0: 14.0, 2.0: 14.5, 3.0: 11.0})
+    found = _followed(PLAIN, search, solver)
+    assert solver.asked == [1.0, 2.0, 3.0]  # those of one end together, and none that is no rival
+    assert [run.cost for run in found.runs] == [14.0, 14.0, 14.5, 11.0, 15.1, 30.0, 0.0]
+    assert [run.status for run in found.runs[:4]] == ["moved"] * 4
+    assert [float(run.estimate[0]) for run in found.runs[:5]] == [1.5, 1.5, 2.5, 3.5, 4.0]
+    assert [m.cost for m in found.minima] == [11.0, 14.0, 14.5, 15.1, 30.0]
+    assert [m.runs for m in found.minima] == [(3,), (0, 1), (2,), (4,), (5,)]
+    assert found.nodes[0].item() == 11.0
+
+
+def test_what_is_no_rival_is_followed_where_all_that_are_end_above_it():
+    search = search_of([(1.0, 10.0)], [(3.0, 16.0)], [(4.0, 17.0)])
+    solver = Solver({1.0: 16.5, 3.0: 20.0})
+    assert [m.cost for m in _followed(PLAIN, search, solver).minima] == [16.5, 17.0, 20.0]
+    assert solver.asked == [1.0, 3.0]
+    assert _followed(PLAIN, search, Solver({})) is None
+    many = search_of(*[[(float(k), 10.0 + k / 10)] for k in range(1, 6)])
+    solver = Solver({float(k): 10.0 + k / 10 for k in range(1, 6)})
+    _followed(PLAIN, many, solver)
+    assert solver.asked == [1.0, 2.0, 3.0]  # three at most
+
+
+@pytest.mark.parametrize(
+    ("aliases", "minima", "is_same"),
+    [
+        ((), [(0, 1, 2), (3,), (4,)], True),
+        ((1.0,), [(2,), (3,), (4,)], False),  # with the run beside it
+        ((2.0,), [(0, 1), (3,), (4,)], True),
+        ((1.0, 2.0), [(3,), (4,)], False),
+        ((1.0, 2.0, 3.0), [(0, 1, 2), (3,), (4,)], True),  # there is nothing else within five
+    ],
+)
+def test_aliases_of_the_integrator_are_no_minima_where_there_is_another(monkeypatch, aliases, minima, is_same):
+    search = search_of([(1.0, 10.0), (1.001, 10.0), (2.0, 10.2)], [(3.0, 12.0)], [(4.0, 15.1)])
+    shift = {True: DiscretizationError(np.array([1.1]), 4, 0.1), False: DiscretizationError(np.array([0.9]), 4, 0.1)}
+    monkeypatch.setattr("greybox.solve.discretization_error.discretization_error", lambda _, t, fine: shift[t[0].moves])
+    found, same_best = _without_aliases(PLAIN, search, Solver(dict.fromkeys(aliases, 0.0)), ())
+    assert same_best is is_same
+    assert [m.runs for m in found.minima] == minima
+    assert [m.cost for m in found.minima] == [found.runs[m.runs[0]].cost for m in found.minima]
+    lost = {run.index for run in found.runs if run.status == TOO_COARSE}
+    assert lost == ({0, 1, 2, 3, 4} - {k for m in minima for k in m})
+    assert all(found.runs[k].converged for m in minima for k in m)
+    assert found.nodes[0].item() == (0.0 if is_same else found.minima[0].estimate[0])
+    if aliases == (1.0,):
+        assert found.minima[0].variants == 1
+        assert_allclose(found.minima[0].estimate, [2.0, 1.0])
