@@ -1,6 +1,7 @@
 """Profiles of the likelihood, against brute force, an F-test written out, and planted truths."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.stats import t as student
 
 import greybox as gb
 from greybox.estimate import profile as profile_module
+from greybox.estimate.profiles import ProfileOf, Profiles
 from greybox.problems import pitch_hover, yaw_hover
 from greybox.solve.ipopt import Ipopt
 
@@ -291,3 +293,166 @@ def test_roots_are_those_of_the_likelihood_ratio_or_of_the_f_statistic_with_thei
     # Of 20 numbers whose variance is estimated: N (S / S0 - 1), the cost N / 2 log S, of S larger by a tenth.
     ratio = walk(lambda value: 0.0, numbers=20.0).root(point(1.2, None, 10 * np.log(1.1)))
     assert ratio == pytest.approx(np.sqrt(20 * 0.1))
+
+
+def test_a_jump_over_the_limit_is_approached_in_shorter_steps_and_what_has_no_cost_ends_the_walk():
+    points, end = walk(lambda value: 9.0 if value > 1.3 else 0.1 * parabola(value)).side(1)
+    assert end == "crossed"
+    assert points[-1].cost == 9.0
+    assert points[-1].value - points[-2].value < 1.01e-3 * 0.05 * 3
+    points, end = walk(lambda value: np.inf if value > 1.04 else parabola(value)).side(1)
+    assert end == "failed"
+    assert all(point.cost < np.inf for point in points)
+    points, end = walk(lambda value: 0.0, bounds=(-np.inf, 1.0)).side(1)
+    assert (len(points), end) == (1, "bound")  # the estimate lies there
+
+
+def test_points_take_a_lower_cost_from_their_neighbors():
+    """Of two branches the one beyond 1.1 is lower, and only the last point found it."""
+
+    class Branches:
+        calls = 0
+
+        def solve(self, starts, values):
+            self.calls += 1
+            return [(start, parabola(v) - 2 * start[0] * (v > 1.1)) for start, v in zip(starts, values, strict=True)]
+
+    point, low, high = profile_module._Point, np.array([0.0]), np.array([1.0])
+    held = Branches()
+    search = walk(parabola, held=held, best=point(1.0, low, 0.0))
+    points = [search.best, *(point(v, low, parabola(v)) for v in (1.05, 1.15, 1.2))]
+    points.append(point(1.3, high, parabola(1.3) - 2))
+    swept = search.swept(points)
+    assert [p.value for p in swept] == [1.0, 1.05, 1.15, 1.2, 1.3]
+    assert [p.z[0] for p in swept[2:]] == [1, 1, 1]
+    assert swept[0] is search.best
+    assert [p.cost for p in swept] == pytest.approx([0, 0.125, 1.125 - 2, 2 - 2, 4.5 - 2])
+    held.calls = 0
+    again = search.swept(swept)
+    assert [p.cost for p in again] == [p.cost for p in swept]
+    assert held.calls == 1  # all at once, and no more
+
+
+@pytest.mark.parametrize(
+    ("ray", "bounds", "reach", "end"),
+    [
+        ([0.1, 0.0], 99.0, 2.5, "crossed"),
+        ([0.06, -0.08], 99.0, 2.5, "crossed"),
+        ([0.1, 0.0], 1.2, 2.0, "bound"),
+        ([-0.1, 0.05], 1.2, 4.0, "bound"),
+    ],
+)
+def test_a_ray_is_followed_to_where_the_limit_is_crossed_or_to_a_bound(ray, bounds, reach, end):
+    """In units of the deviations: of a cost that rises by a half of the squared distance over 0.1."""
+
+    class Plane:
+        def solve(self, starts, values):
+            return [
+                (start, 0.5 * np.sum((np.asarray(v) - 1) ** 2) / 0.01) for start, v in zip(starts, values, strict=True)
+            ]
+
+    limit = 10.0 if end == "bound" else 2.5
+    point = profile_module._Point
+    search = walk(parabola, held=Plane(), best=point(0.0, np.zeros(1), 0.0), limit=limit)
+    low = 0.6 if end == "bound" else -99.0
+    found, how = search.along(np.ones(2), np.array(ray), np.array([[low, bounds], [low, bounds]]))
+    assert how == end
+    assert found == pytest.approx(reach, rel=2e-3)
+
+
+@pytest.mark.parametrize(("cost", "reach", "end"), [(np.inf, np.nan, "failed"), (0.0, np.inf, "flat")])
+def test_a_ray_on_which_nothing_is_found_or_nothing_changes(cost, reach, end):
+    class Same:
+        def solve(self, starts, values):
+            return [(start, cost) for start in starts]
+
+    search = walk(parabola, held=Same(), best=profile_module._Point(0.0, np.zeros(1), 0.0))
+    found, how = search.along(np.ones(2), np.array([0.1, 0.0]), np.array([[-np.inf, np.inf]] * 2))
+    assert found == pytest.approx(reach, nan_ok=True)
+    assert how == end
+
+
+class Bound:
+    """A second parameter rises with the first, up to its bound of 3; the first has the parabola."""
+
+    def solve(self, starts, values):
+        return [(np.array([v, np.clip(2 + 8 * (v - 1), 1, 3)]), parabola(v)) for v in values]
+
+
+@pytest.mark.parametrize("bias", [0.0, 0.5])
+@pytest.mark.parametrize(
+    ("bounds", "ends"), [((-9.0, 9.0), ("crossed", "crossed")), ((0.9, 9.0), ("bound", "crossed"))]
+)
+def test_a_profile_tells_all_of_its_points(bias, bounds, ends):
+    same = SimpleNamespace(to_parameters=np.asarray)
+    nlp = SimpleNamespace(scaling=same, free=("a", "b"), lower=np.array([-9.0, 0.0]), upper=np.array([9.0, 3.0]))
+    best = profile_module._Point(1.0, np.array([1.0, 2.0]), 0.0)
+    search = walk(parabola, held=Bound(), best=best, bounds=bounds, bias=bias, starts=np.zeros((0, 2)))
+    line = SimpleNamespace(name="a", unit="s", value=1.0, standard_error=0.1, bounds=bounds)
+    found = profile_module._profile_of(nlp, search, line)
+    low = -np.inf if ends[0] == "bound" else 1 - 0.1 * (1.96 + bias)
+    assert found.interval == pytest.approx((low, 1 + 0.1 * (1.96 - bias)), abs=2e-4)
+    assert found.ends == ends
+    assert (found.name, found.unit, found.estimate, found.standard_error) == ("a", "s", 1.0, 0.1)
+    assert (found.bounds, found.bias, found.connected) == (bounds, bias, True)
+    assert np.all(np.diff(found.values) > 0)
+    assert_allclose(found.costs, parabola(found.values))
+    assert_allclose(found.roots, (found.values - 1) / 0.1, atol=1e-9)
+    assert_allclose(found.others[:, 0], found.values)
+    assert_allclose(found.others[:, 1], np.clip(2 + 8 * (found.values - 1), 1, 3))
+    assert found.at_bound == ((), ("b",))
+
+
+@pytest.mark.parametrize(
+    ("interval", "ends", "at_bound", "connected", "said"),
+    [
+        ((1.0, 2.5), ("crossed", "crossed"), ((), ()), True, "1 to 2.5 s"),
+        ((1.0, 2.5), ("crossed", "crossed"), ((), ()), False, "1 to 2.5 s, in separate pieces"),
+        ((1.0, np.inf), ("crossed", "bound"), ((), ()), True, "above 1 s, no upper limit up to the bound 9"),
+        ((-np.inf, 2.5), ("bound", "crossed"), ((), ()), True, "below 2.5 s, no lower limit down to the bound -3"),
+        (
+            (-np.inf, 2.5),
+            ("failed", "crossed"),
+            ((), ()),
+            True,
+            "below 2.5 s, no lower limit that could be found: solves failed beyond",
+        ),
+        ((1.0, np.inf), ("crossed", "flat"), ((), ()), True, "above 1 s, no upper limit"),
+        ((-np.inf, np.inf), ("flat", "bound"), ((), ()), True, "not limited by the data on either side"),
+        (
+            (1.0, 2.5),
+            ("crossed", "crossed"),
+            (("k",), ("k", "c")),
+            True,
+            "1 to 2.5 s, the lower limit with k at its bound, the upper limit with k, c at their bounds",
+        ),
+    ],
+)
+def test_an_interval_in_words(interval, ends, at_bound, connected, said):
+    one = ProfileOf("T", "s", 1.5, 0.2, *np.zeros((3, 1)), np.zeros((1, 1)), interval, ends, (-3.0, 9.0))
+    one = replace(one, at_bound=at_bound, connected=connected)
+    assert str(one) == said
+    found = Profiles("step", 0.9, {"T": 1.7}, ("T",), (one,), ("a profile found more",))
+    assert str(found) == (
+        f"step: 90 % intervals by profile likelihood\n\n  T         1.5   {said}\n  warning: a profile found more"
+    )
+    low, high = (None if np.isinf(value) else value for value in interval)
+    assert found.intervals_in_words() == {"T": {"low": low, "high": high, "text": said}}
+    summary = found.summary()
+    assert (summary["problem"], summary["level"], summary["limit"]) == ("step", 0.9, {"T": 1.7})
+    assert summary["profiles"]["T"] == {
+        "estimate": 1.5,
+        "standard_error": 0.2,
+        "low": low,
+        "high": high,
+        "ends": [*ends],
+        "at_bound": [list(names) for names in at_bound],
+        "connected": connected,
+        "text": said,
+        "values": [0.0],
+        "costs": [0.0],
+        "roots": [0.0],
+        "others": {"T": [0.0]},
+    }
+    with pytest.raises(KeyError, match="'k' was not profiled"):
+        found["k"]

@@ -1,7 +1,9 @@
 """The verdict says what a careful reader of the result would."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from page_results import lag
 
@@ -47,3 +49,95 @@ def test_a_failed_fit_has_no_estimate(fit):
     judged = verdict(replace(fit, runs=runs, minima=()))
     assert judged.grade == "failed"
     assert judged.sentences[0].startswith("There is no estimate: no start converged")
+
+
+def told(**parts):
+    """What is said of a fit that holds no more than this."""
+    directions = SimpleNamespace(beyond=(), error=np.array([0.05, np.nan, 0.012]), names=("a", "b", "c"))
+    given = {"responses": (), "records": (), "spectra": (), "quantities": (), "free": ("a", "b", "c"), "warnings": ()}
+    given |= {"converged": True, "runs": [SimpleNamespace(stage="polished")] * 3, "agreeing": 3, "minima": [None]}
+    return verdict(SimpleNamespace(**(given | {"identifiability": directions} | parts)))
+
+
+@pytest.mark.parametrize(
+    ("parts", "sentence"),
+    [
+        ({}, "3 of 3 starts agree on the best minimum."),
+        ({"minima": [None] * 2}, "3 of 3 starts agree on the best minimum; 1 other minimum has a higher cost."),
+        ({"minima": [None] * 4}, "3 of 3 starts agree on the best minimum; 3 other minima have a higher cost."),
+        ({"agreeing": 2}, "2 of 3 starts agree on the best minimum."),
+        ({"agreeing": 1}, "Only 1 of 3 starts reached the best minimum, so another one may have a lower cost."),
+        (
+            {"runs": [SimpleNamespace(stage="screened"), SimpleNamespace(stage="polished")], "agreeing": 1},
+            "The fit was made from one start, so another minimum may have a lower cost.",
+        ),
+    ],
+)
+def test_how_well_the_minimum_is_known(parts, sentence):
+    judged = told(**parts)
+    assert judged.sentences[0] == sentence
+    assert (judged.grade == "good") == ("agree on" in sentence)
+
+
+def test_how_close_the_model_is():
+    zero, exact = np.array([0.0, 1.0, 2j, -4.0]), np.array([1.0, 1.3, 2j, -4.4])
+    response = SimpleNamespace(data=SimpleNamespace(response=zero), response=exact)
+    fits = {"y": 90.0, "z": np.nan}
+    records = [
+        SimpleNamespace(outputs=("y", "z"), fit_percent=fits.get),
+        SimpleNamespace(outputs=("y",), fit_percent=lambda name: 75.0),
+    ]
+    assert told().sentences[1] == "Nothing was compared."
+    assert told(responses=[response], records=records[:1]).sentences[1] == (
+        "How closely the model follows the data: it is 18 % rms from the 3 measured points of frequency response, "
+        "30 % at most; its residual of y is 10 % of the standard deviation of y."
+    )
+    assert (
+        told(records=records).sentences[1].endswith("its residual of y is 10 to 25 % of the standard deviation of y.")
+    )
+
+
+def quantity(name, at_bound):
+    return SimpleNamespace(name=name, at_bound=at_bound)
+
+
+@pytest.mark.parametrize(
+    ("parts", "sentence", "well"),
+    [
+        ({}, "All 3 free parameters are well determined, with standard errors of at most 5 % (a).", True),
+        ({"free": ("a",)}, "The free parameter is well determined, with standard errors of at most 5 % (a).", True),
+        ({"free": ()}, "No parameter was free.", True),
+        (
+            {"quantities": (quantity("a", True), quantity("b", False))},
+            "Of 3 free parameters, 2 are well determined: a ended at a bound.",
+            False,
+        ),
+        (
+            {"identifiability": SimpleNamespace(beyond=("c",)), "quantities": (quantity("a", True),)},
+            "Of 3 free parameters, 1 are well determined: a ended at a bound; c is beyond the guidelines (20 % error, "
+            "10 % insensitivity).",
+            False,
+        ),
+        (
+            {"identifiability": SimpleNamespace(beyond=tuple("abcd")), "free": tuple("abcdef")},
+            "Of 6 free parameters, 2 are well determined: a, b, c and d are beyond the guidelines (20 % error, 10 % "
+            "insensitivity).",
+            False,
+        ),
+    ],
+)
+def test_how_well_the_parameters_are_determined(parts, sentence, well):
+    judged = told(**parts)
+    assert judged.sentences[2] == sentence
+    assert (judged.grade == "good") == well
+
+
+def test_a_warning_leaves_a_fit_in_doubt():
+    assert told(warnings=("one",)).grade == "doubt"
+    failed = told(converged=False, best_effort={"a": 1.0}, status="no start converged", warnings=("one", "two"))
+    assert failed.sentences == (
+        "There is no estimate: no start converged.",
+        "one",
+        "The values below are those at which the best run ended.",
+    )
+    assert told(converged=False, best_effort=None, status="x").sentences == ("There is no estimate: x.",)

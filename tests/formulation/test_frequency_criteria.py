@@ -272,3 +272,82 @@ def test_a_coherence_that_was_rounded_to_one_leaves_finite_errors():
     errors = np.array([[fit.standard_error[name] for name in TWO_LAGS] for fit in fits])
     assert_allclose(errors[1], errors[2], rtol=1e-9)
     assert np.all((errors[0] > 0.3 * errors[2]) & (errors[0] < 3 * errors[2]))
+
+
+OMEGA4 = np.array([0.5, 1.0, 2.0, 4.0])
+MODEL4 = np.array([2.0, 1.5 - 1j, -1j, -0.2 - 0.1j])
+MEASURED4 = MODEL4 * np.array([1.1, 0.9 + 0.1j, 1 - 0.2j, 1.05])
+RELATIVE4 = MEASURED4 / MODEL4
+
+
+def data4(**columns):
+    return gb.FrequencyResponse(OMEGA4, MEASURED4, "u", "y", **columns)
+
+
+@pytest.mark.parametrize("correction", [1.0, 1.5])
+def test_what_magnitude_and_phase_make_of_errors(correction):
+    """Of given variances as they stand; of relative sizes by the coherence, scaled by the residuals."""
+    decibels, degrees = 20 / np.log(10), 180 / np.pi
+    variance, coherence = np.array([0.04, 0.01, 0.02, 0.001]), np.array([0.9, 0.8, 0.6, 0.95])
+    sizes = np.concatenate([np.full(4, decibels**2), np.full(4, 0.01745 * degrees**2)])
+    criterion = gb.MagnitudePhase()
+    for columns, shape in (
+        ({"variance": variance}, variance / np.abs(MEASURED4) ** 2),
+        ({"coherence": coherence}, (1 - coherence) / coherence),
+        ({"coherence": np.ones(4)}, np.ones(4)),
+        ({}, np.ones(4)),
+        ({"coherence": coherence, "variance": variance}, variance / np.abs(MEASURED4) ** 2),
+    ):
+        data = data4(**columns)
+        common = 20 / 4 * (1.58 * (1 - np.exp(-columns.get("coherence", np.ones(4))))) ** 2
+        weight = np.tile(common, 2) * sizes
+        s2 = shape / 2
+        if "variance" not in columns:
+            errors = common * np.abs(np.log(MODEL4 / MEASURED4)) ** 2
+            s2 = s2 * errors.sum() / (common * shape).sum() * correction**2
+        bread, meat = criterion.spread(MODEL4, data, correction)
+        assert bread == 2
+        assert_allclose(meat, 4 * weight * np.tile(s2, 2))
+        assert_allclose(criterion.error_size(MODEL4, data), np.abs(MODEL4) * np.sqrt(shape))
+
+
+@pytest.mark.parametrize("correction", [1.0, 1.3])
+def test_what_the_likelihoods_make_of_errors(correction):
+    variance = np.array([0.04, 0.01, 0.02, 0.001])
+    squares = np.abs(MEASURED4 - MODEL4) ** 2 / variance
+    likelihood = gb.MaximumLikelihood()
+    bread, meat = likelihood.spread(MODEL4, data4(variance=variance), correction)
+    assert bread == 2
+    assert_allclose(meat, 2 * squares.mean() * correction**2)
+    assert squares.mean() > 1
+    assert_allclose(likelihood.spread(MODEL4, data4(variance=99 * variance), correction)[1], 2.0)  # never smaller
+    dof = np.array([4.0, 8.0, 6.0, 20.0])
+    scale = likelihood.noise_ratio(MODEL4, data4(variance=variance, dof=dof))
+    # Where the likelihood of a common factor of the variances, with Student's t, has its maximum.
+    assert np.mean((dof + 2) * squares / (dof * scale + 2 * squares)) == pytest.approx(1)
+    _, meat = likelihood.spread(MODEL4, data4(variance=variance, dof=dof), correction)
+    assert_allclose(meat, 2 * max(scale * correction**2, 1) * np.tile((dof + 2) / dof, 2))
+    assert_allclose(likelihood.error_size(MODEL4, data4(variance=variance)), np.sqrt(variance))
+
+    s2 = np.mean(np.abs(RELATIVE4 - 1) ** 2) / 2
+    bread, meat = gb.RelativeLikelihood().spread(MODEL4, data4(), correction)
+    assert bread == pytest.approx(1 / s2)
+    assert_allclose(meat, correction**2 / s2)
+    for criterion in (gb.RelativeLikelihood(), gb.RelativeError(), gb.SquaredRelativeError()):
+        assert_allclose(criterion.error_size(MODEL4, data4()), np.abs(MODEL4))
+
+
+def test_a_model_of_nothing_does_not_make_the_noise_infinite():
+    """Below a hundredth of what was measured it is no noise that lies between them."""
+    nothing = np.array([2.0, 1.5 - 1j, 0, -0.2 - 0.1j])
+    found = gb.SquaredRelativeError().noise(nothing, data4())
+    assert np.isfinite(found)
+    assert 20 < found < 100  # one point of four at the hundredfold
+
+
+@pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.MaximumLikelihood(), gb.MagnitudePhase()], ids=repr)
+def test_common_errors_of_the_data_are_a_condition(criterion):
+    variance = np.full(4, 0.1)
+    assert criterion.condition_on(data4(variance=variance)) == criterion.condition
+    common = criterion.condition_on(data4(variance=variance, common_errors=[0.1 * MEASURED4]))
+    assert common == f"{criterion.condition}, and the common errors of the data"
