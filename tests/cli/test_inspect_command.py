@@ -4,8 +4,12 @@ import json
 import math
 from importlib.resources import files
 
+import numpy as np
 import pytest
 from command_line import run
+
+from greybox.cli.inspect_command import _about, _contents
+from greybox.data.record import Record, Recording
 
 LOG = str(files("greybox.problems") / "data" / "sitl_pitch.BIN")
 PITCH = ["--announced", "SINE", "--input", "u=RATE.POut", "--output", "theta=ATT.Pitch"]
@@ -59,3 +63,37 @@ def test_the_rate_of_messages_in_bursts_is_their_mean(capsys, tmp_path):
     (tmp_path / "link.csv").write_text("time,x\n" + "\n".join(f"{t:.4f},{t}" for t in time) + "\n")
     (message,) = json.loads(run(capsys, "inspect", tmp_path / "link.csv", "--json")[1])["messages"]
     assert message["rate"] == pytest.approx(279 / (time[-1] - time[0]))
+
+
+def test_what_a_log_holds_is_a_table_of_its_messages():
+    time = 10 + 0.02 * np.arange(101)
+    wide = {f"s{k}": time[::4] for k in range(10)}
+    log = Recording(
+        {
+            "ATT": Record(time, {"Roll": time, "Pitch": time}, {"Roll": "deg"}),
+            "WIDE": Record(time[::4], wide),
+            "ROWS": Record(np.arange(5.0), {"x": np.arange(5.0)}, has_time=False),
+        },
+        "made.bin",
+        checksum="0123456789abcdef0123",
+        metadata={
+            "vehicle": "ArduCopter", "frame": "QUAD/X", "modes": ((10.04, "LOITER"), (12.0, "LAND")),
+            "armed": ((10.5, 11.5),), "parameters": {"A": 1.0, "B": 2.0},
+        },
+    )  # fmt: skip
+    rows = [" ".join(line.split()) for line in _contents(log).splitlines()]
+    assert rows[0] == "message samples Hz from s to s signals"
+    assert rows[2:] == [
+        "ATT 101 50 10.0 12.0 Roll (deg), Pitch",
+        "WIDE 26 12.5 10.0 12.0 s0, s1, s2, s3, s4, s5, s6, s7 and 2 more",
+        "ROWS 5 - - - x",
+    ]
+    assert _about(log).splitlines() == [
+        "made.bin",
+        "SHA-256 0123456789abcdef...",
+        "ArduCopter",
+        "frame QUAD/X",
+        "modes LOITER from 10.0 s, LAND from 12.0 s",
+        "armed 10.5 to 11.5 s",
+        "2 parameters",
+    ]

@@ -7,6 +7,9 @@ import sys
 import pytest
 from command_line import OWN, refused, run
 
+import greybox.cli.main as main_module
+from greybox.cli.output import BAD_INPUT, FAILED, USABLE
+
 
 def test_both_commands_are_the_same():
     command = [sys.executable, "-m", "greybox", "fit", "pitch_hover", "--starts", "8", "--json"]
@@ -104,3 +107,11 @@ def test_what_a_users_file_prints_stays_off_standard_output(capsys, own):
     assert status == 0
     assert "hello" in err
     json.loads(out)
+
+
+@pytest.mark.parametrize(("status", "told"), [(USABLE, FAILED), (BAD_INPUT, BAD_INPUT), (130, 130)])
+def test_an_answer_that_cannot_be_written_is_a_failure(capsys, monkeypatch, status, told):
+    monkeypatch.setattr(main_module, "write", lambda text, stream: "disk full" if stream is sys.stdout else "")
+    assert main_module._tell({}, "an answer", status, False) == told
+    monkeypatch.setattr(main_module, "write", lambda text, stream: "")
+    assert main_module._tell({}, "an answer", status, False) == status

@@ -35,7 +35,7 @@ def test_the_bode_diagram_has_data_curve_band_and_errors(fit):
     part = fit.responses[0]
     labels = [panel.label.partition(",")[0] for panel in bode.panels]
     assert labels == ["Magnitude of y/u", "Phase of y/u", "Coherence γ²", "Error", "Error"]
-    magnitude, phase, coherence, error, _ = bode.panels
+    magnitude, phase, coherence, error, turn = bode.panels
     measured = named(magnitude, "lag", "points")
     assert measured.y == pytest.approx(20 * np.log10(np.abs(part.data.response)))
     for panel in bode.panels[:4]:
@@ -44,7 +44,17 @@ def test_the_bode_diagram_has_data_curve_band_and_errors(fit):
     assert measured.high == pytest.approx(20 * np.log10(one_sided))
     assert named(phase, "lag", "points").y == pytest.approx(np.degrees(np.angle(part.data.response)))
     assert named(coherence, "lag", "points").y == pytest.approx(part.data.coherence)
-    assert named(error, "lag", "points").y == pytest.approx(20 * np.log10(np.abs(part.data.response / part.response)))
+    ratio = part.data.response / part.response
+    size = np.sqrt(part.data.variance / 2) / np.abs(part.data.response)  # of one component, relative
+    left = named(error, "lag", "points")
+    assert left.y == pytest.approx(20 * np.log10(np.abs(ratio)))
+    assert [left.y - left.low, left.high - left.y] == [
+        pytest.approx(-20 * np.log10(1 - size)),
+        pytest.approx(20 * np.log10(1 + size)),
+    ]
+    turned = named(turn, "lag", "points")
+    assert turned.y == pytest.approx(np.degrees(np.angle(ratio)))
+    assert [turned.y - turned.low, turned.high - turned.y] == [pytest.approx(np.degrees(size))] * 2
 
     band = fit.response_band(part.data.omega, part=0)
     low, high = (20 * np.log10(limit) for limit in band.magnitude)

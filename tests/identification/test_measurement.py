@@ -9,7 +9,7 @@ from scipy.signal import chirp, lsim
 
 import greybox as gb
 from greybox.data.record import Record, Recording
-from greybox.identification.measurement import FEEDBACK, Settings, measure
+from greybox.identification.measurement import FEEDBACK, Settings, measure, named_signals
 
 PAIR = {"input": "u=IN.u", "output": "y=OUT.y"}
 TIME = np.arange(0, 60, 0.04)
@@ -217,3 +217,9 @@ def test_what_cannot_be_estimated_is_refused_with_the_reason():
     assert not found.quality.usable
     assert found.quality.findings[0].about == "response"
     assert isinstance(gb.identify(flight(SWEEP), **PAIR, whole=True, band=(200.0, 300.0)).fit, type(None))
+
+
+def test_signals_that_share_a_name_are_told():
+    assert named_signals(["u=RATE.POut", "ATT.Pitch"]) == {"u": "RATE.POut", "Pitch": "ATT.Pitch"}
+    with pytest.raises(ValueError, match="two signals have one name: give them names of your own, NAME=SIGNAL"):
+        named_signals(["ANG.Pitch", "ATT.Pitch"])
