@@ -110,6 +110,17 @@ NAMED |= {"deg C": NAMED["degC"], "deg F": NAMED["degF"], "r/min": NAMED["rpm"]}
 # Units that are also written in capitals, as in RPM or KTS; shorter ones are other units then, as M, S and MS may be.
 CAPITALS = {name.lower(): unit for name, unit in NAMED.items() if len(name) > 2 or name in ("ft", "kt", "in")}
 
+# Not Hz: that of a rotation is 2π rad/s, and 1/s one.
+IN_BASE_UNITS = {
+    "N": "kg m s-2",
+    "Pa": "kg m-1 s-2",
+    "J": "kg m2 s-2",
+    "W": "kg m2 s-3",
+    "V": "kg m2 s-3 A-1",
+    "Ω": "kg m2 s-3 A-2",
+    "T": "kg s-2 A-1",
+}
+
 DOUBTFUL = {"g": "gram", "G": "gauss", "mG": "milligauss", "C": "coulomb"}  # and what else they may be; not in products
 POUNDS = ("lb", "lbs", "pound", "pounds")
 
@@ -182,7 +193,10 @@ def are_of_one_kind(a: Conversion, b: Conversion) -> bool:
     """Tell whether numbers in two units measure the same kind of quantity; radians are pure numbers."""
     kinds = []
     for conversion in (a, b):
-        powers = _powers(conversion.si)
+        powers: dict[str, int] = {}
+        for name, power in _powers(conversion.si).items():
+            for base, exponent in _powers(IN_BASE_UNITS.get(name, name)).items():
+                powers[base] = powers.get(base, 0) + power * exponent
         kinds.append({name: power for name, power in powers.items() if power and name not in ("rad", "1")})
     return kinds[0] == kinds[1]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import constants as c
 
-from greybox.data.units import to_si
+from greybox.data.units import are_of_one_kind, to_si
 
 KNOWN = [
     ("ft", c.foot, "m"),
@@ -89,3 +89,26 @@ def test_what_may_be_something_else_says_so():
     assert to_si("g").remark == "g was taken for 9.80665 m/s², not for gram"
     assert to_si("C").remark == "C was taken for degrees Celsius, not for coulomb"
     assert not to_si("m").remark
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        ("N", "kg*m/s^2", True),
+        ("N m", "J", True),
+        ("N/m2", "Pa", True),
+        ("W", "J/s", True),
+        ("V", "W/A", True),
+        ("ohm", "V/A", True),
+        ("T", "N/(A m)", True),
+        ("rad/s", "1/s", True),
+        ("rad/s", "Hz", False),
+        ("N", "kg*m/s", False),
+        ("V", "A", False),
+        ("deg", "1", True),
+        ("m/s2", "G", True),
+    ],
+)
+def test_units_of_one_kind(one, other, same):
+    assert are_of_one_kind(to_si(one), to_si(other)) is same
+    assert are_of_one_kind(to_si(other), to_si(one)) is same

@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import greybox as gb
+from greybox.estimate.sensitivity import sensitivity
 from greybox.models.polynomial import Polynomial
 
 OMEGA = np.geomspace(0.1, 100, 25)
@@ -78,3 +79,20 @@ def test_every_part_of_a_record_in_which_the_input_moves_tells_something(lost):
     assert_allclose(found.shares.sum(axis=(1, 2)), 1.0)
     assert_allclose(found.alone.sum(axis=(1, 2)), 1.0)
     assert np.all(found.alone > 0)  # the input moves all the time
+
+
+@pytest.mark.parametrize(("unit", "wanted"), [("rad/s", (10.0, 40.0)), ("s", (0.5, 3.0))])
+def test_the_band_is_the_narrowest_that_holds_the_share(unit, wanted):
+    """In the logarithm of frequencies, in time as it is; of all outputs together; points are put in order."""
+    at = np.array([3.0, 0.5, 10.0, 2.0, 20.0, 40.0])
+    shares = np.array([[0.1, 0.2, 0.1, 0.2, 0.2, 0.2], [0, 0, 0, 0, 0, 0]])
+    two = np.hstack([0.3 * shares, 0.7 * shares])
+    found = sensitivity(["K", "T"], ["y", "z"], unit, at, two, 2 * two)
+    assert found.at.tolist() == [0.5, 2, 3, 10, 20, 40]
+    assert_allclose(found.shares[0].sum(axis=0), [0.2, 0.2, 0.1, 0.1, 0.2, 0.2])
+    assert_allclose(found.alone, 2 * found.shares)
+    assert found.band("K", 0.5) == wanted
+    assert found.band("K", 1.0) == (0.5, 40.0)
+    assert np.isnan(found.band("T")).all()
+    assert "not determined" in str(found)
+    assert "y 30 %, z 70 %" in str(found)

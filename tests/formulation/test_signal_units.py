@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.formulation.signal_units import as_the_only_pair, check_response_units
 from greybox.models.tilt import NonlinearTilt
 
 
@@ -80,3 +81,66 @@ def test_a_spectrum_in_other_units_is_refused_with_where_to_convert_it():
     spectrum = gb.spectral.transient_spectrum(degrees, "delta", "q", (0.5, 20.0))
     with pytest.raises(ValueError, match=r"q is in deg/s in the spectrum .* convert the record that the"):
         gb.fit(gb.Problem(Rate(), spectrum), starts=1, progress=False)
+
+
+class Gain(gb.TransferFunction):
+    """A rotation from a force."""
+
+    input, output = "F", "theta"
+    units = {"F": "N", "theta": "rad"}
+    K = gb.Parameter(1.0)
+
+    def response(self, s, p):
+        return p.K + 0 * s
+
+
+def response(input="F", output="theta", **units):
+    return gb.FrequencyResponse([1.0, 2.0], [1.0, 2.0], input, output, name="test", units=units)
+
+
+@pytest.mark.parametrize(
+    ("units", "words"),
+    [
+        (
+            {"theta": "deg"},
+            "the output theta is in deg in the response and in rad in Gain: measure it in rad, as gb.prepare does from",
+        ),
+        (
+            {"F": "kN"},
+            "the input F is in kN in the response and in N in Gain: measure it in N, as gb.prepare does from",
+        ),
+        (
+            {"theta": "rad/s"},
+            "the output theta is in rad/s in the response and in rad in Gain: these are different quantities, take the "
+            "model of the rate, or response.over_s().",
+        ),
+        (
+            {"F": "N/s"},
+            "the input F is in N/s in the response and in N in Gain: these are different quantities, take the model of "
+            "the rate, or response.over_s().",
+        ),
+        (
+            {"theta": "m"},
+            "the output theta is in m in the response and in rad in Gain: these are different quantities, give the "
+            "right signal.",
+        ),
+    ],
+)
+def test_a_response_in_other_units_is_refused_with_the_cure(units, words):
+    with pytest.raises(ValueError, match=r"^[^\n]+\.$") as refused:
+        check_response_units(Gain(), response(**units))
+    assert str(refused.value).startswith(words)
+
+
+@pytest.mark.parametrize("units", [{}, {"F": "N"}, {"theta": "1"}, {"theta": "furlong"}, {"F": "kg*m/s^2"}])
+def test_a_response_in_the_same_or_unknown_units_passes(units):
+    check_response_units(Gain(), response(**units))
+
+
+def test_the_only_pair_of_a_model_needs_no_names():
+    data = as_the_only_pair(Gain(), response("lever", "attitude", lever="N", attitude="rad", other="m"))
+    assert (data.input, data.output, data.units) == ("", "", {})
+    with pytest.raises(ValueError, match="the output theta is in deg in the response"):
+        as_the_only_pair(Gain(), response("lever", "attitude", attitude="deg"))
+    two = response("delta", "q")
+    assert as_the_only_pair(Rate(), two) is two  # which has two outputs

@@ -52,3 +52,12 @@ def test_closing_the_gaps_may_save_a_whole_step_where_continuity_is_exact():
     off = Line(Strategies(second_order_correction=False), closed=0.5)
     assert line_search(off, 1.0, -10.0, square, 1.0, Stage(is_exact=True))[1] < 1
     assert line_search(Line(closed=0.5), 1.0, -10.0, square, 1.0, Stage(is_exact=False))[1] < 1
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e6])
+@pytest.mark.parametrize(("share", "taken"), [(0.9, True), (1.1, False)])
+def test_a_merit_that_grows_by_rounding_alone_is_taken(size, share, taken):
+    """Of the cost, or of one where it is smaller."""
+    rounding = Strategies().cost_rounding * max(size, 1.0)
+    trial, length = line_search(Line(), 0.0, 1.0, lambda x: size + share * rounding * (x != 0), size, Stage())
+    assert (trial, length) == ((1.0, 1.0) if taken else (None, 0.0))
