@@ -94,6 +94,8 @@ def test_provenance_says_where_everything_came_from(fit):
     assert "standard errors" not in facts(provenance(replace(fit, dof=0.0))[0])
 
     response, record = fit.parts
+    at = f"input u of {record.name}"
+    assert facts(provenance(fit)[2]) == {f"solved by of {record.name}": record.method, at: record.between["u"]}
     first, second = (part.data.checksum for part in fit.parts)
     assert texts(data)[1:] == [
         [

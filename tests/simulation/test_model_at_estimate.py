@@ -67,6 +67,8 @@ def test_a_model_with_a_parameter_that_the_fit_does_not_have_is_refused():
         (Spring(), {"stiff": 1.0}, ValueError, "Spring has no parameter 'stiff'"),
         (Spring(), {"stiffness": np.nan}, ValueError, "values gives 'stiffness' the value nan: give a finite number"),
         (Spring(), {"stiffness": [1.0]}, ValueError, r"values gives 'stiffness' the value \[1\.0\]"),
+        (Spring(), {"stiffness": np.ones(1)}, ValueError, r"values gives 'stiffness' the value array"),
+        (Spring(), {"stiffness": np.complex128(1)}, ValueError, r"values gives 'stiffness' the value"),
     ],
 )
 def test_what_does_not_fit_together_is_refused(model, values, error, sentence):

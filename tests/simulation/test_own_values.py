@@ -1,11 +1,14 @@
 """What belongs to a record, its biases and trims, is estimated from it where the model was fitted to another one."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from drag_flights import Drag, LinearDrag, fitted, flight
 from numpy.testing import assert_allclose
 
 import greybox as gb
+from greybox.formulation.time_criteria import WIDEST_BIAS
 from greybox.simulation import own_values
 
 TRUTH = {"a5": 0.2, "C_x": 0.05}
@@ -255,3 +258,18 @@ def test_what_determines_more_values_or_the_same_better_is_taken():
     assert not found(100.0).is_more_certain_than(found(1.0, 1.0))
     assert found(1.0, 5.0).is_more_certain_than(found(2.0, 2.0))
     assert not found(1.0, 3.0).is_more_certain_than(found(2.0, 2.0))
+
+
+def test_a_bias_lies_within_ranges_of_its_signal_and_a_parameter_within_its_bounds():
+    signals = {"y": np.array([1.0, np.nan, 4.0]), "still": np.ones(3), "lost": np.full(3, np.nan)}
+    windows = SimpleNamespace(record=gb.Record(np.arange(3.0), signals, {"y": "m"}))
+    model = SimpleNamespace(declared={"K": gb.Parameter(1.0, bounds=(-1, 5), unit="1/s")})
+    for name, limits, unit in (
+        ("K", (-1, 5), "1/s"),
+        ("y_bias", (-3 * WIDEST_BIAS, 3 * WIDEST_BIAS), "m"),
+        ("still_bias", (-WIDEST_BIAS, WIDEST_BIAS), ""),
+        ("lost_bias", (-np.inf, np.inf), ""),
+        ("other_bias", (-np.inf, np.inf), ""),
+    ):
+        assert own_values._limits(model, windows, name) == limits
+        assert own_values._unit(model, windows, name) == unit

@@ -8,6 +8,7 @@ import greybox as gb
 from greybox.modeling.limit import Limit, at_limit
 from greybox.models.yaw import YawAngle
 from greybox.problems import pitch_hover, yaw_hover
+from greybox.validation import reduction
 from greybox.validation.reduction import _directions
 
 
@@ -201,3 +202,23 @@ def test_a_delay_goes_to_zero_alone():
     assert at_limit(FastLag(), "w", 1.0, "infinity").delays == {"u": "tau"}
     with pytest.raises(ValueError, match="tau delays an input of FastLag: a delay can go to zero alone"):
         at_limit(FastLag(), "tau", 0.01, "infinity")
+
+
+class Braked(gb.StateSpace):
+    """x' = -k x², of which the pole is -2 k x."""
+
+    states, outputs = ("x",), ("x",)
+    k = gb.Parameter(2.0)
+
+    def derivative(self, x, u, p):
+        return (-p.k * x.x**2 + u.u / p.k,)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+def test_the_fastest_pole_is_that_about_the_first_initial_state():
+    assert reduction._fastest(Braked(), {"k": 2.0}, {"x": np.array([3.0, 9.0])}) == pytest.approx(12.0)
+    assert reduction._fastest(Braked(), {"k": 2.0}, {}) == 0.0
+    assert reduction._fastest(FastLag(), {"a": 1.0, "w": 500.0, "tau": 0.0}, {}) == pytest.approx(500.0)
+    assert reduction._fastest(Braked(), {"k": np.inf}, {"x": np.array([3.0])}) == np.inf
