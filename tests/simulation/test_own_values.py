@@ -1,5 +1,6 @@
 """What belongs to a record, its biases and trims, is estimated from it where the model was fitted to another one."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.testing import assert_allclose
 import greybox as gb
 from greybox.formulation.time_criteria import WIDEST_BIAS
 from greybox.simulation import own_values
+from greybox.simulation.model_at_estimate import model_at
 
 TRUTH = {"a5": 0.2, "C_x": 0.05}
 BIASES = gb.OutputError(biases=("v", "theta"))
@@ -273,3 +275,59 @@ def test_a_bias_lies_within_ranges_of_its_signal_and_a_parameter_within_its_boun
     ):
         assert own_values._limits(model, windows, name) == limits
         assert own_values._unit(model, windows, name) == unit
+
+
+def test_the_error_of_the_model_is_in_that_of_an_own_value_that_follows_it():
+    """A mean of y - K u, with a gain that is known to 0.1 alone."""
+
+    class Known:
+        def at_estimate(self, model, **options):
+            return replace(model_at(Gain(), {"K": 2.0}), covariance=np.array([[0.01]]))
+
+    time = np.arange(400) / 20
+    u = 1 + np.sin(time)
+    y = 2 * u + 0.7 + 0.1 * np.random.default_rng(0).normal(size=400)
+    record = gb.Record(time, {"u": u, "y": y})
+    alone = gb.predict(Gain(), {"K": 2.0}, record, own=["y_bias"])
+    found = gb.predict(Known(), record=record, own=["y_bias"])
+    assert found.own["y_bias"][0] == pytest.approx(alone.own["y_bias"][0])
+    error = np.sqrt(alone.own["y_bias"][1] ** 2 + 0.01 * u.mean() ** 2)
+    assert found.own["y_bias"][1] == pytest.approx(error, rel=0.02)
+    # The output is known where the input has its mean: there the errors of both cancel.
+    size = np.sqrt(alone.own["y_bias"][1] ** 2 + 0.01 * (u - u.mean()) ** 2)
+    assert_allclose(found.error[0, :, 0], size[found.rows[:, 0]], atol=2e-3)
+
+
+def test_states_and_their_mean_are_eliminated_as_by_least_squares():
+    """Of windows with random slopes and a prior, against one matrix of all unknowns."""
+    random = np.random.default_rng(0)
+    w, t, k, n, a = 4, 5, 2, 2, 3
+    slopes, residuals = random.normal(size=(w, t, k, n + a)), random.normal(size=(w, t, k))
+    used = random.uniform(size=(w, t, k)) < 0.9
+    slopes[~used], residuals[~used] = 0.0, 0.0
+    used[3], slopes[3], residuals[3] = False, 0.0, 0.0  # a window without a measured sample
+    states, mean, precision = random.normal(size=(w, n)), random.normal(size=n), np.array([0.5, 2.0])
+    noise = np.array([[0.5, 0.2], [0.2, 0.4]])
+    initial = SimpleNamespace(states=states, mean=mean, precision=precision, noise=noise)
+    made = SimpleNamespace(slopes=slopes, residuals=residuals, used=used, initial=initial)
+    simulator = SimpleNamespace(linearize_windows=lambda windows, places: made)
+    found = own_values._information(simulator, SimpleNamespace(horizon=6, lead=3), np.arange(a))
+
+    weight = np.linalg.inv(np.linalg.cholesky(noise))
+    J = np.einsum("ij,wtjv->wtiv", weight, slopes).reshape(w, t * k, n + a)
+    r = np.einsum("ij,wtj->wti", weight, residuals).reshape(w, t * k)
+    deviation = states - mean
+    deviation[3] = 0.0
+    of_values = np.concatenate([*J[:, :, n:], np.zeros((w * n, a))])
+    of_mean = np.concatenate([*J[:, :, :n], np.zeros((w * n, n))])
+    of_windows = np.zeros((w * t * k + w * n, w * n))
+    for i in range(w):
+        of_windows[i * t * k : (i + 1) * t * k, i * n : (i + 1) * n] = J[i, :, :n]
+        of_windows[w * t * k + i * n + np.arange(n), i * n + np.arange(n)] = np.sqrt(precision)
+    b = np.concatenate([r.ravel(), *(-np.sqrt(precision) * deviation)])
+    nuisances = np.hstack([of_mean, of_windows])
+    q = np.eye(len(b)) - nuisances @ np.linalg.pinv(nuisances)
+    assert_allclose(found.matrix, of_values.T @ q @ of_values, atol=1e-9)
+    assert_allclose(found.gradient, of_values.T @ q @ b, atol=1e-9)
+    assert found.squares == pytest.approx(b @ q @ b)
+    assert (found.numbers, found.overlap) == (used.sum(), 1.5)
