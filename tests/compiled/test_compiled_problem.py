@@ -7,7 +7,7 @@ from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from numpy.testing import assert_allclose
 
 import greybox as gb
-from greybox.compiled.compiled_problem import compile_problem
+from greybox.compiled.compiled_problem import compile_problem, solver_weights
 from greybox.models.tilt import NonlinearTilt
 
 NOISY = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.05)
@@ -121,3 +121,32 @@ def test_rows_of_unknowns_are_evaluated_like_single_ones():
         alone = nlp.parts[0].signature(nlp.parts[0].initial_trajectory(nlp.scaling.to_solver(row)))
         assert_allclose(signature, alone, rtol=1e-12)
     assert nlp.costs(np.zeros((0, 3))).shape == (0,)
+
+
+@pytest.mark.parametrize("noise", [0.1, 1e-5])
+def test_costs_of_precise_data_are_weighed_down_to_what_rounding_allows(noise):
+    """A hundred rounding errors of Σ (M/σ)² are at most the tolerance of 1e-8; a criterion without sizes has none."""
+    sigma = noise * np.abs(NOISY.response) * np.geomspace(0.5, 2, len(NOISY))
+    precise = gb.FrequencyResponse(NOISY.omega, NOISY.response, "u", "y", variance=sigma**2)
+    parts = [
+        gb.Problem(LagLagDelay(), precise, gb.MaximumLikelihood(), weight=3.0),
+        gb.Problem(Lag(), LAG, rename={"K": "gain"}, weight=0.5),
+    ]
+    precision = 3.0 * np.sum((np.abs(NOISY.response) / sigma) ** 2)
+    unit = max(1.0, 100 * np.finfo(float).eps / 1e-8 * precision)
+    assert (unit > 1) == (noise < 1e-3)
+    assert_allclose(solver_weights(parts), [3.0 / unit, 0.5 / unit])
+
+
+@pytest.mark.parametrize(
+    ("criterion", "is_located"),
+    [(gb.RelativeError(), False), (gb.MagnitudePhase(), True), (gb.RelativeLikelihood(), True)],
+    ids=repr,
+)
+def test_a_criterion_with_local_minima_of_its_own_is_located_by_squares(criterion, is_located):
+    nlp = compile_problem(gb.Problem(Lag(), LAG, criterion, weight=2.0))
+    assert (nlp.locating is not None) == is_located
+    if nlp.locating is not None:
+        z = nlp.scaling.to_solver(np.array([2.0, 5.0]))
+        e = np.abs(gb.frequency_response(Lag(), {"K": 2.0, "T": 5.0}, LAG.omega).response / LAG.response - 1)
+        assert float(nlp.locating(z, 0.0)[0]) == pytest.approx(2 * np.sum(e**2), rel=1e-9)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.signal import lfilter
 
 from greybox.compiled.record_information import colored_errors, independent_numbers
 
@@ -47,3 +48,15 @@ def test_a_record_that_is_explained_to_the_last_digit_has_no_errors():
     J, e, inverse = regression(60, 0)
     found = colored_errors([J], [0 * e], inverse, np.eye(1), 1, 1.0)
     assert np.all(found.meat == 0)
+
+
+def test_times_are_in_seconds_and_degrees_of_freedom_do_not_depend_on_them():
+    n = 400
+    e = lfilter([1], [1, -0.8], np.random.default_rng(2).normal(size=n))[None]
+    J = np.ones((1, 1, n))
+    fast, slow = (colored_errors([J], [e], np.eye(1) / n, np.eye(1) / np.std(e), 1, step) for step in (0.01, 1.0))
+    assert_allclose(slow.correlation_times, 100 * fast.correlation_times)
+    assert (fast.duration, slow.duration) == (pytest.approx(4.0), 400.0)
+    assert fast.dof == slow.dof
+    assert fast.is_long_enough
+    assert_allclose(fast.meat, slow.meat)

@@ -1,5 +1,7 @@
 """A record's part against brute force: sensitivities by finite differences, condensing by one dense system."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from evaluation import numeric_jacobian
@@ -114,6 +116,17 @@ def test_condensing_is_the_dense_elimination(made, relaxed, damping):
     step, follow = solution[:nodes, 0], solution[:nodes, 1:]
     multiplier, multiplier_follow = solution[nodes:, 0], solution[nodes:, 1:]
 
+    moved, jumps = J @ step, g + A @ step
+    decrease = -(J.T @ e) @ step - moved @ moved / 2
+    if relaxed:
+        decrease -= (jumps**2 - g**2) @ (1 / np.diag(penalty)) / 2
+    assert condensed.decrease == pytest.approx(max(decrease, 0.0), rel=1e-3, abs=1e-3 * e @ e)
+    linked = part.data.coupled
+    size = np.abs(multiplier).max()
+    assert_allclose(condensed.multiplier[linked].ravel(), multiplier, atol=1e-3 * size)
+    size = np.abs(multiplier_follow).max()
+    assert_allclose(condensed.multiplier_sensitivity[linked].reshape(count, -1), multiplier_follow, atol=1e-3 * size)
+
     scale = np.abs(step).max()
     assert_allclose(condensed.node_step.ravel(), step, atol=1e-4 * scale)
     assert_allclose(condensed.node_sensitivity.reshape(nodes, -1), follow, rtol=1e-3, atol=1e-4 * np.abs(follow).max())
@@ -221,3 +234,49 @@ def test_residuals_are_held_against_the_spread_of_their_signal(made):
     share = (np.sqrt((errors**2).sum(axis=1) / np.isfinite(measured).sum(axis=1)) / spread).max()
     assert part.is_near_data(trajectory, 1.001 * share)
     assert not part.is_near_data(trajectory, 0.999 * share)
+
+
+def test_states_may_jump_by_what_changes_the_outputs_of_a_segment_so_much(made):
+    part, _, trajectory = made
+    linear = part.linearize(trajectory, part.initial_weight(0.1))
+    curvature = np.mean([np.diag(H) for H in linear.node_hessian], axis=0)
+    wanted = 0.7**2 * part.data.segment_length * len(part.outputs) / curvature
+    assert_allclose(part.continuity_variance(linear, 0.7), wanted)
+    unseen = replace(linear, node_hessian=linear.node_hessian * np.diag([1.0, 0.0]))
+    assert_allclose(part.continuity_variance(unseen, 0.7), [wanted[0], 1.0])
+
+
+def test_a_signature_is_of_up_to_500_samples_in_units_of_the_spread(made):
+    part, _, trajectory = made
+    found = part.signature(trajectory).reshape(len(part.outputs), -1)
+    outputs = part.segments.columns(part.simulated_outputs(trajectory))
+    assert_allclose(found, outputs / part.covariance.spread[:, None])
+    long, z = part_of(spring(2300))
+    simulated = long.initial_trajectory(z)
+    outputs = long.segments.columns(long.simulated_outputs(simulated))
+    assert_allclose(
+        long.signature(simulated).reshape(2, -1),
+        outputs[:, :: outputs.shape[1] // 500] / long.covariance.spread[:, None],
+    )
+
+
+@pytest.mark.parametrize(("error", "explained"), [(0.0, True), (0.3, False)])
+def test_white_residuals_explain_the_data_and_a_wrong_parameter_does_not(error, explained):
+    part, z = part_of(spring(600))
+    nodes = part.initial_trajectory(z).nodes
+    nodes[0] = 0.0
+    assert part.explains_data(part.trajectory(z * (1 + error), nodes, simulated=True)) is explained
+
+
+def test_facts_of_a_part(made):
+    part, _, _ = made
+    measured = np.concatenate([stretch.outputs for stretch in part.data.stretches], axis=1)
+    assert part.numbers == np.isfinite(measured).sum()
+    assert part.unknown_initial_states == 4  # two states of two stretches
+    assert not part.is_static
+    assert part.discontinuous_delays == {}
+    assert part.with_weight(3.0).weight == 3 * part.weight
+    assert part.samples == part.data.segments * part.data.segment_length
+    known, _ = part_of(spring(60), gb.OutputError(inputs="held", initial={"x": lambda p: 0.0}))
+    assert known.unknown_initial_states == 1
+    assert known.model.known_states.tolist() == [True, False]

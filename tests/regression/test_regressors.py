@@ -13,6 +13,7 @@ from greybox.data.intersample import Intersample
 from greybox.modeling.realization import dynamics
 from greybox.regression.linear_in_parameters import regressions
 from greybox.regression.regressors import FEWEST, REMEMBERED, _linear_response, memory, regressors
+from greybox.regression.smoothing import reach
 
 
 def made(record=None, latest=0.1, **options):
@@ -35,6 +36,9 @@ def test_at_the_truth_the_blocks_hold():
     data = made()
     (block,) = data.blocks(TRUTH)
     assert data.equations.linear == ("a", "b")
+    # Neither the ends of the filter nor what came before the first sample.
+    edge, late = (math.ceil(seconds / STEP) for seconds in (reach(data.bands[0]), data.lateness))
+    assert len(block.target) == len(block.base) == len(block.slopes) == TIME.size - 2 * edge - late
     error = block.target - block.base - block.slopes @ TRUTH[:2]
     assert np.abs(error).max() < 2e-3 * np.abs(block.target).max()
     assert data.lateness == pytest.approx(0.1 + 0.05 * math.log(1 / REMEMBERED))
