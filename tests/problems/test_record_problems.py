@@ -525,10 +525,10 @@ COVERAGE = {
 def test_intervals_cover(case):
     options, rule = COVERAGE[case]
     truth, hits, z = SPRING | ({"x_bias": 0.2} if "bias" in options else {}), [], []
-    for seed in range(30):
+    for seed in range(18):
         found = fit(gb.Problem(Spring(), noisy(seed, **options), rule), [SPRING])
         interval = found.interval()
         hits.append([interval[n][0] < value < interval[n][1] for n, value in truth.items()])
         z.append([(found.estimate[n] - value) / found.standard_error[n] for n, value in truth.items()])
-    assert 0.9 <= np.mean(hits) <= 0.995
-    assert 0.85 < np.sqrt(np.mean(np.square(z))) < 1.2  # 1 ± 0.08 by chance
+    assert np.mean(hits) >= 0.9  # of 54 all may be inside; intervals that are too wide are seen in the size
+    assert 0.85 < np.sqrt(np.mean(np.square(z))) < 1.2  # 1 ± 0.1 by chance

@@ -44,8 +44,8 @@ def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(tmp_
         distributed.Client(scheduler_file=str(tmp_path / "scheduler.json"), timeout=120) as client,
     ):
         client.wait_for_workers(2, timeout=120)
-        alone = gb.fit(RESPONSE, 60, search="multistart")
-        together = gb.fit(RESPONSE, 60, search="multistart", executor=client.get_executor())
+        alone = gb.fit(RESPONSE, 40, search="multistart")
+        together = gb.fit(RESPONSE, 40, search="multistart", executor=client.get_executor())
         assert together.estimate == alone.estimate
         for one, other in zip(alone.runs, together.runs, strict=True):
             assert_array_equal(one.estimate, other.estimate)
@@ -56,16 +56,15 @@ def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(tmp_
         assert status == 0
         assert '"starts": 8' in out
 
-        # A worker is lost, and another joins.
-        with processes(WORKER, folder=tmp_path):
-            fewer = gb.fit(
-                RESPONSE,
-                150,
-                search="multistart",
-                executor=client.get_executor(),
-                progress=lambda done, _: first.kill(),
-            )
-        assert len(fewer.runs) == 150
+        # A worker is lost.
+        fewer = gb.fit(
+            RESPONSE,
+            80,
+            search="multistart",
+            executor=client.get_executor(),
+            progress=lambda done, _: first.kill(),
+        )
+        assert len(fewer.runs) == 80
         assert all(one.status == other.status for one, other in zip(alone.runs, fewer.runs, strict=False))
 
         # The scheduler is lost in mid-study: that is said, and the study goes on without it.
@@ -79,14 +78,14 @@ def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(tmp_
                 head.kill()
 
         monkeypatch.setattr(RunFiles, "add", noted)
-        member = gb.study.Member(RESPONSE, 400, name="response", search="multistart")
+        member = gb.study.Member(RESPONSE, 150, name="response", search="multistart")
         with pytest.raises(RuntimeError, match="the executor gave up its tasks: its workers or its scheduler are gone"):
             gb.batch([member], tmp_path / "study", executor=client.get_executor(), progress=False)
         assert gb.study.read_study(tmp_path / "study")["response"].status == "unfinished"
         kept = len(made)
-        assert 20 <= kept < 400
+        assert 20 <= kept < 150
     study = gb.batch([member], tmp_path / "study", progress=False)
-    assert sorted(made) == list(range(400))  # none twice
+    assert sorted(made) == list(range(150))  # none twice
     for one, other in zip(alone.runs, study["response"].fit.runs, strict=False):
         assert_array_equal(one.estimate, other.estimate)
 

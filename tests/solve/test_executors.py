@@ -85,9 +85,16 @@ def workers():
         yield pool
 
 
+@pytest.fixture(scope="module")
+def lone_worker():
+    """Has a task and the next one: with it, both are lost."""
+    with gb.solve.WorkerPool(1) as pool:
+        yield pool
+
+
 def fitted(problem, executor, *, by_ipopt):
     method = gb.Collocation() if by_ipopt else None
-    starts = 40 if problem is RESPONSE else 6
+    starts = 40 if problem is RESPONSE else 4
     return gb.fit(problem, starts, method=method, search="multistart", executor=executor, progress=False)
 
 
@@ -109,6 +116,14 @@ def test_the_answer_does_not_depend_on_who_makes_the_runs(which, workers):
     require_same(fitted(problem, LastFirst(), by_ipopt=by_ipopt), alone)
     with ThreadPoolExecutor(3) as threads:
         require_same(fitted(problem, threads, by_ipopt=by_ipopt), alone)
+
+
+def test_batches_on_workers_give_the_same_runs(workers, monkeypatch):
+    monkeypatch.setattr("greybox.solve.batched_solver.MOST", 64)
+    alone = gb.fit(RESPONSE, 200, progress=False)
+    fit = gb.fit(RESPONSE, 200, executor=workers, progress=False)
+    require_same(fit, alone)
+    assert [run.stage for run in fit.runs] == [run.stage for run in alone.runs]
 
 
 def test_time_limits_hold_on_workers(workers):
@@ -162,15 +177,15 @@ def outcomes(solver, executor):
     return found
 
 
-def test_a_worker_that_is_killed_is_replaced(tmp_path, workers):
-    found = outcomes(Fragile(20.0, str(tmp_path / "seen")), workers)
+def test_a_worker_that_is_killed_is_replaced(tmp_path, lone_worker):
+    found = outcomes(Fragile(20.0, str(tmp_path / "seen")), lone_worker)
     assert (tmp_path / "seen").exists()
     assert_array_equal([outcome.estimate for outcome in found], 2 * STARTS)
 
 
-def test_a_start_that_always_ends_its_worker_is_a_run_that_failed(workers, monkeypatch):
+def test_a_start_that_always_ends_its_worker_is_a_run_that_failed(lone_worker, monkeypatch):
     monkeypatch.setattr("greybox.solve.worker_pool.TRIALS", 2)
-    found = outcomes(Fragile(20.0), workers)
+    found = outcomes(Fragile(20.0), lone_worker)
     assert [k for k, outcome in enumerate(found) if outcome.status == "worker lost"] == [20]
     assert not found[20].converged
     assert all(outcome.status == "solved" for k, outcome in enumerate(found) if k != 20)

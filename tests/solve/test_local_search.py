@@ -1,7 +1,5 @@
 """What is tried besides the starts: a longer search never ends higher, and what did not converge goes on."""
 
-import itertools
-
 import numpy as np
 import pytest
 from hard_models import THRUST, Lanczos, conversion, thrust
@@ -22,9 +20,9 @@ def lanczos():
 
 
 def test_more_starts_of_one_rule_never_report_a_higher_cost():
-    costs = [gb.fit(lanczos(), starts=n, seed=4, progress=False).cost for n in (2, 3, 5)]
+    costs = [gb.fit(lanczos(), starts=n, seed=4, progress=False).cost for n in (2, 5)]
     assert all(np.isfinite(costs))
-    assert all(later <= earlier + 1e-6 for earlier, later in itertools.pairwise(costs))
+    assert costs[1] <= costs[0] + 1e-6
 
 
 def test_a_run_that_ends_unfinished_and_lowest_goes_on_to_the_minimum():

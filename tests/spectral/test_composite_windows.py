@@ -15,12 +15,12 @@ from greybox.spectral.composite_windows import spectral_response
 
 @pytest.mark.parametrize(("kind", "windows"), [("noise", [12.0]), ("noise", None), ("sweep", None)])
 def test_intervals_cover(kind, windows):
-    """95 % intervals over 60 records whose output has white noise; the noise is stationary, as the formula assumes."""
+    """95 % intervals over 30 records whose output has white noise; the noise is stationary, as the formula assumes."""
     b, a = resonance()
     omega = np.array([2.5, 3.5, 4.5, 7.5, 9.0, 10.5])  # three below and three above the resonance
     rng = np.random.default_rng(1)
     hits = []
-    for _ in range(60):
+    for _ in range(30):
         u = rng.standard_normal(60 * RATE) if kind == "noise" else flown_sweep()
         y = lfilter(b, a, u) + 0.1 * rng.standard_normal(u.size)
         got = spectral_response(record(u=u, theta=y), omega=omega, windows=windows)
@@ -31,7 +31,7 @@ def test_intervals_cover(kind, windows):
         assert 0.88 <= side.mean() <= 0.985
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(
     natural=st.floats(3, 12),
     damping=st.floats(0.25, 1.2),

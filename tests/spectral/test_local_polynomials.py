@@ -26,9 +26,9 @@ def test_maximum_likelihood_holds(system, excitation, seed):
 
 
 def test_variances_are_stated_and_neighbors_are_independent():
-    """Over 15 records: the squared error is the stated variance, also at the mode, and neighbors have no product."""
+    """Over 10 records: the squared error is the stated variance, also at the mode, and neighbors have no product."""
     errors = []
-    for k in range(15):
+    for k in range(10):
         data = spectral_response(flown(EXAMPLE, "logarithmic", np.random.default_rng([7, k])), "u", "y")
         e = (data.response - EXAMPLE.response(1j * data.omega, EXAMPLE.truth)) / np.sqrt(data.variance)
         errors.append((data.omega, e))
@@ -37,7 +37,7 @@ def test_variances_are_stated_and_neighbors_are_independent():
     mode = (omega > 1.0) & (omega < 2.0)
     assert np.mean(np.abs(together[mode]) ** 2) == pytest.approx(1, abs=0.3)
     neighbors = np.mean(np.concatenate([e[1:] * e[:-1].conj() for _, e in errors]))
-    assert abs(neighbors) < 0.1  # 600 products
+    assert abs(neighbors) < 0.1  # 400 products
 
 
 def test_bias_is_far_below_the_noise_at_a_mode():
@@ -82,12 +82,12 @@ def test_gauss_nodes_of_even_excitation_are_those_of_legendre():
 
 @pytest.mark.parametrize("pole", [0.0, 0.95])
 def test_intervals_cover_with_colored_noise(pole):
-    """95 % intervals of the points, over 10 records of a sweep."""
+    """95 % intervals of the points, over 6 records of a sweep."""
     b, a = resonance()
     rng = np.random.default_rng(4)
     u = flown_sweep()
     hits = []
-    for _ in range(10):
+    for _ in range(6):
         noise = lfilter([np.sqrt(1 - pole**2)], [1, -pole], rng.standard_normal(u.size + 200))[200:]
         got = spectral_response(record(u=u, theta=lfilter(b, a, u) + 0.1 * noise))
         hits.append(covered(got, freqz(b, a, got.omega / RATE)[1]).mean())

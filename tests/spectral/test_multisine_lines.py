@@ -39,7 +39,7 @@ def test_scatter_of_periods_covers():
     omega = 2 * math.pi / 10 * np.array(made.settings["harmonics"]["u"])
     rng = np.random.default_rng(2)
     hits = []
-    for _ in range(250):
+    for _ in range(100):
         flown = record(u=made["u"], theta=clean + 0.2 * rng.standard_normal(clean.size)).between(20.0, 1e9)
         got = periodic_response(flown, 10.0, omega=omega)
         hits.append(covered(got, freqz(b, a, got.omega / RATE)[1]).mean())

@@ -64,7 +64,7 @@ def test_the_spread_of_a_mean_is_that_of_theory(resampling):
     n, sigma = 80, 0.005
     data = measured(Gain(), np.geomspace(1, 10, n), {"K": 1.0}, noise=sigma, seed=0)
     fit = gb.fit(gb.Problem(Gain(), data, gb.SquaredRelativeError()), starts=6, progress=False)
-    found = gb.bootstrap(fit, resampling, 600, progress=False)
+    found = gb.bootstrap(fit, resampling, 400, progress=False)
     assert_allclose(found.standard_error["K"], sigma / np.sqrt(n), rtol=0.15)
     low, high = found.interval()["K"]
     assert_allclose((high - low) / 2, 1.98 * sigma / np.sqrt(n), rtol=0.2)

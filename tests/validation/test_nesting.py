@@ -32,14 +32,18 @@ FITS = {}
 
 def place(record, small, large, removed_at=None, **options):
     """How one model lies within another, both fitted to a record, each only once."""
-    fits = []
-    for i, model in enumerate((small, large)):
-        of_model = {k: v[i] for k, v in options.items() if v[i]}
-        key = f"{type(model).__name__} {of_model}"
-        if key not in FITS:
-            FITS[key] = fitted(model, record, **of_model)
-        fits.append(FITS[key])
+    fits = [
+        fitted_once(record, model, **{k: v[i] for k, v in options.items() if v[i]})
+        for i, model in enumerate((small, large))
+    ]
     return nesting(*fits, NAMES, removed_at)
+
+
+def fitted_once(record, model, **options):
+    key = f"{type(model).__name__} {options}"
+    if key not in FITS:
+        FITS[key] = fitted(model, record, **options)
+    return FITS[key]
 
 
 class OtherDrag(Drag):
@@ -216,7 +220,7 @@ def test_loaded_fits_are_nested_by_their_names_or_by_the_models_given(record, tm
         ("held", Drag(), {"fixed": {"C_x": 0.04}}),
         ("lagged", LaggedDrag(), {}),
     ):
-        gb.save(fitted(model, record, **options), tmp_path / f"{name}.h5")
+        gb.save(fitted_once(record, model, **options), tmp_path / f"{name}.h5")
     linear, drag, held, lagged = (gb.load(tmp_path / f"{name}.h5") for name in ("linear", "drag", "held", "lagged"))
     assert nesting(held, drag, NAMES).point[1] == 0.04
     with pytest.raises(NotNestedError, match="their models are not available") as caught:
