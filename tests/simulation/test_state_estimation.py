@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import greybox as gb
+from greybox.simulation import state_estimation
 from greybox.simulation.state_estimation import estimate_states, one_step_errors
 
 
@@ -170,3 +171,67 @@ def test_predictions_do_not_depend_on_the_unit_of_an_output(unit):
         for size in (1.0, unit)
     )
     assert_allclose(scaled, plain, atol=1e-6 * np.std(y))
+
+
+def test_a_model_without_states_has_the_mean_square_of_each_output_as_noise():
+    errors = np.array([[[1.0, 4.0], [3.0, np.nan]], [[np.nan, np.nan], [2.0, np.nan]]])
+    found = state_estimation.without_states(errors, None, np.ones(2))
+    assert_allclose(found.noise, np.diag([14 / 3, 16.0]), rtol=1e-9)
+    assert (found.states.shape, found.covariance.shape, found.mean.shape) == ((2, 0), (2, 0, 0), (0,))
+    assert not found.not_finite.any()
+    known = state_estimation.without_states(errors, np.diag([0.5, 0.25]), np.ones(2))
+    assert_allclose(known.noise, np.diag([0.5, 0.25]), rtol=1e-9)
+    nothing = state_estimation.without_states(np.full((1, 3, 1), np.nan), None, np.array([2.0]))
+    assert 0 < nothing.noise[0, 0] < 1e-6
+
+
+def test_the_prior_of_few_windows_is_as_weak_as_the_spread_of_the_outputs():
+    """As many numbers as are measured in a window, each with its spread over its noise."""
+    random = np.random.default_rng(0)
+    J = random.normal(size=(2, 6, 3))
+    H = J.transpose(0, 2, 1) @ J
+    H[:, 2], H[:, :, 2] = 0.0, 0.0  # a state that nothing shows
+    measured = np.ones((2, 4, 2))
+    measured[0, :2, 1] = np.nan
+    mean = np.array([1.0, 2.0, 3.0])
+    R, spread = np.diag([0.5, 0.25]), np.array([2.0, 3.0])
+    same, precision = state_estimation._prior(H, np.zeros((2, 3)), mean, measured, R, spread)
+    signal = 4 * 2.0**2 / 0.5 + 3 * 3.0**2 / 0.25
+    assert_allclose(precision, [*np.mean(H.diagonal(axis1=1, axis2=2), axis=0)[:2] / signal, 1.0])
+    assert_allclose(same, mean)
+
+
+def test_the_noise_is_that_of_the_residuals_less_what_the_states_have_fitted_away():
+    random = np.random.default_rng(1)
+    e, S = random.normal(size=(3, 5, 2)), random.normal(size=(3, 5, 2, 2))
+    present = np.ones((3, 5, 2), dtype=bool)
+    present[0, :3, 1] = False
+    e[~present], S[~present] = 0.0, 0.0
+    R, posterior = np.diag([0.5, 2.0]), np.array([np.eye(2) * c for c in (0.05, 0.1, 0.02)])
+    found = state_estimation._noise_of(e, S, present, posterior, R, np.full(2, 1e-3))
+    fitted = (
+        sum((S[w, t, j] @ posterior[w] @ S[w, t, j]) / R[j, j] for w in range(3) for t in range(5) for j in range(2))
+        / present.sum()
+    )
+    assert 0.05 < fitted < 0.9
+    assert_allclose(found, np.diag((e**2).sum(axis=(0, 1)) / [15, 12] / (1 - fitted)), rtol=1e-6)
+
+
+def test_a_step_is_halved_in_the_windows_where_it_costs_more():
+    """Of one measured state: a right step, one three times too long, a wrong one, one without a value."""
+    measured = np.array([2.0, 2.0, 2.0, np.nan])
+
+    def residual(x):
+        return (measured[:, None] - x)[..., None]
+
+    posterior = state_estimation._Posterior(np.eye(1), np.zeros(1), np.zeros(1))
+    x = np.zeros((4, 1))
+    step = np.array([[2.0], [6.0], [-1.0], [5.0]])
+    finite = np.isfinite(measured)
+    moved, e, taken = state_estimation._line_search(residual, posterior, x, residual(x), step, finite)
+    assert_allclose(moved[:, 0], [2.0, 3.0, 0.0, 0.0])
+    assert_allclose(taken, moved)
+    assert_allclose(e[:3, 0, 0], [0.0, -1.0, 2.0])
+    # The prior has its part: from the mean at zero, half of the way costs least.
+    held = state_estimation._Posterior(np.eye(1), np.zeros(1), np.array([1.0]))
+    assert held.cost(np.array([[[3.0]]]), np.array([[2.0]])) == pytest.approx([13.0])
