@@ -31,6 +31,25 @@ def test_power_is_equal_and_in_the_band():
         assert max(harmonics) * step <= 20.0
 
 
+@pytest.mark.parametrize(("periods", "settled"), [(1, 0.0), (3, 20.0)])
+def test_the_schedule_and_the_settings_say_what_is_flown(periods, settled):
+    made = multisine(1.0, 5.0, 20.0, 50, amplitude=0.2, signals=["p", "q"], periods=periods, unit="rad")
+    step = 2 * math.pi / 20
+    assert made.settings == {"period": 20.0, "harmonics": {"p": (4, 6, 8, 10, 12, 14), "q": (5, 7, 9, 11, 13, 15)}}
+    assert [(m.signal, m.kind, m.amplitude, m.offset) for m in made.schedule] == [
+        ("p", "multisine", 0.2, 0.0),
+        ("q", "multisine", 0.2, 0.0),
+    ]
+    for m, (first, last) in zip(made.schedule, ((4, 14), (5, 15)), strict=True):
+        assert (m.start, m.settled, m.end) == (0.0, settled, 20.0 * periods)
+        assert (m.low, m.high) == pytest.approx((first * step, last * step))
+    assert made.time.size == 1000 * periods
+    assert made.time[:3] == pytest.approx([0.0, 0.02, 0.04])
+    assert made.units == {"p": "rad", "q": "rad"}
+    # Each begins with a rising zero.
+    assert all(made[name][1] > 0 > made[name][-1] for name in ("p", "q"))
+
+
 def test_peaks_are_low():
     """Schroeder's phases alone give about 1.2 for flat spectra; a sine has 1, random phases 2 to 3."""
     dense = multisine(1.0, 20.0, 20.0, 100)

@@ -23,6 +23,15 @@ def test_sine_schedule_is_the_formula():
         np.testing.assert_allclose(made["reference"][inside], expected, atol=1e-12)
     assert made["reference"][0] == made["reference"][-1] == 0.5
     assert np.abs(np.diff(made["reference"])).max() < 0.2 * 3.0 / 200  # no jumps
+    first, second = made.schedule
+    assert [s[:2] for s in made.schedule] == [("reference", "sine")] * 2
+    assert [(s.low, s.high, s.amplitude, s.offset) for s in made.schedule] == [(3, 3, 0.1, 0.5), (1, 1, 0.2, 0.5)]
+    pause = made.settings["pause"]
+    assert first.start == pause > 0
+    assert second.start - first.end == pytest.approx(pause)
+    assert made.time[-1] - second.end == pytest.approx(pause, abs=1 / 200)
+    between = (made.time >= first.end) & (made.time < second.start)
+    assert np.all(made["reference"][between] == 0.5)
     assert len(made.record()) == made.time.size
     assert "sine on reference" in str(made)
 

@@ -42,6 +42,23 @@ def test_sweep_reaches_its_frequencies(kind):
     assert middle == pytest.approx(math.sqrt(20) if kind == "logarithmic" else 10.5, rel=0.1)
 
 
+def test_the_schedule_and_the_settings_say_what_is_flown():
+    made = sweep(1.0, 20.0, 30.0, 100, amplitude=0.2, kind="linear", fade_in=2.0, fade_out=1.0, dwell=1, signal="q")
+    assert made.schedule == (("q", "linear sweep", 0.0, 0.0, 30.0, 1.0, 20.0, 0.2, 0.0),)
+    assert made.settings == {
+        "low": 1.0, "high": 20.0, "duration": 30.0, "kind": "linear", "amplitude": 0.2, "fade_in": 2.0, "fade_out": 1.0,
+        "dwell": 1,
+    }  # fmt: skip
+    assert (made.time[0], made.time[-1], made.time.size) == (0.0, 30.0, 3001)
+    # One period at the lowest frequency, then it rises evenly; half cosines fade at both ends.
+    late = np.maximum(made.time - HZ, 0)
+    phase = np.minimum(made.time, HZ) + late + 19 * late**2 / (2 * (30 - HZ)) - HZ
+    fades = (
+        np.sin(math.pi / 4 * np.minimum(made.time, 2.0)) ** 2 * np.sin(math.pi / 2 * np.minimum(30 - made.time, 1)) ** 2
+    )
+    np.testing.assert_allclose(made["q"], 0.2 * fades * np.sin(phase), atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
