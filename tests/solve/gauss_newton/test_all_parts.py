@@ -1,0 +1,81 @@
+"""All parts of a problem: costs and penalties that add by their weights, and trajectories that go together."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from spring_lag_tilt import HELD, SPRING, Spring, spring
+
+import greybox as gb
+from greybox.compiled.compiled_problem import compile_problem
+from greybox.solve.gauss_newton.driver import GaussNewton
+
+
+@pytest.fixture(scope="module")
+def made():
+    """A record of weight two, one of other outputs, and a response; an iterate with gaps between the segments."""
+    omega = np.array([0.5, 2.0, 4.0])
+    response = gb.frequency_response(Spring(), SPRING, omega, input="F", output="x").response * (1.1 + 0.05j)
+    data = gb.FrequencyResponse(omega, response, "F", "x")
+    second = gb.Record(spring(80, seed=1).time, {n: v for n, v in spring(80, seed=1).signals.items() if n != "v"})
+    problem = (
+        gb.Problem(Spring(), spring(100), HELD, weight=2.0)
+        + gb.Problem(Spring(), second, HELD)
+        + gb.Problem(Spring(), data, gb.RelativeLikelihood(), weight=3.0)
+    )
+    nlp = compile_problem(problem)
+    parts = GaussNewton(nlp)._parts
+    z = nlp.scaling.to_solver(np.array([SPRING[name] for name in nlp.free]))
+    start, random = parts.from_data(z), np.random.default_rng(0)
+    return parts, parts.at(z, [nodes + 0.1 * random.normal(size=nodes.shape) for nodes in start.nodes])
+
+
+def test_costs_and_penalties_add_by_their_weights(made):
+    parts, iterate = made
+    weights = [part.weight for part in parts.parts]
+    assert sorted(weights) == [1, 2, 3]
+    each = list(zip(parts.parts, iterate.trajectories, strict=True))
+    assert parts.cost(iterate, 0.0) == pytest.approx(sum(part.weight * part.cost(t, 0.0) for part, t in each))
+    smoothed = parts.cost(iterate, 1e-2) - parts.cost(iterate, 0.0)
+    assert smoothed == pytest.approx(sum(part.weight * (part.cost(t, 1e-2) - part.cost(t, 0.0)) for part, t in each))
+    assert smoothed != 0
+    random = np.random.default_rng(1)
+    sizes = [random.uniform(1, 2, t.nodes.shape[1]) for t in iterate.trajectories]
+    gaps = [t.gaps for t in iterate.trajectories]
+    absolute = [w * (np.abs(g) * m).sum() for w, g, m in zip(weights, gaps, sizes, strict=True)]
+    assert parts.gap_cost(iterate, sizes) == pytest.approx(sum(absolute))
+    squared = [w * (g**2 / m).sum() / 2 for w, g, m in zip(weights, gaps, sizes, strict=True)]
+    assert parts.squared_gap_cost(iterate, sizes) == pytest.approx(sum(squared))
+    residual_weights = parts.residual_weights(iterate)
+    wanted = sum(p.weight * p.squared_cost(t, w, 1e-8) for (p, t), w in zip(each, residual_weights, strict=True))
+    assert parts.squared_cost(iterate, residual_weights) == pytest.approx(wanted)
+    lost = parts.at(iterate.z, [nodes + np.nan for nodes in iterate.nodes])
+    assert parts.cost(lost) == np.inf
+
+
+def test_signatures_stand_side_by_side(made):
+    parts, iterate = made
+    each = [part.signature(t) for part, t in zip(parts.parts, iterate.trajectories, strict=True)]
+    assert_allclose(parts.signature(iterate), np.concatenate(each))
+
+
+def test_an_iterate_is_simulated_where_the_one_before_it_was(made):
+    parts, iterate = made
+    simulated = parts.simulated(iterate.z, iterate.nodes)
+    with_nodes = [bool(t.nodes.size) for t in iterate.trajectories]
+    assert [t.simulated for t in simulated.trajectories] == [True] * 3
+    assert not parts.is_continuous(iterate)
+    assert parts.is_continuous(simulated)
+    again = parts.at(iterate.z, simulated.nodes, simulated)
+    assert [t.simulated for t in again.trajectories] == [True] * 3
+    plain = parts.at(iterate.z, simulated.nodes)
+    assert [t.simulated for t, has_nodes in zip(plain.trajectories, with_nodes, strict=True) if has_nodes] == [
+        False
+    ] * 2
+
+
+def test_data_are_explained_near_the_truth_and_not_far_from_it(made):
+    parts, iterate = made
+    near = parts.simulated(iterate.z, parts.from_data(iterate.z).nodes)
+    assert parts.stays_near_data(near)
+    far = parts.simulated(iterate.z, [nodes + 1e6 for nodes in iterate.nodes])
+    assert not parts.stays_near_data(far)
