@@ -95,3 +95,9 @@ def test_a_response_has_it_as_an_error_that_all_frequencies_have_in_common():
     assert wider.common_errors == pytest.approx(common)
     assert wider.variance * wider.independent_share == pytest.approx(own)
     assert "a fitted gain has too" in errors[0].finding.text
+
+
+@pytest.mark.parametrize(("kept", "said"), [(2, "second"), (3, "third"), (4, "4th")])
+def test_which_passes_were_logged_is_said(kept, said):
+    found = thinning(log(400 / kept), "RATE.POut", 0, 20)
+    assert str(found) == f"every {said} pass of the control loop was logged ({400 / kept:.4g} of 400 Hz)"

@@ -42,6 +42,13 @@ def test_outputs_of_a_controller_are_held_and_attitudes_are_not(message, held, s
     assert holds(message, f"{held} {sampled} {unknown}") == expected
 
 
+def test_one_message_alone_tells_no_rate_and_two_do():
+    for count, known in ((1, {"P": 0.0}), (2, {"POut": np.inf, "P": 0.0})):
+        time = np.arange(count) / 400.0
+        group = Messages("RATE", np.arange(count), time, {"POut": time, "P": time})
+        assert dict(with_holds([group], {})[0].hold) == known
+
+
 @pytest.mark.parametrize("name", ["SCHED_LOOP_RATE", "IMU_GYRO_RATEMAX"])
 def test_they_last_for_a_pass_of_the_loop(name):
     assert holds("RATE", "POut P", 25.0, **{name: 400.0}) == {"POut": 1 / 400, "P": 0.0}

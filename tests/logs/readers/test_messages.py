@@ -1,5 +1,7 @@
 """From messages to records: joined, on one clock, one record per instance."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from greybox.logs.readers.messages import Messages, bare, merged, on_one_clock, records
@@ -19,8 +21,10 @@ def test_instances_are_left_out_of_requested_names():
 def test_two_lots_of_one_name_are_joined_in_the_order_of_the_file():
     first = messages(order=(0, 4), time=(0.0, 4.0), x=np.array([0.0, 4.0]))
     second = messages(order=(2, 6), time=(2.0, 6.0), x=np.array([2.0, 6.0]))
+    first, second = replace(first, texts={"said": ["a", "c"]}), replace(second, texts={"said": ["b", "d"]})
     (joined,), findings = merged([first, second])
     np.testing.assert_array_equal(joined.columns["x"], [0, 2, 4, 6])
+    assert joined.texts == {"said": ["a", "b", "c", "d"]}
     np.testing.assert_array_equal(joined.time, joined.order)
     assert findings == ()
 
