@@ -90,3 +90,68 @@ def test_a_criterion_of_the_users_own_stays_behind():
         (part,) = compile_problem(gb.Problem(Lag(), data, criterion)).parts
         assert part.travels_whole is travels
         assert ("criterion" in part.__getstate__()) is travels
+
+
+def informed(criterion, **columns):
+    """What a response of the lag says at K = 5 and T = 0.7, and the parts of it by hand."""
+    measured = 2.5 / (1 + 0.4j * OMEGA)
+    data = gb.FrequencyResponse(OMEGA, measured, input="u", output="y", **columns)
+    nlp = compile_problem(gb.Problem(Lag(), data, criterion))
+    (part,), x = nlp.parts, np.array([5.0, 0.7])
+    trajectory = part.trajectory(nlp.scaling.to_solver(x), None)
+    found = part.information(tuple(nlp.free), x, (), trajectory, np.zeros((0, 0)))
+    lag = 1 / (1 + 0.7j * OMEGA)
+    model = np.sqrt(5.0) * lag
+    return (
+        part,
+        trajectory,
+        found,
+        measured,
+        model,
+        np.transpose([lag / np.sqrt(20.0), -1j * OMEGA * np.sqrt(5.0) * lag**2]),
+    )
+
+
+def stacked(values):
+    return np.concatenate([values.real, values.imag])
+
+
+def test_what_a_likelihood_says_contains_the_errors_that_points_have_in_common():
+    """Half of the variance in each component, less the common part; that moves all points together."""
+    variance = np.array([0.04, 0.02, 0.03, 0.01])
+    common = np.array([[0.1, 0.05j, 0.0, 0.05], [0.0, 0.1, 0.1j, 0.0]])
+    part, trajectory, found, measured, model, slope = informed(
+        gb.MaximumLikelihood(), variance=variance, common_errors=common
+    )
+    deviation = np.sqrt(variance)
+    J = stacked(slope / deviation[:, None])
+    assert_allclose(found.jacobian, J, rtol=1e-9)
+    assert (found.part, found.numbers) == (part, 8)
+    assert_allclose(found.reach, np.linalg.norm(J, axis=0))
+    ratio = np.mean(np.abs(measured - model) ** 2 / variance)
+    assert part.noise_ratio(trajectory) == pytest.approx(ratio)
+    for correction in (1.0, 1.5):
+        bread, meat = found.spread(correction)
+        assert bread == 2
+        own = 2 * max(ratio * correction**2, 1) * (1 - (np.abs(common) ** 2).sum(axis=0) / variance)
+        moved = 2 * J.T @ stacked(common.T / deviation[:, None])
+        assert_allclose(meat, J.T @ (np.tile(own, 2)[:, None] * J) + moved @ moved.T, rtol=1e-9)
+    off = np.abs(model / measured - 1)
+    assert found.relative_noise == pytest.approx(off.mean() * np.sqrt(2 / np.pi))
+    directions = np.array([[1.0, 0.5], [-0.3, 2.0]])
+    along = (J @ directions) ** 2
+    assert_allclose(found.told(directions), 2 * (along[:4] + along[4:]).T)
+    assert not found.offset(1.0).any()
+
+
+def test_relative_errors_have_a_bias_along_the_response_and_no_errors_in_common_by_default():
+    part, _, found, measured, model, slope = informed(gb.SquaredRelativeError())
+    turned = np.exp(1j * np.angle(model)) * np.abs(measured)
+    assert_allclose(found.jacobian, stacked(slope / turned[:, None]), atol=1e-15)
+    bias = part.criterion.gain_bias(part.criterion.noise(model, part.data, 1.2), 4)
+    assert bias < 0
+    assert_allclose(found.offset(1.2), bias * stacked(model / turned), rtol=1e-9, atol=1e-15)
+    bread, meat = found.spread(1.2)
+    given, size = part.criterion.spread(model, part.data, 1.2)
+    assert bread == given
+    assert_allclose(meat, found.jacobian.T @ (size[:, None] * found.jacobian))

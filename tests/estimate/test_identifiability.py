@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.estimate.identifiability import KnownDirections
+from greybox.estimate.identifiability import Identifiability, KnownDirections, identifiability
 
 N, STEP = 1000, 0.02
 RANDOM = np.random.default_rng(7)
@@ -211,3 +211,90 @@ def test_what_is_known_is_the_inverse_within_the_directions_that_are():
     unseen = np.array([[0.0], [0.0], [1.0]])
     known = KnownDirections(scaled * np.outer(size, size), unseen, size, np.ones(3))
     np.testing.assert_allclose(known.matrix, np.linalg.pinv(scaled), atol=1e-12)
+
+
+def judged(jacobian, value, at_bound=()):
+    """What is told of parameters a, b, c whose data have this Jacobian, with errors of deviation one."""
+    size = 1 / np.linalg.norm(jacobian, axis=0)
+    known = KnownDirections(np.linalg.inv(jacobian.T @ jacobian), np.zeros((3, 0)), size, value)
+    return identifiability(tuple("abc"), ("s", "s", "1"), known, at_bound)
+
+
+def test_errors_insensitivities_and_correlations_are_those_of_the_jacobian():
+    random = np.random.default_rng(0)
+    jacobian = random.normal(size=(40, 3)) * np.array([3.0, 5.0, 1.0])
+    jacobian[:, 1] += 8 * jacobian[:, 0]
+    value = np.array([-2.0, 0.5, 4.0])
+    found = judged(jacobian, value)
+    covariance = np.linalg.inv(jacobian.T @ jacobian)
+    errors = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(found.error, errors / np.abs(value))
+    np.testing.assert_allclose(found.insensitivity, 1 / np.linalg.norm(jacobian, axis=0) / np.abs(value))
+    r = covariance[0, 1] / errors[0] / errors[1]
+    assert r < -0.9
+    assert [(one, other) for one, other, _ in found.correlated] == [("a", "b")]
+    assert found.correlated[0][2] == pytest.approx(r)
+    assert found.condition == pytest.approx(np.linalg.cond(jacobian / np.linalg.norm(jacobian, axis=0)))
+    assert found.combinations == ()
+    text = str(found)
+    assert f"correlation of a and b: {r:.4f}" in text
+    assert "guidelines: 20 % error (Cramér-Rao bound), 10 % insensitivity (the error if all others were known)" in text
+
+    held = judged(jacobian, value, ("b",))
+    assert np.isnan([held.error[1], held.insensitivity[1]]).all()
+    np.testing.assert_allclose(held.error[[0, 2]], found.error[[0, 2]])
+    assert held.correlated == ()
+    assert "b" not in held.beyond
+    assert "at its bound" in str(held)
+
+
+@pytest.mark.parametrize(
+    ("error", "insensitivity", "beyond"),
+    [(0.2, 0.1, ()), (0.21, 0.05, ("a",)), (0.15, 0.11, ("a",)), (np.nan, 0.0, ("a",))],
+)
+def test_what_is_beyond_a_guideline(error, insensitivity, beyond):
+    found = Identifiability(("a",), np.array([error]), np.array([insensitivity]), (), (), 1.0, ())
+    assert found.beyond == beyond
+    assert repr(found) == f"<Identifiability 1 parameter, {len(beyond)} beyond a guideline>"
+
+
+@pytest.mark.parametrize(
+    ("powers", "value", "formula", "result"),
+    [
+        ((1, -1, 0), (6.0, 2.0, 1.0), "a/b", 3.0),
+        ((1, -1, 0), (2.0, 6.0, 1.0), "b/a", 3.0),
+        ((1, 1, 0), (2.0, -6.0, 1.0), "a b", -12.0),
+        ((2, -1, 0), (3.0, 6.0, 1.0), "a²/b", 1.5),
+        ((1, -3, 0), (4.0, 2.0, 1.0), "b³/a", 2.0),
+        ((1, -1, -1), (2.0, 6.0, 0.5), "b c/a", 1.5),
+        ((1, 1, -1), (2.0, 6.0, 3.0), "a b/c", 4.0),
+    ],
+)
+def test_a_product_that_is_determined_is_named_as_people_write_it(powers, value, formula, result):
+    """Its members are open along all directions but that of the product, which is known to a part in a hundred."""
+    value, powers = np.array(value), np.array(powers, dtype=float)
+    gradient = powers / value
+    direction = gradient / np.linalg.norm(gradient)
+    used = powers != 0
+    rest = np.linalg.svd(np.vstack([gradient, *np.eye(3)[~used]]))[2][1 + (~used).sum() :].T
+    covariance = (0.01 / np.linalg.norm(gradient)) ** 2 * np.outer(direction, direction) + np.diag(1e-6 * ~used)
+    known = KnownDirections(covariance, rest, np.ones(3), value)
+    found = identifiability(tuple("abc"), ("s", "m", "1"), known, ())
+    (one,) = found.combinations
+    assert (one.formula, one.is_product) == (formula, True)
+    assert one.value == pytest.approx(result)
+    assert one.standard_error == pytest.approx(0.01 * abs(result))
+    assert set(one.names) == {name for name, is_used in zip("abc", used, strict=True) if is_used}
+
+
+@pytest.mark.parametrize(("sign", "formula"), [(1.0, "a + b"), (-1.0, "a - b")])
+def test_a_sum_of_one_unit_that_is_determined_is_named(sign, formula):
+    value = np.array([3.7, 1.0, 1.0])
+    gradient = np.array([1.0, sign, 0.0]) / np.sqrt(2)
+    covariance = 0.01**2 / 2 * np.outer(gradient, gradient) + np.diag([0, 0, 1e-6])
+    known = KnownDirections(covariance, np.array([[1.0], [-sign], [0.0]]) / np.sqrt(2), np.ones(3), value)
+    (one,) = identifiability(tuple("abc"), ("s", "s", "1"), known, ()).combinations
+    assert (one.formula, one.is_product, one.value) == (formula, False, pytest.approx(3.7 + sign))
+    assert one.standard_error == pytest.approx(0.01)
+    assert str(one).startswith(f"{formula} = {3.7 + sign:.3f} ± 0.01")
+    assert not identifiability(tuple("abc"), ("s", "m", "1"), known, ()).combinations

@@ -279,3 +279,17 @@ def test_the_covariance_of_another_score_is_that_of_the_spectrum_of_the_errors()
     found = colored_information([J], [e], np.linalg.inv(np.einsum("kpn,kqn->pq", J, J)), np.eye(2))
     assert_allclose(score_covariance([J], found.spectrum), found.meat)
     assert np.all(score_covariance([J], None) == 0)
+
+
+def test_what_is_hidden_is_beside_the_variances_that_are_given():
+    """Of one output, which tells all: a fourth of the variances hides four times as much, and none less than one."""
+    n = 300
+    J = np.vstack([np.ones(n), np.linspace(-1, 1, n)])[None]
+    inverse = np.linalg.inv(J[0] @ J[0].T)
+    e = colored([1, -0.7], n, seed=3)
+    e = (e - e @ J[0].T @ inverse @ J[0])[None]
+    sandwich, meat = _Sandwich.of([J], [e], inverse, np.eye(1)), information([J], [e]).meat
+    hidden = [sandwich.hidden(factor * meat) for factor in (1.0, 0.04, 0.01, 1e6)]
+    assert hidden[1] > 1
+    assert hidden[2] == pytest.approx(4 * hidden[1], rel=1e-6)
+    assert hidden[3] == 1
