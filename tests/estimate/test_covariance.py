@@ -14,7 +14,7 @@ from scipy.stats import binom, t
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.estimate.covariance import assess, propagate
+from greybox.estimate.covariance import Accuracy, assess, degrees, known_of, propagate
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import Tilt
 
@@ -592,3 +592,60 @@ def test_a_mean_beyond_a_bound_is_at_it_and_one_within_is_not(bounds, side):
         fit = gb.fit(gb.Problem(Level(), record, bounds={"K": bounds}), starts=[{}], progress=False)
         (q,) = fit.quantities
         assert q.at_bound == held
+
+
+def test_degrees_of_freedom_of_a_sum_of_variances_are_those_of_welch_and_satterthwaite():
+    """Of two means of 6 and 21 values: (v1 + v2)² / (v1²/5 + v2²/20)."""
+    accuracy = replace(
+        BARE, shares=((np.diag([0.04, 0.0, 0.0]), 5.0), (np.diag([0.01, 0.09, 0.0]), 20.0), (np.zeros((3, 3)), np.inf))
+    )
+    gradient = np.array([[1.0, 1.0, 0.0], [0.0, 2.0, 5.0], [0.0, 0.0, 1.0]])
+    assert_allclose(degrees(accuracy, gradient), [0.14**2 / (0.04**2 / 5 + 0.1**2 / 20), 20.0, np.inf])
+    assert_allclose(degrees(BARE, gradient), 7.0)
+
+
+BARE = Accuracy(
+    names=("a", "b", "c"),
+    covariance=np.array([[4.0, 1.0, 0.0], [1.0, 9.0, 0.0], [0.0, 0.0, 0.25]]),
+    blind=np.zeros((3, 0)),
+    size=np.array([1.0, 10.0, 0.1]),
+    dof=7.0,
+    shares=(),
+    combinations=(),
+    at_bound=(),
+    active=(),
+    noise=np.zeros(1),
+    bias=np.zeros(3),
+)
+
+
+def test_errors_follow_the_gradient_but_where_it_has_a_part_that_is_not_seen():
+    gradient = np.array([[1.0, -2.0, 0.0], [0.0, 0.0, 3.0], [1.0, 0.1, 0.0], [1.0, -0.1, 0.0]])
+    errors = np.sqrt([4 - 4 + 36, 2.25, 4 + 0.2 + 0.09, 4 - 0.2 + 0.09])
+    assert_allclose(propagate(BARE, gradient), errors)
+    # A rise of both by as much, in multiples of their sizes, is not seen: a/1 less b/10 is.
+    lost = replace(BARE, blind=np.array([[1.0], [1.0], [0.0]]) / np.sqrt(2))
+    assert_allclose(propagate(lost, gradient), [np.nan, errors[1], np.nan, errors[3]])
+    nearly = gradient[3:] + np.array(
+        [[0.0, 1.9e-6, 0.0], [0.0, 4e-6, 0.0]]
+    )  # a hundred thousandth of it counts as none
+    assert np.isnan(propagate(lost, nearly)).tolist() == [False, True]
+
+
+def test_values_are_known_by_their_derivatives_within_what_is_determined():
+    slopes = np.array([[1.0, 0.0, 2.0], [0.0, 5.0, 0.0]])
+    accuracy = replace(
+        BARE, blind=np.array([[0.0, 0.0], [0.6, 0.0], [0.8, 0.0]]), shares=((np.eye(3), 1.0),), at_bound=("b",)
+    )
+    nlp = SimpleNamespace(names=("a", "b", "c"))
+    found = known_of(nlp, accuracy, np.array([3.0, 4.0]), slopes)
+    assert_allclose(found.covariance, slopes @ BARE.covariance @ slopes.T)
+    scaled = slopes * BARE.size
+    size = np.linalg.norm(scaled, axis=1)
+    assert_allclose(found.size, size)
+    assert_allclose(found.unseen, scaled @ [[0.0], [0.6], [0.8]] / size[:, None])
+    assert found.at.tolist() == [3, 4]
+    only_bound = replace(accuracy, blind=np.array([[0.0], [1.0], [0.0]]))
+    assert known_of(nlp, only_bound, np.zeros(2), slopes).unseen.shape == (2, 0)  # what ended at its bound is known
+    assert known_of(nlp, BARE, np.zeros(2), slopes) is None
+    assert known_of(nlp, replace(accuracy, covariance=BARE.covariance * np.nan), np.zeros(2), slopes) is None

@@ -1,5 +1,7 @@
 """What an answer keeps of a record: every field, against the residuals and against least squares by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -78,3 +80,25 @@ def test_every_field_of_a_fitted_record(noise):
     percent = 100 * (1 - np.linalg.norm(left[1][known]) / np.linalg.norm(spread))
     assert part.fit_percent("z") == pytest.approx(percent)
     assert part.innovation_parameters("y") == 0
+
+
+def test_parameters_that_a_criterion_adds_and_whether_two_are_the_same():
+    criteria = (gb.OutputError(), gb.OutputError(), gb.OutputError(noise="full"), gb.PredictionError())
+    one, same, full, predicted = (
+        gb.fit(gb.Problem(Two(), flown(), criterion), starts=[{}], progress=False).records[0] for criterion in criteria
+    )
+    assert one.has_criterion_of(same)
+    assert not one.has_criterion_of(full)
+    assert not one.has_criterion_of(predicted)
+    assert predicted.gains == (("x", "y"), ("x", "z"))
+    assert predicted.added == ("K_x_y", "K_x_z")
+    assert [predicted.innovation_parameters(name) for name in ("y", "z", "x")] == [1, 1, 0]
+    assert predicted.nuisances == 2 + 2
+    more = replace(predicted, biases=("u",), gains=(("x", "y"), ("x", "z"), ("v", "y")))
+    assert more.added == ("u_bias", "K_x_y", "K_x_z", "K_v_y")
+    assert more.innovation_parameters("y") == 2
+    driven = replace(more, driven=("x", "v", "w"))
+    assert driven.added == ("u_bias", "w_x", "w_v", "w_w", "v_y", "v_z")
+    assert driven.innovation_parameters("y") == 3
+    assert replace(one, is_static=True).between == {}
+    assert not one.is_prior

@@ -97,6 +97,20 @@ def test_the_cost_is_the_likelihood_of_the_outputs(spectrum):
     assert fit.cost == pytest.approx(n / 2 * (np.log(2 * np.pi * variance) + 1) - 2 * np.log(np.abs(pole)).sum())
 
 
+def test_every_field_of_a_fitted_spectrum(spectrum, fit):
+    (part,) = fit.spectra
+    left = part.residual("q")
+    np.testing.assert_allclose(left, spectrum.outputs["q"] - part.fitted["q"])
+    percent = 100 * (1 - np.linalg.norm(left) / np.linalg.norm(spectrum.outputs["q"]))
+    assert part.fit_percent("q") == pytest.approx(percent)
+    variance = np.mean(np.abs(left) ** 2) / (spectrum.step * spectrum.duration)
+    assert part.noise[0, 0] == pytest.approx(variance)
+    assert (part.outputs, part.at, part.nuisances) == (("q",), {}, 2 + 1)
+    known = fitted(gb.Problem(ShortPeriod(), spectrum, gb.OutputError(noise={"q": 0.02}))).spectra[0]
+    assert known.nuisances == 2
+    assert known.noise[0, 0] == pytest.approx(4e-4)
+
+
 def test_trim_values_do_not_matter(clean, fit):
     """Constants of any size are nothing at the frequencies of a spectrum."""
     noisy = study.measured(clean, {"q": 0.02}, np.random.default_rng(1))

@@ -144,3 +144,12 @@ def test_the_only_pair_of_a_model_needs_no_names():
         as_the_only_pair(Gain(), response("lever", "attitude", attitude="deg"))
     two = response("delta", "q")
     assert as_the_only_pair(Rate(), two) is two  # which has two outputs
+
+
+def test_units_that_are_not_of_si_are_met_as_they_are():
+    class InDegrees(Gain):
+        units = {"F": "kN", "theta": "deg"}
+
+    check_response_units(InDegrees(), response(F="kN", theta="deg"))
+    with pytest.raises(ValueError, match="theta is in rad in the response and in deg in InDegrees: measure it in deg"):
+        check_response_units(InDegrees(), response(F="kN", theta="rad"))

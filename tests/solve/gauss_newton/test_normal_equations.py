@@ -85,6 +85,7 @@ def test_multipliers_are_those_of_the_active_constraints():
     slack = np.array([0.0, 0.3, 0.0])
     force = 2.0 * normals[0] + 5.0 * normals[2]
     assert largest_multiplier(force, normals, slack) == pytest.approx(5.0)
+    assert largest_multiplier(-force, normals, slack) == pytest.approx(5.0)
     assert largest_multiplier(force, normals, np.ones(3)) == 0.0
 
 
@@ -99,9 +100,9 @@ def test_trajectories_of_the_wind_are_told_from_the_truth():
 
 @pytest.mark.parametrize("is_exact", [True, False], ids=["exact", "relaxed"])
 def test_a_missed_constraint_costs_its_penalty(is_exact):
-    """k <= 6 is missed by one; the penalty is at least that of the multiplier which holds the step."""
+    """k <= 6.5 is missed by a half; the penalty is at least that of the multiplier which holds the step."""
     nlp, parts, iterate, weights, linearizations, progress = prepared(
-        {"k": 7.0, "c": 0.9, "b": 3.5}, constraints=[lambda p: 6.0 - p.k]
+        {"k": 7.0, "c": 0.9, "b": 3.5}, constraints=[lambda p: 6.5 - p.k]
     )
     if not is_exact:
         progress = Progress(parts.settings)
@@ -113,14 +114,34 @@ def test_a_missed_constraint_costs_its_penalty(is_exact):
     step = gauss_newton_step(parts, iterate, linearizations, progress, held=held, states_only=False)
     penalty = progress.constraint_penalty
     k, factor = nlp.free.index("k"), nlp.scaling.factor[nlp.free.index("k")]
-    assert factor * (iterate.z[k] + step.dz[k]) == pytest.approx(6.0, abs=1e-9)
+    assert factor * (iterate.z[k] + step.dz[k]) == pytest.approx(6.5, abs=1e-9)
     damped = step.condensed[0].hessian * (1 + progress.damping * np.eye(3))
     force = damped @ step.dz + step.condensed[0].gradient
     assert penalty > 0
     if is_exact:
         assert penalty == pytest.approx(EXACTNESS * abs(force[k]) / factor, rel=1e-3)
-    assert merit_function(parts, weights, progress)(iterate) == pytest.approx(free + penalty * 1.0)
+    assert merit_function(parts, weights, progress)(iterate) == pytest.approx(free + penalty * 0.5)
     progress.constraint_penalty = 10 * penalty
     again = gauss_newton_step(parts, iterate, linearizations, progress, held=held, states_only=False)
     assert progress.constraint_penalty == 10 * penalty  # it never falls
-    assert again.decrease - step.decrease == pytest.approx(9 * penalty * 1.0, rel=1e-6)
+    assert again.decrease - step.decrease == pytest.approx(9 * penalty * 0.5, rel=1e-6)
+
+
+def test_the_relaxed_merit_is_the_squares_of_residuals_and_gaps_and_infinite_where_nothing_is_finite():
+    _, parts, iterate, weights, linearizations, _ = prepared({"k": 7.0, "c": 0.9, "b": 3.5})
+    random = np.random.default_rng(0)
+    gapped = parts.at(iterate.z, [nodes + 20 * random.normal(size=nodes.shape) for nodes in iterate.nodes])
+    progress = Progress(parts.settings)
+    progress.begin(gapped, parts.gap_variances(linearizations))
+    relaxed = merit_function(parts, weights, progress)
+    squares, gaps = parts.squared_cost(gapped, weights), parts.squared_gap_cost(gapped, progress.continuity_variance)
+    assert gaps > 1e-5 * squares
+    assert relaxed(gapped) == pytest.approx(squares + gaps, rel=1e-9)
+    exact = Progress.exact(parts.settings)
+    exact.begin(gapped, parts.gap_variances(linearizations))
+    exact.multipliers = [np.full(2, 3.0)]
+    jumps = 3 * sum(np.abs(t.gaps).sum() for t in gapped.trajectories)
+    assert merit_function(parts, weights, exact)(gapped) == pytest.approx(parts.cost(gapped) + jumps)
+    lost = parts.at(iterate.z, [nodes + np.nan for nodes in iterate.nodes])
+    for stage in (progress, exact):
+        assert merit_function(parts, weights, stage)(lost) == np.inf
