@@ -1,6 +1,7 @@
 """Tests of terms that one model has more than another have their nominal size and find what is needed."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -77,6 +78,10 @@ def test_a_larger_model_that_has_the_smaller_one_as_a_limit_is_scaled_by_all_dir
     assert found.dof == (1, large.dof)
     assert found.p_value == pytest.approx(f.sf(found.statistic, 1, large.dof))
     assert (found.small, found.large, found.terms) == ("limit", "structure", ("C_x",))
+    # Two parameters gone share the ratio.
+    twice = ratio_test(SimpleNamespace(free=(), cost=small.cost), large, ("a5", "C_x"), ("limit", "structure"))
+    assert (twice.statistic, twice.dof) == (pytest.approx(found.statistic / 2), (2, large.dof))
+    assert twice.p_value == pytest.approx(f.sf(twice.statistic, 2, large.dof))
     worse = ratio_test(replace(small, cost=large.cost - 1), large, ("C_x",), ("limit", "structure"))
     assert (worse.statistic, worse.p_value) == (0.0, 1.0)
     assert np.isnan(cost_scale(replace(large, white=None)))

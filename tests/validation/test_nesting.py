@@ -11,6 +11,7 @@ import greybox as gb
 from greybox.validation.nesting import (
     NotNestedError,
     _beyond,
+    _held_alike,
     _left_null_space,
     _on_bound,
     _require_fewer_terms,
@@ -326,3 +327,19 @@ def test_a_value_on_a_bound_is_not_beyond_it():
     assert not _beyond(quantity, 4.0 * (1 + 1e-10))
     assert _beyond(quantity, -2.0 * (1 + 1e-8))
     assert not _on_bound(quantity, 4.0 * (1 - 1e-8))
+
+
+def test_what_the_larger_model_holds_the_smaller_one_holds_alike():
+    def held(kind, value=2.0):
+        return SimpleNamespace(kind=kind, value=value)
+
+    def with_tie(tie):
+        return SimpleNamespace(parts=[SimpleNamespace(tied=tie)])
+
+    one, other = with_tie({"a": "2 b"}), with_tie({"a": "3 b"})
+    assert _held_alike(held("fixed"), held("fixed", 2.0 * (1 + 1e-10)), one, one)
+    assert not _held_alike(held("fixed"), held("fixed", 2.0 * (1 + 1e-8)), one, one)
+    assert not _held_alike(held("free"), held("fixed"), one, one)
+    assert _held_alike(held("tied"), held("tied"), one, one)
+    assert not _held_alike(held("tied"), held("tied"), one, other)
+    assert not _held_alike(held("fixed"), held("tied"), one, one)

@@ -7,6 +7,7 @@ from drag_flights import QUADRATIC, Drag, flight
 from scipy.stats import f
 
 import greybox as gb
+from greybox.validation.stepwise import with_terms
 
 POLES = {"c1": 1.0, "c3": 3.0, "c3b": 3.05, "c9": 9.0}
 OMEGA = np.geomspace(0.3, 30, 20)
@@ -115,3 +116,14 @@ def test_mistakes_are_told():
         gb.stepwise(problem({}), ["c1"], size=5)
     with pytest.raises(ValueError, match=r"fixed gives 'K' the value 100000 outside its bounds"):
         gb.stepwise(problem({}), {"K": 1e5})
+
+
+def test_candidates_are_free_or_at_the_values_where_they_are_absent():
+    """Whether they are declared fixed, freed by the problem, or fixed by it; others stay as they are."""
+    made = problem({}).with_(fixed={"c3": 1.0}, free=["c1"], rename={"c9": "c9_b"})
+    some = with_terms(made, frozenset({"c3", "c3b"}), {"c1": 0.5, "c3": 0.0, "c3b": 0.0, "c9_b": -1.0})
+    assert some.fixed_values == {"c1": 0.5, "c9": -1.0}
+    assert {name for name, p in some.parameters.items() if not p.fixed} == {"K", "c3", "c3b"}
+    none = with_terms(made, frozenset(), {"c9_b": 3.0})
+    assert none.fixed_values == {"c3": 1.0, "c9": 3.0}
+    assert {name for name, p in none.parameters.items() if not p.fixed} == {"K", "c1"}
