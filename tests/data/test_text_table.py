@@ -41,6 +41,8 @@ def test_columns_are_aligned():
 def test_an_error_has_two_digits_and_the_value_ends_with_it(value, error, shown):
     """The rule of the Particle Data Group and of GUM 7.2.6, with two digits."""
     assert with_error(value, error) == shown
+    if value > 0:
+        assert with_error(-value, error) == (f"-{shown[0]}", shown[1])
 
 
 def test_very_large_and_small_values_keep_their_digits():
@@ -50,6 +52,10 @@ def test_very_large_and_small_values_keep_their_digits():
     value, error = with_error(1.23456e9, 4.5e5)
     assert float(value) == pytest.approx(1.2346e9, rel=1e-3)
     assert float(error) == 4.5e5
+    for sign in (1, -1):
+        assert float(with_error(sign * 1.234567e7, 2.0)[0]) == sign * 1.234567e7
+        assert with_error(sign * 1.234567e7, 2e3)[0] == f"{sign * 1.2346e7:.5g}"
+        assert with_error(sign * 9.876543e6, 2e3)[0] == str(sign * 9876500)
 
 
 def test_words_and_numbers():

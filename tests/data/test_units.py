@@ -78,6 +78,8 @@ def test_factors(unit, factor, si):
     conversion = to_si(unit)
     assert conversion.factor == pytest.approx(factor, rel=1e-9)
     assert (conversion.zero, conversion.si) == (0, si)
+    assert conversion.changes == (factor != 1)
+    assert conversion.apply(np.array([2.0, -3.0])) == pytest.approx(factor * np.array([2.0, -3.0]))
     assert to_si(si) == to_si(to_si(si).si)
     assert not to_si(si).changes
 

@@ -31,6 +31,12 @@ def test_each_is_welch_and_all_are_holm():
     assert found.verdict.startswith("T and bandwidth differ beyond the errors; no difference of K")
     with pytest.raises(ValueError, match="the fits share data"):
         gb.validation.differences(fits[0], fits[0])
+    renamed = gb.Problem(Lag(), fits[1].responses[0].data, rename={"K": "K_b", "T": "T_b"})
+    other = gb.fit(renamed, starts=1, progress=False, profiles=False)
+    with pytest.raises(ValueError, match="a and b have no free parameter in common"):
+        gb.validation.differences(fits[0], other, labels=("a", "b"))
+    with pytest.raises(ValueError, match="b has no parameter 'K'"):
+        gb.validation.differences(fits[0], other, ["K"], labels=("a", "b"))
 
 
 def test_the_paper_finds_that_a1_and_a3_change_with_the_angle_of_flight():
