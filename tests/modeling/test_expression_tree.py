@@ -125,3 +125,11 @@ def test_the_size_of_what_repeats_is_that_of_what_would_be_written():
         return a
 
     assert size(tree(nested, "a")) > 2**59
+
+
+def test_negative_numbers_stand_behind_their_sign():
+    s, k = Symbol("s"), Symbol("K")
+    assert tree(lambda s, k: -2.5 * s, "s", "K") == Sum(((-1, Product((Number(2.5), s), ())),))
+    assert tree(lambda s, k: k - 2.5, "s", "K") == Sum(((1, k), (-1, Number(2.5))))
+    assert with_values(tree(lambda s, k: s + k, "s", "K"), {"K": -3.0}) == Sum(((1, s), (-1, Number(3.0))))
+    assert with_values(tree(lambda s, k: s * k, "s", "K"), {"K": -3.0}) == Sum(((-1, Product((Number(3.0), s), ())),))

@@ -65,3 +65,16 @@ def test_a_stored_result_knows_it(model):
 def test_numbers_that_are_no_system_are_refused(make, words):
     with pytest.raises(ValueError, match=words):
         make()
+
+
+def test_signals_without_names_are_numbered_where_there_are_several_and_states_always():
+    model = KnownStateSpace([[-1]], [[1]], [[1]], [[0]], prefix="f_")
+    assert (model.states, model.inputs, model.outputs) == (("x1",), ("u",), ("y",))
+    assert list(model.parameters) == ["f_A_1_1", "f_B_1_1", "f_C_1_1"]
+    entry = model.parameters["f_A_1_1"]
+    assert (entry.start, entry.fixed, entry.about, entry.bounds) == (-1.0, True, "entry of A", (-np.inf, np.inf))
+    named = KnownStateSpace([[-1]], [[1]], [[1]], [[0]], states=["q"], inputs=["F"], outputs=["v"])
+    assert (named.states, named.inputs, named.outputs) == (("q",), ("F",), ("v",))
+    ratio = KnownTransferFunction([3, 1], [1, 2])
+    assert all(p.fixed for p in ratio.parameters.values())
+    assert {name: p.start for name, p in ratio.parameters.items()} == {"b1": 3.0, "b0": 1.0, "a1": 1.0, "a0": 2.0}

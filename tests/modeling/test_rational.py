@@ -129,3 +129,23 @@ def test_what_has_no_rational_form_is_said(name):
     formula, sentence = NO_RATIONAL_FORM[name]
     with pytest.raises(ValueError, match=sentence):
         formula()
+
+
+@pytest.mark.parametrize(
+    ("form", "written"),
+    [
+        ((2 * S + 1) / (S**2 - 3 * S + 5), "(2 s + 1) / (1 s² - 3 s + 5)"),
+        (S / (S**10 + 0.5 * S**3), "(1 s) / (1 s¹⁰ + 0.5 s³)"),
+        (0 * S, "(0) / (1)"),
+        (gb.exp(-0.25 * S) / (S + 1), "(1) / (1 s + 1) exp(-0.25 s)"),
+        (Rational([ca.SX.sym("K"), 0.0]), "(K s) / (1)"),
+    ],
+)
+def test_it_is_written_as_in_a_book(form, written):
+    assert str(form) == written
+
+
+def test_poles_and_zeros_are_the_roots():
+    form = (S - 2) * (S + 3) / ((S + 1) ** 2 + 4)
+    assert_allclose(np.sort(form.zeros), [-3, 2])
+    assert_allclose(form.poles[np.argsort(form.poles.imag)], [-1 - 2j, -1 + 2j])

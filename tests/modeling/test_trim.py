@@ -221,3 +221,21 @@ def test_an_own_trim_is_judged_relative_to_its_size():
     for sign in (1, -1):
         with pytest.raises(ValueError, match="is not an equilibrium"):
             gb.modeling.linearize(trimmed(sign), at={"u": 1.0})
+
+
+def test_the_state_that_moves_most_at_a_wrong_trim_is_named():
+    class Two(gb.StateSpace):
+        states, inputs, outputs = ("x", "y"), ("u",), ("x",)
+        c = gb.Parameter(1.0)
+
+        def derivative(self, x, u, p):
+            return (u.u - p.c * x.x, 1 - x.y)
+
+        def output(self, x, u, p):
+            return (x.x,)
+
+        def trim(self, at, p):
+            return {"x": 9.0, "y": 0.0}
+
+    with pytest.raises(ValueError, match=r"the derivative of 'x' is -7 there"):
+        gb.modeling.linearize(Two(), at={"u": 2.0})
