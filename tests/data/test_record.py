@@ -155,3 +155,19 @@ def test_records_of_other_files_share_samples_where_their_values_are_equal():
     assert not share_samples(one, another)
     assert not share_samples(one, Record(time, {"z": np.zeros(100)}))
     assert not share_samples(one, Record(time + 50, {"u": np.sin(time)}))
+
+
+def test_other_records_share_samples_where_values_at_the_same_times_are_the_same():
+    """Half of them at least, in every signal that both have; a few are the same by chance."""
+    time = np.arange(20.0)
+    one = Record(time, {"u": np.sin(time), "y": np.cos(time)})
+    assert share_samples(one, Record(time[5:], {"y": np.cos(time[5:]), "w": time[5:]}))
+    assert not share_samples(one, Record(time, {"y": np.cos(time) + 0.5}))
+    assert not share_samples(one, Record(time, {"y": np.cos(time), "u": np.sin(time) + 1e-9}))
+    assert not share_samples(one, Record(time + 0.5, {"y": np.cos(time)}))
+    assert not share_samples(one, Record(time, {"w": np.cos(time)}))
+    lost = one.with_signals(y=np.where(time < 10, np.nan, np.cos(time)))
+    assert share_samples(lost, Record(time, {"y": lost["y"]}))
+    some = np.where(np.arange(20) < 3, np.cos(time), 7.0)
+    assert not share_samples(one, Record(time, {"y": some}))
+    assert not share_samples(one, Record(time, {"y": np.cos(time)}, has_time=False))

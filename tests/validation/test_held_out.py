@@ -6,6 +6,7 @@ from drag_flights import QUADRATIC, LinearDrag, QuadraticDrag, fitted, flight
 from scipy.signal import lfilter
 
 import greybox as gb
+from greybox.validation import held_out
 
 
 @pytest.fixture(scope="module")
@@ -155,3 +156,15 @@ def test_windows_without_a_finite_value_are_left_out_and_counted():
         ValueError, match=r"no comparison is possible where .* of .* in tank 1 are not finite \(Tank is"
     ):
         gb.compare(*fits, records=records[1].between(9, 20))
+
+
+def test_records_of_the_same_data_are_put_together_by_their_signals():
+    time = np.arange(5.0)
+    one = gb.Record(time, {"u": time, "y": 2 * time}, {"u": "N", "y": "m"}, name="one", hold={"u": 1.0})
+    two = gb.Record(time, {"u": 0 * time, "v": 3 * time}, {"v": "m/s"}, name="two", hold={"v": 0.0})
+    three = gb.Record(time, {"w": 4 * time}, {"w": "rad"}, name="three")
+    found = held_out._with_all_signals([one, two, three])
+    assert {name: values[1] for name, values in found.signals.items()} == {"u": 1.0, "y": 2.0, "v": 3.0, "w": 4.0}
+    assert {name: unit for name, unit in found.units.items() if name != "u"} == {"y": "m", "v": "m/s", "w": "rad"}
+    assert (found.name, dict(found.hold)) == ("one", {"u": 1.0, "v": 0.0})
+    assert held_out._with_all_signals([one, one.with_signals()]) is one
