@@ -171,3 +171,12 @@ def test_other_records_share_samples_where_values_at_the_same_times_are_the_same
     some = np.where(np.arange(20) < 3, np.cos(time), 7.0)
     assert not share_samples(one, Record(time, {"y": some}))
     assert not share_samples(one, Record(time, {"y": np.cos(time)}, has_time=False))
+
+
+@pytest.mark.parametrize("count", range(2, 9))
+def test_the_step_is_the_median_interval(count):
+    time = np.cumsum(np.random.default_rng(count).uniform(0.1, 1, count))
+    record = Record(time, {"x": time})
+    assert record.step == pytest.approx(np.median(np.diff(time)), rel=1e-12)
+    assert record.rate == pytest.approx(1 / np.median(np.diff(time)))
+    assert record.duration == pytest.approx(time[-1] - time[0])

@@ -25,6 +25,11 @@ def test_the_panels_show_what_was_measured_fitted_and_left(fit):
     np.testing.assert_allclose(measured, np.abs(part.data.outputs["roll"]))
     np.testing.assert_allclose(fitted, np.abs(part.fitted["roll"]))
     np.testing.assert_allclose(left, np.abs(part.residual("roll")))
+    phase, near = (line.get_ydata() for line in axes[1].get_lines())
+    np.testing.assert_allclose(np.exp(1j * np.radians(phase)), part.data.outputs["roll"] / measured)
+    np.testing.assert_allclose(np.exp(1j * np.radians(near)), part.fitted["roll"] / fitted)
+    assert np.abs(near - phase).max() <= 180
+    assert np.abs(np.diff(phase)).max() <= 180
     # Of white noise, |error|² has the mean that is drawn.
     assert np.mean(left**2) == pytest.approx(noise[0] ** 2, rel=1e-6)
     np.testing.assert_allclose(axes[4].get_lines()[0].get_ydata(), np.abs(part.data.inputs["da"]))

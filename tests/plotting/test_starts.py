@@ -3,9 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from drawn_lines import legend, points
+from matplotlib.figure import Figure
 
 import greybox as gb
+from greybox.plotting.starts import _scale_costs
 
 
 def test_starts_shows_every_run_sorted_and_grouped(pitch):
@@ -47,3 +50,20 @@ def test_more_minima_than_colors_share_one_gray(pitch):
     assert sum(len(line.get_xdata()) for line in points(axes)) == 8
     axes = gb.plotting.starts(replace(pitch, minima=each[:7], runs=pitch.runs[:7]))
     assert legend(axes)[-1] == "1 run in 1 further minimum"
+
+
+@pytest.mark.parametrize(
+    ("costs", "scale", "limits"),
+    [
+        ([2.0, 3.0, 59.0], "linear", (2 - 5.7, 59 + 11.4)),
+        ([2.0, 3.0, 61.0], "log", None),
+        ([-5.0, -4.9], "linear", (-5.5, -3.9)),  # rounding is no range: a tenth of the cost below, and two above
+        ([0.0, 50.0], "linear", (-5.0, 60.0)),
+    ],
+)
+def test_the_axis_of_costs_shows_neither_rounding_nor_one_point(costs, scale, limits):
+    ax = Figure().subplots()
+    _scale_costs(ax, costs)
+    assert ax.get_yscale() == scale
+    if limits:
+        assert ax.get_ylim() == pytest.approx(limits)

@@ -13,6 +13,7 @@ from scipy import signal, stats
 
 from greybox.data.record import Record
 from greybox.data.test_segment import Segment
+from greybox.spectral import single_sine
 from greybox.spectral.single_sine import _frequency_error, _saturation, finite_frequency
 
 STEP = 1 / 400  # s
@@ -369,3 +370,66 @@ def test_the_error_of_a_frequency_is_the_drift_of_the_phase():
         r = np.sin(omega * t + 0.3) + 0.7
         assert _frequency_error(t, r, 2.0) == pytest.approx(omega - 2.0, abs=5e-4)
     assert _frequency_error(t, np.zeros(t.size), 2.0) == 0
+
+
+# --- the numbers of one window
+
+
+def test_periods_scatter_about_the_response_of_all():
+    """Of 4 periods, each with amplitudes of its own."""
+    q, n, omega, origin = 4, 400, 2 * math.pi, 0.3
+    t = origin + np.arange(q * n) / n
+    random = np.random.default_rng(0)
+    u, y = (2 + 0.1 * (random.normal(size=q) + 1j * random.normal(size=q)) for _ in range(2))
+    y = (0.5 - 0.3j) * u + 0.05 * (y - 2)
+    x = np.array(
+        [np.concatenate([np.imag(a * np.exp(1j * omega * (t[:n] - origin))) for a in each]) for each in (u, y)]
+    )
+    amplitudes = np.array([u.mean(), y.mean()])
+    found = single_sine._by_periods(t, x, amplitudes, omega, origin, q)
+    assert found.response == pytest.approx(y.mean() / u.mean())
+    error = y - found.response * u
+    assert found.variance == pytest.approx(np.var(error, ddof=1) / q / abs(u.mean()) ** 2, rel=0.02)
+    assert found.control_noise == pytest.approx(np.sqrt(np.var(u, ddof=1) / q), rel=0.02)
+    assert found.dof == 6
+    alone = single_sine._by_periods(t[:n], x[:, :n], amplitudes, omega, origin, 1)
+    assert (alone.response, np.isnan(alone.variance), alone.dof) == (found.response, True, 0)
+
+
+@pytest.mark.parametrize(("q", "count"), [(2, 1), (6, 2), (12, 3)])
+def test_the_lines_beside_a_sine_tell_leakage_and_noise(q, count):
+    """A polynomial through what P leaves of them, a constant of two lines, is what it leaves of the sine itself."""
+    omega, origin = 2 * math.pi, 0.3
+    t = 0.5 + np.arange(40 * q) / 40
+    random = np.random.default_rng(q)
+    u = np.sin(omega * t) + 0.02 * random.normal(size=t.size)
+    y = 2 * np.cos(omega * t) + np.exp(-2 * (t - t[0])) + 0.05 * random.normal(size=t.size)
+    x = np.array([u, y])
+    amplitudes, _, residual = single_sine.least_squares(t, x, omega, origin, 3)
+    found = single_sine._by_lines(t, amplitudes[:, 0], residual, omega, origin, q)
+    m = np.array([k for k in range(-count, count + 1) if k])
+    lines = np.array([single_sine.spectral_line(t, residual, omega * (1 + k / q), t[0]) for k in m]).T
+    at = amplitudes[:, 0] * np.exp(1j * omega * (t[0] - origin))
+    left = lines[1] - found.response * lines[0]
+    degree = 0 if count == 1 else 1
+    polynomial = np.polyfit(m, left, degree)
+    assert at[1] - found.response * at[0] == pytest.approx(np.polyval(polynomial, 0), abs=1e-9)
+    free = 2 * count - degree - 1
+    noise = np.sum(np.abs(left - np.polyval(polynomial, m)) ** 2) / free
+    # The value at the sine is a mean of the lines, as they lie evenly beside it.
+    assert found.variance == pytest.approx(noise * (1 + 1 / (2 * count)) / abs(at[0]) ** 2)
+    assert found.dof == 2 * free
+    assert found.control_noise == pytest.approx(np.sqrt(np.mean(np.abs(lines[0]) ** 2)))
+
+
+def test_only_sines_that_are_usable_need_one_axis():
+    t = 0.01 * np.arange(2000)
+    record = Record(t, {"u": np.sin(3 * t), "theta": np.cos(3 * t)})
+    one = Segment(0.0, 19.99, omega=3.0, axis="roll")
+    others = [
+        Segment(0.0, 19.99, omega=3.0, axis="yaw").refused("too weak"),
+        Segment(0.0, 19.99, kind="sweep", axis="pitch", band=(1.0, 5.0)),
+    ]
+    assert len(finite_frequency(record, [one, *others]).points) == 1
+    with pytest.raises(ValueError, match=r"the segments are of several axes \(pitch, roll\): choose those of one"):
+        finite_frequency(record, [one, Segment(0.0, 19.99, omega=3.0, axis="pitch")])
