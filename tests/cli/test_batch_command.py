@@ -153,6 +153,7 @@ def test_usage(study, tmp_path, capsys):
 
 
 def test_ctrl_c_says_how_to_go_on(study, tmp_path, capsys):
+    study.write_text('[[member]]\nproblem = "rotors"\nstarts = 12\nseed = [0, 1]\n')
     script = tmp_path / "script.py"
     script.write_text(
         textwrap.dedent(
@@ -175,7 +176,7 @@ def test_ctrl_c_says_how_to_go_on(study, tmp_path, capsys):
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 130
     assert "greybox: interrupted; `greybox batch --resume out` goes on." in done.stderr
-    assert "6 members: 6 unfinished" in done.stdout
+    assert "2 members: 2 unfinished" in done.stdout
     status, found, _ = answer(capsys, "batch", "--resume", "out")
     assert status == 0
     assert all(member["runs"] == 12 for member in found["members"])

@@ -80,18 +80,17 @@ def test_a_run_that_fails_has_status_1_and_its_reason(capsys, own):
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no limit of file sizes")
-def test_a_full_disk_costs_the_file_but_not_the_answer(tmp_path):
-    code = (
-        "import resource, sys; from greybox.cli.main import main; import greybox.study.run_files as files; "
-        "files.UNWRITTEN = 0.0; "
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192)); sys.exit(main(sys.argv[1:]))"
-    )
-    command = [sys.executable, "-c", code, "fit", "pitch_hover", "--starts", "3", "--out", "x.h5"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 1
-    assert "a1" in done.stdout
+def test_a_full_disk_costs_the_file_but_not_the_answer(capsys, tmp_path, monkeypatch):
+    from full_disk import limited_files
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("greybox.study.run_files.UNWRITTEN", 0.0)
+    with limited_files(8192):
+        status, out, err = run(capsys, "fit", "pitch_hover", "--starts", "3", "--out", "x.h5")
+    assert status == 1
+    assert "a1" in out
     expected = "greybox: x.h5 cannot be written (File too large): free space or choose another folder."
-    assert done.stderr.splitlines()[-1] == expected
+    assert err.splitlines()[-1] == expected
     assert list(tmp_path.iterdir()) == []
 
 

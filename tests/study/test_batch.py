@@ -250,15 +250,10 @@ def test_ctrl_c_keeps_what_was_done(tmp_path, monkeypatch, press_ctrl_c, made):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of the size of files are those of Unix")
 def test_a_full_disk_is_a_sentence_and_the_batch_goes_on(tmp_path):
-    import resource
+    from full_disk import limited_files
 
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (8000, before[1]))
-    try:
-        with pytest.raises(OSError, match=r"cannot be written \(File too large\): free space"):
-            gb.batch(members(), tmp_path, progress=False)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    with limited_files(8000), pytest.raises(OSError, match=r"cannot be written \(File too large\): free space"):
+        gb.batch(members(), tmp_path, progress=False)
     study = gb.batch(members(), tmp_path, progress=False)
     require_same(study["response"].fit, gb.fit(RESPONSE, 12, search="multistart", progress=False))
 
