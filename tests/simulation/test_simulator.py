@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,15 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.simulation.model_at_estimate import model_at
-from greybox.simulation.simulator import DIVERGED, MOST_AT_FIRST, TOLERANCE, _depends, _first_substeps, diverged
+from greybox.simulation.simulator import (
+    DIVERGED,
+    MOST_AT_FIRST,
+    TOLERANCE,
+    _depends,
+    _first_substeps,
+    _free_run_sensitivities,
+    diverged,
+)
 
 
 class Growth(gb.StateSpace):
@@ -104,3 +113,36 @@ def test_errors_of_predictions_follow_the_parameters_through_the_state_that_they
     assert_allclose(found.predicted, alone.predicted)
     assert_allclose(found.error, np.sqrt(alone.error**2 + 0.01 * slope**2), rtol=0.02)
     assert np.all(alone.error < 0.3 * found.error)
+
+
+def test_a_free_simulation_takes_its_fitted_initial_states_along():
+    """Derivatives and variance of least squares for the states, over the samples that were compared."""
+    random = np.random.default_rng(0)
+    t, n, a = 12, 2, 3
+    slopes = random.normal(size=(t, 2, n + a))
+    residual = random.normal(size=(2, t + 4))
+    residual[0, 5], residual[1, 7:9] = np.nan, np.nan
+    noise = np.array([[0.5, 0.2], [0.2, 0.4]])
+    part = SimpleNamespace(outputs=("y", "z"), noise=noise, residual=lambda name: residual["yz".index(name)])
+    model = SimpleNamespace(system=SimpleNamespace(states=("p", "q")), part=part)
+    stretch = SimpleNamespace(rows=np.arange(2, 2 + t))
+    outputs = ("z", "y")  # in another order than those of the fit
+    found, variance = _free_run_sensitivities(model, stretch, slopes, outputs, True)
+
+    there = np.isfinite(residual[:, 2 : 2 + t]).T[..., None]
+    of_part = np.where(there, slopes[:, [1, 0]], 0.0)
+    whitened = (np.linalg.inv(np.linalg.cholesky(noise)) @ of_part).reshape(-1, n + a)
+    X, Q = whitened[:, :n], whitened[:, n:]
+    assert_allclose(found, slopes[..., n:] - slopes[..., :n] @ np.linalg.lstsq(X, Q, rcond=None)[0])
+    covariance = np.linalg.inv(X.T @ X)
+    assert_allclose(variance, np.einsum("tkn,nm,tkm->tk", slopes[..., :n], covariance, slopes[..., :n]))
+
+    given, nothing = _free_run_sensitivities(model, stretch, slopes, outputs, False)
+    assert_allclose(given, slopes[..., n:])
+    assert np.all(nothing == 0)
+    unseen = slopes.copy()
+    unseen[..., 1] = 3 * unseen[..., 0]
+    _, unknown = _free_run_sensitivities(model, stretch, unseen, outputs, True)
+    assert np.isnan(unknown).all()
+    unseen[3, 0, 4] = np.inf
+    assert np.isnan(_free_run_sensitivities(model, stretch, unseen, outputs, True)[0]).all()

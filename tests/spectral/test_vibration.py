@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from greybox.spectral.vibration import peaks_of
+from greybox.data.record import Record
+from greybox.spectral.vibration import peaks_of, vibration, vibration_table
 
 HZ = np.arange(0, 500.0)
 
@@ -27,3 +28,22 @@ def test_the_three_highest_peaks_come_the_highest_first():
 
 def test_the_motion_of_the_vehicle_is_no_vibration():
     assert peaks_of(HZ, spectrum((6, 40), (120, 15))) == (120.0,)
+    lines = np.ones(500)
+    lines[[9, 12]] = 1000, 100
+    assert peaks_of(HZ, lines) == (12.0,)
+
+
+def test_the_size_of_vibration_is_that_above_the_motion():
+    """Two stretches of a gyro at 1 kHz: sines of 0.3 at 50 Hz and of 0.1 at 125 Hz, beside a motion of 5 at 2 Hz."""
+    time = np.concatenate([np.arange(4000) / 1000, 10 + np.arange(4000) / 1000])
+    x = 5 * np.sin(4 * np.pi * time) + 0.3 * np.sin(100 * np.pi * time) + 0.1 * np.sin(250 * np.pi * time)
+    (found,) = vibration("ISBD[gyro0]", Record(time, {"x": x}, {"x": "rad/s"}))
+    assert found.rms == pytest.approx(np.sqrt((0.3**2 + 0.1**2) / 2), rel=0.02)
+    assert found.peaks == pytest.approx((50, 125), abs=2)
+    assert (found.message, found.signal, found.unit) == ("ISBD[gyro0]", "x", "rad/s")
+    assert found.rate == pytest.approx(1000)
+    header, _, row = (line.split() for line in vibration_table([found]).splitlines())
+    assert header == ["vibration", "Hz", "rms", "peaks,", "Hz"]
+    peaks = [f"{found.peaks[0]:.4g},", f"{found.peaks[1]:.4g}"]
+    assert row == ["ISBD[gyro0]", "x", "1000", f"{found.rms:.3g}", "rad/s", *peaks]
+    assert vibration("IMU", Record(time[:20], {"x": x[:20]})) == []

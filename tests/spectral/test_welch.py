@@ -119,3 +119,16 @@ def test_windows_are_transformed_at_the_time_of_the_stretch():
     own, next_ = step * np.sum(tapers[0] ** 2), step * np.sum(tapers[0][:20] * tapers[0][20:])
     correlation = own * np.eye(4) + next_ * (np.eye(4, k=1) + np.eye(4, k=-1))
     np.testing.assert_allclose(found.correlation.toarray(), correlation)
+
+
+def test_a_window_of_fewer_than_two_periods_gives_nothing():
+    rng = np.random.default_rng(6)
+    u = rng.standard_normal(2000)
+    omega = np.array([2.0, 5.0])
+    spectra = welch.transforms(
+        [UniformStretch(np.array([u, 2 * u + rng.standard_normal(2000), u]), 0.1, "")], 4.0, 0.0, omega
+    )
+    few, enough = welch.estimates(spectra, 4.0 * omega)  # 1.3 and 3.2 periods
+    assert np.isnan([few.variance, few.dof]).all()
+    assert enough == welch.estimate(spectra, 1)
+    assert np.isfinite(welch.estimates(spectra, np.array([4 * np.pi, 5.0]))[0].variance)

@@ -61,6 +61,7 @@ def test_errors_that_are_known_exactly_make_the_test_normal():
     assert known == pytest.approx(2 * norm.sf(2.0), rel=1e-6)
     assert np.isnan(_welch((1.0, np.nan, 9.0), (0.0, 0.4, 9.0)))
     assert np.isnan(_welch((1.0, 0.0, 9.0), (0.0, 0.0, 9.0)))
+    assert np.isnan(_welch((1.0, np.inf, 9.0), (0.0, 0.4, 9.0)))
     alone = _welch((1.0, 0.0, 3.0), (0.0, 0.5, 9.0))
     assert alone == pytest.approx(2 * t.sf(2.0, 9))
 
