@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+# Segments from which a chain is long: of fewer, a solver takes less than 50 MB.
+LONG_CHAIN = 10_000
+
 
 def solve_continuity(
     hessian: Array,
@@ -134,3 +137,9 @@ class _Solvers(threading.local):
 
 
 _solvers = _Solvers()
+
+
+def forget_long_chain(segments: int) -> None:
+    """Free what solving a long chain needs: of 60 000 segments 0.3 GB, more than all else that is known of a record."""
+    if segments > LONG_CHAIN:
+        _solvers.of.cache_clear()

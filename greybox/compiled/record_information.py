@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.part import ColoredErrors
-from greybox.statistics.residual_spectrum import colored_information
+from greybox.statistics.residual_spectrum import colored_information, product_over_time
 
 Array = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ def colored_errors(
     numbers = sum(int(np.count_nonzero(e)) for e in residuals)
 
     # What the parameters take from these residuals and would take from white ones of the same variance.
-    bread = sum(np.einsum("kpn,kl,lqn->pq", J, noise, J, optimize=True) for J in weighted)
+    bread = sum(product_over_time(J, noise) for J in weighted)
     paid = float(np.sum(inverse * bread))
     squares = sum(float(np.sum((weight @ e) ** 2)) for e in residuals) / max(numbers, 1)
     factor = max(found.taken / max(paid * squares, 1e-300), 1.0)

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.condensing import solve_continuity
+from greybox.compiled.condensing import forget_long_chain, solve_continuity
 from greybox.compiled.initial_states import InitialStates, at_samples
 from greybox.compiled.part import TIME_BINS, ColoredErrors, Condensed, Information, Part, Program, Trajectory
 from greybox.compiled.record_information import colored_errors, independent_numbers
@@ -755,7 +755,7 @@ class RecordPart(Part):
         is_prior = self.model.is_prior
         if part.covariance.known is not None and not is_prior:  # what was given is not what the residuals show
             variance = np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1)
-            score = np.einsum("k,kpt,kqt->pq", variance, weighted, weighted)
+            score = sum((v * J @ J.T for v, J in zip(variance, weighted, strict=True)), np.zeros_like(white))
         initial = self.unknown_initial_states
         independent = independent_numbers(self.numbers, initial, len(white), 1.0)
 
@@ -811,11 +811,11 @@ class RecordPart(Part):
         found = np.zeros((directions.shape[1], len(self.outputs), TIME_BINS))
         rows = len(self.model.record)
         for stretch, J in zip(self.data.stretches, self.data.unpadded(weighted), strict=True):
-            along = np.einsum("kpt,pq->kqt", J, directions)
-            share = along * np.einsum("kl,lqt->kqt", noise, along)
             place = np.arange(rows)[stretch.rows] * TIME_BINS // rows
             begins = np.flatnonzero(np.diff(place, prepend=-1))
-            found[:, :, place[begins]] += np.add.reduceat(np.moveaxis(share, 1, 0), begins, axis=-1)
+            for total, direction in zip(found, directions.T, strict=True):  # all at once would fill the memory
+                along = np.tensordot(J, direction, (1, 0))
+                total[:, place[begins]] += np.add.reduceat(along * (noise @ along), begins, axis=-1)
         return found.reshape(len(found), -1)
 
     def _output_errors(
@@ -825,8 +825,7 @@ class RecordPart(Part):
 
         `colored` are the errors where their correlation in time counts.
         """
-        J = np.einsum("kl,lpt->kpt", noise, told.weighted)
-        variance = np.einsum("kpt,pq,kqt->kt", J, covariance, J, optimize=True)
+        variance = _variances(told.weighted, noise, covariance)
         m = told.by_initial.shape[1]
         if m:
             meat = np.eye(m)
@@ -834,8 +833,7 @@ class RecordPart(Part):
                 # Of directions of unit variance, the mean over the stretches.
                 pieces = self.data.unpadded(told.by_initial)
                 meat = score_covariance(pieces, colored.spectrum) / len(pieces)
-            J = np.einsum("kl,lmt->kmt", noise, told.by_initial)
-            variance += np.einsum("kmt,mn,knt->kt", J, meat, J, optimize=True)
+            variance += _variances(told.by_initial, noise, meat)
 
         error = np.full((len(self.outputs), len(self.model.record)), np.nan)
         values = self.data.unpadded(np.sqrt(np.maximum(variance, 0)))
@@ -850,6 +848,7 @@ class RecordPart(Part):
         initial_directions = self._initial_directions(linearization)
         noticed = np.sqrt(np.maximum(linearization.node_hessian.diagonal(axis1=1, axis2=2), 0.0).sum(axis=0))
         del linearization  # of a long record, a tenth of what fits into memory
+        forget_long_chain(self.data.segments)
         placed = trajectory.detail.placed
         known = self.model.known_states
         if known.any():
@@ -1000,6 +999,15 @@ class RecordProgram(Program):
 
     def _joined(self, weight: Array, data: Array) -> Array:
         return np.concatenate([weight.ravel(order="F"), self._part.segments.in_order(data).ravel(order="F")])
+
+
+def _variances(weighted: Array, noise: Array, covariance: Array) -> Array:
+    """Return the variances (k, samples) of the outputs by a covariance (p, p), for WᵀJ (k, p, samples)."""
+    found = np.empty((len(noise), weighted.shape[2]))
+    for variance, row in zip(found, noise, strict=True):
+        J = np.tensordot(row, weighted, 1)
+        variance[:] = np.einsum("pt,pt->t", covariance @ J, J)
+    return found
 
 
 def _measured_rows(data: SampledData) -> Array:

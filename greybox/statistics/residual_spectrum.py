@@ -14,7 +14,7 @@ correlation than the errors, by what the fit took from them).
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -57,7 +57,7 @@ CORRECTED_AGAIN = 0.1
 LONGEST_CORRECTED = 50_000
 
 COLUMNS = 65536  # frequencies at once in memory: 25 MB for three outputs and eight parameters
-MOST_KEPT = 1 << 22  # numbers of the transforms that are kept for later use: 64 MB; of more, they are made again
+MOST_KEPT = 1 << 24  # numbers of the transforms that are kept for later use: 256 MB; of more, they are made again
 
 # Share of the products of samples some lag apart that must remain for missing samples to be ignored: below it, the
 # covariances at all lags but zero are more than 5 % too small.
@@ -128,17 +128,21 @@ def colored_information(
     if not there.any():
         nothing = np.zeros(there.size)
         return ColoredInformation(np.zeros_like(inverse), 0.0, 0.0, nothing, corrected=True, hidden=1.0, spectrum=None)
-    problem = _Sandwich.of(
-        [J[there] for J in weighted], [e[there] for e in residuals], inverse, noise[np.ix_(there, there)]
-    )
+    if there.all():
+        problem = _Sandwich.of(weighted, residuals, inverse, noise)
+    else:
+        some = [J[there] for J in weighted], [e[there] for e in residuals]
+        problem = _Sandwich.of(*some, inverse, noise[np.ix_(there, there)])
     corrected = sum(e.shape[1] for e in residuals) <= LONGEST_CORRECTED
-    mixture = problem.mixture(problem.periodogram)
+    mixture = problem.mixture(*problem.periodogram)
     for _ in range(CORRECTIONS if corrected else 0):
         before = mixture.taken
-        mixture = problem.mixture(problem.periodogram + problem.taken_power(mixture.density))
+        lags, banded = problem.taken_power(mixture.density)
+        mixture = problem.mixture(problem.periodogram[0] + lags, problem.periodogram[1] + banded)
         if abs(mixture.taken - before) < CORRECTED_AGAIN * before:
             break
     meat = problem.grid.score_covariance(problem.transforms(), mixture.density)
+    problem.forget_transforms()
     times = np.zeros(there.size)
     times[there] = problem.grid.correlation_times(mixture.typical)
     taken = float(np.sum(inverse * meat))
@@ -159,8 +163,7 @@ def score_covariance(weighted: Sequence[Array], spectrum: ErrorSpectrum | None) 
     if spectrum is None:
         return np.zeros((p, p))
     grid = _Grid.of(max(J.shape[2] for J in weighted))
-    unit = spectrum.deviation[:, None, None]
-    return grid.score_covariance((np.fft.rfft(J * unit, grid.size) for J in weighted), spectrum.density)
+    return grid.score_covariance((grid.transform(J, spectrum.deviation) for J in weighted), spectrum.density)
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,6 +223,30 @@ class _Grid:
         """Return the mean over all frequencies of values (..., b) of the bands."""
         return values @ self.band_weight
 
+    def transform(self, weighted: Array, deviation: Array) -> Complex:
+        """Return the transforms (k, p, frequencies) of sensitivities (k, p, n) times deviations (k,)."""
+        result = np.empty((*weighted.shape[:2], len(self.weight)), dtype=complex)
+        for out, J, size in zip(result, weighted, deviation, strict=True):
+            out[:] = np.fft.rfft(size * J, self.size)
+        return result
+
+    def covariances(self, density: Callable[[int, int], Complex], k: int, order: int) -> tuple[Array, Complex]:
+        """Return autocovariances (order + 1, k, k) and means over the bands (k, k, b) of a periodogram of k outputs.
+
+        `density` gives it at all frequencies for two outputs, in both orders the conjugate.
+        """
+        lags = np.zeros((order + 1, k, k))
+        banded = np.zeros((k, k, len(self.starts)), dtype=complex)
+        for i, j in _pairs_of(k):
+            values = density(i, j)
+            r = np.fft.irfft(values, self.size)
+            lags[:, i, j] = r[: order + 1]
+            lags[1:, j, i] = r[: -order - 1 : -1]
+            lags[0, j, i] = r[0]
+            banded[i, j] = self.banded(values)
+            banded[j, i] = banded[i, j].conj()
+        return lags, banded
+
     def score_covariance(self, transforms: Iterable[Complex], density: Complex) -> Array:
         """Return Σ J' Σ_e J (p, p) by the transforms (k, p, frequencies) of all stretches."""
         total: Array | float = 0.0
@@ -234,9 +261,11 @@ class _Grid:
 
     def correlation_times(self, spectra: Array) -> Array:
         """Return the correlation times (k,) of spectra (k, b), samples."""
-        r = np.abs(np.fft.irfft(self.spread_out(spectra), self.size, axis=-1)[:, : self.longest])
-        total = np.cumsum(r, axis=1)
-        return np.sum(total < WITHIN * total[:, -1:], axis=1).astype(float)
+        found = []
+        for spectrum in spectra:
+            total = np.cumsum(np.abs(np.fft.irfft(self.spread_out(spectrum), self.size)[: self.longest]))
+            found.append(float(np.sum(total < WITHIN * total[-1])))
+        return np.array(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,8 +317,8 @@ class _Sandwich:
 
     Attributes
     ----------
-    periodogram : (k, k, frequencies) array
-        Of the residuals, its mean over the frequencies being their covariance.
+    periodogram : (lags, k, k) and (k, k, b) arrays
+        Autocovariances of the residuals, and the bands of their periodogram.
     root : (p, p) array
         Its product with its transpose is the covariance for white errors.
     power : (k, k, b) array
@@ -300,8 +329,8 @@ class _Sandwich:
         Samples that are there, and the share of the products of samples some lag apart that missing ones leave.
     families : sequence of sequences
         For every output, the forms of spectra beside autoregressions.
-    kept : sequence of (k, p, frequencies) arrays, or None
-        Transforms of the weighted sensitivities; None where they would fill the memory.
+    kept : list of (k, p, frequencies) arrays
+        Transforms of the weighted sensitivities; empty where they would fill the memory, or are needed no more.
     """
 
     weighted: Sequence[Array]
@@ -309,14 +338,14 @@ class _Sandwich:
     inverse: Array
     noise: Array
     grid: _Grid
-    periodogram: Complex
+    periodogram: tuple[Array, Complex]
     root: Array
     power: Complex
     deviation: Array
     counts: Array
     seen: Array
     families: Sequence[Sequence[_Family]]
-    kept: Sequence[Complex] | None
+    kept: list[Complex]
 
     @classmethod
     def of(cls, weighted: Sequence[Array], residuals: Sequence[Array], inverse: Array, noise: Array) -> "_Sandwich":
@@ -324,27 +353,34 @@ class _Sandwich:
         grid = _Grid.of(max(e.shape[1] for e in residuals))
         counts = np.maximum(sum(np.count_nonzero(e, axis=1) for e in residuals), 1)
         size = np.sqrt(sum((e**2).sum(axis=1) for e in residuals) / counts)
-        periodogram = np.zeros((k, k, len(grid.weight)), dtype=complex)
-        for e in residuals:
-            spectrum = np.fft.rfft(e / size[:, None], grid.size)
-            periodogram += spectrum[:, None] * spectrum.conj() / np.sqrt(counts * counts[:, None])[:, :, None]
-        periodogram += ROUNDING * np.eye(k)[:, :, None]  # a ridge for outputs that are combinations of others
+        each = [np.fft.rfft(e / (size * np.sqrt(counts))[:, None], grid.size) for e in residuals]
+        nothing = np.zeros(len(grid.weight), dtype=complex)
+        periodogram = grid.covariances(
+            lambda i, j: sum((z[i] * z[j].conj() for z in each), nothing), k, _highest_order(counts)
+        )
+        ridge = ROUNDING * np.eye(k)  # for outputs that are combinations of others
+        periodogram[0][0] += ridge
+        periodogram[1][:] += ridge[:, :, None]
 
         values, vectors = np.linalg.eigh((inverse + inverse.T) / 2)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         power = np.zeros((k, k, len(grid.starts)), dtype=complex)
-        kept = [] if len(weighted) * weighted[0].shape[1] * k * len(grid.weight) <= MOST_KEPT else None
+        kept: list[Complex] = []
+        keeps = len(weighted) * weighted[0].shape[1] * k * len(grid.weight) <= MOST_KEPT
+        product = np.empty(len(grid.weight), dtype=complex)
         for J in weighted:
-            transform = np.fft.rfft(J * size[:, None, None], grid.size)
-            if kept is not None:
+            transform = grid.transform(J, size)
+            if keeps:
                 kept.append(transform)
-            spectra = root.T @ transform
-            for i in range(k):
-                for j in range(i + 1):
-                    product = grid.banded(np.einsum("qf,qf->f", spectra[i].conj(), spectra[j]))
-                    power[i, j] += product
-                    if i != j:
-                        power[j, i] += product.conj()
+            for i, j in _pairs_of(k):
+                for start in range(0, len(product), COLUMNS):
+                    part = slice(start, start + COLUMNS)
+                    one, other = (root.T @ transform[row, :, part] for row in (i, j))
+                    product[part] = np.einsum("qf,qf->f", one.conj(), other)
+                banded = grid.banded(product)
+                power[i, j] += banded
+                if i != j:
+                    power[j, i] += banded.conj()
 
         slow = _Family.of(_slow_parts(grid), grid)
         families = [
@@ -369,19 +405,19 @@ class _Sandwich:
 
     def transforms(self) -> Iterator[Complex]:
         """Yield the transforms (k, p, frequencies) of the weighted sensitivities of every stretch."""
-        if self.kept is not None:
+        if self.kept:
             yield from self.kept
             return
         for J in self.weighted:
-            yield np.fft.rfft(J * self.deviation[:, None, None], self.grid.size)
+            yield self.grid.transform(J, self.deviation)
 
-    def mixture(self, periodogram: Complex) -> _Mixture:
-        """Return the average of the spectra that may have made a periodogram (k, k, frequencies)."""
+    def forget_transforms(self) -> None:
+        """Free the memory of the transforms."""
+        self.kept.clear()
+
+    def mixture(self, lags: Array, banded: Complex) -> _Mixture:
+        """Return the average of the spectra that may have made a periodogram, as in `periodogram`."""
         k = len(self.counts)
-        order = int(min(HIGHEST_ORDER, self.counts.max() // SAMPLES_PER_ORDER))
-        lags = np.fft.irfft(periodogram, self.grid.size)[..., : order + 1].transpose(2, 0, 1)
-        banded = self.grid.banded(periodogram)
-
         alone = [self._one_output(i, lags[:, i, i], banded[i, i].real) for i in range(k)]
         density: NDArray = np.zeros(banded.shape, dtype=complex)
         typical = np.array([one.typical for one in alone])
@@ -522,31 +558,38 @@ class _Sandwich:
         density = (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.conj().transpose(0, 2, 1)
         return density.transpose(1, 2, 0)
 
-    def taken_power(self, density: Complex) -> Complex:
-        """Return the periodogram (k, k, frequencies) of what the fit took from errors of this spectrum.
+    def taken_power(self, density: Complex) -> tuple[Array, Complex]:
+        """Return the periodogram, as in `periodogram`, of what the fit took from errors of this spectrum.
 
         Residuals r = (1 - P) e, with P = J B⁻¹ (R⁻¹ J)ᵀ, have the covariance Σ - P Σ - Σ Pᵀ + P Σ Pᵀ. What other data
         bring to the estimate is taken to have errors of the same color.
         """
         filtered = list(self._filtered(density))
         size = self.deviation[:, None, None]
-        bread = sum(np.einsum("kpn,kl,lqn->pq", J, self.noise, J, optimize=True) for J in self.weighted)
-        meat = sum(np.einsum("kpn,kqn->pq", J * size, G) for J, G in zip(self.weighted, filtered, strict=True))
+        bread, meat = np.zeros_like(self.inverse), np.zeros_like(self.inverse)
+        for J, G in zip(self.weighted, filtered, strict=True):
+            bread += product_over_time(J, self.noise)
+            meat += np.tensordot(J * size, G, ((0, 2), (0, 2)))
         own = self.inverse @ bread @ self.inverse
         factor = np.sum(self.inverse * meat) / max(float(np.sum(self.inverse * bread)), 1e-300)
         middle = self.inverse @ meat @ self.inverse + factor * (self.inverse - own)
 
-        result = np.zeros_like(self.periodogram)
+        pairs = []
         sizes = self.noise / size[:, 0]
+        unit = np.sqrt(self.counts)
         for J, G, e, transform in zip(self.weighted, filtered, self.residuals, self.transforms(), strict=True):
-            sensitivity = np.tensordot(sizes, J, 1)
-            half = self.inverse @ G - middle.T @ sensitivity / 2
-            half = half * (e != 0)[:, None]
-            one = np.tensordot(sizes / self.deviation, transform, 1)
-            other = np.fft.rfft(half, self.grid.size).conj()
-            products = np.einsum("ipf,jpf->ijf", one, other)
-            result += products + products.conj().transpose(1, 0, 2)
-        return result / np.sqrt(self.counts * self.counts[:, None])[:, :, None]
+            half = self.inverse @ G - middle.T @ np.tensordot(sizes, J, 1) / 2
+            half *= (e != 0)[:, None] / unit[:, None, None]
+            one = np.tensordot(sizes / self.deviation / unit[:, None], transform, 1)
+            pairs.append((one, np.fft.rfft(half, self.grid.size).conj()))
+
+        def product(i: int, j: int) -> Complex:
+            total = np.zeros(len(self.grid.weight), dtype=complex)
+            for one, other in pairs:
+                total += np.einsum("pf,pf->f", one[i], other[j]) + np.einsum("pf,pf->f", one[j], other[i]).conj()
+            return total
+
+        return self.grid.covariances(product, len(unit), _highest_order(self.counts))
 
     def _filtered(self, density: Complex) -> Iterator[Array]:
         """Yield Σ_e R⁻¹ J (k, p, n) of every stretch."""
@@ -574,6 +617,23 @@ def _size(matrices: Array) -> Array:
 def _aicc(unknowns: float, n: float) -> float:
     """Return the penalty of AICc, which grows without limit as the unknowns become as many as the numbers."""
     return 2 * unknowns * n / max(n - unknowns - 1, 1e-3)
+
+
+def product_over_time(weighted: Array, noise: Array) -> Array:
+    """Return Σ Jᵀ R J (p, p) over the samples of weighted sensitivities J (k, p, n), for R (k, k)."""
+    p = weighted.shape[1]
+    each = (J @ np.tensordot(row, weighted, 1).T for J, row in zip(weighted, noise, strict=True))
+    return sum(each, np.zeros((p, p)))
+
+
+def _pairs_of(k: int) -> list[tuple[int, int]]:
+    """Return the pairs of k outputs, each with itself too, the later one first."""
+    return [(i, j) for i in range(k) for j in range(i + 1)]
+
+
+def _highest_order(counts: Array) -> int:
+    """Return the highest order of autoregressions of outputs with so many samples (k,)."""
+    return int(min(HIGHEST_ORDER, counts.max() // SAMPLES_PER_ORDER))
 
 
 def _slow_parts(grid: _Grid) -> Array:
