@@ -70,3 +70,8 @@ def test_the_order_is_that_of_least_bic_and_leaves_twenty_samples_a_coefficient(
     assert_allclose(r[0], e[:150] @ e[:150] / 150)
     scores = [150 * np.log(variance) + (len(a) - 1) * np.log(150) for a, variance in levinson(r)]
     assert len(autoregression([values])) - 1 == int(np.argmin(scores))
+
+
+def test_a_series_that_alternates_has_a_positive_coefficient():
+    assert_allclose(autoregression([colored([1.0, 0.8], 5000, seed=4)]), [1, 0.8], atol=0.05)
+    assert_allclose(autoregression([1e-3 * colored([1.0, 0.8], 5000, seed=4)]), [1, 0.8], atol=0.05)
