@@ -5,6 +5,10 @@ import json
 import pytest
 from command_line import run
 
+from greybox.cli.list_command import _source
+from greybox.data.text_table import number
+from greybox.models.tilt import Tilt
+
 
 def test_list_names_every_shipped_problem_and_model(capsys):
     status, out, _ = run(capsys, "list")
@@ -23,3 +27,37 @@ def test_list_shows_one_whole(capsys, name):
     assert status == 0
     assert "$$" in out
     assert "meaning" in out
+
+
+def test_a_model_is_shown_with_all_that_it_declares(capsys):
+    model = Tilt()
+    rows = [
+        {"name": name, "start": p.start, "bounds": list(p.bounds), "unit": p.unit, "about": p.about}
+        | {"fixed": p.fixed, "scale": p.scale}
+        for name, p in model.parameters.items()
+    ]
+    answer = json.loads(run(capsys, "list", "tilt:Tilt", "--json")[1])
+    assert answer["parameters"] == rows
+    assert (answer["inputs"], answer["outputs"]) == (list(model.input_names), list(model.output_names))
+    assert answer["name"] == "tilt:Tilt"
+    lines = run(capsys, "list", "tilt:Tilt")[1].splitlines()
+    assert lines[0] == "Tilt: u -> theta"
+    begins = next(
+        k for k, line in enumerate(lines) if line.split() == ["parameter", "start", "bounds", "unit", "meaning"]
+    )
+    for line, (name, p) in zip(lines[begins + 2 :], model.parameters.items(), strict=True):
+        bounds = f"[{p.bounds[0]:g}, {p.bounds[1]:g}]"
+        words = [name, number(p.start), *bounds.split(), p.unit, *(["fixed"] if p.fixed else []), *p.about.split()]
+        assert line.split() == words
+
+
+@pytest.mark.parametrize(
+    ("doc", "source"),
+    [
+        ("A lag.\n\nSource: A. B. Name (2012), Title, section 3. More of it.", "A. B. Name (2012), Title, section 3"),
+        ("Source: a line\nand another.", "a line and another"),
+        ("A lag.", ""),
+    ],
+)  # fmt: skip
+def test_the_source_is_the_first_sentence_after_its_word(doc, source):
+    assert _source(doc) == source

@@ -113,3 +113,18 @@ def test_the_data_of_a_window_are_those_of_its_stretch():
     late = windows.rows - first < 2  # where the delayed input is that of before the stretch
     assert_array_equal(np.isnan(found["measured"][0]), late)
     assert_allclose(found["measured"][0][~late], data["y"][windows.rows][~late])
+
+
+def test_of_rows_without_a_time_each_that_has_its_inputs_and_some_output_is_a_window():
+    lost = np.nan
+    signals = {
+        "u": np.array([1.0, 2.0, lost, 4.0, 5.0, 6.0]),
+        "y": np.array([1.0, lost, 3.0, lost, 5.0, lost]),
+        "z": np.array([lost, lost, 3.0, 4.0, 5.0, 6.0]),
+    }
+    rows = gb.Record(np.arange(6.0), signals, name="rows", has_time=False)
+    windows = cut(rows, ["u"], ["y", "z"], lead=1.0, horizon=1.0)
+    assert_array_equal(windows.rows, [[0], [3], [4], [5]])
+    assert (windows.lead, windows.horizon, len(windows)) == (0, 1, 4)
+    with pytest.raises(ValueError, match="rows has no row with all inputs and an output"):
+        cut(rows.rows(np.array([1, 2])), ["u"], ["y", "z"], lead=1.0, horizon=1.0)
