@@ -2,14 +2,16 @@
 
 import json
 import math
+from argparse import Namespace
 from importlib.resources import files
 
 import numpy as np
 import pytest
 from command_line import run
 
-from greybox.cli.inspect_command import _about, _contents
+from greybox.cli.inspect_command import _about, _contents, _following
 from greybox.data.record import Record, Recording
+from greybox.data.test_segment import Segment
 
 LOG = str(files("greybox.problems") / "data" / "sitl_pitch.BIN")
 PITCH = ["--announced", "SINE", "--input", "u=RATE.POut", "--output", "theta=ATT.Pitch"]
@@ -97,3 +99,34 @@ def test_what_a_log_holds_is_a_table_of_its_messages():
         "armed 10.5 to 11.5 s",
         "2 parameters",
     ]
+
+
+@pytest.mark.parametrize(
+    ("message", "found", "stated", "following"),
+    [
+        ("RATE.POut", ["sine"], {}, "greybox identify my.BIN"),
+        (
+            "RATE.POut", ["sine"],
+            {"announced": "SINE", "setpoint": "A.x", "fields": ["omega=W"], "columns": ["time=1"]},
+            "greybox identify my.BIN --announced SINE --setpoint A.x --fields omega=W --columns time=1",
+        ),
+        ("T.u", ["sine"], {}, "greybox response my.BIN --input u=SIGNAL --output theta=SIGNAL"),
+        ("T.u", [], {}, ""),
+        (
+            "T.u", ["stick input", "2-1-1", "step"], {},
+            "greybox response my.BIN --manoeuvre 2 --input T.u --output SIGNAL --out manoeuvre.csv",
+        ),
+        (
+            "T.u", ["stick input"], {"setpoint": "T.u"},
+            "greybox response my.BIN --manoeuvre 1 --setpoint T.u --input T.u --output SIGNAL --out manoeuvre.csv",
+        ),
+    ],
+)  # fmt: skip
+def test_the_next_command_follows_from_what_was_found(message, found, stated, following):
+    name, _, field = message.partition(".")
+    log = Recording({name: Record([0.0, 1.0], {field: [0.0, 1.0]})})
+    tests = [Segment(0.0, 1.0, kind=kind, axis=message, omega=9.0) for kind in found]
+    options = {"log": "my.BIN", "announced": "", "setpoint": "", "fields": [], "columns": []} | stated
+    is_sine = found[:1] == ["sine"]
+    parts = (tests, []) if is_sine else ([], tests)
+    assert _following(log, *parts, Namespace(**options)) == following

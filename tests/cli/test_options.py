@@ -4,7 +4,16 @@ import argparse
 
 import pytest
 
-from greybox.cli.options import UsageError, assignments, nonnegative, positive
+from greybox.cli.options import (
+    UsageError,
+    assignments,
+    intervals,
+    nonnegative,
+    positive,
+    probability,
+    seconds,
+    uncertain_values,
+)
 
 
 def test_integers():
@@ -22,3 +31,28 @@ def test_assignments():
     for word in ("a5", "a5=", "a5=x", "=", "a5:3"):
         with pytest.raises(UsageError, match=r"--fix .* is not understood: write NAME=VALUE"):
             assignments([word], "--fix")
+
+
+def test_probabilities_and_times():
+    assert (probability("0.25"), seconds("1e-9"), seconds("90")) == (0.25, 1e-9, 90.0)
+    for text in ("0", "1", "-0.1", "nan", "x"):
+        with pytest.raises(argparse.ArgumentTypeError, match="is not a probability between 0 and 1"):
+            probability(text)
+    for text in ("0", "-1", "inf", "nan", "x"):
+        with pytest.raises(argparse.ArgumentTypeError, match="is not a number of seconds above 0"):
+            seconds(text)
+
+
+def test_intervals_and_uncertain_values():
+    assert intervals(["a=-10:1e3", "b=0:", "c=:-2"], "--bounds") == {
+        "a": (-10.0, 1000.0),
+        "b": (0.0, float("inf")),
+        "c": (-float("inf"), -2.0),
+    }
+    assert uncertain_values(["a=-3.2+-0.1", "b=1e3±20"], "--prior") == {"a": (-3.2, 0.1), "b": (1000.0, 20.0)}
+    for word in ("a", "a=1", "=1:2", "a=x:1", "a=1:2:3"):
+        with pytest.raises(UsageError, match=r"--bounds .* is not understood: write NAME=LOW:HIGH, e\.g\. a1=-10:10"):
+            intervals([word], "--bounds")
+    for word in ("a", "a=1", "a=1+-", "a=1+-2+-3"):
+        with pytest.raises(UsageError, match=r"--prior .* is not understood: write NAME=VALUE\+-SIGMA"):
+            uncertain_values([word], "--prior")
