@@ -141,7 +141,7 @@ def test_a_step_was_the_last_where_the_next_decrease_follows_from_two(
     factor, last, length, damping, continuous, converged, by_distance
 ):
     """Quadratic convergence: the decrease squared over the last one, of full undamped steps."""
-    decrease = np.sqrt(SETTINGS.tolerance * factor * (last if last == last else 1.0))
+    decrease = np.sqrt(SETTINGS.tolerance * factor * np.nan_to_num(last, nan=1.0))
     progress = stage(last_decrease=last, damping=damping)
     taken = step(0.1 * decrease, decrease) if by_distance else step(decrease, 0.1 * decrease)
     solver = deciding(continuous=continuous)
