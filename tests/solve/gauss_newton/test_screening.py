@@ -1,6 +1,7 @@
 """Starts of records that are improved and compared on short segments before any of them is run."""
 
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -148,3 +149,19 @@ def test_what_is_not_finite_promises_nothing():
     assert 2 in screened.order[-3:]
     assert sorted(screened.order) == list(range(6))
     assert AllAtOnce().screened(solver, starts) is None
+
+
+def test_the_declared_start_is_the_fourth_as_it_is_and_the_promising_ones_begin_where_they_lead(monkeypatch):
+    problem = lag_problem()
+    nlp = compile_problem(problem)
+    solver = GaussNewton(nlp)
+    starts = drawn(problem, 8, 0)
+    found = np.clip(1.1 * starts, nlp.lower, nlp.upper)
+    points = SimpleNamespace(z=nlp.scaling.to_solver(found[1:]))
+    monkeypatch.setattr("greybox.solve.gauss_newton.driver.Screening.improved", lambda self, z: points)
+    monkeypatch.setattr("greybox.solve.gauss_newton.driver.distinct", lambda improved: [5, 0, 2, 6])
+    screened = solver.screened(starts)
+    assert screened.order.tolist() == [6, 1, 3, 0, 7, 2, 4, 5]
+    promising = [6, 1, 3, 7]
+    assert_allclose(screened.begins[promising], found[promising], rtol=1e-12)
+    assert_array_equal(screened.begins[[0, 2, 4, 5]], starts[[0, 2, 4, 5]])
