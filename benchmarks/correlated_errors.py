@@ -165,11 +165,19 @@ def cell(plant: Plant, errors: Errors, samples: int, repeats: int, seed: int) ->
     """Repeat one experiment; a row whose standard errors are called rough is not asked for a confident interval."""
     holds, scaled, rough = [], [], []
     for error, residuals, weighted, initial in _fits(plant, errors, samples, repeats, seed):
-        weight = np.diag(1 / np.sqrt(np.mean(residuals**2, axis=1)))
-        profiled = _without(weighted * np.diag(weight)[:, None, None], initial * np.diag(weight)[:, None, None])
+        size = np.sqrt(np.mean(residuals**2, axis=1))[:, None, None]
+        profiled = _without(weighted / size, initial / size)
         inverse = np.linalg.inv(np.einsum("kpn,kqn->pq", profiled, profiled))
+        unit = np.linalg.inv(np.linalg.cholesky(np.einsum("ksn,ktn->st", initial / size, initial / size)))
         found = colored_errors(
-            [profiled * np.diag(weight)[:, None, None]], [residuals], inverse, weight, initial.shape[1], 1.0
+            [profiled / size],
+            [residuals],
+            inverse,
+            np.diag(1 / size.ravel()),
+            initial.shape[1],
+            1.0,
+            [np.einsum("st,ktn->ksn", unit, initial / size**2)],
+            initial,
         )
         z = error / np.sqrt(np.diag(inverse @ found.meat @ inverse))
         scaled.append(z)

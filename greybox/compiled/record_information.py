@@ -36,6 +36,8 @@ def colored_errors(
     weight: Array,
     initial_states: int,
     step: float,
+    initial: Sequence[Array] | None = None,
+    shocks: Array | None = None,
 ) -> ColoredErrors:
     """Return what the correlation of the residuals makes of an estimate.
 
@@ -52,9 +54,13 @@ def colored_errors(
         Fitted along.
     step : float
         From sample to sample, s.
+    initial : sequence of (k, m, n) arrays, optional
+        WᵀW dy/dx by directions x of the initial states, of unit variance for white errors.
+    shocks : (k, s, n) array, optional
+        dy of the longest stretch after unit jumps of s states.
     """
     noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)
-    found = colored_information(weighted, residuals, inverse, noise)
+    found = colored_information(weighted, residuals, inverse, noise, initial, shocks)
     numbers = sum(int(np.count_nonzero(e)) for e in residuals)
 
     # What the parameters take from these residuals and would take from white ones of the same variance.

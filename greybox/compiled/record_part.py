@@ -57,6 +57,10 @@ COMPLETE = 0.9
 # Relative variance of a direction of initial states below which it counts as known.
 DIRECTIONS = 1e-12
 
+# Power of a response in its last quarter over that of the whole, beyond which it grows without end: of two integrators
+# it is 2.3, of an unstable mode over three time constants 3.8.
+GROWS = 2.5
+
 
 @dataclass(frozen=True, eq=False)
 class Placed:
@@ -789,6 +793,8 @@ class RecordPart(Part):
                 weight,
                 initial,
                 max(self.data.stretches, key=len).step,
+                self.data.unpadded(told.by_initial),
+                told.shocks,
             )
 
         noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)
@@ -882,11 +888,13 @@ class RecordPart(Part):
             triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows]), mode="r"))
             white += rows.T @ rows
         first = sensitivity[self.data.begins_stretch] * noticed[:, None]
+        of_initial = by_initial.reshape(k, m, s * length)
         return _Sensitivity(
             triangle=triangle,
             white=white,
             weighted=weighted.reshape(k, p, s * length),
-            by_initial=by_initial.reshape(k, m, s * length),
+            by_initial=of_initial,
+            shocks=self._shocks(initial_directions, of_initial, weight),
             reach=np.sqrt(squares),
             initial={name: first[:, i] for i, name in enumerate(self.system.states) if not known[i]},
         )
@@ -917,6 +925,31 @@ class RecordPart(Part):
             result[rows, :, : kept.sum()] = X[rows] @ (vectors[:, kept] / np.sqrt(values[kept]))
         return result
 
+    def _shocks(self, directions: Array, by_initial: Array, weight: Array) -> Array:
+        """Return how the residuals of the longest stretch follow (k, n, samples) after unit jumps of the states.
+
+        From the `directions` (s, n, m) of the initial states and what follows from these, WᵀW dy (k, m, samples).
+        States whose jumps no output shows are left out, and those after which the outputs grow without end: then
+        process noise has no spectrum.
+        """
+        longest = int(np.argmax([len(stretch) for stretch in self.data.stretches]))
+        begins = directions[np.flatnonzero(self.data.begins_stretch)[longest]]
+        scale = np.abs(begins).max(axis=1, initial=0.0)
+        begins, scale = begins[scale > 0], scale[scale > 0, None]
+        moved = np.linalg.pinv(begins / scale) / scale.T
+        noise = np.linalg.inv(weight.T @ weight)
+        shocks = np.tensordot(noise, self.data.unpadded(by_initial)[longest], 1)
+        shocks = np.einsum("kmt,mn->knt", shocks, moved)
+
+        samples = np.arange(shocks.shape[2])
+        for response, measured in zip(shocks, self.data.stretches[longest].outputs, strict=True):
+            there = np.isfinite(measured)
+            for row in response if there.any() else ():  # what is missing has no sensitivity
+                row[:] = np.interp(samples, samples[there], row[there])
+        power = (shocks**2).sum(axis=0)
+        last = power[:, 3 * len(samples) // 4 :].mean(axis=1)
+        return shocks[:, last < GROWS * power.mean(axis=1)]
+
 
 @dataclass(frozen=True, eq=False)
 class _Sensitivity:
@@ -930,6 +963,8 @@ class _Sensitivity:
         WᵀJ.
     by_initial : (k, m, samples) array
         The same by m directions of unit variance of the initial states of every stretch, at known parameters.
+    shocks : (k, s, n) array
+        How the residuals of the longest stretch follow after unit jumps of s states.
     reach : (p,) array
         Lengths of the columns of J if what states and parameters contribute to it could not cancel.
     initial : mapping of state to (stretches, p) array
@@ -940,6 +975,7 @@ class _Sensitivity:
     white: Array
     weighted: Array
     by_initial: Array
+    shocks: Array
     reach: Array
     initial: Mapping[str, Array]
 

@@ -1,7 +1,8 @@
 """Statistics of residuals and signals, independent of any model.
 
-`residual_spectrum` is what standard errors in time use where residuals are correlated, and `error_spectrum` draws such
-errors; `residual_autocorrelation` makes a series white; `noise_ratio` tells a smooth signal from noise; `metrics` holds
-fit percent, variance accounted for, Theil's coefficient and tests of whiteness, of correlation with the input, and of
-feedback; `resampling` has intervals from replicates, and blocks of a series.
+`residual_spectrum` is what standard errors in time use where residuals are correlated, `variance_components` has the
+variances of sensors and process noise in it, and `error_spectrum` draws such errors; `residual_autocorrelation` makes a
+series white; `noise_ratio` tells a smooth signal from noise; `metrics` holds fit percent, variance accounted for,
+Theil's coefficient and tests of whiteness, of correlation with the input, and of feedback; `resampling` has intervals
+from replicates, and blocks of a series.
 """

@@ -5,7 +5,9 @@ autoregression of order 30, whose coefficients 300 samples do not determine, and
 So several families are fitted and averaged by their evidence: autoregressions of every order, white noise with a slow
 part (a correlation that decays exponentially), and white noise with a part of the color of the sensitivities, which is
 where errors harm the estimate most (process noise passes through the same dynamics), each for every output alone; and
-vector autoregressions, which correlate the outputs. How far they disagree says how well the variance is known.
+vector autoregressions, which correlate the outputs. Process noise moves all outputs together, through dynamics that
+are known: with white noise of the sensors it is the last of them, the only one that records of a few correlation times
+tell enough of. How far they disagree says how well the variance is known.
 
 Sources: Burnham and Anderson (2002), Model Selection and Multimodel Inference, 2nd ed., chapter 4 (averaging by AICc
 and the variance between models); Whittle (1953), Arkiv för Matematik 2 (likelihood of a spectrum) and (1963),
@@ -15,7 +17,7 @@ correlation than the errors, by what the fit took from them).
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -23,6 +25,7 @@ from numpy.typing import NDArray
 
 from greybox.statistics.error_spectrum import ROUNDING, ErrorSpectrum
 from greybox.statistics.residual_autocorrelation import levinson
+from greybox.statistics.variance_components import LEAST, VarianceComponents, variance_components, whittle_score
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -56,6 +59,9 @@ CORRECTED_AGAIN = 0.1
 # it, as for white errors, will do.
 LONGEST_CORRECTED = 50_000
 
+# Samples above which process noise is not looked for with the model's dynamics: so long a record shows its spectrum.
+LONGEST_MODELED = 10_000
+
 COLUMNS = 65536  # frequencies at once in memory: 25 MB for three outputs and eight parameters
 MOST_KEPT = 1 << 24  # numbers of the transforms that are kept for later use: 256 MB; of more, they are made again
 
@@ -69,6 +75,9 @@ WITHIN = 1 - math.exp(-1)
 
 # -2 log likelihood above its least value from which the residuals exclude a spectrum: chi-squared, one number, 95 %.
 EXCLUDED = 3.84
+
+# Variances of process noise that are tried, in units of the outputs' residuals: beyond, no record fails to exclude it.
+PROCESS_NOISE = np.geomspace(1e-3, 30.0, 40)
 
 TINY = 1e-300
 
@@ -106,7 +115,12 @@ class ColoredInformation:
 
 
 def colored_information(
-    weighted: Sequence[Array], residuals: Sequence[Array], inverse: Array, noise: Array
+    weighted: Sequence[Array],
+    residuals: Sequence[Array],
+    inverse: Array,
+    noise: Array,
+    initial: Sequence[Array] | None = None,
+    shocks: Array | None = None,
 ) -> ColoredInformation:
     """Return Σ J' Σ_e J (p, p) for errors with the spectrum of the residuals: the middle of the sandwich.
 
@@ -120,6 +134,11 @@ def colored_information(
         The covariance of the estimate for white errors of covariance R, other data included.
     noise : (k, k) array
         R.
+    initial : sequence of (k, m, n) arrays, optional
+        R⁻¹ dy/dx by directions x of the initial states, which the fit moved along, of unit variance for white errors
+        of covariance R: what these took from the errors.
+    shocks : (k, s, n) array, optional
+        dy of the longest stretch after unit jumps of s states, through which process noise reaches the outputs.
 
     Source of the sandwich: Morelli and Klein (1997), Accuracy of aerodynamic model parameters estimated from flight
     test data, Journal of Guidance, Control, and Dynamics 20(1).
@@ -129,10 +148,16 @@ def colored_information(
         nothing = np.zeros(there.size)
         return ColoredInformation(np.zeros_like(inverse), 0.0, 0.0, nothing, corrected=True, hidden=1.0, spectrum=None)
     if there.all():
-        problem = _Sandwich.of(weighted, residuals, inverse, noise)
+        problem = _Sandwich.of(weighted, residuals, inverse, noise, initial, shocks)
     else:
-        some = [J[there] for J in weighted], [e[there] for e in residuals]
-        problem = _Sandwich.of(*some, inverse, noise[np.ix_(there, there)])
+        problem = _Sandwich.of(
+            [J[there] for J in weighted],
+            [e[there] for e in residuals],
+            inverse,
+            noise[np.ix_(there, there)],
+            None if initial is None else [X[there] for X in initial],
+            None if shocks is None else shocks[there],
+        )
     corrected = sum(e.shape[1] for e in residuals) <= LONGEST_CORRECTED
     mixture = problem.mixture(*problem.periodogram)
     for _ in range(CORRECTIONS if corrected else 0):
@@ -142,6 +167,7 @@ def colored_information(
         if abs(mixture.taken - before) < CORRECTED_AGAIN * before:
             break
     meat = problem.grid.score_covariance(problem.transforms(), mixture.density)
+    hidden = problem.hidden(meat, mixture.density)
     problem.forget_transforms()
     times = np.zeros(there.size)
     times[there] = problem.grid.correlation_times(mixture.typical)
@@ -151,7 +177,7 @@ def colored_information(
     deviation = np.ones(there.size)
     deviation[there] = problem.deviation
     spectrum = ErrorSpectrum(problem.grid.omega, density, deviation)
-    return ColoredInformation(meat, taken, mixture.uncertainty, times, corrected, problem.hidden(meat), spectrum)
+    return ColoredInformation(meat, taken, mixture.uncertainty, times, corrected, hidden, spectrum)
 
 
 def score_covariance(weighted: Sequence[Array], spectrum: ErrorSpectrum | None) -> Array:
@@ -346,9 +372,19 @@ class _Sandwich:
     seen: Array
     families: Sequence[Sequence[_Family]]
     kept: list[Complex]
+    initial: Sequence[Array] | None = None
+    shocks: Array | None = None
 
     @classmethod
-    def of(cls, weighted: Sequence[Array], residuals: Sequence[Array], inverse: Array, noise: Array) -> "_Sandwich":
+    def of(
+        cls,
+        weighted: Sequence[Array],
+        residuals: Sequence[Array],
+        inverse: Array,
+        noise: Array,
+        initial: Sequence[Array] | None = None,
+        shocks: Array | None = None,
+    ) -> "_Sandwich":
         k = len(weighted[0])
         grid = _Grid.of(max(e.shape[1] for e in residuals))
         counts = np.maximum(sum(np.count_nonzero(e, axis=1) for e in residuals), 1)
@@ -401,6 +437,8 @@ class _Sandwich:
             _seen(residuals),
             families,
             kept,
+            initial,
+            shocks,
         )
 
     def transforms(self) -> Iterator[Complex]:
@@ -418,22 +456,98 @@ class _Sandwich:
     def mixture(self, lags: Array, banded: Complex) -> _Mixture:
         """Return the average of the spectra that may have made a periodogram, as in `periodogram`."""
         k = len(self.counts)
-        alone = [self._one_output(i, lags[:, i, i], banded[i, i].real) for i in range(k)]
-        density: NDArray = np.zeros(banded.shape, dtype=complex)
-        typical = np.array([one.typical for one in alone])
+        candidates = [self._apart([self._one_output(i, lags[:, i, i], banded[i, i].real) for i in range(k)])]
+        if k > 1:
+            candidates.append(self._together(lags))
+        if self.noise_parts is not None:
+            candidates = [self._judged_on_residuals(one, banded) for one in candidates]
+        candidates = [replace(one, density=self._unmasked(one.density)) for one in candidates]
+        if self.noise_parts is not None:
+            candidates.append(self._process_noise(self.noise_parts))
+
+        score = np.array([one.score for one in candidates])
+        weight = np.exp(-(score - score.min()) / 2)
+        weight /= weight.sum()
+        logarithm = np.log([max(one.taken, TINY) for one in candidates])
+        spread = (logarithm - weight @ logarithm) ** 2 + [one.uncertainty for one in candidates]
+        return _Mixture(
+            np.tensordot(weight, [one.density for one in candidates], 1),
+            np.exp(np.tensordot(weight, [one.typical for one in candidates], 1)),
+            float(weight @ [one.taken for one in candidates]),
+            float(weight @ spread),
+        )
+
+    def _apart(self, alone: Sequence["_Evidence"]) -> "_Evidence":
+        """Return the spectra of outputs whose errors are independent, from those of every one."""
+        k = len(alone)
+        density: NDArray = np.zeros((k, k, len(self.grid.omega)), dtype=complex)
         for i, one in enumerate(alone):
             density[i, i] = one.density
         taken = sum(one.taken for one in alone)
         uncertainty = sum(one.uncertainty * one.taken**2 for one in alone) / max(taken**2, TINY)
-        if k > 1:
-            together = self._together(lags)
-            weight = 1 / (1 + math.exp(min(max((together.score - sum(one.score for one in alone)) / 2, -50), 50)))
-            density = (1 - weight) * density + weight * together.density
-            typical = (1 - weight) * typical + weight * np.log(np.einsum("iib->ib", together.density).real)
-            apart = math.log(max(together.taken, TINY) / max(taken, TINY))
-            uncertainty = (1 - weight) * (uncertainty + weight * apart**2) + weight * together.uncertainty
-            taken = (1 - weight) * taken + weight * together.taken
-        return _Mixture(self._unmasked(density), np.exp(typical), float(taken), float(uncertainty))
+        return _Evidence(
+            density, np.array([one.typical for one in alone]), sum(one.score for one in alone), taken, uncertainty
+        )
+
+    def _judged_on_residuals(self, one: "_Evidence", banded: Complex) -> "_Evidence":
+        """Return what the residuals say of a spectrum, with its penalty, instead of a periodogram of the errors."""
+        errors = whittle_score(one.density.transpose(2, 0, 1), banded.transpose(2, 0, 1), self._numbers)
+        penalty = one.score - errors + self._numbers.sum() * len(self.counts)
+        return replace(one, score=penalty + self._score(one.density))
+
+    @cached_property
+    def _variances(self) -> VarianceComponents:
+        parts = self.noise_parts
+        assert parts is not None
+        return variance_components(parts.of_residuals, self._of_residuals, self._numbers, sensors=len(self.counts))
+
+    @cached_property
+    def _numbers(self) -> Array:
+        """Independent numbers (b,) of every output in a band."""
+        return self.counts.max() * self.grid.band_weight
+
+    @cached_property
+    def _of_residuals(self) -> Complex:
+        return self.periodogram[1].transpose(2, 0, 1)
+
+    def _process_noise(self, parts: "_NoiseParts") -> "_Evidence":
+        """Return white noise of every sensor with process noise, of the variances that the residuals show."""
+        k, n = len(self.counts), self.counts.max()
+        found = self._variances
+        score = found.score + _aicc(len(found.variance), n * k)
+        density = np.tensordot(found.variance, parts.density, 1)
+        each = np.array([self._taken(part) for part in parts.density]) * found.variance
+        taken = float(each.sum())
+        share = each / max(taken, TINY)
+        typical = np.log(np.maximum(np.einsum("iib->ib", density).real, TINY))
+        return _Evidence(density, typical, score, taken, float(share @ found.covariance @ share))
+
+    @cached_property
+    def noise_parts(self) -> "_NoiseParts | None":
+        """White noise of every sensor and process noise in every state, each of variance one; None without shocks."""
+        if self.shocks is None or self.counts.max() > LONGEST_MODELED:
+            return None
+        k, grid = len(self.counts), self.grid
+        transforms = np.fft.rfft(self.shocks / self.deviation[:, None, None], grid.size)
+        spectra = [np.einsum("if,jf->ijf", H, H.conj()) for H in transforms.transpose(1, 0, 2)]
+        power = [float(np.einsum("iif->f", spectrum).real @ grid.weight) / k for spectrum in spectra]
+        spectra = [spectrum / p for spectrum, p in zip(spectra, power, strict=True) if p > TINY]
+        if not spectra:
+            return None
+        sensors = np.eye(k)[:, :, None] * np.eye(k)[:, None, :]
+        spectra = [np.repeat(one[:, :, None], len(grid.weight), 2).astype(complex) for one in sensors] + spectra
+
+        # Products of samples some lag apart that are there.
+        there = [np.fft.rfft((e != 0).astype(float), grid.size) for e in self.residuals]
+        pairs = np.fft.irfft(sum(mask[:, None] * mask.conj() for mask in there), grid.size)
+        pairs /= np.sqrt(self.counts * self.counts[:, None])[:, :, None]
+        density, of_residuals = [], []
+        for spectrum in spectra:
+            expected = np.fft.rfft(np.fft.irfft(spectrum, grid.size) * pairs, grid.size)
+            density.append(grid.banded(spectrum))
+            left = grid.banded(expected) - self.taken_power(density[-1])[1]
+            of_residuals.append(_positive(left.transpose(2, 0, 1)))
+        return _NoiseParts(np.array(density), np.array(of_residuals))
 
     def _one_output(self, i: int, r: Array, banded: Array) -> "_Evidence":
         """Average the spectra of one output, of autocovariances r (lags,) and periodogram (b,)."""
@@ -486,9 +600,10 @@ class _Sandwich:
         delays = self.grid.delays[1 : best + 1]
         response = np.linalg.inv(np.eye(k) + np.tensordot(delays, a.reshape(k, best, k), (0, 1)))
         density = (response @ innovation @ response.conj().transpose(0, 2, 1)).transpose(1, 2, 0)
-        return _Evidence(density, np.zeros(0), float(scores[best]), self._taken(density), 2 * (best + 1) / n)
+        typical = np.log(np.maximum(np.einsum("iib->ib", density).real, TINY))
+        return _Evidence(density, typical, float(scores[best]), self._taken(density), 2 * (best + 1) / n)
 
-    def hidden(self, meat: Array) -> float:
+    def hidden(self, meat: Array, density: Complex) -> float:
         """Return how many times larger the variances would be by the worst spectra that the residuals do not exclude.
 
         The geometric mean over all directions, so that a bias, which a slow error is not told from in records of any
@@ -503,7 +618,32 @@ class _Sandwich:
         likely = others + sum(meats[0] for _, meats in outputs)
         size = _size(likely)
         added = [float((_size(likely - meats[0] + meats) - size).max()) for _, meats in outputs]
-        return math.exp(max(float(size - _size(others + self.root.T @ meat @ self.root)) + math.hypot(*added), 0.0))
+        found = float(_size(others + self.root.T @ meat @ self.root))
+        worst = [float(size) + math.hypot(*added)]
+        if self.noise_parts is not None:
+            worst += [
+                float(_size(others + self.root.T @ self.grid.score_covariance(self.transforms(), one) @ self.root))
+                for one in self._process_noise_not_excluded(self.noise_parts, density)
+            ]
+        return math.exp(max(*worst, found) - found)
+
+    def _process_noise_not_excluded(self, parts: "_NoiseParts", likely: Complex) -> Iterator[Complex]:
+        """Yield the spectrum with most process noise that the residuals do not exclude beside a likely one, if any."""
+        k = len(self.counts)
+        found = self._variances
+        limit = min(found.score, self._score(likely)) + EXCLUDED
+        shares = np.maximum(found.variance[k:], LEAST)
+        for total in PROCESS_NOISE[::-1]:
+            variance = np.concatenate([found.variance[:k], total * shares / shares.sum()])
+            spectrum = np.tensordot(variance, parts.of_residuals, 1)
+            if whittle_score(spectrum, self._of_residuals, self._numbers) < limit:
+                yield np.tensordot(variance, parts.density, 1)
+                return
+
+    def _score(self, density: Complex) -> float:
+        """Return -2 log likelihood of the residuals for errors of a spectrum (k, k, b)."""
+        left = density - self.taken_power(density)[1]
+        return whittle_score(_positive(left.transpose(2, 0, 1)), self._of_residuals, self._numbers)
 
     def _not_excluded(self, i: int) -> tuple[Array, Array]:
         """Return what one output tells (p, p), and the scores' covariances by spectra that are not excluded (m, p, p).
@@ -553,10 +693,8 @@ class _Sandwich:
             return density
         variance = self.grid.mean(np.einsum("iib->ib", density).real)
         density = density - np.diag((1 - seen) * variance)[:, :, None]
-        density = (density / np.sqrt(seen * seen[:, None])[:, :, None]).transpose(2, 0, 1)
-        values, vectors = np.linalg.eigh(density)
-        density = (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.conj().transpose(0, 2, 1)
-        return density.transpose(1, 2, 0)
+        density = density / np.sqrt(seen * seen[:, None])[:, :, None]
+        return _positive(density.transpose(2, 0, 1)).transpose(1, 2, 0)
 
     def taken_power(self, density: Complex) -> tuple[Array, Complex]:
         """Return the periodogram, as in `periodogram`, of what the fit took from errors of this spectrum.
@@ -564,7 +702,8 @@ class _Sandwich:
         Residuals r = (1 - P) e, with P = J B⁻¹ (R⁻¹ J)ᵀ, have the covariance Σ - P Σ - Σ Pᵀ + P Σ Pᵀ. What other data
         bring to the estimate is taken to have errors of the same color.
         """
-        filtered = list(self._filtered(density))
+        transforms = list(self.transforms())
+        filtered = [self._filtered(density, J, F) for J, F in zip(self.weighted, transforms, strict=True)]
         size = self.deviation[:, None, None]
         bread, meat = np.zeros_like(self.inverse), np.zeros_like(self.inverse)
         for J, G in zip(self.weighted, filtered, strict=True):
@@ -577,8 +716,19 @@ class _Sandwich:
         pairs = []
         sizes = self.noise / size[:, 0]
         unit = np.sqrt(self.counts)
-        for J, G, e, transform in zip(self.weighted, filtered, self.residuals, self.transforms(), strict=True):
-            half = self.inverse @ G - middle.T @ np.tensordot(sizes, J, 1) / 2
+        for s, e in enumerate(self.residuals):
+            J, transform, moved, covariance = self.weighted[s], transforms[s], self.inverse @ filtered[s], middle
+            if self.initial is not None:
+                # Every stretch has initial states of its own, whose errors are correlated with those of the parameters.
+                X = self.initial[s]
+                of_initial = self.grid.transform(X, self.deviation)
+                G = self._filtered(density, X, of_initial)
+                both = self.inverse @ np.tensordot(J * size, G, ((0, 2), (0, 2)))
+                own = np.tensordot(X * size, G, ((0, 2), (0, 2)))
+                covariance = np.block([[middle, both], [both.T, own]])
+                J, moved = np.concatenate([J, X], axis=1), np.concatenate([moved, G], axis=1)
+                transform = np.concatenate([transform, of_initial], axis=1)
+            half = moved - covariance.T @ np.tensordot(sizes, J, 1) / 2
             half *= (e != 0)[:, None] / unit[:, None, None]
             one = np.tensordot(sizes / self.deviation / unit[:, None], transform, 1)
             pairs.append((one, np.fft.rfft(half, self.grid.size).conj()))
@@ -591,11 +741,25 @@ class _Sandwich:
 
         return self.grid.covariances(product, len(unit), _highest_order(self.counts))
 
-    def _filtered(self, density: Complex) -> Iterator[Array]:
-        """Yield Σ_e R⁻¹ J (k, p, n) of every stretch."""
+    def _filtered(self, density: Complex, J: Array, transform: Complex) -> Array:
+        """Return Σ_e R⁻¹ J (k, p, n) of a stretch."""
         spread = self.grid.spread_out(density)
-        for J, transform in zip(self.weighted, self.transforms(), strict=True):
-            yield np.fft.irfft(np.einsum("ijf,jpf->ipf", spread, transform), self.grid.size)[..., : J.shape[2]]
+        return np.fft.irfft(np.einsum("ijf,jpf->ipf", spread, transform), self.grid.size)[..., : J.shape[2]]
+
+
+@dataclass(frozen=True, eq=False)
+class _NoiseParts:
+    """Parts of the errors, of variance one: their spectra, and the periodograms of residuals to be expected.
+
+    Attributes
+    ----------
+    density : (c, k, k, b) array
+    of_residuals : (c, b, k, k) array
+        Of what the fit leaves of errors as long as the record, and with its missing samples.
+    """
+
+    density: Complex
+    of_residuals: Complex
 
 
 @dataclass(frozen=True, eq=False)
@@ -607,6 +771,12 @@ class _Evidence:
     score: float
     taken: float
     uncertainty: float
+
+
+def _positive(matrices: Complex) -> Complex:
+    """Return Hermitian matrices (b, k, k) without their negative parts, which approximations leave."""
+    values, vectors = np.linalg.eigh(matrices)
+    return (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.conj().transpose(0, 2, 1)
 
 
 def _size(matrices: Array) -> Array:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from evaluation import numeric_jacobian
 from numpy.testing import assert_allclose
+from scipy.linalg import expm
 from spring_lag_tilt import HELD, SPRING, Spring, spring
 
 import greybox as gb
@@ -280,3 +281,23 @@ def test_facts_of_a_part(made):
     known, _ = part_of(spring(60), gb.OutputError(inputs="held", initial={"x": lambda p: 0.0}))
     assert known.unknown_initial_states == 1
     assert known.model.known_states.tolist() == [True, False]
+
+
+def test_process_noise_reaches_the_outputs_as_jumps_of_the_states_do():
+    """Of a linear model after any jump by the exponential of its matrix, missing samples filled."""
+    record = spring(120)
+    record = record.with_signals(x=np.where(np.arange(120) % 7 == 3, np.nan, record["x"]))
+    part, z = part_of(record)
+    trajectory = part.trajectory(z, part.initial_trajectory(z).nodes)
+    shocks = part._jacobian(trajectory, part.initial_weight(0.1)).shocks
+    A = np.array([[0.0, 1.0], [-SPRING["k"], -SPRING["c"]]])
+    wanted = np.stack([expm(A * t) for t in record.time - record.time[0]], axis=2)
+    assert_allclose(-shocks, wanted, atol=0.02)  # residuals are measured less modeled outputs
+
+
+def test_process_noise_of_an_unstable_model_has_no_spectrum():
+    part, z = part_of(spring(120))
+    unstable = z.copy()
+    unstable[list(SPRING).index("c")] *= -3
+    trajectory = part.trajectory(unstable, part.initial_trajectory(unstable).nodes)
+    assert part._jacobian(trajectory, part.initial_weight(0.1)).shocks.shape[1] == 0

@@ -288,8 +288,59 @@ def test_what_is_hidden_is_beside_the_variances_that_are_given():
     inverse = np.linalg.inv(J[0] @ J[0].T)
     e = colored([1, -0.7], n, seed=3)
     e = (e - e @ J[0].T @ inverse @ J[0])[None]
-    sandwich, meat = _Sandwich.of([J], [e], inverse, np.eye(1)), information([J], [e]).meat
-    hidden = [sandwich.hidden(factor * meat) for factor in (1.0, 0.04, 0.01, 1e6)]
+    sandwich, found = _Sandwich.of([J], [e], inverse, np.eye(1)), information([J], [e])
+    hidden = [sandwich.hidden(factor * found.meat, found.spectrum.density) for factor in (1.0, 0.04, 0.01, 1e6)]
     assert hidden[1] > 1
     assert hidden[2] == pytest.approx(4 * hidden[1], rel=1e-6)
     assert hidden[3] == 1
+
+
+def pushed(n, seed):
+    """Position and velocity of a mass on a spring, driven by commands and pushed by noise, under white noise.
+
+    Sensitivities by stiffness, damping and force, those by the initial states, and residuals of a fit of all of them.
+    """
+    F = expm(0.05 * np.array([[0.0, 1.0], [-9.0, -1.2]]))
+    random = np.random.default_rng([seed, n])
+    u = np.repeat(np.random.default_rng(0).choice([-1.0, 1.0], n // 10 + 1), 10)[:n]
+    x, states, gust, e = np.zeros(2), [], np.zeros(2), np.zeros((2, n))
+    for t in range(-300, n):
+        if t >= 0:
+            states.append(x)
+            x = F @ x + [0.0, 0.2 * u[t]]
+            e[:, t] = gust + 0.05 * random.normal(size=2)
+        gust = F @ gust + [0.0, 0.3 * np.sqrt(0.05) * random.normal()]
+    forces = [np.array(states).T[0], np.array(states).T[1], u]
+    J, initial = np.zeros((2, 3, n)), np.zeros((2, 2, n))
+    initial[:, :, 0] = np.eye(2)
+    for t in range(1, n):
+        J[:, :, t] = F @ J[:, :, t - 1] + np.array([[0.0] * 3, [0.05 * force[t - 1] for force in forces]])
+        initial[:, :, t] = F @ initial[:, :, t - 1]
+    A = np.concatenate([J, initial], axis=1).transpose(0, 2, 1).reshape(2 * n, -1)
+    weight = np.repeat([1.0, 0.2], n)  # the gusts are in the velocity most
+    estimate = np.linalg.lstsq(A * weight[:, None], e.ravel() * weight, rcond=None)[0]
+    return J, initial, e - (A @ estimate).reshape(2, n), estimate[:3]
+
+
+def test_process_noise_is_found_through_the_dynamics_in_a_record_of_three_time_constants():
+    """Residuals alone show little of its power: the fit took most, and of the resonance six numbers are left."""
+    alone, known = [], []
+    for seed in range(15):
+        J, initial, residuals, estimate = pushed(100, seed)
+        noise = np.diag([1.0, 25.0])
+        J, initial = J.copy(), initial.copy()
+        jumps = initial.copy()
+        for each in (J, initial):
+            each[1] /= 5.0
+        # The initial states fitted along, and in directions of unit variance.
+        X = initial.transpose(0, 2, 1).reshape(-1, 2)
+        X = np.linalg.qr(X)[0]
+        columns = J.transpose(0, 2, 1).reshape(-1, 3)
+        columns = columns - X @ (X.T @ columns)
+        inverse = np.linalg.inv(columns.T @ columns)
+        weighted, moved = (c.reshape(2, 100, -1).transpose(0, 2, 1) / [[[1.0]], [[5.0]]] for c in (columns, X))
+        for found, more in ((alone, ()), (known, ([moved], jumps))):
+            meat = colored_information([weighted], [residuals], inverse, noise, *more).meat
+            found.append(estimate / np.sqrt(np.diag(inverse @ meat @ inverse)))
+    assert np.sqrt(np.mean(np.square(known))) == pytest.approx(1.0, abs=0.25)
+    assert np.sqrt(np.mean(np.square(alone))) > 1.5

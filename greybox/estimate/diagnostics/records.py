@@ -84,8 +84,8 @@ def hidden_errors(accuracy: Accuracy) -> Iterator[str]:
     wider = math.exp(math.hypot(*(math.log(known.wider) for known in found)))
     if wider > NARROW:
         yield (
-            "so short a record hides slow errors, such as a drift, in its noise: those that the residuals do not "
-            f"exclude would make the intervals up to {wider:.2g} times wider than they are."
+            "so short a record hides slow errors, such as drift or gusts, in its noise: those that the residuals do "
+            f"not exclude would make the intervals up to {wider:.2g} times wider than they are."
         )
 
 

@@ -1,0 +1,62 @@
+"""Variances of parts of known spectra, against the ones that made the periodogram."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import minimize
+
+from greybox.statistics.variance_components import variance_components, whittle_score
+
+TRUTH = np.array([0.4, 0.9, 0.3])
+
+
+def parts(bands):
+    """White noise of two outputs, and one that reaches both through a resonance; (c, b, k, k)."""
+    omega = np.linspace(0, np.pi, bands)
+    through = np.array([1 / (0.3**2 - omega**2 + 0.05j * omega), 1j * omega / (0.3**2 - omega**2 + 0.05j * omega)])
+    resonance = np.einsum("ib,jb->bij", through, through.conj())
+    resonance /= np.einsum("bii->b", resonance).real.mean() / 2
+    white = np.eye(2)[:, None, :, None] * np.eye(2)[:, None, None, :] * np.ones((2, bands, 1, 1))
+    return np.concatenate([white, resonance[None]])
+
+
+def drawn(spectrum, random):
+    root = np.linalg.cholesky(spectrum)
+    z = (random.normal(size=(*root.shape[:2], 1)) + 1j * random.normal(size=(*root.shape[:2], 1))) / np.sqrt(2)
+    return (root @ z) @ (root @ z).conj().transpose(0, 2, 1)
+
+
+def test_the_expected_periodogram_has_the_variances_that_made_it():
+    expected = parts(200)
+    found = variance_components(expected, np.tensordot(TRUTH, expected, 1), np.full(200, 2.0), sensors=2)
+    assert_allclose(found.variance, TRUTH, rtol=2e-3)
+
+
+def test_the_minimum_is_that_of_another_minimizer():
+    expected, numbers = parts(60), np.full(60, 2.0)
+    periodogram = drawn(np.tensordot(TRUTH, expected, 1), np.random.default_rng(0))
+    found = variance_components(expected, periodogram, numbers, sensors=2)
+    other = minimize(
+        lambda logs: whittle_score(np.tensordot(np.exp(logs), expected, 1), periodogram, numbers),
+        np.log(TRUTH),
+        method="Nelder-Mead",
+        options={"xatol": 1e-6, "fatol": 1e-9, "maxiter": 2000},
+    )
+    assert found.score == pytest.approx(other.fun, abs=2e-3)
+    assert_allclose(found.variance, np.exp(other.x), rtol=0.02)
+
+
+def test_the_covariance_is_that_of_repeated_periodograms():
+    expected, random = parts(60), np.random.default_rng(1)
+    spectrum = np.tensordot(TRUTH, expected, 1)
+    every = [variance_components(expected, drawn(spectrum, random), np.full(60, 2.0), sensors=2) for _ in range(150)]
+    logs = np.log([one.variance for one in every])
+    assert_allclose(np.mean([one.covariance for one in every], axis=0).diagonal(), logs.var(axis=0), rtol=0.35)
+
+
+def test_a_part_that_is_not_there_has_no_variance():
+    expected = parts(200)
+    white = np.tensordot(TRUTH * [1, 1, 0], expected, 1)
+    found = variance_components(expected, white, np.full(200, 2.0), sensors=2)
+    assert found.variance[2] < 1e-3
+    assert_allclose(found.variance[:2], TRUTH[:2], rtol=5e-3)
