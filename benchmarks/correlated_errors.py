@@ -176,8 +176,8 @@ def cell(plant: Plant, errors: Errors, samples: int, repeats: int, seed: int) ->
             np.diag(1 / size.ravel()),
             initial.shape[1],
             1.0,
-            [np.einsum("st,ktn->ksn", unit, initial / size**2)],
-            initial,
+            initial=[np.einsum("st,ktn->ksn", unit, initial / size**2)],
+            shocks=initial,
         )
         z = error / np.sqrt(np.diag(inverse @ found.meat @ inverse))
         scaled.append(z)

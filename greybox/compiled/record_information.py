@@ -36,6 +36,7 @@ def colored_errors(
     weight: Array,
     initial_states: int,
     step: float,
+    *,
     initial: Sequence[Array] | None = None,
     shocks: Array | None = None,
 ) -> ColoredErrors:

@@ -793,8 +793,8 @@ class RecordPart(Part):
                 weight,
                 initial,
                 max(self.data.stretches, key=len).step,
-                self.data.unpadded(told.by_initial),
-                told.shocks,
+                initial=self.data.unpadded(told.by_initial),
+                shocks=told.shocks,
             )
 
         noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)
