@@ -706,9 +706,11 @@ def _response_texts(responses: Sequence[FittedResponse]) -> list[str]:
     with np.errstate(divide="ignore", invalid="ignore"):  # zeros, which are left out
         off = [np.abs(part.data.response - part.response) / np.abs(part.data.response) for part in responses]
     known = [(part, values) for part, values in zip(responses, off, strict=True) if np.all(np.isfinite(values))]
-    known.sort(key=lambda pair: -rms(pair[1]) if len(known) > MANY else 0.0)
+    many = len(known) > MANY
+    if many:
+        known.sort(key=lambda pair: -rms(pair[1]))
     texts = []
-    for part, values in known[:WORST] if len(known) > MANY else known:
+    for part, values in known[:WORST] if many else known:
         worst = int(np.argmax(values))
         where = f" ({part.name})" if part.name and len(responses) > 1 else ""
         texts.append(
