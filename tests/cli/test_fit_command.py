@@ -104,7 +104,6 @@ def test_a_stored_result_of_a_users_model_loads_without_it(capsys, own, tmp_path
         "    except LookupError as error:\n        return f'MISSING {error}'\n"
         "fit = gb.load('own.h5')\n"
         "print(fit)\n"
-        "gb.plot(fit)\n"
         "print('ELSEWHERE', response())\n"
         "os.chdir('..')\n"
         "print('THERE', response())\n"
@@ -222,7 +221,7 @@ def test_a_fit_that_is_killed_goes_on(capsys, own, monkeypatch):
     monkeypatch.setattr("greybox.study.run_files.UNWRITTEN", 2.0)  # is put back afterwards
     name = own(EAGER)
     with subprocess.Popen(command(name, "--starts", "2000")) as process:
-        while kept_runs() < 20 and process.poll() is None:
+        while kept_runs() < 8 and process.poll() is None:
             time.sleep(0.01)
         refusal = refused(capsys, *command(name)[3:])
         process.kill()

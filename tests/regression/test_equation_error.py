@@ -1,6 +1,7 @@
 """Equation error: known truths recovered, intervals that cover, unmeasured states, delays, gaps, and bad input."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -67,6 +68,7 @@ def solved(derivative, start, time):
     return solve_ivp(derivative, (time[0], time[-1]), start, t_eval=time, rtol=1e-7, atol=1e-9, max_step=0.05).y
 
 
+@cache
 def slider(mu=0.5, delay=0.0, seconds=40.0, step=0.01):
     time = np.arange(round(seconds / step)) * step
 
@@ -559,12 +561,17 @@ SHORT = {"Z0": -0.8, "Za": -1.4, "Ma": -7.0, "Mq": -2.0, "Md": -11.0}
 
 def short_period(seed=0, **biases):
     """20 s with steps of the elevator at a constant airspeed of 60 m/s."""
+    made = short_period_without_biases(seed)
+    return made.with_signals(**{name: made[name] + bias for name, bias in biases.items()})
+
+
+@cache
+def short_period_without_biases(seed):
     time = np.arange(1000) / 50
     delta = 0.03 * np.sign(np.sin(1.3 * time)) + 0.02 * np.sin(4 * time)
     excitation = {"delta": delta, "V": np.full(time.size, 60.0)}
     noise = {"alpha": 2e-4, "q": 5e-4, "az": 0.01}
-    flown = gb.virtual_flight(Short(), SHORT, excitation, rate=50.0, noise=noise, seed=seed)
-    return flown.with_signals(**{name: flown[name] + bias for name, bias in biases.items()})
+    return gb.virtual_flight(Short(), SHORT, excitation, rate=50.0, noise=noise, seed=seed)
 
 
 def test_constant_errors_of_sensors_are_estimated():
