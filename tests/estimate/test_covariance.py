@@ -558,7 +558,7 @@ def coverage():
 )
 def test_intervals_hold_the_truth_as_often_as_they_say(coverage, label, criterion):
     """Coverage of every quantity between 92 and 97 %, up to what chance does once in 10 000."""
-    repeats = 150
+    repeats = 100
     case = next(case for case in coverage.cases() if case.label == label)
     outcome = coverage.cell(case, criterion, repeats, seed=5)
     assert outcome.difference < 1e-2  # the benchmark's quick way is that of gb.fit
