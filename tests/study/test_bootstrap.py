@@ -251,6 +251,22 @@ def test_an_interval_is_open_where_replicates_reach_the_bound(replicates):
     assert apart.interval(0.9999999, "percentile")["a"][1] == pytest.approx(done[:, 0].max())
 
 
+@pytest.mark.parametrize(("stretched", "said"), [(1.0, False), (2.4, False), (2.6, True), (1 / 2.6, True)])
+def test_intervals_that_reach_farther_to_one_side_are_told(replicates, stretched, said):
+    even = np.linspace(-1, 1, 1001)
+    values = np.column_stack([np.where(even > 0, stretched * even, even), even])
+    made = replace(
+        replicates,
+        values=values,
+        estimate=np.zeros(2),
+        bounds=np.full((2, 2), [-np.inf, np.inf]),
+        dof=np.full(2, np.inf),
+    )
+    assert bool(made.notes) is said
+    assert ("note: the replicates of a reach" in str(made)) is said
+    assert made.summary()["notes"] == [*made.notes]
+
+
 def test_a_bootstrap_is_printed_with_its_numbers(replicates):
     text = str(replicates).splitlines()
     assert text[0] == "made: bootstrap, points drawn; 40 replicates, 2 failed"
