@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greybox.data.record import GAP, Record, Recording, share_samples
+from greybox.data.record import Record, Recording, share_samples
 
 TIME = np.arange(10) / 50
 SIGNAL = np.sin(TIME)
@@ -52,7 +52,10 @@ def test_rate_and_duration():
 
 def test_pieces_are_cut_at_gaps_and_put_together_give_the_record():
     step = 0.02
-    time = np.concatenate([np.arange(50) * step, 0.98 + GAP * step * 1.01 + np.arange(30) * step])
+    shorter, time = (
+        np.concatenate([np.arange(50) * step, 0.98 + gap * step + np.arange(30) * step]) for gap in (2.48, 2.52)
+    )
+    assert len(Record(shorter, {}).pieces) == 1
     flown = Record(time, {"u": time**2})
     first, second = flown.pieces
     assert (len(first), len(second)) == (50, 30)

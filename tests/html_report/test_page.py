@@ -1,6 +1,8 @@
 """The page as a document: sections, links, what is left out."""
 
 import re
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,8 +10,10 @@ from page_results import lag
 
 import greybox as gb
 from greybox.html_report.entry import Entry
+from greybox.html_report.fit_section import _remarks, fit_section
 from greybox.html_report.page import LARGEST, page
 from greybox.html_report.report import with_bootstraps, write_page
+from greybox.models.polynomial import Polynomial
 
 
 @pytest.fixture(scope="module")
@@ -75,3 +79,48 @@ def test_the_title_is_that_of_the_fit_or_their_number(fit, tmp_path):
     write_page([Entry("a", fit)], tmp_path / "x.html", title="own")
     assert "<h1>own</h1>" in (tmp_path / "x.html").read_text(encoding="utf-8")
     assert np.geterr()["invalid"] != "ignore"
+
+
+def captions(elements):
+    return ["".join(title.itertext()) for element in elements for title in element.iter("strong")]
+
+
+def test_of_many_records_the_worst_are_drawn_and_of_one_model_one_sensitivity(fit):
+    response, record = fit.parts
+    bad = replace(record, data=replace(record.data, name="bad"), simulated={"y": 0 * record.simulated["y"]})
+    many = replace(fit, parts=(response, *(record,) * 3, bad, *(record,) * 3), models=None)
+    sections = dict(fit_section(Entry("many", many), 200))
+    said, drawn, residuals = sections["Time history"]
+    assert said.text == "Of 7 records the 6 that are fitted worst are drawn."
+    titles = captions([drawn])
+    assert titles.count("Time history, bad") == 1
+    assert titles == ["Time history, flight"] * 3 + ["Time history, bad"] + ["Time history, flight"] * 2
+    assert len(captions([residuals])) == 6
+    few = dict(fit_section(Entry("few", replace(fit, parts=(response, *(record,) * 6), models=None)), 200))
+    assert [element.tag for element in few["Time history"]] == ["div", "div"]
+
+    both = gb.fit(
+        gb.Problem(Polynomial(1, 0), response.data) + gb.Problem(Polynomial(1, 0), record.data),
+        starts=1,
+        progress=False,
+    )
+    two = replace(
+        both,
+        parts=(both.parts[0], replace(both.parts[0], name="again"), both.parts[1]),
+        models=(*both.models, both.models[0]),
+    )
+    assert captions(dict(fit_section(Entry("two", two), 200))["Frequency response"]).count("Sensitivity") == 1
+
+
+def test_remarks_name_what_is_correlated_and_where_standard_errors_mislead(fit):
+    remarks = [element.text for element in dict(fit_section(Entry("lag", fit), 200))["Parameters"][1:]]
+    assert remarks[0].startswith("CR is the Cramér-Rao bound, the standard error in percent of the value")
+    judged = fit.identifiability
+    pairs = [f"{a} and {b} ({value:.2f})" for a, b, value in judged.correlated]
+    assert [text for text in remarks if text.startswith("Correlated")] == (
+        [f"Correlated beyond 0.9: {', '.join(pairs).replace('-', '−')}."] if pairs else []
+    )
+    profiled = replace(fit, profiles=SimpleNamespace(profiles=[SimpleNamespace(name="b0"), SimpleNamespace(name="a0")]))
+    assert _remarks(profiled)[1].text == (
+        "The intervals here are those of the standard errors, which mislead for b0 and a0: see Intervals."
+    )

@@ -1,14 +1,17 @@
 """Of a grid of rational transfer functions the one that made the data is chosen, and not a larger one."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from declared_models import measured
 
 import greybox as gb
+from greybox.data.text_table import number
 from greybox.models.polynomial import Polynomial
 from greybox.plotting.orders import orders
+from greybox.regression.poles_and_zeros import near_pairs
 
 
 class Plant(gb.TransferFunction):
@@ -41,6 +44,27 @@ def test_the_structure_of_the_truth_is_chosen(found):
     # More parameters of a larger structure never cost more: every fit has found its minimum.
     costs = {(c.n, c.m, c.delay): c.fit.cost for c in found.candidates}
     assert costs[2, 1, True] <= costs[2, 0, True] + 1e-6 < costs[2, 0, False]
+
+
+def test_the_table_has_every_structure_that_was_fitted(found):
+    """By number of parameters and BIC, with poles and zeros that nearly cancel."""
+    lines = str(found).splitlines()
+    assert lines[0].split() == "n m integrators delay free -ln L BIC above pairs".split()
+    assert [(c.parameters, c.bic) for c in found.candidates] == sorted((c.parameters, c.bic) for c in found.candidates)
+    least = min(c.bic for c in found.candidates)
+    for line, c in zip(lines[2:], found.candidates, strict=False):
+        cells = [str(c.n), str(c.m), str(c.integrators), *(["yes"] if c.delay else []), str(c.parameters)]
+        cells += [number(c.fit.cost, 5), number(round(c.bic - least, 2), 4), *([str(len(c.pairs))] if c.pairs else [])]
+        assert line.split() == [*cells, *(["<-", "chosen"] if c is found.chosen else [])]
+        estimate = c.fit.estimate
+        assert c.parameters == c.n - c.integrators + c.m + 1 + c.delay == len(c.fit.free)
+        zeros = np.roots([estimate[f"b{k}"] for k in range(c.m, -1, -1)])
+        poles = np.roots([1.0, *(estimate[f"a{k}"] for k in range(c.n - 1, c.integrators - 1, -1))])
+        assert list(map(str, c.pairs)) == list(map(str, near_pairs(zeros, poles)))
+    assert any(c.m for c in found.candidates)
+    assert lines[2 + len(found.candidates) :] == ["", found.verdict]
+    assert repr(found) == f"<OrderSelection {len(found.candidates)} structures, n = 2, m = 0, 1 integrator, delay>"
+    assert str(replace(found, failed=2)).endswith("2 structures had no fit.")
 
 
 def test_the_figure_shows_all_structures(found):
