@@ -137,3 +137,33 @@ def test_without_python_control_the_sentence_names_the_extra(monkeypatch):
     for convert in (gb.interop.to_control, gb.interop.from_control):
         with pytest.raises(ModuleNotFoundError, match=r"needs control: pip install 'greybox-id\[control\]'"):
             convert(DATA)
+
+
+def test_names_of_signals_go_there_and_back(control):
+    named = gb.FrequencyResponse([1.0, 2.0], [1j, 2.0], "da", "p", name="roll rate, 5°")
+    there = gb.interop.to_control(named)
+    assert (there.input_labels, there.output_labels, there.name) == (["da"], ["p"], "roll_rate_5")
+    there = gb.interop.to_control(gb.FrequencyResponse([1.0, 2.0], [1j, 2.0]))
+    assert (there.input_labels, there.output_labels) == (["u"], ["y"])
+    two = control.ss([[-1.0, 0], [0, -2]], [[1.0, 0], [0, 1]], np.eye(2), np.zeros((2, 2)))
+    model = gb.interop.from_control(two)
+    assert (model.inputs, model.outputs) == (("u1", "u2"), ("y1", "y2"))
+    one = gb.interop.from_control(control.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]], states=["v z"]))
+    assert (one.inputs, one.outputs) == (("u",), ("y",))
+
+
+def test_scipys_system_is_of_a_kind_that_it_has():
+    model = KnownModel()
+    assert isinstance(gb.interop.to_scipy(model), signal.TransferFunction)
+    assert isinstance(gb.interop.to_scipy(model, kind="state-space"), signal.StateSpace)
+    with pytest.raises(ValueError, match="kind is 'zpk': give 'transfer-function' or 'state-space'"):
+        gb.interop.to_scipy(model, kind="zpk")
+
+
+class KnownModel(gb.TransferFunction):
+    """A lag."""
+
+    T = gb.Parameter(0.5)
+
+    def response(self, s, p):
+        return 1 / (p.T * s + 1)
