@@ -26,6 +26,7 @@ def saved(tmp_path):
 def test_batches_are_samples_in_time(saved):
     recording = read(saved(imu_batches()))
     assert {"ISBD[gyro0]", "ISBD[accel0]"} <= set(recording)
+    assert not [text for text in recording.findings if "left out" in text]
     gyro = recording["ISBD[gyro0]"]
     assert (len(gyro), len(gyro.pieces), gyro.units["x"]) == (2 * BATCH, 2, "rad/s")
     assert gyro.rate == pytest.approx(BATCH_RATE)
