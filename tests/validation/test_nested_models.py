@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
-from drag_flights import LINEAR, Drag, LinearDrag, fitted, flight
+from drag_flights import LINEAR, Drag, LinearDrag, QuadraticDrag, fitted, flight
 from scipy.stats import chi2, f
 
 import greybox as gb
@@ -56,6 +56,14 @@ def test_the_scaled_ratio_is_held_against_f(drags):
         "for residuals that are correlated in time)."
     )
     assert repr(found).startswith("<NestedTest LinearDrag in Drag, p")
+
+
+def test_a_fit_of_one_model_is_called_by_what_it_holds_and_one_of_another_model_by_its_name(drags):
+    record = drags[1].records[0].data
+    held = fitted(Drag(), record, fixed={"C_x": 0.0})
+    assert gb.validation.nested_test(held, drags[1]).small == "Drag with C_x fixed"
+    assert gb.validation.nested_test(fitted(QuadraticDrag(), record), drags[1]).small == "QuadraticDrag"
+    assert gb.validation.nested_test(*drags).small == "LinearDrag"
 
 
 def test_without_a_ratio_the_estimates_are_held_against_their_errors(drags):

@@ -51,6 +51,18 @@ def test_batches_without_their_header_are_left_out(saved):
     assert any("no ISBH that describes them" in text for text in recording.findings)
 
 
+def test_batches_of_no_rate_no_divisor_and_no_samples_are_counted(saved):
+    made = imu_batches()
+    for number, divisor, rate, samples in ((97, 900, 0.0, 1), (98, 0, BATCH_RATE, 1), (99, 900, BATCH_RATE, 0)):
+        at = 20_000_000 + 1000 * number
+        made.add("ISBH", at, number, 1, 0, divisor, BATCH, at, rate)
+        for k in range(samples):
+            made.add("ISBD", at + 1, number, k, *[bytes(64)] * 3)
+    recording = read(saved(made))
+    assert "ISBD: 3 batches have no sound ISBH or no samples and were left out." in recording.findings
+    assert len(recording["ISBD[gyro0]"]) == 2 * BATCH
+
+
 def test_vibration_is_found_and_inspected(saved, capsys):
     path = saved(imu_batches())
     x, y, z = vibration("ISBD[gyro0]", read(path)["ISBD[gyro0]"])

@@ -2,9 +2,12 @@ import importlib.util
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from synthetic_logs import ulog
 
+from greybox.data.record import Record
 from greybox.logs.readers import read
+from greybox.logs.readers.ulog import _with_angles
 
 installed = pytest.mark.skipif(importlib.util.find_spec("pyulog") is None, reason="the extra px4 is not installed")
 
@@ -57,3 +60,17 @@ def test_without_pyulog_the_cure_is_named(saved, monkeypatch):
     monkeypatch.setattr("greybox.logs.readers.ulog.find_spec", lambda name: None)
     with pytest.raises(ValueError, match=r"log\.ulg is a PX4 log, which needs pyulog: install it with pip install"):
         saved(ulog())
+
+
+def test_the_angles_of_a_quaternion_are_those_of_scipys_rotation():
+    rotation = Rotation.random(20, random_state=0)
+    x, y, z, w = rotation.as_quat().T
+    quaternion = {f"q[{k}]": values for k, values in enumerate((w, x, y, z))}
+    made = _with_angles("vehicle_attitude", Record(np.arange(20.0), quaternion, hold={"q[0]": 0.0}))
+    yaw, pitch, roll = rotation.as_euler("ZYX").T
+    for name, angle in (("roll", roll), ("pitch", pitch), ("yaw", yaw)):
+        np.testing.assert_allclose(made[name], angle, atol=1e-9)
+        assert made.units[name] == "rad"
+        assert made.hold[name] == 0.0
+    known = Record(np.arange(20.0), quaternion | {"roll": np.ones(20)})
+    assert np.all(_with_angles("vehicle_attitude", known)["roll"] == 1)
