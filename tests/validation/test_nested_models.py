@@ -74,6 +74,9 @@ def test_without_a_ratio_the_estimates_are_held_against_their_errors(drags):
     assert (found.scale, found.statistic) == (1.0, pytest.approx(t**2))
     assert found.p_value == pytest.approx(f.sf(t**2, 1, large.dof))
     assert str(found).endswith("; Wald test with the standard errors of the fit).")
+    held = fitted(Drag(), large.records[0].data, fixed={"C_x": 0.04})
+    t = (large.estimate["C_x"] - 0.04) / large.standard_error["C_x"]
+    assert gb.validation.nested_test(held, replace(large, white=None)).statistic == pytest.approx(t**2)
 
 
 def test_a_larger_model_that_has_the_smaller_one_as_a_limit_is_scaled_by_all_directions(drags):
