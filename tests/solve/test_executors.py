@@ -94,7 +94,7 @@ def lone_worker():
 
 def fitted(problem, executor, *, by_ipopt):
     method = gb.Collocation() if by_ipopt else None
-    starts = 40 if problem is RESPONSE else 4
+    starts = 40 if problem is RESPONSE else 2 if by_ipopt else 4
     return gb.fit(problem, starts, method=method, search="multistart", executor=executor, progress=False)
 
 
