@@ -213,7 +213,7 @@ def _without(sensitivity: Array, initial: Array) -> Array:
 
 def study(repeats: dict[int, int], plants: Sequence[Plant] = PLANTS, seed: int = 1) -> Iterator[str]:
     """Yield the lines of the study; `repeats` by number of samples."""
-    heads = f"{'samples':>7} {'times':>5} {'fits':>5} {'said':>4}"
+    heads = f"{'samples':>7} {'times':>5} {'fits':>5} {'said':>4} {'unsaid':>6}"
     yield f"{'plant':14} {'errors':10} {heads}  coverage (rms) of every parameter"
     long: list[Cell] = []
     for plant in plants:
@@ -225,13 +225,16 @@ def study(repeats: dict[int, int], plants: Sequence[Plant] = PLANTS, seed: int =
                     f"{100 * share:.1f}{_mark(100 * share)}({rms:.2f})"
                     for share, rms in zip(found.holds.mean(axis=0), size, strict=True)
                 )
+                unsaid = (~found.holds & ~found.rough[:, None]).mean(axis=0).max()
                 times = "-" if found.times > samples else f"{found.times:.0f}"
                 yield (
                     f"{plant.name:14} {errors.name:10} {samples:7} {times:>5} {len(found.holds):5} "
-                    f"{100 * found.rough.mean():3.0f}%  {words}"
+                    f"{100 * found.rough.mean():3.0f}% {100 * unsaid:5.1f}%  {words}"
                 )
                 if found.times >= FEWEST:
                     long.append(found)
+    if not long:
+        return
     holds = np.concatenate([found.holds.ravel() for found in long])
     squares = np.concatenate([found.scaled.ravel() ** 2 for found in long])
     yield (
