@@ -23,7 +23,7 @@ def test_every_figure_can_be_saved(tmp_path, pitch, rotors, failed, sweep):
     axes = [gb.plotting.starts(failed), gb.plotting.nyquist(pitch, rotors)[0]]
     axes += [gb.plotting.bode(failed)[0], gb.plotting.bode(pitch, sweep)[0]]
     for k, figure in enumerate([gb.plot(pitch), *(ax.figure for ax in axes)]):
-        for kind in ("png", "svg", "pdf"):
+        for kind in ("png", "svg", "pdf") if k == 0 else ("svg",):
             figure.savefig(tmp_path / f"{k}.{kind}")
             assert (tmp_path / f"{k}.{kind}").stat().st_size > 1000
 
@@ -37,8 +37,11 @@ def run(code):
 
 
 def test_importing_greybox_loads_no_matplotlib_and_plotting_no_pyplot():
-    assert run("import sys, greybox; print('matplotlib' in sys.modules)") == "False"
-    assert run("import sys, greybox.plotting; print('matplotlib.pyplot' in sys.modules)") == "False"
+    code = (
+        "import sys, greybox; print('matplotlib' in sys.modules); "
+        "import greybox.plotting; print('matplotlib.pyplot' in sys.modules)"
+    )
+    assert run(code).split() == ["False", "False"]
 
 
 def test_a_notebook_shows_the_figure_without_pyplot():
