@@ -25,10 +25,8 @@ def equivalent_estimates(nlp: Nlp, search: Multistart) -> Array:
     or two signs, if the response stays what it is.
     """
     best = search.minima[0]
-    at_best = set(best.runs)
-    ends = {run.index: run.estimate for run in search.runs if run.index in at_best}
     found = [best.estimate]
-    left = np.array([ends[index] for index in best.runs])
+    left = search.runs.estimate[np.array(best.runs)]
     while (left := left[_apart(left, found[-1]).any(axis=1)]).size:
         found.append(left[0])
     if len(nlp.free) <= EXCHANGED and not any(part.has_states for part in nlp.parts):

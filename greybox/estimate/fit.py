@@ -300,12 +300,12 @@ def _fitted_from(
 def _cut_short(search: Multistart, count: int, *, interrupted: bool) -> Iterator[str]:
     """Say what Ctrl-C and time limits have left out of a search from so many starts."""
     done, total = len(search.brought), counted(count, "start")
-    is_over = any(run.status == SEARCH_OVER for run in search.runs)
+    is_over = bool(np.any(search.runs.status == SEARCH_OVER))
     if (interrupted and done < count) or is_over:
         cause = "the time limit ended the search" if is_search_over() else "interrupted"
         machine = ", and a faster machine may answer otherwise" if is_search_over() else ""
         yield f"{cause} after {done} of {total}: another one may end at a lower cost{machine}."
-    cut = sum(run.status == RUN_OVER for run in search.runs)
+    cut = int(np.count_nonzero(search.runs.status == RUN_OVER))
     if cut:
         yield (
             f"{cut} of {total} {'was' if cut == 1 else 'were'} cut at {current_limits().start:g} s, the time limit of "

@@ -21,6 +21,7 @@ from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
 from greybox.solve.multistart import multistart
 from greybox.solve.outcome import SCREENED, Run
+from greybox.solve.runs import Runs
 
 REFITS = 3  # with more harmonics each time: from 3 they reach 45
 
@@ -78,7 +79,7 @@ def with_more_harmonics(
             break
         continued = [_continued(run, before) for run, before in zip(followed.runs[:count], search.brought, strict=True)]
         runs = (*continued, *followed.runs[count:], *(run for run in search.runs if run.stage == SCREENED))
-        runs = tuple(replace(run, index=k) for k, run in enumerate(runs))
+        runs = Runs.of(replace(run, index=k) for k, run in enumerate(runs))
         search = replace(followed, runs=runs, seconds=search.seconds + followed.seconds)
         nlp, solver = finer, finer_solver
     return nlp, search, solver

@@ -33,7 +33,7 @@ from greybox.modeling.periodic_motions import response_of_test
 from greybox.modeling.realization import dynamics
 from greybox.simulation.model_at_estimate import ModelAtEstimate, criterion_of
 from greybox.solve.minima import Minimum, Multistart, agreeing_runs, best_unfinished
-from greybox.solve.outcome import Run
+from greybox.solve.runs import Runs
 from greybox.statistics.metrics import rms
 
 # The included criteria in words, by name: `Fit.costs` has names alone.
@@ -138,7 +138,7 @@ class Fit:
     dof: float
     cost: float
     costs: Mapping[str, float]
-    runs: tuple[Run, ...]
+    runs: Runs
     minima: tuple[Minimum, ...]
     warnings: tuple[str, ...]
     seed: int | None
@@ -181,7 +181,7 @@ class Fit:
         """The word "converged", or why there is no answer."""
         if self.converged:
             return "converged"
-        return f"no start converged ({Multistart(self.runs, (), 0.0).failures})"
+        return f"no start converged ({Multistart(Runs.of(self.runs), (), 0.0).failures})"
 
     @property
     def agreeing(self) -> int:
@@ -613,7 +613,7 @@ def _html(fit: Fit) -> str:
 
 def _overview(fit: Fit) -> list[str]:
     """Return what was searched, found and fitted, a line for each."""
-    tried = Multistart(fit.runs, fit.minima, fit.seconds)
+    tried = Multistart(Runs.of(fit.runs), fit.minima, fit.seconds)
     screened = len(fit.runs) - len(tried.brought)
     only_screened = f" ({screened} of {len(fit.runs)} starts were screened out)" if screened else ""
     agreeing = counted(fit.agreeing, "agrees", "agree")

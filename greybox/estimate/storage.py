@@ -45,6 +45,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 from typing import Any, get_args
@@ -69,7 +70,8 @@ from greybox.modeling.model import Model
 from greybox.modeling.model_file import models_of, module_from_file
 from greybox.modeling.sine import Sine
 from greybox.solve.minima import Minimum
-from greybox.solve.outcome import POLISHED, Run
+from greybox.solve.outcome import POLISHED
+from greybox.solve.runs import Runs
 
 KIND = "fit"
 LAYOUT = 3
@@ -216,14 +218,14 @@ def _write_judgment(file: Node, fit: Fit) -> None:
 
 
 def _write_runs(file: Node, fit: Fit) -> None:
-    group = file.create_group("runs")
+    group, runs = file.create_group("runs"), Runs.of(fit.runs)
     for column in ("status", "reason", "stage"):
-        _texts(group, column, [getattr(run, column) for run in fit.runs])
+        _texts(group, column, getattr(runs, column))
     for column in ("start", "estimate", "cost", "converged", "iterations", "seconds"):
-        group[column] = np.array([getattr(run, column) for run in fit.runs])
+        group[column] = getattr(runs, column)
     _attributes(group, free=json.dumps(fit.free))
 
-    minimum_of_run = np.full(len(fit.runs), -1)
+    minimum_of_run = np.full(len(runs), -1)
     for k, minimum in enumerate(fit.minima):
         minimum_of_run[list(minimum.runs)] = k
     group["minimum"] = minimum_of_run
@@ -410,25 +412,24 @@ def _read_quantities(group: Stored) -> tuple[Quantity, ...]:
     )
 
 
-def _read_runs(group: Stored, parameters: int) -> tuple[Run, ...]:
-    texts = ("status", "reason", "stage") if "stage" in group else ("status", "reason")
-    rows = _rows(group, texts, ("start", "estimate", "cost", "converged", "iterations", "seconds"))
-    for row in rows[:1]:
-        _require(row["start"].shape == row["estimate"].shape == (parameters,), "its runs have other parameters")
-    return tuple(
-        Run(
-            index=k,
-            start=row["start"],
-            estimate=row["estimate"],
-            cost=float(row["cost"]),
-            status=row["status"],
-            reason=row["reason"],
-            converged=bool(row["converged"]),
-            iterations=int(row["iterations"]),
-            seconds=float(row["seconds"]),
-            stage=row.get("stage", POLISHED),
-        )
-        for k, row in enumerate(rows)
+def _read_runs(group: Stored, parameters: int) -> Runs:
+    texts = {name: _read_texts(group[name]) for name in ("status", "reason")}
+    texts["stage"] = _read_texts(group["stage"]) if "stage" in group else (POLISHED,) * len(texts["status"])
+    numbers = {name: group[name][()] for name in ("start", "estimate", "cost", "converged", "iterations", "seconds")}
+    count = len(texts["status"])
+    _require(all(len(column) == count for column in (*texts.values(), *numbers.values())), "its runs are incomplete")
+    for name, values in numbers.items():
+        shape = (count, parameters) if name in ("start", "estimate") else (count,)
+        numbers[name] = np.asarray(_array(values, shape), dtype=float)
+    return Runs(
+        indices=np.arange(count),
+        start=numbers["start"],
+        estimate=numbers["estimate"],
+        cost=numbers["cost"],
+        converged=numbers["converged"].astype(bool),
+        iterations=numbers["iterations"].astype(int),
+        seconds=numbers["seconds"],
+        **{name: np.array(column, dtype=object) for name, column in texts.items()},
     )
 
 
@@ -438,18 +439,18 @@ def _rows(group: Stored, texts: Sequence[str], numbers: Sequence[str]) -> list[d
     return [dict(zip((*texts, *numbers), row, strict=True)) for row in zip(*columns, strict=True)]
 
 
-def _read_minima(file: Stored, runs: tuple[Run, ...], parameters: int) -> tuple[Minimum, ...]:
+def _read_minima(file: Stored, runs: Runs, parameters: int) -> tuple[Minimum, ...]:
     group = file["minima"]
     cost, variants = (group[column][()] for column in ("cost", "variants"))
     estimate = _array(group["estimate"], (len(cost), parameters))
-    members: list[list[int]] = [[] for _ in cost]
-    for run, k in zip(runs, file["runs/minimum"][()], strict=True):
-        if k >= 0:
-            members[int(k)].append(run.index)
-    _require(all(members), "no run ended at one of its minima")
+    reached = _array(file["runs/minimum"], (len(runs),))
+    _require(len(reached) == 0 or reached.max() < len(cost), "a run ended at a minimum that it does not have")
+    best_first = np.lexsort((runs.cost, reached))
+    ends = np.searchsorted(reached[best_first], np.arange(len(cost) + 1))
+    members = [best_first[begin:end] for begin, end in pairwise(ends)]
+    _require(all(map(len, members)), "no run ended at one of its minima")
     return tuple(
-        Minimum(float(cost[k]), estimate[k], tuple(sorted(found, key=lambda i: runs[i].cost)), int(variants[k]))
-        for k, found in enumerate(members)
+        Minimum(float(cost[k]), estimate[k], tuple(found.tolist()), int(variants[k])) for k, found in enumerate(members)
     )
 
 

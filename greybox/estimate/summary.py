@@ -4,9 +4,12 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from greybox.data.json_numbers import all_finite, finite
 from greybox.estimate.verdict import verdict
 from greybox.solve.outcome import SCREENED
+from greybox.solve.runs import Runs
 
 
 def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
@@ -15,7 +18,7 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
     Intervals are of this `level`. `Fit.to_dict` is the same.
     """
     parameters = [q for q in result.quantities if q.kind != "derived"]
-    judged = verdict(result)
+    judged, runs = verdict(result), Runs.of(result.runs)
     return {
         "problem": result.name,
         "model": list(dict.fromkeys(part.label for part in result.parts)),
@@ -23,10 +26,10 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
         "criterion": result.criterion,
         "rule": result.rule,
         "delay": result.delay,
-        "starts": len(result.runs),
-        "screened": sum(run.stage == SCREENED for run in result.runs),
+        "starts": len(runs),
+        "screened": int(np.count_nonzero(runs.stage == SCREENED)),
         "seed": result.seed,
-        "converged": sum(run.converged for run in result.runs),
+        "converged": int(np.count_nonzero(runs.converged)),
         "agreeing": result.agreeing,
         "minima": len(result.minima),
         "cost": finite(result.cost),

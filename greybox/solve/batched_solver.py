@@ -19,7 +19,8 @@ from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.interruption import reason_to_end, stop_requested
 from greybox.solve.ipopt import IpoptSolver
 from greybox.solve.minima import Minimum, same_cost
-from greybox.solve.outcome import IMPROVED, Outcome
+from greybox.solve.outcome import IMPROVED, Outcome, Run
+from greybox.solve.runs import Runs
 from greybox.solve.screened_ipopt import ScreenedIpopt
 from greybox.solve.time_limits import one_run
 
@@ -111,34 +112,34 @@ class BatchedSolver(ScreenedIpopt):
             return Outcome(x, cut, iterations, seconds, converged=False)
         return self._spent(self._timed_run(x), Outcome(x, "", iterations, seconds, converged=False))
 
-    def certified(self, starts: Sequence[Array], outcomes: list[Outcome], minima: Sequence[Minimum]) -> list[Outcome]:
-        """Return the outcomes (judged) with one of IPOPT's for every minimum.
+    def certified(self, runs: Runs, minima: Sequence[Minimum]) -> dict[int, Outcome]:
+        """Return a run of IPOPT's for every minimum that has none.
 
         What IPOPT does not confirm is no minimum, as where a gain of zero makes all other parameters idle: these runs
         are made again by IPOPT, from their starts.
         """
-        certified = list(outcomes)
+        certified: dict[int, Outcome] = {}
         for minimum in minima:
-            if any(outcomes[k].stage != IMPROVED for k in minimum.runs):
+            places = np.array(minimum.runs)
+            if np.any(runs.stage[places] != IMPROVED):
                 continue
-            if any(self._confirm(certified, k) for k in minimum.runs[:TRIES]):
+            if any(self._confirm(runs[k], certified) for k in minimum.runs[:TRIES]):
                 continue
             for k in minimum.runs:
-                if certified[k].stage == IMPROVED and not stop_requested():
-                    certified[k] = self.judged([self._spent(self._timed_run(starts[k]), certified[k])])[0]
-        return certified if certified != outcomes else outcomes
+                if k not in certified and not stop_requested():
+                    certified[k] = self.judged_run(self._spent(self._timed_run(runs[k].start), runs[k]))
+        return certified
 
-    def _confirm(self, outcomes: list[Outcome], k: int) -> bool:
-        """Solve by IPOPT from the end of run k; tell whether it stays there. A lower minimum is taken over."""
-        before = outcomes[k]
+    def _confirm(self, before: Run, certified: dict[int, Outcome]) -> bool:
+        """Solve by IPOPT from the end of a run; tell whether it stays there. A lower minimum is taken over."""
         if stop_requested():
             return True
-        after = self.judged([self._timed_run(before.estimate)])[0]
+        after = self.judged_run(self._timed_run(before.estimate))
         higher = after.cost - before.cost
         tolerated = same_cost(self._nlp, before.cost)
         if not after.converged or not higher <= tolerated:
             return False
-        outcomes[k] = self._spent(after, before)
+        certified[before.index] = self._spent(after, before)
         return higher >= -tolerated
 
     def _timed_run(self, x: Array) -> Outcome:
@@ -146,7 +147,7 @@ class BatchedSolver(ScreenedIpopt):
             return self.run(x)
 
     @staticmethod
-    def _spent(after: Outcome, before: Outcome) -> Outcome:
+    def _spent(after: Outcome, before: Outcome | Run) -> Outcome:
         """Return an outcome with what was spent before it."""
         return replace(after, iterations=before.iterations + after.iterations, seconds=before.seconds + after.seconds)
 

@@ -21,6 +21,7 @@ from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Minimum, Multistart, find_minima
 from greybox.solve.outcome import TOO_COARSE, Outcome, Run
+from greybox.solve.runs import Runs
 
 Array = NDArray[np.float64]
 
@@ -166,7 +167,7 @@ def _without_aliases(
     if not aliases or not sound:
         return search, True
 
-    runs = tuple(
+    runs = Runs.of(
         replace(run, converged=False, status=TOO_COARSE) if run.index in aliases else run for run in search.runs
     )
     minima, nodes = [], search.nodes
@@ -221,7 +222,7 @@ def _followed(nlp: Nlp, search: Multistart, solver: LocalSolver) -> Multistart |
         least = min((end.cost for end in ends.values() if end.converged), default=math.inf)
     if math.isinf(least):
         return None
-    runs = tuple(_moved(run, ends[run.index]) if run.index in ends else run for run in search.runs)
+    runs = Runs.of(_moved(run, ends[run.index]) if run.index in ends else run for run in search.runs)
     signatures = [ends[run.index].signature if run.index in ends else None for run in runs]
     minima = (*find_minima(nlp, [run for run in runs if run.index in ends], signatures), *search.minima[count:])
     minima = tuple(sorted(minima, key=lambda m: m.cost))

@@ -21,7 +21,8 @@ from greybox.solve.interruption import stop_requested
 from greybox.solve.ipopt import IpoptSolver
 from greybox.solve.kept_runs import KeptRuns, Memory
 from greybox.solve.minima import Multistart, find_minima
-from greybox.solve.outcome import SCREENED, Outcome, Run
+from greybox.solve.outcome import SCREENED, Outcome
+from greybox.solve.runs import Ended
 from greybox.solve.screened_ipopt import merits
 from greybox.solve.time_limits import one_run
 
@@ -67,7 +68,7 @@ def global_search(
             with one_run():
                 outcome = solver.run(start)
             memory.keep(number, start, outcome)
-        [judged] = solver.judged([outcome])
+        judged = solver.judged_run(outcome)
         if judged.converged:
             filters.reached(nlp.scaling.to_solver(start), nlp.scaling.to_solver(judged.estimate), judged.cost)
         return judged
@@ -88,23 +89,9 @@ def global_search(
         if progress is not None:
             progress(number + 1, count)
 
-    runs = tuple(_run(k, start, outcome) for k, (start, outcome) in enumerate(zip(starts, outcomes, strict=True)))
-    minima = find_minima(nlp, runs, [outcome.signature for outcome in outcomes])
-    return Multistart(runs, minima, time.perf_counter() - began)
-
-
-def _run(index: int, start: Array, outcome: Outcome) -> Run:
-    return Run(
-        index=index,
-        start=start,
-        estimate=outcome.estimate,
-        cost=float(outcome.cost),
-        status=outcome.status,
-        converged=outcome.converged and bool(np.isfinite(outcome.cost)),
-        iterations=outcome.iterations,
-        seconds=outcome.seconds,
-        stage=outcome.stage,
-    )
+    ended = Ended.of(np.array(starts).reshape(-1, drawn.shape[1]), outcomes)
+    runs = ended.runs()
+    return Multistart(runs, find_minima(nlp, runs, ended.signatures), time.perf_counter() - began)
 
 
 @dataclass

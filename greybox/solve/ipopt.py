@@ -238,17 +238,18 @@ class IpoptSolver(LocalSolver):
         """Return the cost without smoothing at all values (k,)."""
         return self._nlp.cost(values)
 
-    def judged(self, outcomes: list[Outcome]) -> list[Outcome]:
-        """Return the outcomes with their costs, without smoothing, and signatures."""
-        found = []
-        for begin in range(0, len(outcomes), AT_ONCE):
-            some = outcomes[begin : begin + AT_ONCE]
-            estimates = np.array([outcome.estimate for outcome in some])
-            # Kept for every run, and compared to a percent.
-            signatures = self._nlp.signatures(estimates).astype(np.float32)
-            each = zip(some, self._nlp.costs(estimates).tolist(), signatures, strict=True)
-            found += [replace(outcome, cost=cost, signature=own) for outcome, cost, own in each]
-        return found
+    def judged(self, estimates: Array) -> tuple[Array, Any]:
+        """Return the costs, without smoothing, and signatures."""
+        parts = [estimates[begin : begin + AT_ONCE] for begin in range(0, len(estimates), AT_ONCE)]
+        costs = [self._nlp.costs(some) for some in parts]
+        # Kept for every run, and compared to a percent.
+        signatures = [self._nlp.signatures(some).astype(np.float32) for some in parts]
+        return np.concatenate([np.zeros(0), *costs]), np.concatenate(signatures) if parts else np.zeros((0, 0))
+
+    def judged_run(self, outcome: Outcome) -> Outcome:
+        """Return what a run has left, with its cost and signature."""
+        [cost], [signature] = self.judged(outcome.estimate[None])
+        return replace(outcome, cost=float(cost), signature=signature)
 
     def refined(self, nlp: Nlp) -> "IpoptSolver":
         """Return the solver of another problem with the same options."""

@@ -12,6 +12,7 @@ from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Trajectory
 from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.outcome import Outcome
+from greybox.solve.runs import Runs
 
 Array = NDArray[np.float64]
 
@@ -115,13 +116,13 @@ class LocalSolver(Runner):
         """
         return None
 
-    def judged(self, outcomes: list[Outcome]) -> list[Outcome]:
-        """Return the outcomes with costs and signatures, where a run leaves them to be evaluated for all at once."""
-        return outcomes
+    def judged(self, estimates: Array) -> tuple[Array, Any] | None:
+        """Return costs (r,) and signatures (r, m) at the ends (r, p) of runs; None where the runs leave them."""
+        return None
 
-    def certified(self, starts: Sequence[Array], outcomes: list[Outcome], minima: Sequence[Minimum]) -> list[Outcome]:
-        """Return what runs from the `starts` left, with one that is certified to be at a minimum for each of them."""
-        return outcomes
+    def certified(self, runs: Runs, minima: Sequence[Minimum]) -> dict[int, Outcome]:
+        """Return what takes the place of runs so that one is certified to be at a minimum for each of the `minima`."""
+        return {}
 
     @abstractmethod
     def refined(self, nlp: Nlp) -> "LocalSolver":

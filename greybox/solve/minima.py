@@ -1,6 +1,5 @@
 """What a multistart leaves: every run, and the distinct minima that they found."""
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,12 +10,15 @@ from numpy.typing import NDArray
 from greybox.compiled.compiled_problem import Nlp
 from greybox.data.text_table import counted, one_line
 from greybox.solve.outcome import SCREENED, TOO_COARSE, Run
+from greybox.solve.runs import AT_ONCE, Runs
 
 SAME_COST = 1e-4  # relative; the smoothing moves costs by up to 6e-5
 SAME_LIKELIHOOD = 1e-2  # of negative log-likelihoods: a tenth of a standard error is 5e-3
 TOLD_APART = 0.1  # of a unit of log-likelihood
-AT_ONCE = 4096  # runs whose responses are compared at once: what fits into the cache
 SAME_RESPONSE = 1e-2  # root mean square of the difference of two signatures, relative to the data or the response
+
+# Of the responses of runs, an array or None of each.
+Signatures = NDArray[np.floating] | Sequence[NDArray[np.floating] | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +56,7 @@ class Multistart:
     `ends` has those of all runs.
     """
 
-    runs: tuple[Run, ...]
+    runs: Runs
     minima: tuple[Minimum, ...]
     seconds: float
     nodes: tuple[NDArray[np.float64], ...] | None = None
@@ -63,17 +65,18 @@ class Multistart:
     @property
     def converged(self) -> int:
         """How many runs converged."""
-        return sum(run.converged for run in self.runs)
+        return int(np.count_nonzero(self.runs.converged))
 
     @property
-    def brought(self) -> tuple[Run, ...]:
+    def brought(self) -> Runs:
         """The runs that went on from their start, whether they arrived at a minimum or not."""
-        return tuple(run for run in self.runs if run.stage != SCREENED)
+        return self.runs[self.runs.stage != SCREENED]
 
     @property
     def failures(self) -> str:
         """The statuses of the runs that did not converge, with counts."""
-        named = (f"{r.status} ({r.reason})" if r.reason else r.status for r in self.brought if not r.converged)
+        brought = self.brought
+        named = (f"{r.status} ({r.reason})" if r.reason else r.status for r in brought[~brought.converged])
         counts = Counter(named)
         return ", ".join(f"{count} × {status}" for status, count in counts.most_common())
 
@@ -87,9 +90,11 @@ class Multistart:
 
 def best_unfinished(runs: Sequence[Run]) -> Run | None:
     """Return the run that ended at the lowest cost without having converged; None where all ended without one."""
-    ended = [run for run in runs if not run.converged and run.status != TOO_COARSE and math.isfinite(run.cost)]
-    ended = [run for run in ended if run.stage != SCREENED] or ended
-    return min(ended, key=lambda run: run.cost, default=None)
+    every = Runs.of(runs)
+    ended = every[~every.converged & (every.status != TOO_COARSE) & np.isfinite(every.cost)]
+    brought = ended[ended.stage != SCREENED]
+    ended = brought if len(brought) else ended
+    return ended[int(np.argmin(ended.cost))] if len(ended) else None
 
 
 def agreeing_runs(
@@ -104,48 +109,44 @@ def agreeing_runs(
         return ()
     best = minima[0].cost
     limit = best + TOLD_APART * (1.0 if is_likelihood else abs(best) / max(numbers, 1))
-    close = {run.index for run in runs if run.converged and run.cost <= limit}
-    return tuple(sorted(close | set(minima[0].runs)))
+    every = Runs.of(runs)
+    close = every.indices[every.converged & (every.cost <= limit)]
+    return tuple(np.union1d(close, minima[0].runs).tolist())
 
 
-def find_minima(
-    nlp: Nlp, runs: Sequence[Run], signatures: Sequence[NDArray[np.floating] | None]
-) -> tuple[Minimum, ...]:
+def find_minima(nlp: Nlp, runs: Sequence[Run], signatures: Signatures) -> tuple[Minimum, ...]:
     """Group the converged runs by cost and model response, best first.
 
     Two runs are at one minimum when their costs and their responses agree, whatever the parameters. Each run brings the
     signature of its response (`Part.signature`); `signatures` has those of all starts, in their order.
     """
-    order = sorted((run for run in runs if run.converged), key=lambda run: run.cost)
-    if not order:
-        return ()
-    costs = np.array([run.cost for run in order])
-    ungrouped = np.ones(len(order), dtype=bool)
+    every = Runs.of(runs)
+    ended = every[every.converged]
+    ended = ended[np.argsort(ended.cost, kind="stable")]
+    ungrouped = np.ones(len(ended), dtype=bool)
     minima = []
     while ungrouped.any():
         k = int(np.argmax(ungrouped))
-        alike = np.flatnonzero(ungrouped & (costs - costs[k] <= same_cost(nlp, costs[k])))
-        away = _differences(signatures, order[k], [order[i] for i in alike])
+        cost = float(ended.cost[k])
+        alike = np.flatnonzero(ungrouped & (ended.cost - cost <= same_cost(nlp, cost)))
+        away = _differences(signatures, ended.indices[k], ended.indices[alike])
         near = alike[(away <= SAME_RESPONSE) | (alike == k)]
         ungrouped[near] = False
-        members = [order[i] for i in near]
-        minima.append(
-            Minimum(order[k].cost, order[k].estimate, tuple(run.index for run in members), _variants(nlp, members))
-        )
+        variants = _variants(nlp, ended.estimate[near])
+        minima.append(Minimum(cost, ended.estimate[k].copy(), tuple(ended.indices[near].tolist()), variants))
     return tuple(minima)
 
 
-def _differences(
-    signatures: Sequence[NDArray[np.floating] | None], of: Run, runs: Sequence[Run]
-) -> NDArray[np.float64]:
-    """Return the root mean squares of the differences of the responses of `runs` from that of one, relative to it."""
-    reference = np.asarray(signatures[of.index], dtype=float)
+def _differences(signatures: Signatures, of: int, indices: NDArray[np.int_]) -> NDArray[np.float64]:
+    """Return the root mean squares of the differences of some responses from that of one, relative to it."""
+    reference = np.asarray(signatures[of], dtype=float)
     size = np.maximum(np.abs(reference), 1.0)  # signatures come in units of the measured signals
-    found = np.empty(len(runs))
-    for begin in range(0, len(runs), AT_ONCE):
-        some = slice(begin, begin + AT_ONCE)
-        relative = (np.array([signatures[run.index] for run in runs[some]], dtype=float) - reference) / size
-        found[some] = np.sqrt(np.mean(relative**2, axis=1))
+    found = np.empty(len(indices))
+    for begin in range(0, len(indices), AT_ONCE):
+        some = indices[begin : begin + AT_ONCE]
+        own = signatures[some] if isinstance(signatures, np.ndarray) else [signatures[index] for index in some]
+        relative = (np.asarray(own, dtype=float) - reference) / size
+        found[begin : begin + AT_ONCE] = np.sqrt(np.mean(relative**2, axis=1))
     return found
 
 
@@ -156,9 +157,9 @@ def same_cost(nlp: Nlp, cost: float) -> float:
     return SAME_COST * max(cost, 5e-4 * sum(part.numbers for part in nlp.parts))
 
 
-def _variants(nlp: Nlp, members: Sequence[Run]) -> int:
-    """Count the parameter vectors among runs of one minimum that lie more than 5 % of the parameters' size apart."""
-    z = nlp.scaling.to_solver(np.array([run.estimate for run in members]))
+def _variants(nlp: Nlp, ends: NDArray[np.float64]) -> int:
+    """Count the parameter vectors (r, p) of one minimum that lie more than 5 % of the parameters' size apart."""
+    z = nlp.scaling.to_solver(ends)
     distinct = 0
     while len(z):
         apart = np.abs(z - z[0]) > 0.05 * np.maximum(np.abs(z), np.abs(z[0])) + 1e-6

@@ -1,8 +1,7 @@
 """Many runs of one compiled problem."""
 
-import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import replace
 from types import MappingProxyType
@@ -22,7 +21,7 @@ from greybox.solve.kept_runs import KeptRuns, Memory
 from greybox.solve.local_search import LocalSearch
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Minimum, Multistart, find_minima
-from greybox.solve.outcome import SCREENED, Outcome, Run
+from greybox.solve.runs import Ended, Runs
 from greybox.solve.screened_ipopt import ScreenedIpopt
 from greybox.solve.transcribed_program import TranscribedProgram
 from greybox.solve.waves import AllAtOnce, Waves
@@ -85,78 +84,66 @@ def multistart(
         points = _moved_to_finite(nlp, solver, starts)
     memory = Memory() if kept is None else Memory(kept, packed(solver)[0])
     search = LocalSearch(nlp, solver, memory, neighbors=len(starts) > 1)
-    tried: dict[int, tuple[Array, Outcome]] = {}
-    drawn = _Drawn(points)
+    ended, done = Ended(starts), 0
+    drawn = _Drawn(points, starts)
     waves = waves or AllAtOnce()
     screened = waves.screened(solver, starts) if movable else None
     begins = {} if screened is None else dict(enumerate(screened.begins))
-    runs: tuple[Run, ...] = ()
-    minima: tuple[Minimum, ...] = ()
-    outcomes: list[Outcome] = []
+    runs, minima = ended.runs(), ()
     for wave in waves.numbers(len(starts), screened):
         numbered = ((number, drawn[number]) for number in wave)
         for number, start, outcome in run_all(solver, numbered, len(wave), executor, memory, begins):
-            tried[number] = start, search.improved(outcome)
+            ended.put(number, start, search.improved(outcome))
+            done += 1
             if progress is not None:
-                progress(len(tried), len(starts))
-        begun = [tried[number] for number in sorted(tried)]
-        begun += zip(search.further_starts, search.further_outcomes, strict=True)
-        runs, minima, outcomes = _certified(nlp, solver, begun)
+                progress(done, len(starts))
+        elsewhere = zip(search.further_starts, search.further_outcomes, strict=True)
+        for row, (start, outcome) in enumerate(elsewhere, len(starts)):
+            ended.put(row, start, outcome)
+        runs, minima = _certified(nlp, solver, ended)
         if stop_requested() or waves.are_enough(nlp, runs, minima):
             break
 
-    nodes = outcomes[minima[0].runs[0]].nodes if minima else None
-    ends = () if minima else tuple(outcome.nodes for outcome in outcomes)
-    if screened is not None and len(tried) < len(starts) and not stop_requested():
-        runs, minima = _among_screened(runs, minima, sorted(tried), starts, screened.costs)
+    rows = ended.rows.tolist()
+    nodes = ended.nodes[rows[minima[0].runs[0]]] if minima else None
+    ends = () if minima else tuple(ended.nodes[row] for row in rows)
+    if screened is not None and done < len(starts) and not stop_requested():
+        runs = ended.among_screened(runs, screened.costs)
+        minima = tuple(replace(m, runs=tuple(rows[k] for k in m.runs)) for m in minima)
     return Multistart(runs, minima, time.perf_counter() - began, nodes, ends)
 
 
-def _among_screened(
-    runs: Sequence[Run], minima: Sequence[Minimum], numbers: Sequence[int], starts: Array, costs: Array
-) -> tuple[tuple[Run, ...], tuple[Minimum, ...]]:
-    """Return the runs from the starts of these `numbers` among those that were compared only, and the minima.
-
-    Runs that began elsewhere follow those from the starts.
-    """
-    numbers = [*numbers, *range(len(starts), len(starts) + len(runs) - len(numbers))]
-    made = dict(zip(numbers, runs, strict=True))
-    every = (
-        replace(made[k], index=k)
-        if k in made
-        else Run(k, start, start, float(cost), SCREENED, converged=False, iterations=0, seconds=0.0, stage=SCREENED)
-        for k, (start, cost) in enumerate(zip(starts, costs, strict=True))
-    )
-    every = (*every, *(replace(made[k], index=k) for k in numbers if k >= len(starts)))
-    return every, tuple(replace(m, runs=tuple(numbers[k] for k in m.runs)) for m in minima)
-
-
 class _Drawn:
-    """Points that are made one after the other, as far as they are asked for."""
+    """Points (r, p) that are made one after the other, as far as they are asked for."""
 
-    def __init__(self, points: Iterable[Array]) -> None:
+    def __init__(self, points: Iterable[Array], like: Array) -> None:
         self._rest = iter(points)
-        self._made: list[Array] = []
+        self._made, self._count = np.empty_like(like), 0
 
     def __getitem__(self, number: int) -> Array:
-        while len(self._made) <= number:
-            self._made.append(next(self._rest))
+        while self._count <= number:
+            self._made[self._count] = next(self._rest)
+            self._count += 1
         return self._made[number]
 
 
-def _certified(
-    nlp: Nlp, solver: LocalSolver, begun: Sequence[tuple[Array, Outcome]]
-) -> tuple[tuple[Run, ...], tuple[Minimum, ...], list[Outcome]]:
-    """Return the runs, their minima, each of them certified by the solver, and the outcomes."""
-    starts = [start for start, _ in begun]
-    outcomes = solver.judged([outcome for _, outcome in begun]) if begun else []
+def _certified(nlp: Nlp, solver: LocalSolver, ended: Ended) -> tuple[Runs, tuple[Minimum, ...]]:
+    """Return the runs that were made and their minima, each of them certified by the solver."""
+    rows = ended.rows.tolist()
+    runs, signatures = ended.runs(), [ended.signatures[row] for row in rows]
+    if (judged := solver.judged(runs.estimate)) is not None:
+        costs, signatures = judged
+        runs = ended.runs(costs)
     while True:
-        runs = _as_runs(starts, outcomes)
-        minima = find_minima(nlp, runs, [outcome.signature for outcome in outcomes])
-        certified = solver.certified(starts, outcomes, minima)
-        if certified is outcomes:
-            return runs, minima, outcomes
-        outcomes = certified
+        minima = find_minima(nlp, runs, signatures)
+        changed = solver.certified(runs, minima)
+        if not changed:
+            return runs, minima
+        for k, outcome in changed.items():
+            ended.put(rows[k], runs.start[k], outcome)
+            runs.cost[k] = outcome.cost
+            signatures[k] = outcome.signature
+        runs = ended.runs(runs.cost)
 
 
 def _moved_to_finite(nlp: Nlp, solver: LocalSolver, starts: Array) -> Iterator[Array]:
@@ -179,20 +166,3 @@ def _toward(nlp: Nlp, solver: LocalSolver, start: Array, home: Array) -> Array:
     away = nlp.scaling.to_solver(start) - home
     points = (np.clip(nlp.scaling.to_parameters(home + share * away), nlp.lower, nlp.upper) for share in SHARES)
     return next((point for point in points if solver.is_finite_at(point)), start)
-
-
-def _as_runs(starts: Sequence[Array], outcomes: list[Outcome]) -> tuple[Run, ...]:
-    return tuple(
-        Run(
-            index=k,
-            start=start,
-            estimate=outcome.estimate,
-            cost=float(outcome.cost),
-            status=outcome.status,
-            converged=outcome.converged and math.isfinite(outcome.cost),
-            iterations=outcome.iterations,
-            seconds=outcome.seconds,
-            stage=outcome.stage,
-        )
-        for k, (start, outcome) in enumerate(zip(starts, outcomes, strict=True))
-    )

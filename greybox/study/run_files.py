@@ -15,7 +15,7 @@ import json
 import math
 import re
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,12 +41,112 @@ UNWRITTEN = 2.0
 
 STAGES = (SCREENED, IMPROVED, POLISHED)
 NUMBERS = ("cost", "converged", "iterations", "seconds")
+KINDS = {"number": int, "status": int, "stage": int, "converged": bool, "iterations": int}
 
 
-@dataclass
+@dataclass(frozen=True)
 class _File:
     path: Path
-    rows: list[Row]
+    count: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Columns:
+    """Runs by columns, as a file has them, each by its name; the nodes of the first part are ``nodes/0``.
+
+    Attributes
+    ----------
+    statuses : list of str
+        Those that the column ``status`` counts.
+    shapes : list of tuple of int
+        Of the nodes of every part.
+    """
+
+    columns: Mapping[str, NDArray[Any]]
+    statuses: list[str]
+    shapes: list[tuple[int, ...]]
+
+    @staticmethod
+    def of(rows: Sequence[Row]) -> "_Columns":
+        outcomes = [outcome for _, _, outcome in rows]
+        statuses = list(dict.fromkeys(outcome.status for outcome in outcomes))
+        nodes = next((outcome.nodes for outcome in outcomes if outcome.nodes is not None), ())
+        columns: dict[str, NDArray[Any]] = {
+            "number": np.array([number for number, _, _ in rows]),
+            "start": np.array([start for _, start, _ in rows]),
+            "estimate": np.array([outcome.estimate for outcome in outcomes]),
+            "status": np.array([statuses.index(outcome.status) for outcome in outcomes]),
+            **{name: np.array([getattr(outcome, name) for outcome in outcomes]) for name in NUMBERS},
+            "stage": np.array([STAGES.index(outcome.stage) for outcome in outcomes]),
+        }
+        if any(outcome.signature is not None for outcome in outcomes):
+            columns["signature"] = _stacked([outcome.signature for outcome in outcomes])
+        for k in range(len(nodes)):
+            columns[f"nodes/{k}"] = _stacked([None if o.nodes is None else o.nodes[k].ravel() for o in outcomes])
+        return _Columns(columns, statuses, [array.shape for array in nodes])
+
+    @staticmethod
+    def joined(first: "_Columns", second: "_Columns") -> "_Columns":
+        """Return the runs of both."""
+        statuses = list(dict.fromkeys([*first.statuses, *second.statuses]))
+        both = [each._with(statuses) for each in (first, second)]
+        columns = {}
+        for name in dict.fromkeys([*both[0], *both[1]]):
+            width = next(each[name].shape[1:] for each in both if name in each)
+            missing = (np.full((len(each["number"]), *width), math.nan) for each in both)
+            columns[name] = np.concatenate([each.get(name, none) for each, none in zip(both, missing, strict=True)])
+        return _Columns(columns, statuses, first.shapes or second.shapes)
+
+    def _with(self, statuses: list[str]) -> dict[str, NDArray[Any]]:
+        """Return the columns with the places of their statuses among others."""
+        places = np.array([statuses.index(status) for status in self.statuses])
+        return {**self.columns, "status": places[self.columns["status"]]}
+
+    def __len__(self) -> int:
+        return len(self.columns["number"])
+
+    def row(self, k: int) -> tuple[Array, Outcome]:
+        """Return start and outcome of a run."""
+        columns = self.columns
+        signature = columns["signature"][k] if "signature" in columns else None
+        nodes = tuple(columns[f"nodes/{part}"][k].reshape(shape) for part, shape in enumerate(self.shapes))
+        outcome = Outcome(
+            estimate=columns["estimate"][k],
+            status=printable(self.statuses[int(columns["status"][k])]),
+            iterations=int(columns["iterations"][k]),
+            seconds=float(columns["seconds"][k]),
+            converged=bool(columns["converged"][k]),
+            cost=float(columns["cost"][k]),
+            signature=None if signature is None or _is_none(signature) else signature,
+            stage=STAGES[int(columns["stage"][k])],
+            nodes=None if all(_is_none(array) for array in nodes) else nodes,
+        )
+        return columns["start"][k], outcome
+
+
+class _Known(Mapping[int, tuple[Array, Outcome]]):
+    """Runs in columns by their numbers; of those in two files the later one."""
+
+    def __init__(self, parts: Sequence[_Columns]) -> None:
+        self._parts = parts
+        self._numbers = np.concatenate([np.zeros(0, dtype=int), *(part.columns["number"] for part in parts)])
+        self._order = np.argsort(self._numbers, kind="stable")
+        self._sorted = self._numbers[self._order]
+        self._ends = np.cumsum([len(part) for part in parts])
+
+    def __getitem__(self, number: int) -> tuple[Array, Outcome]:
+        at = int(np.searchsorted(self._sorted, number, side="right")) - 1
+        if at < 0 or self._sorted[at] != number:
+            raise KeyError(number)
+        place = int(self._order[at])
+        part = int(np.searchsorted(self._ends, place, side="right"))
+        return self._parts[part].row(place - int(self._ends[part]) + len(self._parts[part]))
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(np.unique(self._sorted).tolist())
+
+    def __len__(self) -> int:
+        return len(np.unique(self._sorted))
 
 
 class RunFiles(KeptRuns):
@@ -69,14 +169,18 @@ class RunFiles(KeptRuns):
             If they were made for another problem, or a file is damaged.
         """
         self.fingerprint = fingerprint
-        self._files = []
+        self._files, parts = [], []
         for serial, path in _paths(self._folder):
             self._serial = serial
-            try:
-                self._files.append(_File(path, _read(path, fingerprint)))
-            except ValueError as error:
-                raise KeptRunsError(str(error)) from error
-        return {number: (start, outcome) for file in self._files for number, start, outcome in file.rows}
+            parts.append(self._read(path))
+            self._files.append(_File(path, len(parts[-1])))
+        return _Known(parts)
+
+    def _read(self, path: Path) -> _Columns:
+        try:
+            return _read(path, self.fingerprint)
+        except ValueError as error:
+            raise KeptRunsError(str(error)) from error
 
     def add(self, number: int, start: Array, outcome: Outcome) -> None:
         """Keep a run."""
@@ -103,25 +207,25 @@ class RunFiles(KeptRuns):
         self._written_at = time.monotonic()
         if not self._unwritten:
             return
-        rows, replaced = self._unwritten, 0
+        runs, replaced = _Columns.of(self._unwritten), 0
         for file in reversed(self._files):
-            if len(file.rows) > len(rows):
+            if file.count > len(runs):
                 break
-            rows = [*file.rows, *rows]
+            runs = _Columns.joined(self._read(file.path), runs)
             replaced += 1
         self._serial += 1
-        path = self._folder / f"runs-{self._serial:06d}-{len(rows)}.h5"
-        write_sealed(path, KIND, lambda file: _fill(file, rows, self.fingerprint))
+        path = self._folder / f"runs-{self._serial:06d}-{len(runs)}.h5"
+        write_sealed(path, KIND, lambda file: _fill(file, runs, self.fingerprint))
         self._unwritten = []
         kept = self._files[: len(self._files) - replaced]
         for file in self._files[len(kept) :]:
             file.path.unlink(missing_ok=True)
-        self._files = [*kept, _File(path, rows)]
+        self._files = [*kept, _File(path, len(runs))]
 
     @property
     def count(self) -> int:
         """How many runs are on disk."""
-        return sum(len(file.rows) for file in self._files)
+        return sum(file.count for file in self._files)
 
     def remove(self) -> None:
         """Remove all runs, and what a killed process left of them."""
@@ -140,23 +244,11 @@ def _paths(folder: Path) -> list[tuple[int, Path]]:
     return sorted((int(match[1]), path) for match, path in found if match)
 
 
-def _fill(file: Node, rows: Sequence[Row], fingerprint: str) -> None:
-    outcomes = [outcome for _, _, outcome in rows]
-    statuses = list(dict.fromkeys(outcome.status for outcome in outcomes))
-    nodes = next((outcome.nodes for outcome in outcomes if outcome.nodes is not None), ())
-    attributes = {"format": FORMAT, "layout": LAYOUT, "fingerprint": fingerprint, "statuses": json.dumps(statuses)}
-    file.attrs.update({**attributes, "shapes": json.dumps([array.shape for array in nodes])})
-    file["number"] = np.array([number for number, _, _ in rows])
-    file["start"] = np.array([start for _, start, _ in rows])
-    file["estimate"] = np.array([outcome.estimate for outcome in outcomes])
-    file["status"] = np.array([statuses.index(outcome.status) for outcome in outcomes])
-    for name in NUMBERS:
-        file[name] = np.array([getattr(outcome, name) for outcome in outcomes])
-    file["stage"] = np.array([STAGES.index(outcome.stage) for outcome in outcomes])
-    if any(outcome.signature is not None for outcome in outcomes):
-        file["signature"] = _stacked([outcome.signature for outcome in outcomes])
-    for k in range(len(nodes)):
-        file[f"nodes/{k}"] = _stacked([None if o.nodes is None else o.nodes[k].ravel() for o in outcomes])
+def _fill(file: Node, runs: _Columns, fingerprint: str) -> None:
+    attributes = {"format": FORMAT, "layout": LAYOUT, "fingerprint": fingerprint, "statuses": json.dumps(runs.statuses)}
+    file.attrs.update({**attributes, "shapes": json.dumps(runs.shapes)})
+    for name, column in runs.columns.items():
+        file[name] = column
 
 
 def _stacked(arrays: Sequence[Array | None]) -> Array:
@@ -165,58 +257,44 @@ def _stacked(arrays: Sequence[Array | None]) -> Array:
     return np.array([np.full(shape, math.nan) if array is None else array for array in arrays])
 
 
-def _read(path: Path, fingerprint: str) -> list[Row]:
+def _read(path: Path, fingerprint: str) -> _Columns:
     with open_sealed(path, KIND) as file:
         if file.attrs["format"] != FORMAT:
             raise ValueError(f"its format is {printable(str(file.attrs['format']))!r:.60}")
         layout = int(file.attrs["layout"])
         own = file.attrs["fingerprint"]
-        rows = _rows(file) if layout <= LAYOUT else []
-    if layout > LAYOUT:
+        runs = _columns(file) if layout <= LAYOUT else None
+    if runs is None:
         raise ValueError(f"{path} has layout {layout} and this version reads up to {LAYOUT}: install a newer greybox.")
     if own != fingerprint:
         raise ValueError(
             f"{path} was made for another problem, with other options, or by another version of greybox or CasADi: "
             "give what the study was begun with, or begin another one."
         )
-    return rows
+    return runs
 
 
-def _rows(file: Stored) -> list[Row]:
+def _columns(file: Stored) -> _Columns:
     statuses = json.loads(file.attrs["statuses"])
     if not (isinstance(statuses, list) and all(isinstance(status, str) for status in statuses)):
         raise ValueError("its statuses are no texts")
     columns = {name: file[name][()] for name in ("number", "start", "estimate", "status", *NUMBERS)}
     count = len(columns["number"])
     columns["stage"] = file["stage"][()] if "stage" in file else np.full(count, len(STAGES) - 1)
-    signature = file["signature"][()] if "signature" in file else None
-    shapes = json.loads(file.attrs["shapes"])
-    nodes = [file[f"nodes/{k}"][()].reshape(count, *shape) for k, shape in enumerate(shapes)]
-    detail = [array for array in (signature, *nodes) if array is not None]
-    if any(len(column) != count for column in (*columns.values(), *detail)):
+    if "signature" in file:
+        columns["signature"] = file["signature"][()]
+    shapes = [tuple(shape) for shape in json.loads(file.attrs["shapes"])]
+    for k, shape in enumerate(shapes):
+        columns[f"nodes/{k}"] = file[f"nodes/{k}"][()].reshape(count, math.prod(shape))
+    if any(len(column) != count for column in columns.values()):
         raise ValueError("its columns differ in length")
     if columns["start"].ndim != 2 or columns["estimate"].ndim != 2:
         raise ValueError("starts and estimates are no rows of numbers")
-    return [_row(k, columns, statuses, signature, nodes) for k in range(count)]
-
-
-def _row(k: int, columns: Mapping[str, Array], statuses: list[str], signature: Any, nodes: list[Array]) -> Row:
-    own = tuple(array[k] for array in nodes)
-    return (
-        int(columns["number"][k]),
-        columns["start"][k],
-        Outcome(
-            estimate=columns["estimate"][k],
-            status=printable(statuses[int(columns["status"][k])]),
-            iterations=int(columns["iterations"][k]),
-            seconds=float(columns["seconds"][k]),
-            converged=bool(columns["converged"][k]),
-            cost=float(columns["cost"][k]),
-            signature=None if signature is None or _is_none(signature[k]) else signature[k],
-            stage=STAGES[int(columns["stage"][k])],
-            nodes=None if not own or all(_is_none(array) for array in own) else own,
-        ),
-    )
+    columns |= {name: columns[name].astype(kind) for name, kind in KINDS.items()}
+    for name, texts in (("status", statuses), ("stage", STAGES)):
+        if count and not (columns[name].min() >= 0 and columns[name].max() < len(texts)):
+            raise ValueError(f"a {name} is none of those that it names")
+    return _Columns(columns, statuses, shapes)
 
 
 def _is_none(array: Array) -> bool:

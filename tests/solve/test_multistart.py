@@ -132,8 +132,8 @@ def test_a_start_at_which_the_model_is_not_finite_is_moved_no_farther_than_it_mu
             began.append(start)
             return Outcome(start, "converged", 1, 0.0, True, 1.0, np.zeros(1))
 
-        def judged(self, outcomes):
-            return outcomes
+        def judged(self, estimates):
+            return None
 
     multistart(nlp, Bounded(nlp), np.array([home, away]))
     moved = [nlp.scaling.to_solver(start) for start in began]

@@ -17,6 +17,7 @@ from greybox.solve.ipopt import INVALID
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
 from greybox.solve.outcome import NOT_FINITE, Run
+from greybox.solve.runs import Runs
 
 Array = NDArray[np.float64]
 NAMED = 4  # values of parameters in a sentence
@@ -43,33 +44,29 @@ class Trouble:
 
 def explained(nlp: Nlp, search: Multistart, solver: LocalSolver) -> Multistart:
     """Return the search with a reason for every run that met a value that is not finite, at its start or its end."""
-    runs = [_explained(nlp, run) for run in search.runs]
-    for k, run in enumerate(runs if search.ends else ()):
-        trouble = None if run.reason else _beyond(nlp, solver, search, run)
+    reasons = search.runs.reason.copy()
+    for run in _candidates(search.runs):
+        trouble = _trouble(nlp, run.start) or _trouble(nlp, run.estimate)
+        reasons[run.index] = run.reason if trouble is None else trouble.what
+    for run in search.runs if search.ends else ():
+        trouble = None if reasons[run.index] else _beyond(nlp, solver, search, run)
         if trouble is not None:
-            runs[k] = replace(run, reason=f"{EDGE} {trouble.what.partition(',')[0]} is not finite")
-    return replace(search, runs=tuple(runs))
+            reasons[run.index] = f"{EDGE} {trouble.what.partition(',')[0]} is not finite"
+    return replace(search, runs=replace(search.runs, reason=reasons))
 
 
 def not_finite_warnings(nlp: Nlp, search: Multistart, solver: LocalSolver) -> Iterator[str]:
     """Say of the first run that could not begin why, where few runs converged; and of the first that met an edge."""
-    stopped = next((run for run in search.runs if run.reason.startswith(EDGE)), None)
+    stopped = next((run for run in search.runs[search.runs.reason != ""] if run.reason.startswith(EDGE)), None)
     if stopped is not None:
         trouble = _beyond(nlp, solver, search, stopped)
         if trouble is not None and trouble.cure:
             yield f"run {stopped.index} ended {EDGE} {trouble.why}: {trouble.cure}."
-    troubled = [run for run in search.runs if _is_candidate(run) and run.reason]
+    troubled = [run for run in _candidates(search.runs) if run.reason]
     if troubled and search.converged < FEW * len(search.brought):
         trouble = _trouble(nlp, troubled[0].start)
         if trouble is not None and trouble.cure:
             yield f"at {_values(nlp, troubled[0].start)} {trouble.why}: {trouble.cure}."
-
-
-def _explained(nlp: Nlp, run: Run) -> Run:
-    if not _is_candidate(run):
-        return run
-    trouble = _trouble(nlp, run.start) or _trouble(nlp, run.estimate)
-    return run if trouble is None else replace(run, reason=trouble.what)
 
 
 def _beyond(nlp: Nlp, solver: LocalSolver, search: Multistart, run: Run) -> Trouble | None:
@@ -85,8 +82,8 @@ def _beyond(nlp: Nlp, solver: LocalSolver, search: Multistart, run: Run) -> Trou
     return None
 
 
-def _is_candidate(run: Run) -> bool:
-    return not run.converged and run.status in (NOT_FINITE, INVALID)
+def _candidates(runs: Runs) -> Runs:
+    return runs[~runs.converged & ((runs.status == NOT_FINITE) | (runs.status == INVALID))]
 
 
 def _values(nlp: Nlp, start: Array) -> str:
