@@ -66,10 +66,11 @@ def write_sealed(path: Path, kind: str, fill: Callable[[Node], None]) -> None:
     whole = io.BytesIO()
     with h5py.File(whole, "w", userblock_size=BLOCK) as file:
         fill(file)
-    body = whole.getvalue()[BLOCK:]
+    body = whole.getbuffer()[BLOCK:]  # no copy of what may be large
     head = _block(kind, hashlib.sha256(body).hexdigest())
-    with replacing(path) as temporary:
-        temporary.write_bytes(head + body)
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.write(head)
+        file.write(body)
 
 
 @contextmanager

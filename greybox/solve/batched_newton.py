@@ -48,7 +48,7 @@ Flags = NDArray[np.bool_]
 # find it with a first factor of 1, and 96 % with 0.01 (IPOPT 22 %). So every second search has a weak barrier.
 BARRIERS = np.array([[1.0, 1e-2, 1e-4, 0.0], [1e-2, 1e-3, 1e-4, 0.0]])
 SMOOTHINGS = np.array([1.0, 1e-2, 1e-4, SMOOTHING])
-LOOSE = 1e-3  # projected gradient at which the next level is taken
+LOOSE = 1e-2  # projected gradient at which the next level is taken: with 1e-3 searches take a twentieth more iterations
 
 # Of the distance of its bounds, how near to one a search begins: that of IPOPT.
 INSIDE = 1e-2

@@ -240,11 +240,14 @@ class IpoptSolver(LocalSolver):
 
     def judged(self, estimates: Array) -> tuple[Array, Any]:
         """Return the costs, without smoothing, and signatures."""
-        parts = [estimates[begin : begin + AT_ONCE] for begin in range(0, len(estimates), AT_ONCE)]
-        costs = [self._nlp.costs(some) for some in parts]
-        # Kept for every run, and compared to a percent.
-        signatures = [self._nlp.signatures(some).astype(np.float32) for some in parts]
-        return np.concatenate([np.zeros(0), *costs]), np.concatenate(signatures) if parts else np.zeros((0, 0))
+        costs, signatures = np.empty(len(estimates)), np.empty((len(estimates), 0), np.float32)
+        for begin in range(0, len(estimates), AT_ONCE):
+            some = slice(begin, begin + AT_ONCE)
+            found = self._nlp.signatures(estimates[some])
+            if not begin:  # single precision, since they are kept for every run and compared to a percent
+                signatures = np.empty((len(estimates), found.shape[1]), np.float32)
+            costs[some], signatures[some] = self._nlp.costs(estimates[some]), found
+        return costs, signatures
 
     def judged_run(self, outcome: Outcome) -> Outcome:
         """Return what a run has left, with its cost and signature."""

@@ -121,19 +121,20 @@ def find_minima(nlp: Nlp, runs: Sequence[Run], signatures: Signatures) -> tuple[
     signature of its response (`Part.signature`); `signatures` has those of all starts, in their order.
     """
     every = Runs.of(runs)
-    ended = every[every.converged]
-    ended = ended[np.argsort(ended.cost, kind="stable")]
-    ungrouped = np.ones(len(ended), dtype=bool)
+    order = np.flatnonzero(every.converged)
+    order = order[np.argsort(every.cost[order], kind="stable")]
+    costs, indices = every.cost[order], every.indices[order]
+    ungrouped = np.ones(len(order), dtype=bool)
     minima = []
     while ungrouped.any():
         k = int(np.argmax(ungrouped))
-        cost = float(ended.cost[k])
-        alike = np.flatnonzero(ungrouped & (ended.cost - cost <= same_cost(nlp, cost)))
-        away = _differences(signatures, ended.indices[k], ended.indices[alike])
+        cost = float(costs[k])
+        alike = np.flatnonzero(ungrouped & (costs - cost <= same_cost(nlp, cost)))
+        away = _differences(signatures, indices[k], indices[alike])
         near = alike[(away <= SAME_RESPONSE) | (alike == k)]
         ungrouped[near] = False
-        variants = _variants(nlp, ended.estimate[near])
-        minima.append(Minimum(cost, ended.estimate[k].copy(), tuple(ended.indices[near].tolist()), variants))
+        variants = _variants(nlp, every.estimate[order[near]])
+        minima.append(Minimum(cost, every.estimate[order[k]].copy(), tuple(indices[near].tolist()), variants))
     return tuple(minima)
 
 

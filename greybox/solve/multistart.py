@@ -104,12 +104,12 @@ def multistart(
         if stop_requested() or waves.are_enough(nlp, runs, minima):
             break
 
-    rows = ended.rows.tolist()
+    rows = ended.rows
     nodes = ended.nodes[rows[minima[0].runs[0]]] if minima else None
     ends = () if minima else tuple(ended.nodes[row] for row in rows)
     if screened is not None and done < len(starts) and not stop_requested():
         runs = ended.among_screened(runs, screened.costs)
-        minima = tuple(replace(m, runs=tuple(rows[k] for k in m.runs)) for m in minima)
+        minima = tuple(replace(m, runs=tuple(rows[np.array(m.runs)].tolist())) for m in minima)
     return Multistart(runs, minima, time.perf_counter() - began, nodes, ends)
 
 
@@ -129,11 +129,10 @@ class _Drawn:
 
 def _certified(nlp: Nlp, solver: LocalSolver, ended: Ended) -> tuple[Runs, tuple[Minimum, ...]]:
     """Return the runs that were made and their minima, each of them certified by the solver."""
-    rows = ended.rows.tolist()
-    runs, signatures = ended.runs(), [ended.signatures[row] for row in rows]
-    if (judged := solver.judged(runs.estimate)) is not None:
-        costs, signatures = judged
-        runs = ended.runs(costs)
+    rows, runs = ended.rows, ended.runs()
+    judged = solver.judged(runs.estimate)
+    costs, signatures = judged or (runs.cost, [ended.signatures[row] for row in rows])
+    runs = ended.runs(costs)
     while True:
         minima = find_minima(nlp, runs, signatures)
         changed = solver.certified(runs, minima)

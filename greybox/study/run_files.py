@@ -44,12 +44,6 @@ NUMBERS = ("cost", "converged", "iterations", "seconds")
 KINDS = {"number": int, "status": int, "stage": int, "converged": bool, "iterations": int}
 
 
-@dataclass(frozen=True)
-class _File:
-    path: Path
-    count: int
-
-
 @dataclass(frozen=True, eq=False)
 class _Columns:
     """Runs by columns, as a file has them, each by its name; the nodes of the first part are ``nodes/0``.
@@ -124,6 +118,12 @@ class _Columns:
         return columns["start"][k], outcome
 
 
+@dataclass(frozen=True, eq=False)
+class _File:
+    path: Path
+    runs: _Columns
+
+
 class _Known(Mapping[int, tuple[Array, Outcome]]):
     """Runs in columns by their numbers; of those in two files the later one."""
 
@@ -169,18 +169,14 @@ class RunFiles(KeptRuns):
             If they were made for another problem, or a file is damaged.
         """
         self.fingerprint = fingerprint
-        self._files, parts = [], []
+        self._files = []
         for serial, path in _paths(self._folder):
             self._serial = serial
-            parts.append(self._read(path))
-            self._files.append(_File(path, len(parts[-1])))
-        return _Known(parts)
-
-    def _read(self, path: Path) -> _Columns:
-        try:
-            return _read(path, self.fingerprint)
-        except ValueError as error:
-            raise KeptRunsError(str(error)) from error
+            try:
+                self._files.append(_File(path, _read(path, fingerprint)))
+            except ValueError as error:
+                raise KeptRunsError(str(error)) from error
+        return _Known([file.runs for file in self._files])
 
     def add(self, number: int, start: Array, outcome: Outcome) -> None:
         """Keep a run."""
@@ -209,9 +205,9 @@ class RunFiles(KeptRuns):
             return
         runs, replaced = _Columns.of(self._unwritten), 0
         for file in reversed(self._files):
-            if file.count > len(runs):
+            if len(file.runs) > len(runs):
                 break
-            runs = _Columns.joined(self._read(file.path), runs)
+            runs = _Columns.joined(file.runs, runs)
             replaced += 1
         self._serial += 1
         path = self._folder / f"runs-{self._serial:06d}-{len(runs)}.h5"
@@ -220,12 +216,12 @@ class RunFiles(KeptRuns):
         kept = self._files[: len(self._files) - replaced]
         for file in self._files[len(kept) :]:
             file.path.unlink(missing_ok=True)
-        self._files = [*kept, _File(path, len(runs))]
+        self._files = [*kept, _File(path, runs)]
 
     @property
     def count(self) -> int:
         """How many runs are on disk."""
-        return sum(file.count for file in self._files)
+        return sum(len(file.runs) for file in self._files)
 
     def remove(self) -> None:
         """Remove all runs, and what a killed process left of them."""

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from greybox.solve.kept_runs import KeptRunsError
 from greybox.solve.outcome import IMPROVED, Outcome
 from greybox.study.run_files import RunFiles
 
@@ -60,12 +59,3 @@ def test_of_a_run_in_two_files_the_later_counts(tmp_path):
     assert len(known) == 3
     require_same(known[1][1], WHOLE)
     require_same(known[2][1], PLAIN)
-
-
-def test_a_file_that_was_damaged_meanwhile_is_named(tmp_path):
-    files = kept(tmp_path, [(0, PLAIN)])
-    [path] = tmp_path.iterdir()
-    path.write_bytes(path.read_bytes()[:-9])
-    files.add(1, START, PLAIN)
-    with pytest.raises(KeptRunsError, match=path.name):
-        files.write()
