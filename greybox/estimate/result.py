@@ -87,7 +87,7 @@ class Fit:
     """The outcome of all starts of a problem. Printing it answers the reader's questions in order.
 
     It holds plain values only, so that a saved one loads without the model. `runs` and `minima` are those of the
-    multistart; vectors follow `free`.
+    multistart, and the runs are columns besides, as in ``fit.runs.cost``; vectors follow `free`.
 
     Attributes
     ----------

@@ -326,14 +326,14 @@ def test_the_limits_of_iterations_and_the_tolerance_are_options():
 
 
 def test_a_time_limit_cuts_between_batches(monkeypatch, clock):
-    """On a clock that goes on by a second at every look, of which a batch takes some forty."""
+    """On a clock that goes on by a second at every look: within a batch of which some have arrived."""
     solver = BatchedSolver(compile_problem(NOISY))
     assert solver.together == 1024
     wide = measured(LagLagDelay(), np.geomspace(0.1, 100, 100), TWO_LAGS, noise=0.03, seed=2)
     assert BatchedSolver(compile_problem(gb.Problem(LagLagDelay(), wide))).together < 500
 
     monkeypatch.setattr("greybox.solve.batched_solver.MOST", 32)
-    fit = gb.fit(NOISY, 320, seconds=300, progress=False)
+    fit = gb.fit(NOISY, 320, seconds=280, progress=False)
     assert 32 <= len(fit.runs) < 320
     assert all(run.status != "time limit of the fit" for run in fit.runs)
     assert fit.warnings[0].startswith(f"the time limit ended the search after {len(fit.runs)} of 320 starts")
