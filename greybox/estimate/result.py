@@ -181,7 +181,7 @@ class Fit:
         """The word "converged", or why there is no answer."""
         if self.converged:
             return "converged"
-        return f"no start converged ({Multistart(Runs.of(self.runs), (), 0.0).failures})"
+        return f"no start converged ({Multistart(self.runs, (), 0.0).failures})"
 
     @property
     def agreeing(self) -> int:
@@ -613,7 +613,7 @@ def _html(fit: Fit) -> str:
 
 def _overview(fit: Fit) -> list[str]:
     """Return what was searched, found and fitted, a line for each."""
-    tried = Multistart(Runs.of(fit.runs), fit.minima, fit.seconds)
+    tried = Multistart(fit.runs, fit.minima, fit.seconds)
     screened = len(fit.runs) - len(tried.brought)
     only_screened = f" ({screened} of {len(fit.runs)} starts were screened out)" if screened else ""
     agreeing = counted(fit.agreeing, "agrees", "agree")

@@ -10,7 +10,6 @@ import numpy as np
 from greybox.data.text_table import counted, listed, number, some
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
 from greybox.solve.outcome import SCREENED
-from greybox.solve.runs import Runs
 from greybox.statistics.metrics import rms
 
 Grade = Literal["good", "doubt", "failed"]
@@ -46,9 +45,9 @@ def verdict(fit: Any) -> Verdict:
 
 def _minimum(fit: Any) -> tuple[str, bool]:
     """Say how many starts agree on the best minimum, and whether it was found more than once."""
-    brought = int(np.count_nonzero(Runs.of(fit.runs).stage != SCREENED))
-    count = counted(brought, "start")
-    if brought == 1:
+    brought = [run for run in fit.runs if run.stage != SCREENED]
+    count = counted(len(brought), "start")
+    if len(brought) == 1:
         return "The fit was made from one start, so another minimum may have a lower cost.", False
     if fit.agreeing == 1:
         return f"Only 1 of {count} reached the best minimum, so another one may have a lower cost.", False

@@ -62,6 +62,10 @@ class Multistart:
     nodes: tuple[NDArray[np.float64], ...] | None = None
     ends: tuple[tuple[NDArray[np.float64], ...] | None, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Have the runs in columns."""
+        object.__setattr__(self, "runs", Runs.of(self.runs))
+
     @property
     def converged(self) -> int:
         """How many runs converged."""

@@ -10,7 +10,6 @@ import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.minima import Minimum, Multistart, agreeing_runs, best_unfinished, find_minima, same_cost
 from greybox.solve.outcome import SCREENED, TOO_COARSE, Run
-from greybox.solve.runs import Runs
 
 DATA = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=6)
 GAIN = measured(Parabola(), [0.5, 1.0, 2.0], {"x": 1.0, "slope": 0.0})
@@ -61,7 +60,7 @@ def test_runs_that_did_not_converge_are_in_no_minimum():
 
 def test_a_multistart_counts_its_failures_by_status():
     runs = (run(0, 1.0, 0.1), *(run(k, 1.0, np.nan, False, s) for k, s in enumerate("aba", start=1)))
-    search = Multistart(Runs.of(runs), (), 1.0)
+    search = Multistart(runs, (), 1.0)
     assert search.converged == 1
     assert search.failures == "2 × a, 1 × b"
 
@@ -121,6 +120,6 @@ def test_the_best_run_that_did_not_end():
     assert best_unfinished(runs).index == 3
     assert best_unfinished(runs[:2]).index == 1
     assert best_unfinished(runs[:1]) is None
-    search = Multistart(tuple(runs), (), 1.0)
+    search = Multistart(runs, (), 1.0)
     assert [r.index for r in search.brought] == [0, 2, 3, 4, 5]
     assert repr(search) == "<Multistart 1 of 5 runs converged, 0 minima>"
