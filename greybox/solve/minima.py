@@ -1,5 +1,6 @@
 """What a multistart leaves: every run, and the distinct minima that they found."""
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -94,11 +95,9 @@ class Multistart:
 
 def best_unfinished(runs: Sequence[Run]) -> Run | None:
     """Return the run that ended at the lowest cost without having converged; None where all ended without one."""
-    every = Runs.of(runs)
-    ended = every[~every.converged & (every.status != TOO_COARSE) & np.isfinite(every.cost)]
-    brought = ended[ended.stage != SCREENED]
-    ended = brought if len(brought) else ended
-    return ended[int(np.argmin(ended.cost))] if len(ended) else None
+    ended = [run for run in runs if not run.converged and run.status != TOO_COARSE and math.isfinite(run.cost)]
+    ended = [run for run in ended if run.stage != SCREENED] or ended
+    return min(ended, key=lambda run: run.cost, default=None)
 
 
 def agreeing_runs(
