@@ -240,25 +240,9 @@ def _lagged(e: Sequence[Array], u: Sequence[Array], lags: int) -> tuple[Array, N
 
 
 def _tested(statistic: float, dof: int, correlations: Array, bound: float) -> CorrelationTest:
-    return CorrelationTest(statistic, dof, _chi_squared_beyond(statistic, dof), correlations, bound)
+    from scipy.special import chdtrc  # noqa: PLC0415  (takes a tenth of a second to import)
 
-
-def _chi_squared_beyond(value: float, dof: int) -> float:
-    """Return the probability that chi-squared with a whole number of degrees of freedom exceeds a value.
-
-    scipy.special, which has it, takes a tenth of a second to import.
-    Source: Abramowitz and Stegun (1964), Handbook of Mathematical Functions, 26.4.4 and 26.4.5.
-    """
-    if not value < math.inf:  # NaN stays
-        return 0.0 if value == math.inf else math.nan
-    half = value / 2
-    odd = dof % 2
-    total = math.erfc(math.sqrt(half)) if odd else 0.0
-    term = math.exp(-half) * (math.sqrt(half / math.pi) * 2 if odd else 1.0)
-    for k in range(dof // 2):
-        total += term
-        term *= half / (k + 1 + odd / 2)
-    return min(total, 1.0)
+    return CorrelationTest(statistic, dof, float(chdtrc(dof, statistic)), correlations, bound)
 
 
 def _unknown(lags: int) -> CorrelationTest:

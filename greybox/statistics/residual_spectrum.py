@@ -652,6 +652,8 @@ class _Sandwich:
         fit takes most from slow errors. Cosine transforms make these nearly independent, with no samples beyond the
         ends.
         """
+        from scipy.fft import dct  # noqa: PLC0415  (importing greybox stays light)
+
         shapes = np.concatenate([np.ones((1, len(self.grid.omega)))] + [family.shapes for family in self.families[i]])
         p = len(self.root)
         given = self.noise[i, i] / self.deviation[i] ** 2
@@ -660,7 +662,7 @@ class _Sandwich:
         for J, e in zip(self.weighted, self.residuals, strict=True):
             n = e.shape[1]
             rows = np.vstack([e[i] / self.deviation[i], self.root.T @ J[i] * given * self.deviation[i]])
-            rows = _cosine_transform(rows)
+            rows = np.asarray(dct(rows, axis=1, norm="ortho"))
             band = np.searchsorted(self.grid.starts, np.arange(n) * self.grid.size / (2 * n), side="right") - 1
             there, first = np.unique(band, return_index=True)
             counts += np.bincount(band, minlength=len(counts))
@@ -837,22 +839,6 @@ def _smoothed(values: Array, width: int) -> Array:
     padded = np.pad(values, half, mode="reflect")
     total = np.cumsum(np.concatenate([[0.0], padded]))
     return np.maximum((total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1), 0.0)
-
-
-def _cosine_transform(rows: Array) -> Array:
-    """Return the orthonormal cosine transform (DCT-II) of rows (m, n), by one Fourier transform of n samples.
-
-    scipy.fft takes longer to import than a record takes to be judged. Source: Makhoul (1980), A fast cosine transform
-    in one and two dimensions, IEEE Transactions on Acoustics, Speech, and Signal Processing 28(1).
-    """
-    n = rows.shape[1]
-    turned = np.fft.rfft(np.hstack([rows[:, ::2], rows[:, 1::2][:, ::-1]]))
-    turned *= np.exp(-0.5j * np.pi / n * np.arange(turned.shape[1])) * math.sqrt(2 / n)
-    result = np.empty_like(rows)
-    result[:, : turned.shape[1]] = turned.real
-    result[:, turned.shape[1] :] = -turned.imag[:, (n - 1) // 2 : 0 : -1]
-    result[:, 0] *= math.sqrt(0.5)
-    return result
 
 
 def _whittle(r: Array) -> Iterator[tuple[Array, Array]]:
