@@ -309,8 +309,9 @@ class Segments:
                 M = np.einsum("lac,lbvc->cabv", e, J)
                 node_moments[batch] = M[..., :n]
                 parameter_moments += self.by_record(M[..., n:], batch)
-            J = np.ascontiguousarray(J.reshape(-1, v, J.shape[-1]).transpose(2, 0, 1))
-            e = e.reshape(-1, e.shape[-1]).T
+            c = len(range(s)[batch])
+            J = np.ascontiguousarray(J.reshape(-1, v, c).transpose(2, 0, 1))
+            e = e.reshape(-1, c).T
             H = J.transpose(0, 2, 1) @ J
             g = (e[:, None, :] @ J)[:, 0]
             node_hessian[batch] = H[:, :n, :n]
