@@ -158,12 +158,16 @@ def colored_information(
             None if initial is None else [X[there] for X in initial],
             None if shocks is None else shocks[there],
         )
-    corrected = sum(e.shape[1] for e in residuals) <= LONGEST_CORRECTED
+    corrected = False
     mixture = problem.mixture(*problem.periodogram)
-    for _ in range(CORRECTIONS if corrected else 0):
+    for _ in range(CORRECTIONS if sum(e.shape[1] for e in residuals) <= LONGEST_CORRECTED else 0):
         before = mixture.taken
         lags, banded = problem.taken_power(mixture.density)
-        mixture = problem.mixture(problem.periodogram[0] + lags, problem.periodogram[1] + banded)
+        lags += problem.periodogram[0]
+        if not np.all(lags[0].diagonal() > 0):
+            break  # a fit to such errors would bring more power into an output than its residuals have
+        corrected = True
+        mixture = problem.mixture(lags, problem.periodogram[1] + banded)
         if abs(mixture.taken - before) < CORRECTED_AGAIN * before:
             break
     meat = problem.grid.score_covariance(problem.transforms(), mixture.density)

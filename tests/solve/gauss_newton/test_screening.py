@@ -12,9 +12,7 @@ import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.screening import Screening, distinct
-from greybox.solve.minima import Minimum
-from greybox.solve.multistart import _among_screened, multistart
-from greybox.solve.outcome import Run
+from greybox.solve.multistart import multistart
 from greybox.solve.waves import AllAtOnce, PromisingFirst
 
 VALUES = {"Z_alpha": -1.2, "M_alpha": -6.0, "M_q": -2.0, "M_de": -8.0, "b_q": 0.02, "b_az": -0.5}
@@ -119,16 +117,6 @@ def test_what_was_screened_out_is_kept(tmp_path):
     loaded = gb.load(tmp_path / "fit.h5")
     assert [run.stage for run in loaded.runs] == stages
     assert loaded.agreeing == fit.agreeing
-
-
-def test_runs_from_elsewhere_follow_those_from_the_starts():
-    starts = np.arange(10.0).reshape(5, 2)
-    made = [Run(k, starts[k], starts[k], cost, "", True, 1, 0.1) for k, cost in enumerate((3.0, 2.0, 1.0))]
-    minima = (Minimum(1.0, starts[2], (2,), 1), Minimum(2.0, starts[1], (1, 0), 1))
-    runs, found = _among_screened(made, minima, [1, 3], starts, np.full(5, np.inf))
-    assert [run.index for run in runs] == list(range(6))
-    assert [run.cost for run in runs] == [np.inf, 3.0, np.inf, 2.0, np.inf, 1.0]
-    assert [minimum.runs for minimum in found] == [(5,), (3, 1)]
 
 
 def test_a_number_that_is_asked_for_is_tried_as_it_is():
