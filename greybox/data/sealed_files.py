@@ -66,7 +66,8 @@ def write_sealed(path: Path, kind: str, fill: Callable[[Node], None]) -> None:
     whole = io.BytesIO()
     with h5py.File(whole, "w", userblock_size=BLOCK) as file:
         fill(file)
-    body = whole.getbuffer()[BLOCK:]  # no copy of what may be large
+    # No copy of what may be large; and no view of the buffer, which held by a traceback crashes Python 3.12 at its end.
+    body = memoryview(whole.getvalue())[BLOCK:]
     head = _block(kind, hashlib.sha256(body).hexdigest())
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(head)
