@@ -944,7 +944,7 @@ class RecordPart(Part):
         samples = np.arange(shocks.shape[2])
         for response, measured in zip(shocks, self.data.stretches[longest].outputs, strict=True):
             there = np.isfinite(measured)
-            for row in response if there.any() else ():  # what is missing has no sensitivity
+            for row in response if there.any() and not there.all() else ():  # what is missing has no sensitivity
                 row[:] = np.interp(samples, samples[there], row[there])
         power = (shocks**2).sum(axis=0)
         last = power[:, 3 * len(samples) // 4 :].mean(axis=1)

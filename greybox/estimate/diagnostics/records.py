@@ -75,14 +75,8 @@ def hidden_errors(accuracy: Accuracy) -> Iterator[str]:
     errors are known to be slow, `record_warnings` says so.
     """
     found = [known for known in accuracy.correlation if known is not None]
-    if not all(known.is_long_enough for known in found):
-        return
-    # Without Student's quantiles, by which it is a little less.
-    at_most = math.exp(math.hypot(*(math.log(known.hidden) / 2 for known in found)))
-    if at_most <= NARROW:
-        return
     wider = math.exp(math.hypot(*(math.log(known.wider) for known in found)))
-    if wider > NARROW:
+    if wider > NARROW and all(known.is_long_enough for known in found):
         yield (
             "so short a record hides slow errors, such as drift or gusts, in its noise: those that the residuals do "
             f"not exclude would make the intervals up to {wider:.2g} times wider than they are."
