@@ -28,6 +28,9 @@ INDEX = "study.json"
 LOCK = "lock"
 ANSWER = "answer.json"
 FIT = "fit.h5"
+# Seconds that a lock is waited for: a worker that was being started when its parent was killed still holds the parent's
+# files until its own program runs.
+PATIENCE = 2.0
 
 
 @contextmanager
@@ -43,7 +46,7 @@ def locked(folder: Path) -> Iterator[None]:
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / LOCK, timeout=0)
+        lock = FileLock(folder / LOCK, timeout=PATIENCE)
         lock.acquire()
     except Timeout:
         raise BlockingIOError(

@@ -6,15 +6,18 @@ import sys
 import time
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Timer
 
 import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
+from filelock import FileLock
 from numpy.testing import assert_array_equal
 from sampled_lag import lag_problem
 
 import greybox as gb
 from greybox.estimate.fit import fingerprint, fit_keeping
 from greybox.study.run_files import NAME, RunFiles, count_runs
+from greybox.study.study_folder import locked
 
 RESPONSE = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2))
 OTHER = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=3))
@@ -221,6 +224,14 @@ def test_a_batch_that_was_killed_goes_on_and_none_joins_it_while_it_is_at_work(t
         require_same(
             member.fit, gb.fit(stated.problem, stated.starts, stated.seed, search=stated.search, progress=False)
         )
+
+
+def test_a_lock_that_is_let_go_in_a_moment_is_waited_for(tmp_path):
+    lock = FileLock(tmp_path / "lock", thread_local=False)
+    lock.acquire()
+    Timer(0.3, lock.release).start()
+    with locked(tmp_path):
+        assert not lock.is_locked
 
 
 def kept(folder):
