@@ -1,7 +1,7 @@
 """Plant faults in the package, one at a time, and see whether a test notices.
 
 python benchmarks/mutation.py [--count 200] [--seed 1] [--files 'greybox/*'] [--jobs 1] [--cache DIR] [--budget 300]
-    [--minutes 60] [--list]
+    [--minutes 60] [--anew] [--list]
 
 Needs `coverage`, which comes with the `dev` extra. Faults are a changed sign, operator, comparison or constant, a
 missing `abs`, `max`, `min` or `clip`, and a missing error, warning or diagnosis; a seed is always the same sample of
@@ -13,8 +13,10 @@ Times of tests and their limits are processor time, so other work on the machine
 what it says; only `--minutes` is time of the clock. The measuring run takes some twenty minutes of one processor and 1
 GB; a fault that is caught takes 5 s, of which half are imports, and one that survives up to its budget.
 
-All happens in copies of the last commit in a temporary directory. Which test executes which line is measured once a
-commit by a run of the whole suite, and kept in the cache; where only tests are newer than what it holds, only they run.
+All happens in copies of the last commit in a temporary directory. Which test executes which line is measured once by a
+run of the whole suite, and kept in the cache. Where it holds that of an earlier commit, only tests that are newer run:
+lines of the package keep their tests, and new lines have those of the line above. Tests can be missed so, and faults
+then count as survivors; `--anew` runs the whole suite again.
 
 Left out by rule: texts, type hints, decorators, `__all__`, and numbers in figures, which are looks. mutmut and
 cosmic-ray were considered: the first replaces every function by a trampoline, and knows which tests reach a function
@@ -37,6 +39,7 @@ from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import date
+from difflib import SequenceMatcher
 from importlib.metadata import version
 from itertools import accumulate, repeat
 from pathlib import Path
@@ -105,20 +108,42 @@ def environment(copy_: Path, plugin: Path, **more) -> dict:
     return {**os.environ, "PYTHONPATH": f"{plugin}:{copy_}", "OMP_NUM_THREADS": "1", **more}
 
 
-def known_map(folder: Path, jobs: int) -> "Map":
-    """Return which test executes which line of the last commit; where tests alone are newer, only these run."""
+def known_map(folder: Path, jobs: int, *, anew: bool) -> "Map":
+    """Return which test executes which line of the last commit; of an earlier map, only tests that are newer run."""
     target = folder / f"{git('rev-parse', 'HEAD')}.json"
-    if not target.exists():
+    if anew or not target.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        base = next((c for c in git("rev-list", "-100", "HEAD").split() if (folder / f"{c}.json").exists()), None)
-        newer = git("diff", "--name-only", base, "HEAD", "--", *MEASURED, "tests").split() if base else []
-        if base and all(Path(f).match("tests/**/test_*.py") for f in newer):
-            there = [f for f in newer if (ROOT / f).exists()]
-            stored = merged(json.loads((folder / f"{base}.json").read_text()), measure(jobs, there), tuple(newer))
+        earlier = (c for c in git("rev-list", "-100", "HEAD").split() if (folder / f"{c}.json").exists())
+        base = None if anew else next(earlier, None)
+        if base:
+            newer = git("diff", "--name-only", "--no-renames", base, "HEAD", "--", *MEASURED, "tests").split()
+            tests = [f for f in newer if Path(f).match("tests/**/test_*.py")]
+            old = json.loads((folder / f"{base}.json").read_text())
+            known = carried(old, base, [f for f in newer if f not in tests])
+            stored = merged(known, measure(jobs, [f for f in tests if (ROOT / f).exists()]), tuple(tests))
         else:
             stored = measure(jobs)
         target.write_text(json.dumps(stored))
     return Map(json.loads(target.read_text()))
+
+
+def carried(known: dict, base: str, files: list) -> dict:
+    """Move what is known of the lines of these files from an earlier commit to the last one."""
+    lines = dict(known["lines"])
+    for file in files:
+        old = lines.pop(file, None)
+        if old is None or not (ROOT / file).exists():
+            continue
+        before, after = git("show", f"{base}:{file}").splitlines(), git("show", f"HEAD:{file}").splitlines()
+        same = SequenceMatcher(None, before, after, autojunk=False).get_matching_blocks()
+        numbers = {b + k + 1: a + k + 1 for a, b, size in same for k in range(size)}
+        moved, above = {}, []
+        for number in range(1, len(after) + 1):
+            tests = old.get(str(numbers[number])) if number in numbers else above
+            if tests:
+                moved[str(number)] = above = tests
+        lines[file] = moved
+    return {**known, "lines": lines}
 
 
 def merged(old: dict, new: dict, files: tuple) -> dict:
@@ -318,6 +343,7 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, default=Path.home() / ".cache" / "greybox-mutation")
     parser.add_argument("--budget", type=float, default=300.0, help="s of processor time of tests against a fault")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="after which no other fault is planted")
+    parser.add_argument("--anew", action="store_true", help="see again which test executes what, in all tests")
     parser.add_argument("--list", action="store_true", help="print the sample and stop")
     options = parser.parse_args()
     if git("status", "--porcelain", "--untracked-files=no"):
@@ -327,7 +353,7 @@ def main() -> None:
         print(*faults, sep="\n")
         return
 
-    known = known_map(options.cache, options.jobs)
+    known = known_map(options.cache, options.jobs, anew=options.anew)
     seconds = {name: test["seconds"] for name, test in known.tests.items()}
 
     with tempfile.TemporaryDirectory() as work, ThreadPoolExecutor(options.jobs) as pool:
