@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
 import greybox as gb
+from greybox.modeling import periodic_motions as periodic
 from greybox.modeling.periodic_motions import periodic_motions, response_of_test
 from greybox.models.tilt import LinearTilt
 
@@ -108,3 +109,122 @@ def test_a_warning_names_the_motions_only_where_there_are_several():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         gb.modeling.harmonic_response(Spring(), {}, OMEGA, amplitude={"u": 0.01})
+
+
+# --- one harmonic, of which the motions are the roots of a cubic
+
+
+def level_of(model, amplitude, harmonics, omega=OMEGA):
+    sine = gb.modeling.Sine("u", amplitude, harmonics=harmonics)
+    options = {"input": "u", "output": model.output_names[0], "pade": None}
+    return periodic._Levels(model, list(model.values({}).values()), np.array([omega]), sine, options)
+
+
+def describing_responses(amplitude, b=1.0):
+    """All x with (1 - ω² + 3/4 b |x|² + 0.1 jω) x = amplitude, over the amplitude, the smallest first."""
+    stiffness, damping = 1 - OMEGA**2, OMEGA * DAMPING
+    roots = np.roots([9 / 16 * b**2, 1.5 * b * stiffness, stiffness**2 + damping**2, -(amplitude**2)])
+    squares = np.sort(roots[np.abs(roots.imag) < 1e-9].real)
+    return 1 / (stiffness + 0.75 * b * squares + 1j * damping)
+
+
+@pytest.mark.parametrize("amplitude", [0.02, 0.45, 0.55])
+def test_the_curve_meets_all_motions_in_their_order(amplitude):
+    wanted = describing_responses(amplitude)
+    level = level_of(Spring(), amplitude, 1)
+    balance, given = level.balance(1), level.given(1, 0)
+    followed = periodic._followed(balance, given, 1 / periodic.RANGE)
+    assert_allclose([periodic._response(balance, x, given) for x in followed], wanted, rtol=1e-7)
+    candidates = periodic._candidates(balance, given)
+    assert_allclose([periodic._response(balance, x, given) for x in candidates], wanted, rtol=1e-7)
+    from_above = periodic._followed(balance, given, periodic.RANGE)
+    assert_allclose([periodic._response(balance, x, given) for x in from_above], wanted[::-1], rtol=1e-7)
+
+
+def test_points_of_the_curve_are_motions_and_its_tangent_leads_along_it():
+    level = level_of(Spring(), 0.4, 1)
+    balance, given = level.balance(1), level.given(1, 0)
+    curve = periodic._Curve(balance, given)
+    at = np.log(0.3)
+    y = np.append(periodic._solved(balance, np.zeros(7), curve.given_at(at)), at)
+    scale = np.append(np.full(7, 0.5), 1.0)
+    tangent = curve.tangent(y, np.append(np.zeros(7), 1.0), scale)
+    assert np.linalg.norm(tangent / scale) == pytest.approx(1)
+    assert tangent[-1] > 0
+    assert_allclose(curve.tangent(y, np.append(np.zeros(7), -1.0), scale), -tangent)
+    near = [np.append(periodic._solved(balance, y[:-1], curve.given_at(at + h)), at + h) for h in (-1e-4, 1e-4)]
+    assert_allclose(tangent / tangent[-1], (near[1] - near[0]) / 2e-4, rtol=1e-5, atol=1e-6)
+
+    guess = y + 0.05 * tangent
+    point = curve.corrected(guess, tangent, scale)
+    assert abs((point - guess) / scale @ (tangent / scale)) < 1e-9
+    assert periodic._response(balance, point[:-1], curve.given_at(point[-1])) == pytest.approx(
+        describing_responses(np.exp(point[-1]))[0], rel=1e-7
+    )
+
+
+@pytest.mark.parametrize("harmonics", [1, 3])
+def test_a_stated_number_of_harmonics_of_the_input_is_kept(harmonics):
+    motions = periodic_motions(Spring(), {}, np.array([OMEGA]), gb.modeling.Sine("u", 0.5, harmonics=harmonics))
+    one = describing_responses(0.5)[0]
+    assert (abs(motions.response[0] - one) < 1e-9) == (harmonics == 1)
+    assert_allclose(motions.response, [one], rtol=1e-5)
+
+
+class Scaled(Spring):
+    """The position in another unit."""
+
+    unit = 1e-3
+
+    def output(self, x, u, p):
+        return (self.unit * x.x,)
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+def test_the_number_of_harmonics_does_not_depend_on_the_unit(unit):
+    """Seven suffice for two states, of which each has a mean as well."""
+    model = type("Scaled", (Scaled,), {"unit": unit})()
+    motion = periodic._motions(level_of(model, 0.5, 3), 3, 0, True)[0]
+    assert motion.harmonics.size == 2 * (2 * 7 + 1) + 1
+
+
+class Swing(gb.StateSpace):
+    """x'' + c x' + (d + u) x = 0, whose motion x = 0 a sine for u makes unstable (Mathieu)."""
+
+    states, inputs, outputs = ("x", "v"), ("u",), ("x",)
+    c = gb.Parameter(0.1)
+    d = gb.Parameter(1.3)
+
+    def derivative(self, x, u, p):
+        return (x.v, -(p.d + u.u) * x.x - p.c * x.v)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+def multiplier(amplitude, omega, c=0.1, d=1.3, steps=100):
+    """The largest over a period, by Runge and Kutta's method."""
+
+    def slope(t, z):
+        return np.array([z[1], -(d + amplitude * np.cos(omega * t)) * z[0] - c * z[1]])
+
+    z, h = np.eye(2), 2 * np.pi / omega / steps
+    for k in range(steps):
+        a = slope(k * h, z)
+        b = slope((k + 0.5) * h, z + h / 2 * a)
+        e = slope((k + 0.5) * h, z + h / 2 * b)
+        z = z + h / 6 * (a + 2 * b + 2 * e + slope((k + 1) * h, z + h * e))
+    return np.abs(np.linalg.eigvals(z)).max()
+
+
+def test_a_motion_is_stable_where_its_multipliers_are_below_one():
+    omega = 2.1
+    low, high = 0.0, 2.0
+    while high - low > 1e-3:
+        middle = (low + high) / 2
+        low, high = (middle, high) if multiplier(middle, omega) < 1 else (low, middle)
+    for amplitude, stable in ((low - 0.01, True), (low + 0.01, False)):
+        level = level_of(Swing(), amplitude, 3, omega)
+        balance, given = level.balance(3), level.given(3, 0)
+        at_rest = np.zeros(balance.balance.unknown.numel())
+        assert periodic._is_stable(balance, at_rest, given) == stable
