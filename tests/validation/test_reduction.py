@@ -1,5 +1,8 @@
 """What a fit leaves open goes to its end, and nothing else does."""
 
+import re
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
@@ -9,7 +12,7 @@ from greybox.modeling.limit import Limit, at_limit
 from greybox.models.yaw import YawAngle
 from greybox.problems import pitch_hover, yaw_hover
 from greybox.validation import reduction
-from greybox.validation.reduction import _directions
+from greybox.validation.reduction import Candidate, Reduction, Tried, _directions
 
 
 @pytest.fixture(scope="module")
@@ -222,3 +225,138 @@ def test_the_fastest_pole_is_that_about_the_first_initial_state():
     assert reduction._fastest(Braked(), {"k": 2.0}, {}) == 0.0
     assert reduction._fastest(FastLag(), {"a": 1.0, "w": 500.0, "tau": 0.0}, {}) == pytest.approx(500.0)
     assert reduction._fastest(Braked(), {"k": np.inf}, {"x": np.array([3.0])}) == np.inf
+
+
+# --- parts at a limit
+
+
+def fitted_values(**estimate):
+    return SimpleNamespace(estimate=estimate)
+
+
+def lag_problem(omega=(0.05, 10.0), **options):
+    values = {"K_1": 6.0, "T_1": 2.0}
+    s = 1j * np.asarray(omega)
+    data = gb.FrequencyResponse(omega, 6.0 / (2.0 * s + 1), input="u", output="y")
+    return gb.Problem(Lag(), data, rename={"K": "K_1", "T": "T_1"}, **options), fitted_values(**values)
+
+
+def test_a_part_at_a_limit_has_the_names_outside():
+    problem, fit = lag_problem(starts={"K": (1, 2)})
+    both = reduction._part_at_limit(problem, Candidate({"T_1": 1, "K_1": 1}, "infinity"), fit)
+    assert list(both.parameters) == ["K_1_per_T_1"]
+    assert both.parameters["K_1_per_T_1"].start == 3.0
+    alone = reduction._part_at_limit(problem, Candidate({"T_1": 1}, "zero"), fit)
+    assert list(alone.parameters) == ["K_1"]
+    assert alone.parameters["K_1"].starts == (1, 2)
+    assert reduction._part_at_limit(problem, Candidate({"a": 1, "b": 1}, "zero"), fit) is problem
+    assert reduction._part_at_limit(problem, Candidate({"a": 1, "K_1": 1}, "zero"), fit) is None
+    same = gb.Problem(Lag(), problem.response)
+    made = reduction._part_at_limit(same, Candidate({"T": 1, "K": 1}, "infinity"), fitted_values(K=6.0, T=2.0))
+    assert list(made.parameters) == ["K_per_T"]
+
+
+def test_a_bias_of_a_sensor_has_no_limit():
+    time = np.arange(20) / 10
+    record = gb.Record(time, {"u": np.sin(time), "y": np.cos(time)})
+    problem = gb.Problem(TwoGains(), record, gb.OutputError(biases=("y",)))
+    (bias,) = set(problem.declared) - set(problem.model.parameters)
+    known = fitted_values(K=2.0, M=1.5, a=1.0, **{bias: 0.1})
+    assert reduction._part_at_limit(problem, Candidate({bias: 1}, "zero"), known) is None
+    assert reduction._part_at_limit(problem, Candidate({"K": 1, bias: 1}, "zero"), known) is None
+    assert reduction._part_at_limit(problem, Candidate({"K": 1}, "zero"), known) is not None
+
+
+def has_limit(problem, powers, end, fit):
+    return reduction._has_limit(reduction._part_at_limit(problem, Candidate(powers, end), fit), problem, fit)
+
+
+def test_a_limit_is_told_from_none():
+    """A part in ten million is left out at the value that stands for the end, and less further on."""
+    slow, fit = lag_problem((0.05, 0.1))
+    fast, _ = lag_problem((5.0, 10.0))
+    assert has_limit(slow, {"T_1": 1, "K_1": 1}, "infinity", fit)
+    assert has_limit(fast, {"T_1": 1}, "zero", fit)
+    assert not has_limit(fast, {"K_1": 1}, "infinity", fit)  # without end
+    assert not has_limit(fast, {"K_1": 1}, "zero", fit)  # nothing is left of the response
+    assert not has_limit(fast, {"T_1": 1}, "infinity", fit)
+
+
+class Grown(gb.TransferFunction):
+    """Finite nowhere but at finite values."""
+
+    a = gb.Parameter(1.0, bounds=(0, 100))
+    K = gb.Parameter(1.0)
+
+    def response(self, s, p):
+        return p.K * gb.exp(p.a) / (s + 1)
+
+
+def test_what_is_not_finite_is_no_limit():
+    data = gb.FrequencyResponse([1.0, 2.0], [1.0, 0.5], input="u", output="y")
+    fit = fitted_values(a=1.0, K=1.0)
+    assert not has_limit(gb.Problem(Grown(), data), {"a": 1}, "infinity", fit)
+    assert has_limit(gb.Problem(Grown(), data), {"a": 1}, "zero", fit)
+
+
+# --- what is open, and how it is said
+
+
+def test_open_are_those_without_a_small_error_and_those_at_a_bound():
+    judged = SimpleNamespace(
+        names=("well", "badly", "unknown", "nothing", "bound"),
+        error=(0.01, 0.9, np.nan, 0.9, 0.01),
+        at_bound=("bound",),
+        combinations=[
+            SimpleNamespace(names=("badly", "unknown"), powers=(1, 1), is_product=True),
+            SimpleNamespace(names=("badly", "well"), powers=(1, 1), is_product=False),
+        ],
+    )
+    estimate = {"well": 1.0, "badly": 1.0, "unknown": 1.0, "nothing": 0.0, "bound": 1.0}
+    found = list(reduction._candidates(SimpleNamespace(identifiability=judged, estimate=estimate)))
+    assert [(dict(c.powers), c.end) for c in found] == [
+        ({"badly": 1, "unknown": -1}, "infinity"),
+        ({"badly": 1, "unknown": -1}, "zero"),
+        *[({name: 1}, end) for name in ("badly", "unknown", "bound") for end in ("zero", "infinity")],
+    ]
+    said = "a → ∞, b/a² and c·a³ kept", "a → 0, b/a² and c·a³ kept", "a → ∞", "a = 0", "a → 0, b·a^4 kept"
+    powers = {"a": 1, "b": 2, "c": -3}, {"a": 1, "b": 2, "c": -3}, {"a": 1}, {"a": 1}, {"a": 1, "b": -4}
+    ends = "infinity", "zero", "infinity", "zero", "zero"
+    assert tuple(str(Candidate(p, end)) for p, end in zip(powers, ends, strict=True)) == said
+
+
+def test_a_basis_of_what_leaves_products_alone_is_complete():
+    """As many vectors as the rank leaves, orthogonal to all rows and independent of one another."""
+    random = np.random.default_rng(0)
+    for rows, width in ((1, 1), (1, 3), (2, 4), (3, 4), (4, 3), (3, 6)):
+        matrix = random.integers(-2, 3, size=(rows, width))
+        basis = np.array(reduction._null_space(matrix.tolist(), width), dtype=float).reshape(-1, width)
+        assert len(basis) == np.linalg.matrix_rank(basis) == width - np.linalg.matrix_rank(matrix)
+        np.testing.assert_allclose(basis @ matrix.T, np.zeros((len(basis), rows)), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("tried", "said"),
+    [
+        ([], r"not reduced; no parameter with an error above \d+ % has an end"),
+        (["rejected"], r"not reduced; the data reject every limit at 5 %\."),
+        (["stiff"], r"not reduced; the equations are too stiff in time for w → ∞: write those of the limit\."),
+        (
+            ["rejected", "stiff"],
+            r"the data reject every other limit at 5 %, and the equations are too stiff in time for w → ∞: write",
+        ),
+        (["failed"], r"the data reject every limit"),
+    ],
+)
+def test_why_nothing_was_reduced_is_said(tried, said):
+    kinds = {
+        "rejected": Tried(Candidate({"a": 1}, "zero"), SimpleNamespace(cost=3.0), SimpleNamespace(p_value=0.01)),
+        "stiff": Tried(Candidate({"w": 1}, "infinity"), None, None, why_not=reduction.STIFF_IN_TIME),
+        "failed": Tried(Candidate({"b": 1}, "infinity"), None, None),
+    }
+    fit = SimpleNamespace(name="f", free=("a", "b", "w"), cost=2.0)
+    found = Reduction(fit, fit, tuple(kinds[name] for name in tried), None, None)
+    assert re.search(said, str(found))
+    rows = {line.split()[0]: line for line in str(found).splitlines()[2:] if "→" in line or "=" in line}
+    assert ("rejected" in tried) == any(line.endswith("rejected") for line in rows.values())
+    assert "failed" not in tried or rows["b"].split()[-2:] == ["-", "-"]

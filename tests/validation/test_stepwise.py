@@ -7,7 +7,7 @@ from drag_flights import QUADRATIC, Drag, flight
 from scipy.stats import f
 
 import greybox as gb
-from greybox.validation.stepwise import with_terms
+from greybox.validation.stepwise import _more, with_terms
 
 POLES = {"c1": 1.0, "c3": 3.0, "c3b": 3.05, "c9": 9.0}
 OMEGA = np.geomspace(0.3, 30, 20)
@@ -73,6 +73,12 @@ def test_the_terms_of_the_truth_are_chosen_and_tested_as_in_regression(selection
     assert found.fit.cost == pytest.approx(squares(data, found.terms), rel=1e-6)
 
 
+def test_terms_are_tried_without_once_there_are_two(selection):
+    _, found = selection
+    tried = {step: [t.term for t in found.trials if (t.step, t.change) == (step, "remove")] for step in (1, 2)}
+    assert tried == {1: [], 2: list(found.terms)}
+
+
 def test_what_the_data_cannot_tell_apart_is_said(selection):
     data, found = selection
     one, other = ("c3", "c3b") if "c3" in found.terms else ("c3b", "c3")
@@ -127,3 +133,7 @@ def test_candidates_are_free_or_at_the_values_where_they_are_absent():
     none = with_terms(made, frozenset(), {"c9_b": 3.0})
     assert none.fixed_values == {"c3": 1.0, "c9": 3.0}
     assert {name for name, p in none.parameters.items() if not p.fixed} == {"K", "c1"}
+
+
+def test_a_difference_of_aic_has_a_direction():
+    assert [_more(x) for x in (1.234, -1.234, 0.004)] == ["AIC 1.23 more", "AIC 1.23 less", "the same AIC"]
