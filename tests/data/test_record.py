@@ -183,3 +183,11 @@ def test_the_step_is_the_median_interval(count):
     assert record.step == pytest.approx(np.median(np.diff(time)), rel=1e-12)
     assert record.rate == pytest.approx(1 / np.median(np.diff(time)))
     assert record.duration == pytest.approx(time[-1] - time[0])
+
+
+def test_rows_are_shared_by_number_in_one_file_and_by_value_in_others():
+    rows = Record(np.arange(6.0), {"x": np.arange(6.0)}, has_time=False, checksum="of the file")
+    assert share_samples(rows.rows(np.arange(4)), rows.rows(np.arange(3, 6)))
+    assert not share_samples(rows.rows(np.arange(3)), rows.rows(np.arange(3, 6)))
+    assert not share_samples(rows, Record(np.arange(6.0), {"x": np.arange(6.0) + 1}, has_time=False))
+    assert share_samples(rows, Record(np.arange(6.0), {"x": np.arange(6.0)}, has_time=False))

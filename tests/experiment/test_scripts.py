@@ -145,3 +145,8 @@ def test_script_waits_for_the_switch_to_be_low():
 def test_what_the_script_cannot_fly(made, axis, words):
     with pytest.raises(ValueError, match=words):
         ardupilot_script(made, axis)
+
+
+@pytest.mark.parametrize(("axis", "number"), [("roll", 1), ("pitch", 2), ("yaw", 3)])
+def test_the_script_turns_its_own_axis(axis, number):
+    assert f"AXIS = {number}" in ardupilot_script(sine_schedule([1.0], 0.1, unit="rad"), axis).replace("local ", "")

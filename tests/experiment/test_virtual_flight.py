@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import greybox as gb
+from greybox.experiment.virtual_flight import _averaged, _commands, _open_loop_rate, _thinning
 from greybox.modeling.model import Names
 from greybox.models.controller import AttitudeController
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
@@ -538,3 +539,40 @@ def test_bad_input(changed, error, sentence):
     plant = given.pop("plant")
     with pytest.raises(error, match=sentence):
         gb.virtual_flight(plant, given.pop("values", None), **given)
+
+
+def test_a_log_is_a_whole_number_of_passes_apart():
+    """To a millionth of that number."""
+    assert [_thinning(400.0, rate) for rate in (None, 400.0, 200.0, 100.0 / 3)] == [1, 1, 2, 12]
+    assert _thinning(300.0, 100.0 * (1 + 0.5e-6)) == 3
+    for rate, near in ((100.0 * (1 + 2e-6), "100"), (130.0, "150"), (900.0, "300")):
+        with pytest.raises(ValueError, match=rf"does not divide the 300 Hz of the loop: use e\.g\. {near} Hz"):
+            _thinning(300.0, rate)
+
+
+def test_means_are_those_of_every_few_samples_and_of_the_rest():
+    assert _averaged(np.array([1.0, 3.0, 5.0, 9.0, 4.0]), 2).tolist() == [2.0, 7.0, 4.0]
+    assert _averaged(np.array([1.0, 3.0]), 5).tolist() == [2.0]
+
+
+def test_an_open_loop_runs_at_the_rate_of_its_excitation():
+    time = np.arange(11) / 20 + 3.0
+    assert _open_loop_rate(gb.Record(time, {"u": time}), None) == pytest.approx(20)
+    assert _open_loop_rate({"u": time}, 8.0) == 8.0
+    for record in (gb.Record(time + 0.02 * (time > 3.2) / 20, {"u": time}), gb.Record(time[:1], {"u": time[:1]})):
+        with pytest.raises(ValueError, match="not uniformly sampled"):
+            _open_loop_rate(record, None)
+    shaken = time + 0.004 / 20 * np.random.default_rng(0).uniform(-1, 1, 11)
+    assert _open_loop_rate(gb.Record(shaken, {"u": time}), None) == pytest.approx(20, rel=1e-3)
+
+
+def test_commands_are_held_or_interpolated_on_the_clock_of_the_loop():
+    record = gb.Record(np.array([1.0, 1.1, 1.2]), {"u": np.array([0.0, 1.0, 5.0])}, units={"u": "rad"})
+    time, held, units = _commands(record, 20.0, ["u"], "it", True)
+    assert_allclose(time, 1 + np.arange(5) / 20)
+    assert held["u"].tolist() == [0.0, 0.0, 1.0, 1.0, 5.0]
+    assert units == {"u": "rad"}
+    assert_allclose(_commands(record, 20.0, ["u"], "it", False)[1]["u"], [0, 0.5, 1, 3, 5])
+    time, given, _ = _commands({"u": [1, 2, 3]}, 20.0, ["u"], "it", True)
+    assert_allclose(time, np.arange(3) / 20)
+    assert given["u"].tolist() == [1, 2, 3]

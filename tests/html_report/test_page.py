@@ -11,7 +11,7 @@ from page_results import lag
 import greybox as gb
 from greybox.html_report.entry import Entry
 from greybox.html_report.fit_section import _remarks, fit_section
-from greybox.html_report.page import LARGEST, page
+from greybox.html_report.page import BYTES, COLUMNS, FEWEST, LARGEST, LINES, _columns, page
 from greybox.html_report.report import with_bootstraps, write_page
 from greybox.models.polynomial import Polynomial
 
@@ -124,3 +124,12 @@ def test_remarks_name_what_is_correlated_and_where_standard_errors_mislead(fit):
     assert _remarks(profiled)[1].text == (
         "The intervals here are those of the standard errors, which mislead for b0 and a0: see Intervals."
     )
+
+
+@pytest.mark.parametrize(("records", "signals", "columns"), [(0, 1, COLUMNS), (1, 3, COLUMNS), (6, 700, FEWEST)])
+def test_lines_of_records_share_the_room_of_the_page(records, signals, columns):
+    part = SimpleNamespace(outputs=("y",), data=SimpleNamespace(signals=dict.fromkeys(range(signals))))
+    assert _columns([SimpleNamespace(records=[part] * records)]) == columns
+    many = [SimpleNamespace(records=[part] * 9)] * 20  # of six records of a fit there are figures
+    lines = 20 * 6 * (3 + signals)
+    assert _columns(many) == np.clip(LINES // (BYTES * lines), FEWEST, COLUMNS)

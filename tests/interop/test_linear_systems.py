@@ -167,3 +167,27 @@ class KnownModel(gb.TransferFunction):
 
     def response(self, s, p):
         return 1 / (p.T * s + 1)
+
+
+class TwoInputs(gb.StateSpace):
+    """Two lags of two inputs, of which one is delayed."""
+
+    states, inputs, outputs = ("x", "z"), ("u", "w"), ("y",)
+    delays = {"w": "tau"}
+    tau = gb.Parameter(0.1)
+
+    def derivative(self, x, u, p):
+        return (u.u - x.x, 2 * u.w - 3 * x.z)
+
+    def output(self, x, u, p):
+        return (x.x + 4 * x.z + 0.5 * u.w,)
+
+
+@pytest.mark.parametrize("pade", [1, 2])
+def test_states_of_a_delay_are_those_of_the_input_that_it_delays(control, pade):
+    there = gb.interop.to_control(TwoInputs(), {}, kind="state-space", pade=pade)
+    assert there.nstates == 2 + pade
+    found = there(1j * TILT_OMEGA, squeeze=False)[0]
+    for row, name in zip(found, ("u", "w"), strict=True):
+        wanted = gb.frequency_response(TwoInputs(), {}, TILT_OMEGA, input=name, delay=f"pade:{pade}").response
+        np.testing.assert_allclose(row, wanted, rtol=1e-9)

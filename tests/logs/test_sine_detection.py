@@ -281,3 +281,14 @@ def test_a_constant_beside_a_sweep_changes_nothing():
         assert (found.start, found.end) == (alone.start, alone.end)
         assert (found.band, found.amplitude) == (pytest.approx(alone.band), pytest.approx(alone.amplitude))
     assert (alone.start, alone.end) == pytest.approx((5, 45), abs=0.5)
+
+
+def test_a_sweep_flown_backwards_is_found_backwards():
+    """Its first half wave, which begins at the rest, is then its last."""
+    t = np.arange(2501) / 50
+    since = np.clip(t - 5, 0, 40)
+    r = np.where((t > 5) & (t < 45), 2 * np.sin(40 * (20 ** (since / 40) - 1) / math.log(20)), 0.0)
+    (there,), (back,) = (sines_and_sweeps(t, each) for each in (r, r[::-1]))
+    assert (t[-1] - back.end, t[-1] - back.start) == pytest.approx((there.start, there.end), abs=0.021)
+    assert back.band == pytest.approx(there.band)
+    assert there.start == pytest.approx(5, abs=0.2)

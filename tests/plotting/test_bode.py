@@ -135,3 +135,16 @@ def test_bands_are_the_half_widths_about_the_response_less_its_bias_in_decibel_a
     for limit, sign in ((low, -1), (high, 1)):
         decibel = 20 * np.log10(np.exp(offset[0] + sign * half[0]))
         np.testing.assert_allclose(limit, [decibel[order], np.degrees(offset[1] + sign * half[1])[order]])
+
+
+@pytest.mark.parametrize(
+    ("span", "step"), [(100, 15), (300, 45), (1200, 180), (2500, 360), (5500, 1440), (20000, 2880)]
+)
+def test_phases_have_at_most_eight_lines_at_parts_or_multiples_of_a_turn(span, step):
+    omega = np.linspace(1, 2, 600)
+    axes = gb.plotting.bode(gb.FrequencyResponse(omega, np.exp(-1j * np.radians(span / 1.1 * (omega - 1)))))[1]
+    low, high = axes.get_ylim()
+    ticks = axes.get_yticks()
+    assert np.diff(ticks) == pytest.approx(step)
+    assert 3 <= np.sum((low <= ticks) & (ticks <= high)) <= 8
+    np.testing.assert_allclose(ticks % step, 0)

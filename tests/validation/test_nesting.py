@@ -9,8 +9,10 @@ from drag_flights import Drag, LinearDrag, QuadraticDrag, fitted, flight
 
 import greybox as gb
 from greybox.validation.nesting import (
+    PARAMETER_SPREAD,
     NotNestedError,
     _beyond,
+    _Equations,
     _held_alike,
     _left_null_space,
     _on_bound,
@@ -343,3 +345,23 @@ def test_what_the_larger_model_holds_the_smaller_one_holds_alike():
     assert _held_alike(held("tied"), held("tied"), one, one)
     assert not _held_alike(held("tied"), held("tied"), one, other)
     assert not _held_alike(held("fixed"), held("tied"), one, one)
+
+
+def test_draws_lie_about_the_smaller_estimate_within_its_bounds():
+    bounds = {"one": (0.9, 1.1), "two": (-np.inf, np.inf), "three": (2.0, 2.0), "zero": (-9.0, 9.0)}
+    estimate = {"one": 1.0, "two": -4.0, "three": 5.0, "zero": 0.0}
+    made = SimpleNamespace(
+        _slots=SimpleNamespace(small=[{f"{name}_inside": name for name in estimate}]),
+        _small=SimpleNamespace(estimate=estimate),
+        _kinds=dict.fromkeys(estimate, "free") | {"three": "fixed"},
+        _bounds=bounds,
+    )
+    random = np.random.default_rng(0)
+    drawn = [_Equations._draw(made, 0, random) for _ in range(50)]
+    values = {name: np.array([one[f"{name}_inside"] for one in drawn]) for name in estimate}
+    assert values["one"].min() == 0.9
+    assert values["one"].max() == 1.1
+    assert set(values["three"]) == {5.0}
+    for name in ("two", "zero"):
+        assert np.std(values[name]) == pytest.approx(PARAMETER_SPREAD * (abs(estimate[name]) or 1), rel=0.3)
+        assert np.mean(values[name]) == pytest.approx(estimate[name], abs=np.std(values[name]) / 2)

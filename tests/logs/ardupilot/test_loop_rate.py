@@ -8,7 +8,7 @@ import pytest
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.identification.systematic_errors import systematic_errors, with_systematic_errors
-from greybox.logs.ardupilot.loop_rate import thinning, thinning_error
+from greybox.logs.ardupilot.loop_rate import _passed, thinning, thinning_error
 
 LOOP, GYRO = 400.0, 1000.0
 SETTINGS = {"SCHED_LOOP_RATE": LOOP, "INS_GYRO_FILTER": 20.0, "ATC_RAT_PIT_D": 0.01, "ATC_RAT_PIT_FLTD": 20.0}
@@ -101,3 +101,37 @@ def test_a_response_has_it_as_an_error_that_all_frequencies_have_in_common():
 def test_which_passes_were_logged_is_said(kept, said):
     found = thinning(log(400 / kept), "RATE.POut", 0, 20)
     assert str(found) == f"every {said} pass of the control loop was logged ({400 / kept:.4g} of 400 Hz)"
+
+
+@pytest.mark.parametrize(("cutoff", "passed"), [(None, 1.0), (0.0, 1.0), (20.0, 0.136), (400.0, 0.758)])
+def test_what_is_left_of_an_alternation_behind_the_filter(cutoff, passed):
+    """A first-order filter at the loop's rate, run on 1, -1, 1, -1, ...; without a cutoff there is none."""
+    flown = log(200)
+    parameters = {name: v for name, v in flown.metadata["parameters"].items() if name != "ATC_RAT_PIT_FLTD"}
+    stated = parameters if cutoff is None else parameters | {"ATC_RAT_PIT_FLTD": cutoff}
+    alpha = 1 / (1 + LOOP / (2 * math.pi * cutoff)) if cutoff else 1.0
+    value = 0.0
+    for k in range(2000):
+        value += alpha * ((-1) ** k - value)
+    assert _passed(stated, "pitch", LOOP) == pytest.approx(abs(value), rel=1e-9)
+    assert _passed(stated, "pitch", LOOP) == pytest.approx(passed, rel=0.01)
+    assert _passed(stated, "nothing", LOOP) == 1.0
+
+
+def test_the_mode_is_that_in_which_the_test_began():
+    flown = log(200, LOG_BITMASK=2)
+    moments = ((0.0, "STABILIZE"), (5.0, "SYSTEMID"), (15.0, "LOITER"))
+    flown = Recording(dict(flown.records), metadata={**flown.metadata, "modes": moments})
+    cures = [thinning(flown, "RATE.POut", start, 20).cure for start in (0.0, 4.9, 5.0, 14.0, 15.0)]
+    assert ["both" in cure for cure in cures] == [False, False, True, True, False]
+
+
+def test_what_is_not_known_is_not_judged():
+    assert thinning(log(200, SCHED_LOOP_RATE=0.0), "RATE.POut", 0, 20) is None
+    assert thinning(log(200), "RATE.POut", 0.0, 0.0051) is None  # two samples
+    assert thinning(log(200), "RATE.POut", 0.0, 0.0101) is not None
+    flown = log(200)
+    del flown.metadata["parameters"]["INS_GYRO_FILTER"]
+    assert thinning(flown, "RATE.POut", 0, 20) is None
+    assert thinning(log(320.5), "RATE.POut", 0, 20) is None
+    assert thinning(log(319.5), "RATE.POut", 0, 20).kept == 1
