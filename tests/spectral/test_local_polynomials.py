@@ -250,3 +250,144 @@ def test_coherence_is_the_share_that_the_instrument_explains(joint):
         expected = 1 - noise / unexplained(y, rest)
     assert local_polynomials._coherence(lines, fitted, noise) == pytest.approx(expected)
     assert 0.1 < expected < 1
+
+
+# --- which bands
+
+
+@pytest.mark.parametrize(
+    ("limits", "count", "least", "edges"),
+    [
+        ((1.0, 16.0), 4, 0.0, [1, 2, 4, 8, 16]),
+        ((1.0, 16.0), 4, 3.0, [1, 4, 8, 16]),
+        ((1.0, 10.0), 9, 4.0, [1, 5, 10]),  # what is left over is too narrow, and goes to the last band
+        ((1.0, 9.5), 9, 4.0, [1, 5, 9.5]),
+        ((1.0, 3.0), 2, 4.0, [1, 5]),
+        ((1.0, 13.0), 9, 4.0, [1, 5, 9, 13]),
+    ],
+)
+def test_bands_have_one_ratio_but_none_is_too_narrow(limits, count, least, edges):
+    assert local_polynomials._edges(*limits, count, least) == pytest.approx(edges)
+
+
+def one_stretch(count=60):
+    random = np.random.default_rng(3)
+    u, v = random.standard_normal((2, count)) + 1j * random.standard_normal((2, count))
+    omega = np.arange(1.0, count + 1)
+    return local_polynomials.Lines(omega, np.array([u, 2 * u + 0.1 * v, u]), np.zeros(count, dtype=int), 1.0, True)
+
+
+def test_the_narrowest_band_leaves_the_residuals_asked_for_wherever_its_edges_lie():
+    """Three coefficients of the response and two of the transient; a band of n lines in width holds n or n + 1."""
+    lines = one_stretch()
+    for residuals in (1, 2, 3):
+        fitted = [local_polynomials._fit(lines, 20.0, half, residuals=residuals) for half in (2.0, 2.5, 3.0, 3.5, 4.0)]
+        sizes = [5, 5, 7, 7, 9]
+        assert [f is not None for f in fitted] == [size - 5 >= residuals for size in sizes]
+        assert [f.number for f in fitted if f] == [size - 5 for size in sizes if size - 5 >= residuals]
+        width, left = local_polynomials._narrowest(lines, 20.0, residuals)
+        assert (width, left) == (5.0 + residuals, residuals)
+    assert local_polynomials._narrowest(lines, 20.0, 1, 0.3) == (7.0, 2)  # 2 of 7 lines for the transient
+    with pytest.raises(ValueError, match="too short for any polynomial"):
+        local_polynomials._narrowest(lines, 59.0, 3)
+    with pytest.raises(ValueError, match="too short for any polynomial"):
+        local_polynomials._narrowest(one_stretch(6), 1.0, 3)
+
+
+def solution_of(lines, center, half, order, slow):
+    """From the output to the response's coefficients, and the residuals, of one stretch, written out."""
+    rows = np.flatnonzero(np.abs(lines.omega - center) <= half)
+    x = (lines.omega[rows] - center) / half
+    columns = [lines.values[0, rows, None] * np.vander(x, order + 1, increasing=True)]
+    columns = np.hstack([*columns, np.vander(x, slow + 1, increasing=True)])
+    return rows, np.linalg.pinv(columns)[: order + 1], np.eye(rows.size) - columns @ np.linalg.pinv(columns)
+
+
+def judged(lines, omega=20.0, half=10.0):
+    fitted = local_polynomials._fit(lines, 20.0, half)
+    return local_polynomials._judged(lines, fitted, np.array([omega]))
+
+
+def bent(size):
+    lines = one_stretch()
+    lines.values[1] += size * ((lines.omega - 20.0) / 20.0) ** 3 * lines.values[0]
+    return lines
+
+
+def squared_over_variance(lines, omega):
+    """Of the difference of quadratic and quartic in a band twice as wide; and the difference and that variance."""
+    found = []
+    for order in (2, 4):
+        rows, solution, q = solution_of(lines, 20.0, 20.0, order, order - 1)
+        found.append((np.vander([(omega - 20.0) / 20.0], order + 1, increasing=True) @ solution, q))
+    (wide, _), (finer, q) = found
+    y = lines.values[1, rows]
+    noise = np.linalg.norm(q @ y) ** 2 / np.trace(q).real
+    variance = noise * np.linalg.norm(finer - wide) ** 2
+    return abs(((finer - wide) @ y)[0]) ** 2 / variance, abs(((finer - wide) @ y)[0]) ** 2, variance
+
+
+def test_polynomials_are_wrong_where_a_quartic_differs_by_more_than_noise_explains(monkeypatch):
+    monkeypatch.setattr(local_polynomials, "_with_pole", lambda *_: None)
+    omega = 26.0
+    sizes = np.linspace(0, 3, 400)
+    over = np.array([squared_over_variance(bent(size), omega)[0] for size in sizes])
+    for threshold, factor, wrong in ((4.6, 0.97, False), (4.6, 1.03, True)):
+        size = sizes[np.flatnonzero(over > threshold * factor)[0] - (factor < 1)]
+        band, said = judged(bent(size), omega)
+        assert said == wrong
+        _, squared, variance = squared_over_variance(bent(size), omega)
+        expected = (squared - variance) / 16**2 if wrong else 0.0
+        assert band.squared_error == pytest.approx([expected], rel=1e-6)
+        assert band.pole_noise is None
+        assert not band.correction.any()
+
+
+def test_a_pole_is_looked_for_where_the_polynomials_are_certainly_wrong(monkeypatch):
+    omega = 26.0
+    monkeypatch.setattr(local_polynomials, "_with_pole", lambda *_: (np.array([0.3j]), (5.0, 4.0)))
+    sizes = np.linspace(0, 3, 400)
+    over = np.array([squared_over_variance(bent(size), omega)[0] for size in sizes])
+    for factor, found in ((0.97, False), (1.03, True)):
+        size = sizes[np.flatnonzero(over > 9.2 * factor)[0] - (factor < 1)]
+        band, wrong = judged(bent(size), omega)
+        assert wrong
+        assert (band.pole_noise == (5.0, 4.0)) == found
+        assert band.correction == ([0.3j] if found else [0.0])
+        assert not found or band.squared_error == pytest.approx([0.01 * 0.3**2])
+
+
+def test_noise_is_the_mean_of_the_neighborhood_brought_to_the_frequency_of_the_band(monkeypatch):
+    """With residuals that do not overlap every one of them counts, twice."""
+    asked = []
+
+    def residual(lines, center, half, bands):
+        asked.append((center, half))
+        at = 2 * len(asked) + np.arange(2)
+        squares = 2 * np.array([3.0 * (center / 20.0) ** -1.5, 0.7])
+        return local_polynomials._Residual(center, at, squares, 2, np.eye(2, dtype=complex))
+
+    monkeypatch.setattr(local_polynomials, "_residual", residual)
+    monkeypatch.setattr(local_polynomials, "STEEP", 1e9)
+    lines = one_stretch()._replace(same=False)
+    fitted = local_polynomials._fit(one_stretch(), 20.0, 4.0)
+    widths = local_polynomials._Widths(point=8.0, noise=6.0, residuals=2)
+    band = local_polynomials.Band(fitted, np.zeros(1), np.zeros(1), np.zeros(1), None)
+    output, input, dof = local_polynomials._noise(lines, band, [band], widths)
+    assert (output, input) == pytest.approx((3.0, 0.7))
+    places = 12
+    octaves, near = np.array(asked[:places]), np.array(asked[places:])
+    np.testing.assert_allclose(octaves[:, 0], np.geomspace(10, 40, places))
+    # 8 residuals of two a band are four bands of 6 rad/s, around the center
+    np.testing.assert_allclose(near[:, 0], np.linspace(20 - 12 + 3, 20 + 12 - 3, places))
+    assert set(np.array(asked)[:, 1]) == {3.0}
+    assert dof == pytest.approx(2 * 2 * places)
+    with_pole = band._replace(pole_noise=(5.0, 4.0))
+    assert local_polynomials._noise(lines._replace(same=True), with_pole, [band], widths) == (1.25, 0.0, 8.0)
+    assert local_polynomials._noise(lines, with_pole, [band], widths) == pytest.approx((1.25, 0.7, 8.0))
+    few = band._replace(pole_noise=(5.0, 2.0))
+    assert local_polynomials._noise(lines, few, [band], widths)[2] == pytest.approx(4 * places)
+    # bands that are visibly wrong do not count: the first reach has none beyond them, so that the next ones are tried
+    asked.clear()
+    assert local_polynomials._noise(lines, few, [few], widths) is not None
+    assert all(abs(center - 20.0) >= 4.0 for center, _ in asked)
