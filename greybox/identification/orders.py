@@ -208,16 +208,14 @@ def _linear_starts(
     """Yield estimates by linear least squares, of the response without its integrators and a share of the delay."""
     s = 1j * data.omega
     order = n - integrators
+    if m >= order:  # as many zeros as poles beside the integrators, which Levy's form has not
+        return
     for share in DELAYS if delay else DELAYS[:1]:
-        if not order > 0:  # the numerator alone: no denominator to find
-            return
         response = data.response * s**integrators * np.exp(s * share * delay)
         bare = FrequencyResponse(data.omega, response)
         try:
-            found = levy(bare, max(order, m + 1), m, weight=1 / np.abs(response), iterations=ITERATIONS)
+            found = levy(bare, order, m, weight=1 / np.abs(response), iterations=ITERATIONS)
         except ValueError:  # as many unknowns as equations
-            continue
-        if max(order, m + 1) > order:  # more zeros than poles beside the integrators, which Levy's form has not
             continue
         start = {f"b{k}": float(v) for k, v in enumerate(found.numerator[::-1])}
         start |= {f"a{k + integrators}": float(v) for k, v in enumerate(found.denominator[:0:-1])}

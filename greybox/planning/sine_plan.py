@@ -361,7 +361,7 @@ def _with_spare(
         edges = [-1, *sorted(seconds), len(omega)]
         gaps = np.diff(edges)
         k = int(np.argmax(gaps))
-        middle = min(max((edges[k] + edges[k + 1]) // 2, 0), len(omega) - 1)
+        middle = (edges[k] + edges[k + 1]) // 2
         seconds[middle] = periods * HZ / omega[middle]
     order = sorted(seconds)
     return np.array(order), np.array([seconds[k] for k in order])

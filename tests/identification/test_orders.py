@@ -9,6 +9,7 @@ from declared_models import measured
 
 import greybox as gb
 from greybox.data.text_table import number
+from greybox.identification.orders import _linear_starts
 from greybox.models.polynomial import Polynomial
 from greybox.plotting.orders import orders
 from greybox.regression.poles_and_zeros import near_pairs
@@ -90,3 +91,20 @@ def test_a_grid_without_a_structure_is_told():
     data = measured(Plant(), np.array([1.0, 2.0]))
     with pytest.raises(ValueError, match="no structure of the grid has fewer unknowns than 4 real numbers: lower n"):
         gb.identification.select_orders(data, n=(4,))
+
+
+def test_linear_least_squares_begins_at_the_truth_where_its_share_of_the_delay_is_right():
+    """(3 s + 2) / (s (s² + 4 s + 5)) with a delay of a fifth of the longest; and where there is none to find."""
+    omega = np.geomspace(0.3, 10, 9)
+    s = 1j * omega
+    data = gb.FrequencyResponse(omega, (3 * s + 2) / (s * (s**2 + 4 * s + 5)) * np.exp(-0.1 * s))
+    shares = list(_linear_starts(data, 3, 1, 1, 0.5))
+    assert [start["T_delay"] for start in shares] == [0.0, 0.1, 0.25]
+    exact = {"b0": 2.0, "b1": 3.0, "a1": 5.0, "a2": 4.0, "T_delay": 0.1}
+    assert shares[1] == pytest.approx(exact, rel=1e-6)
+    assert shares[0]["a1"] != pytest.approx(5.0, rel=1e-3)
+    bare = gb.FrequencyResponse(omega, data.response * np.exp(0.1 * s))
+    assert list(_linear_starts(bare, 3, 1, 1, 0.0)) == [pytest.approx({k: exact[k] for k in ("b0", "b1", "a1", "a2")})]
+    assert list(_linear_starts(bare, 3, 2, 1, 0.0)) == []
+    assert list(_linear_starts(bare, 1, 0, 1, 0.0)) == []
+    assert len(list(_linear_starts(bare, 2, 0, 1, 0.0))) == 1

@@ -269,3 +269,13 @@ def test_two_other_sines_are_enough_to_compare_with(others):
     omega = 2 * np.pi * 10 / 16
     found = find_segments(announced([(omega, 16.0)] * others + [(omega, 5.0)]), message="SINE")
     assert found[-1].usable is (others == 1)
+
+
+@pytest.mark.parametrize(("lost", "pieces"), [(1, 1), (2, 2)])
+def test_one_lost_sample_of_a_slow_log_is_no_pause(lost, pieces):
+    """Samples of 1.2 s, in a sine of half a minute a period: from two and a half intervals on it is a gap."""
+    time = np.arange(0, 360, 1.2)
+    kept = ~((time > 179) & (time < 179 + 1.2 * (lost + 0.5)))
+    record = Record(time[kept], {"r": np.where((time > 30) & (time < 330), np.sin(0.2 * time), 0)[kept]})
+    found = [s for s in find_segments(record) if s.kind == "sine"]
+    assert len(found) == pieces

@@ -365,3 +365,11 @@ def test_draws_lie_about_the_smaller_estimate_within_its_bounds():
     for name in ("two", "zero"):
         assert np.std(values[name]) == pytest.approx(PARAMETER_SPREAD * (abs(estimate[name]) or 1), rel=0.3)
         assert np.mean(values[name]) == pytest.approx(estimate[name], abs=np.std(values[name]) / 2)
+
+
+def test_three_points_are_compared_as_well():
+    data = measured(LagLagDelay(), [0.5, 2.0, 8.0], TWO_LAGS, noise=0.02)
+    large = gb.fit(gb.Problem(LagLag(), data), starts=[{"K": 5.0, "T1": 1.0, "T2": 0.1}], progress=False)
+    small = gb.fit(gb.Problem(Lag(), data), starts=[{"K": 5.0, "T": 1.0}], progress=False)
+    with pytest.raises(NotNestedError):
+        nesting(small, large, NAMES)
