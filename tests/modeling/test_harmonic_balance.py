@@ -2,6 +2,7 @@
 
 import re
 from functools import cache
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.integrate import solve_bvp, solve_ivp
 from scipy.optimize import brentq
 
 import greybox as gb
+from greybox.modeling import harmonic_balance
 from greybox.modeling.harmonic_balance import harmonic_function
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
 from greybox.models.yaw import YawStates
@@ -537,3 +539,121 @@ def test_a_motion_that_does_not_exist_is_said_and_prints_nothing(capfd):
         respond({"speed": 0.5}, Speed())
     printed = capfd.readouterr()
     assert (printed.out, printed.err) == ("", "")
+
+
+# --- parts of the method
+
+
+@pytest.mark.parametrize(("harmonics", "least", "points"), [(1, 33, 33), (3, 65, 65), (9, 33, 37)])
+@pytest.mark.parametrize("shift", [0.0, 0.125])
+def test_samples_and_coefficients_are_each_others_inverse(harmonics, least, points, shift):
+    to_samples, to_series = (m.full() for m in harmonic_balance._transforms(harmonics, least, shift))
+    assert to_samples.shape == (2 * harmonics + 1, points)
+    assert_allclose(to_samples @ to_series, np.eye(2 * harmonics + 1), atol=1e-14)
+    phase = 2 * np.pi * (np.arange(points) + shift) / points
+    coefficients = np.random.default_rng(0).normal(size=2 * harmonics + 1)
+    k = np.arange(1, harmonics + 1)
+    mean, cosines, sines = coefficients[0], coefficients[1::2], coefficients[2::2]
+    assert_allclose(
+        coefficients @ to_samples, mean + cosines @ np.cos(np.outer(k, phase)) + sines @ np.sin(np.outer(k, phase))
+    )
+    slope = (coefficients @ harmonic_balance._derivative(harmonics).full()) @ to_samples
+    assert_allclose(
+        slope, -(cosines * k) @ np.sin(np.outer(k, phase)) + (sines * k) @ np.cos(np.outer(k, phase)), atol=1e-13
+    )
+
+
+@pytest.mark.parametrize(("harmonics", "fewer"), [(1, None), (2, None), (3, 1), (6, 2)])
+def test_an_error_of_one_over_the_harmonics_is_extrapolated_away(harmonics, fewer):
+    sine = gb.modeling.Sine("F", 5.0, harmonics=harmonics)
+    balance = harmonic_balance.CompiledBalance.at(Rubbing(), np.array([1.0]), sine)
+    assert balance.fewer == fewer
+    if fewer is not None:
+        assert balance.extrapolated(2.0 + 0.3 / (harmonics + 1), 2.0 + 0.3 / (fewer + 1)) == pytest.approx(2.0)
+
+
+def test_what_is_given_at_every_frequency():
+    class Leaned(Slider):
+        states, inputs, outputs = ("v",), ("theta", "wind"), ("v",)
+
+        def derivative(self, x, u, p):
+            return (gb.g * gb.tan(u.theta) - p.C_x * (x.v - u.wind) * abs(x.v - u.wind),)
+
+    omega, amplitudes = np.array([1.0, 3.0, 2.0]), np.array([0.1, 0.2, 0.3])
+    sine = gb.modeling.Sine("theta", amplitudes, harmonics=1)
+    at = {"theta": 0.05, "wind": 2.0}
+    balance = harmonic_balance.CompiledBalance.at(Leaned(), omega, sine, input="theta", output="v", at=at)
+    given = np.asarray(ca.DM(balance.given(ca.DM([0.4]), omega)))
+    speed = 2.0 + np.sqrt(gb.g * np.tan(0.05) / 0.4)
+    rows = [[0.4] * 3, [speed] * 3, [0.05] * 3, [2.0] * 3, omega, amplitudes, [0.05] * 3]
+    assert_allclose(given, rows, rtol=1e-9)
+    series = np.asarray(ca.DM(balance.coefficients(np.zeros(balance.balance.unknown.numel()), given[:, 1])))
+    assert_allclose(series, [[speed, 0, 0], [0.05, 0.2, 0], [2.0, 0, 0]], rtol=1e-9)
+
+
+def shifting(count):
+    """A stand-in for Newton's method, whose answer is the list of the amplitudes, or widths, that it was asked for."""
+    x, p = ca.SX.sym("x", count), ca.SX.sym("p", 4)
+    return x, p, lambda asked: ca.Function("careful", [x, p], [ca.vertcat(x[1:], asked)], ["x0", "p"], ["x"])
+
+
+@pytest.mark.parametrize(
+    ("from_end", "steps"), [(0, 3.0 / 2.0 ** np.arange(7, -1, -1)), (1, 4.0 * 2.0 ** np.arange(12, -1, -1))]
+)
+@pytest.mark.parametrize("give_up", [False, True])
+def test_steps_lead_from_where_the_model_is_nearly_linear(from_end, steps, give_up):
+    x, p, careful = shifting(steps.size)
+    for limit, tried in ((1e9, steps.size), (3.0, 3)):
+        sums = ca.sum1(x > 0) <= limit
+        finish = ca.Function("finish", [x, p], [x[:2], sums])
+        start = ca.DM.zeros(steps.size)
+        found = harmonic_balance._in_steps("by", careful(p[2 + from_end]), finish, from_end, start, give_up=give_up)
+        asked = np.asarray(found([1.0, 2.0, 3.0, 4.0])).ravel()
+        asked = asked[asked > 0]
+        # The step after the first three makes four, which is no motion: nothing is tried from there on.
+        assert_allclose(asked, steps[: tried + 1] if give_up else steps)
+
+
+@pytest.mark.parametrize(
+    ("switches", "enough", "found"),
+    [(True, 0, "once"), (True, 3, "doubling"), (True, 20, "narrowing"), (False, 20, "doubling")],
+)
+def test_a_guess_is_found_at_once_or_by_doubling_or_by_narrowing(monkeypatch, switches, enough, found):
+    x, p, _ = shifting(2)
+    newton = ca.Function("newton", [x, p], [x + 1], ["x0", "p"], ["x"])
+    finish = ca.Function("finish", [x, p], [x, ca.sum1(x) > p[0]])
+
+    def in_steps(name, careful, finish, from_end, small, *, give_up):
+        assert give_up == switches
+        return ca.Function(name, [p], [ca.DM([5.0, 6.0]) + 10 * from_end])
+
+    monkeypatch.setattr(harmonic_balance, "_in_steps", in_steps)
+    guess = harmonic_balance._guess(newton, newton, finish, switches=switches)
+    wanted = {"once": [1 + 1e-6] * 2, "doubling": [5.0, 6.0], "narrowing": [15.0, 16.0]}[found]
+    assert_allclose(np.asarray(guess([float(enough), 0, 0, 0])).ravel(), wanted)
+
+
+def test_harmonics_are_enough_where_the_next_number_changes_the_response_by_less_than_three_in_ten_thousand():
+    few = np.array([1.0, 1.0, np.nan, 1.0])
+    many = np.array([1 + 2.9e-4j, 1 + 3.1e-4j, np.nan, np.nan])
+    assert harmonic_balance._agree(few, many).tolist() == [True, False, True, False]
+    omega, values = np.array([0.6]), {"C_x": 0.3}
+    tried = {}
+    for number in (1, 3, 7, 15):
+        sine = gb.modeling.Sine("theta", 0.3, harmonics=number)
+        tried[number], used = harmonic_balance.directly_found(Slider(), values, omega, sine)
+        assert used == number
+    numbers = list(tried)
+    enough = next(a for a, b in pairwise(numbers) if abs(tried[b] - tried[a])[0] <= 3e-4 * abs(tried[b])[0])
+    free = gb.modeling.Sine("theta", 0.3)
+    response, number = harmonic_balance.directly_found(Slider(), values, omega, free)
+    assert number == enough == 7
+    assert_allclose(response, tried[15], rtol=1e-12)  # the more exact of the two that agree
+    assert harmonic_balance.directly_found(Slider(), values, omega, free, most=3)[1] == 3
+    assert harmonic_balance.directly_found(Slider(), values, omega, gb.modeling.Sine("theta", 1e-6))[1] == 1
+    small = gb.modeling.Sine("theta", 1e-6)
+    assert harmonic_balance.enough_harmonics(Slider(), omega, small).harmonics == 3
+    assert harmonic_balance.enough_harmonics(Slider(), omega, gb.modeling.Sine("theta", 0.3)).harmonics == 7
+    assert (
+        harmonic_balance.enough_harmonics(Slider(), omega, gb.modeling.Sine("theta", 0.3, harmonics=2)).harmonics == 2
+    )

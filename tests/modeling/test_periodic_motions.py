@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 import greybox as gb
 from greybox.modeling import periodic_motions as periodic
+from greybox.modeling.harmonic_balance import harmonic_function
 from greybox.modeling.periodic_motions import periodic_motions, response_of_test
 from greybox.models.tilt import LinearTilt
 
@@ -228,3 +229,25 @@ def test_a_motion_is_stable_where_its_multipliers_are_below_one():
         balance, given = level.balance(3), level.given(3, 0)
         at_rest = np.zeros(balance.balance.unknown.numel())
         assert periodic._is_stable(balance, at_rest, given) == stable
+
+
+class Rubbing(gb.StateSpace):
+    """A mass with viscous and Coulomb friction."""
+
+    states, inputs, outputs = ("v",), ("u",), ("v",)
+    c = gb.Parameter(0.5, bounds=(0, 10))
+
+    def derivative(self, x, u, p):
+        return (u.u - 0.3 * x.v - p.c * gb.sign(x.v),)
+
+    def output(self, x, u, p):
+        return (x.v,)
+
+
+def test_the_response_of_a_motion_with_jumps_is_extrapolated_as_that_of_a_fit():
+    level = level_of(Rubbing(), 5.0, 7, omega=0.8)
+    balance, given = level.balance(7), level.given(7, 0)
+    motion = level.solved(7, np.asarray(balance.guess(given)).ravel(), 0)
+    re, im = harmonic_function(Rubbing(), np.array([0.8]), gb.modeling.Sine("u", 5.0, harmonics=7))([0.5])
+    assert level.response(7, motion, 0) == pytest.approx(complex(re, im), rel=1e-9)
+    assert abs(level.response(7, motion, 0) / periodic._response(balance, motion, given) - 1) > 1e-3
