@@ -1,5 +1,7 @@
 """Comparisons use windows that suit the sample time, say which, and hold against one another what may be compared."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from drag_flights import QUADRATIC, LinearDrag, QuadraticDrag, fitted, flight
@@ -168,3 +170,89 @@ def test_records_of_the_same_data_are_put_together_by_their_signals():
     assert {name: unit for name, unit in found.units.items() if name != "u"} == {"y": "m", "v": "m/s", "w": "rad"}
     assert (found.name, dict(found.hold)) == ("one", {"u": 1.0, "v": 0.0})
     assert held_out._with_all_signals([one, one.with_signals()]) is one
+
+
+# --- without fits
+
+
+def made(label, lost, why="", size=None):
+    """What `predict_windows` answers, of so many windows."""
+    size = len(lost) if size is None else size
+    windows = np.arange(size)
+
+    class Made:
+        data = gb.Record(np.arange(3.0), {"y": np.zeros(3)}, name="log")
+        window = "window"
+
+        def kept(self, chosen):
+            return label, windows[chosen].tolist()
+
+    return Made(), np.array(lost), why
+
+
+def test_windows_in_which_one_is_not_finite_are_left_out_of_all():
+    none = [made("a", [False] * 5), made("b", [False] * 5)]
+    predictions, notes = held_out._where_all_are_finite(none, ("a", "b"))
+    assert predictions == [none[0][0], none[1][0]]
+    assert notes == []
+    some = [made("a", [False, True, False, False, False]), made("b", [False, False, False, False, True], "b overflows")]
+    predictions, (note,) = held_out._where_all_are_finite(some, ("a", "b"))
+    assert predictions == [("a", [0, 2, 3]), ("b", [0, 2, 3])]
+    assert note == (
+        "warning: 2 windows of 5 in log left out for all models, since the prediction of one is not finite "
+        "(b overflows)."
+    )
+    for lost, said in ((2, "2 windows of 4 in log are"), (1, "1 window of 2 in log is")):
+        half = [made("one", [True] * lost + [False] * lost, "overflows"), made("two", [False] * 2 * lost)]
+        with pytest.raises(ValueError, match=rf"{said} not finite \(one: overflows\)"):
+            held_out._where_all_are_finite(half, ("one", "two"))
+
+
+def test_lengths_are_those_that_delays_and_samples_ask_for():
+    record = gb.Record(np.arange(400) / 50, {"u": np.zeros(400)})
+    rows = gb.Record(np.arange(4.0), {"u": np.zeros(4)}, has_time=False)
+
+    def fit(delay):
+        return SimpleNamespace(at_estimate=lambda **_: SimpleNamespace(delays=np.array([0.1, delay])), records=())
+
+    assert held_out.window_lengths([fit(0.0)], [record, rows], None, None) == (1.0, 0.5)
+    assert held_out.window_lengths([fit(0.0), fit(0.4)], [record], None, None) == pytest.approx((1.0, 0.8))
+    assert held_out.window_lengths([fit(0.4)], [record], 3.0, 0.2) == (3.0, 0.2)
+    assert np.isnan(held_out.window_lengths([fit(0.4)], [rows], None, None)).all()
+
+
+def test_values_of_the_records_own_are_those_that_some_model_has():
+    def fit(*names):
+        system = SimpleNamespace(outputs=("y",), inputs=("u",))
+        return SimpleNamespace(at_estimate=lambda: SimpleNamespace(names=names, system=system))
+
+    fits = [fit("a", "b"), fit("b", "c")]
+    assert held_out.require_own(fits, None) is None
+    assert held_out.require_own(fits, "a") == ("a",)
+    assert held_out.require_own(fits, ["c", "y_bias", "u_bias"]) == ("c", "y_bias", "u_bias")
+    with pytest.raises(ValueError, match="own names 'd', which no fit has; they have a, b, c, and a bias of any"):
+        held_out.require_own(fits, ["a", "d"])
+    assert held_out._own(fits[0].at_estimate(), ("c", "a", "y_bias")) == ("a", "y_bias")
+    assert held_out._own(fits[0].at_estimate(), None) is None
+
+
+def test_outputs_are_those_of_all_models_that_the_record_has():
+    def model(*outputs):
+        return SimpleNamespace(system=SimpleNamespace(outputs=outputs))
+
+    record = gb.Record(np.arange(3.0), {"v": np.zeros(3), "q": np.zeros(3)}, name="log")
+    assert held_out._shared_outputs([model("v", "q", "w"), model("w", "v")], record) == ("v",)
+    with pytest.raises(ValueError, match=r"log has no output that all fits have \(w\); it has v, q"):
+        held_out._shared_outputs([model("w", "q"), model("v", "w")], record)
+    with pytest.raises(ValueError, match=r"that all fits have \(none\)"):
+        held_out._shared_outputs([model("q"), model("v")], record)
+
+
+def test_a_record_that_one_of_the_fits_has_seen_is_named():
+    log = gb.Record(np.arange(10.0), {"v": np.arange(10.0)}, name="log")
+    other = gb.Record(np.arange(10.0), {"v": np.ones(10)}, name="other")
+    fits = [SimpleNamespace(records=[SimpleNamespace(data=d) for d in data]) for data in ((other,), (other, log))]
+    assert held_out.not_held_out(fits, ("a", "b"), [log]) == [
+        "warning: log is not held out: b was fitted to samples of it."
+    ]
+    assert len(held_out.not_held_out(fits, ("a", "b"), [log, other])) == 3
