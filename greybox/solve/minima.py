@@ -114,7 +114,7 @@ def agreeing_runs(
     limit = best + TOLD_APART * (1.0 if is_likelihood else abs(best) / max(numbers, 1))
     every = Runs.of(runs)
     close = every.indices[every.converged & (every.cost <= limit)]
-    return tuple(np.union1d(close, minima[0].runs).tolist())
+    return tuple(sorted({*close.tolist(), *minima[0].runs}))
 
 
 def find_minima(nlp: Nlp, runs: Sequence[Run], signatures: Signatures) -> tuple[Minimum, ...]:
