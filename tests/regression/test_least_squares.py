@@ -59,6 +59,21 @@ def test_bounds_hold_and_the_rest_is_the_best_within_them():
     )
     assert_allclose(found[:2], [1.5, -20.0])
     assert_allclose(found, best.x * scale, rtol=1e-4)
+    # What ends at a bound is not beyond it by rounding, and a single bound holds as both do.
+    assert np.all((found >= low) & (found <= high))
+    for least, most in ((low, WIDE), (-WIDE, high)):
+        found = solve(parts, weights, least, most)
+        assert np.all((found >= least) & (found <= most))
+        assert np.any((found == least) | (found == most))
+
+
+def test_a_column_of_zeros_has_the_unknown_zero():
+    parts, weights = blocks(noise=0.5), np.array([1.0, 7.0])
+    wider = [Block(b.equation, b.target, b.base, np.insert(b.slopes, 1, 0.0, axis=1)) for b in parts]
+    wanted = np.insert(solve(parts, weights, -WIDE, WIDE), 1, 0.0)
+    assert_allclose(solve(wider, weights, np.full(4, -np.inf), np.full(4, np.inf)), wanted, rtol=1e-10, atol=1e-9)
+    none = [Block(b.equation, b.target, b.base, b.slopes[:, :0]) for b in parts]
+    assert solve(none, weights, np.zeros(0), np.zeros(0)).shape == (0,)
 
 
 def test_what_has_no_effect_is_named_alone_and_in_combination():

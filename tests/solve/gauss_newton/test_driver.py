@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve import Strategies
+from greybox.solve.gauss_newton import driver
 from greybox.solve.gauss_newton.damping import after_failure
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.homotopy import Progress
@@ -244,3 +245,297 @@ def test_seconds_are_those_of_the_run():
         assert 0 < outcome.seconds <= time.perf_counter() - began
         assert outcome.cost == pytest.approx(first.cost, rel=1e-9)
     assert again.iterations <= first.iterations
+
+
+@pytest.mark.parametrize("before", [10.0, -10.0])
+@pytest.mark.parametrize(
+    ("promise", "length", "predicts", "done"),
+    [
+        (0.9, 1.0, False, True),  # in units of what a stage must promise to go on
+        (1.1, 1.0, False, False),
+        (1.1, 0.0, False, True),
+        (1.1, 0.9 * SETTINGS.brief_step, False, False),
+        (1.1, 0.9 * SETTINGS.brief_step, True, True),
+        (1.1, 1.1 * SETTINGS.brief_step, True, False),
+    ],
+)
+def test_a_stage_is_done_where_its_steps_promise_little_or_are_not_taken(before, promise, length, predicts, done):
+    solver, progress, iterate, seen = deciding(), stage(gap_scale=0.5, damping=0.1), object(), []
+    solver._all_predict = predicts
+    progress.advance = lambda *stated, done: seen.append((*stated, done))
+    taken = step(promise * SETTINGS.kept_promise * abs(before))
+    assert solver._tighten(iterate, taken, progress, 3.0, length, before, states_only=False) is iterate
+    assert seen == [(iterate, taken, 3.0, length, done)]
+    assert progress.damping == (0.1 if length else 0.0)
+
+
+@pytest.mark.parametrize("states_only", [True, False])
+def test_gains_are_chosen_once_continuity_is_exact(states_only):
+    solver, progress = deciding(), stage(gap_scale=0.5)
+    solver._all_predict = False
+    progress.advance = lambda *_, **__: setattr(progress, "gap_scale", 0.0)
+    solver._with_gains, solver._simulate_predictors = (lambda at, _: f"{at}, gains"), (lambda at: f"{at}, simulated")
+    found = solver._tighten("end", step(1.0), progress, 1.0, 1.0, 1.0, states_only=states_only)
+    assert found == ("end, simulated" if states_only else "end, gains, simulated")
+
+
+@pytest.mark.parametrize(("stable", "predicting"), [(True, True), (False, True), (False, False)])
+def test_without_stable_gains_continuity_is_tightened_more_slowly(monkeypatch, stable, predicting):
+    solver = deciding()
+    solver._parts.at = lambda z, nodes: SimpleNamespace(z=z, nodes=nodes)
+    monkeypatch.setattr(driver, "best_gains", lambda parts, iterate, variances: (iterate.z, variances))
+    monkeypatch.setattr(driver, "are_stable", lambda parts, iterate: stable)
+    last = SETTINGS.prediction_gap if predicting else SETTINGS.last_gap
+    progress = stage(last_scale=last, gap_variance="sizes")
+    begun = SimpleNamespace(z="z", nodes="nodes")
+    solver._has_free_gains = False
+    assert solver._with_gains(begun, progress) is begun
+    solver._has_free_gains = True
+    found = solver._with_gains(begun, progress)
+    assert (found.z, found.nodes) == (("z", "sizes"), "nodes")
+    slower = (SETTINGS.gap_reduction, SETTINGS.last_gap)
+    assert (progress.gap_scale, progress.last_scale) == (slower if predicting and not stable else (0.0, last))
+
+
+@pytest.mark.parametrize(("near", "stable"), [(True, True), (False, True), (True, False)])
+def test_the_better_simulation_stands_in_for_steps_that_do_not_close_the_gaps(monkeypatch, near, stable):
+    """From where continuity became exact, or from the start; once in a run."""
+    solver = deciding()
+    monkeypatch.setattr(driver, "are_stable", lambda parts, iterate: stable)
+    solver._parts = SimpleNamespace(
+        simulated=lambda cost, nodes: SimpleNamespace(cost=cost, nodes=nodes),
+        cost=lambda iterate: iterate.cost,
+        stays_near_data=lambda iterate: near,
+    )
+    assert solver._simulate_instead(stage(start=(1.0, "start"))) is None
+    for costs, wanted in (((2.0, 1.0), "start"), ((1.0, 2.0), "end")):
+        start, multipliers = (costs[1], "start"), [np.ones(2)]
+        progress = stage(homotopy_end=(costs[0], "end"), start=start, damping=0.5, last_decrease=1.0)
+        progress.multipliers = multipliers
+        found = solver._simulate_instead(progress)
+        assert progress.homotopy_end is None
+        if not near or not stable:
+            assert found is None
+            continue
+        assert (found.cost, found.nodes) == (1.0, wanted)
+        assert progress.damping == 0
+        assert np.isnan(progress.last_decrease)
+        assert_allclose(progress.multipliers[0], [0, 0])
+
+
+def test_gaps_that_curvature_left_are_closed_until_there_are_none_or_all_is_lost():
+    solver = deciding()
+    solver._parts = SimpleNamespace(
+        is_continuous=lambda iterate: iterate.left == 0,
+        close_gaps=lambda iterate, *_: SimpleNamespace(left=iterate.left - 1, finite=iterate.left - 1 != iterate.lost),
+    )
+
+    def left(gaps, lost=-1, finite=True):
+        begun = SimpleNamespace(left=gaps, lost=lost, finite=finite)
+        solver._parts.close_gaps = lambda iterate, *_: SimpleNamespace(
+            left=iterate.left - 1, lost=lost, finite=iterate.left - 1 != lost
+        )
+        return solver._continuous(begun, step(1.0), stage()).left
+
+    most = SETTINGS.gap_closings
+    assert [left(0), left(2), left(most), left(most + 2)] == [0, 0, 0, 2]
+    assert left(3, finite=False) == 3
+    assert left(4, lost=2) == 2
+
+
+class Iterated:
+    """An iteration over iterates that are numbers, whose merit is their magnitude, by stated steps and trials."""
+
+    def __init__(self, monkeypatch, trials, *, decreases, settled=False, **progress):
+        self.curvatures, self.ratios, self.weights, self.looked, self.tightened = [], [], [], [], []
+        solver = self.solver = deciding()
+        solver._parts = SimpleNamespace(
+            initial_weights=lambda: "initial",
+            residual_weights=lambda iterate: "own",
+            linearize=self.linearized,
+        )
+        solver._is_settled = lambda *_, **__: settled
+        solver._is_within_noise = lambda iterate, taken, _: self.looked.append(iterate) or False
+        solver._recover = lambda *_: None
+        solver._simulate_predictors = lambda iterate: iterate
+        solver._has_converged = lambda *_: False
+        solver._tighten = self.tighten
+        solver._step = lambda *_, **__: next(self.steps)
+        self.steps = iter(decreases)
+        self.trials = iter(trials)
+        monkeypatch.setattr(driver, "merit_function", lambda parts, weights, progress: abs)
+        monkeypatch.setattr(driver, "line_search", lambda *_: next(self.trials))
+        monkeypatch.setattr(driver, "next_damping", self.damping_after)
+        self.progress = stage(**progress)
+
+    def linearized(self, iterate, weights, *, covariance_curvature):
+        self.curvatures.append(bool(covariance_curvature))
+        self.weights.append(weights)
+        return ["linearized"]
+
+    def damping_after(self, settings, damping, length, ratio, last_full):
+        self.ratios.append(ratio)
+        return damping
+
+    def tighten(self, iterate, taken, progress, gained, length, before, *, states_only):
+        self.tightened.append((iterate, gained, length, before))
+        return iterate
+
+    def run(self, iterations, begin=8.0):
+        return self.solver._iterate(begin, None, self.progress, iterations, states_only=False)
+
+
+def test_every_step_is_judged_by_what_it_gained_of_what_it_promised(monkeypatch):
+    trials = [(-6.0, 1.0), (5.0, 0.5), (4.0, 1.0)]
+    made = Iterated(monkeypatch, trials, decreases=[step(4.0), step(0.5), step(0.0)], damping=0.25)
+    assert made.run(3) == (4.0, "iterations exceeded", 3)
+    assert made.ratios == [0.5, 2.0, 1.0]
+    assert made.weights == ["own"] * 3
+    assert made.progress.full_damping == 0.25
+    relaxed = Iterated(monkeypatch, [(6.0, 1.0), (None, 0.0)], decreases=[step(4.0), step(4.0)], gap_scale=0.5)
+    before = relaxed.progress.full_damping
+    assert relaxed.run(2) == (6.0, "iterations exceeded", 2)
+    assert relaxed.tightened == [(6.0, 2.0, 1.0, 8.0), (6.0, 0.0, 0.0, 6.0)]
+    assert relaxed.weights == ["initial"] * 2
+    assert relaxed.progress.full_damping == before  # without damping there is none to go back to
+
+
+@pytest.mark.parametrize(
+    ("last", "near"), [(math.nan, False), (0.9, True), (1.1, False)]
+)  # in units of the decrease below which the covariance follows
+def test_the_hessian_accounts_for_an_estimated_covariance_near_the_end(monkeypatch, last, near):
+    last *= SETTINGS.covariance_decrease
+    made = Iterated(monkeypatch, [(6.0, 1.0)], decreases=[step(4.0)], last_decrease=last)
+    made.run(1)
+    assert made.curvatures == [near]
+    made.solver._settings = replace(SETTINGS, covariance_curvature=False)
+    made.steps, made.trials = iter([step(4.0)]), iter([(6.0, 1.0)])
+    made.run(1)
+    assert made.curvatures == [near, False]
+
+
+def test_a_run_is_stalled_without_a_step_or_where_damping_has_grown_beyond_all(monkeypatch):
+    most = SETTINGS.largest_damping
+    for trial, damping, status in [
+        ((None, 0.0), 0.0, "stalled"),
+        ((6.0, 1.0), 2 * most, "stalled"),
+        ((6.0, 1.0), most, "iterations exceeded"),
+    ]:
+        made = Iterated(monkeypatch, [trial], decreases=[step(4.0)], damping=damping)
+        assert made.run(1)[1] == status
+        relaxed = Iterated(monkeypatch, [trial], decreases=[step(4.0)], damping=damping, gap_scale=0.5)
+        assert relaxed.run(1)[1] == "iterations exceeded"
+
+
+@pytest.mark.parametrize(
+    ("settled", "distance", "trial", "status"),
+    [
+        (True, 0.9, (7.9, 1.0), "converged"),  # in units of the tolerance
+        (True, 1.1, (7.9, 1.0), "iterations exceeded"),
+        (False, 0.9, (7.9, 1.0), "iterations exceeded"),
+        (True, 900.0, (None, 0.0), "converged"),  # rounding of the merit
+        (True, 1100.0, (None, 0.0), "stalled"),
+        (False, 900.0, (None, 0.0), "stalled"),
+    ],
+)
+def test_little_left_to_gain_by_a_short_step_is_the_end(monkeypatch, settled, distance, trial, status):
+    taken = step(1e-3, distance * SETTINGS.tolerance)
+    made = Iterated(monkeypatch, [trial], decreases=[taken], settled=settled)
+    assert made.run(1)[1] == status
+
+
+def test_a_long_run_looks_every_fiftieth_time_whether_noise_hides_what_is_left(monkeypatch):
+    made = Iterated(monkeypatch, [(8.0 - k, 1.0) for k in range(101)], decreases=[step(1.0)] * 101)
+    made.run(101)
+    assert made.looked == [8.0 - 48, 8.0 - 98]  # the iterates of steps 50 and 100
+
+
+@pytest.mark.parametrize(
+    ("violation", "stable", "cost", "status"),
+    [
+        (0.0, True, 3.0, "converged"),
+        (1e-3, True, 3.0, "constraints violated"),
+        (0.0, False, 3.0, "unstable predictor"),
+        (0.0, True, math.inf, "converged"),
+    ],
+)
+def test_an_end_is_an_answer_within_the_constraints_with_stable_predictors_and_a_finite_cost(
+    monkeypatch, violation, stable, cost, status
+):
+    monkeypatch.setattr(driver, "are_stable", lambda *_: stable)
+    nlp = compile_problem(gb.Problem(Lag(), record(0), HELD))
+    solver = GaussNewton(nlp)
+    end = solver._parts.from_data(nlp.scaling.to_solver(np.array([60.0])))  # beyond its bound
+    solver._descend = lambda *_, **__: (end, "converged", 5)
+    monkeypatch.setattr(solver._parts, "cost", lambda iterate, smoothing: cost + smoothing)
+    monkeypatch.setattr(type(solver._limits), "violation", lambda *_: violation)
+    outcome = solver._solve(end, stage(), None)
+    assert (outcome.status, outcome.converged) == (status, status == "converged" and cost == 3.0)
+    assert (outcome.cost, outcome.iterations) == (cost, 5)
+    assert outcome.estimate == pytest.approx([50.0], rel=1e-12)
+
+    def singular(*_, **__):
+        raise np.linalg.LinAlgError
+
+    solver._descend = singular
+    outcome = solver._solve(end, stage(), None)
+    assert (outcome.status, outcome.converged, outcome.cost) == ("singular", False, math.inf)
+
+
+@pytest.mark.parametrize(("change", "kept"), [(0.0, True), (-1e-3, True), (-1.0, False), (1e-3, False)])
+def test_what_leads_to_another_cost_has_left_the_minimum(change, kept):
+    nlp = compile_problem(gb.Problem(Lag(), record(0), HELD))
+    solver = GaussNewton(nlp)
+    outcome = solver.run(np.array([1.0]))
+    best = Minimum(outcome.cost - change, outcome.estimate, (0,), 1)
+    polished = solver.polished(Multistart((), (best,), 0.0, nodes=outcome.nodes))
+    (minimum,) = polished.minima
+    assert (minimum is not best) == kept
+    assert minimum.cost == (pytest.approx(min(best.cost, outcome.cost), abs=1e-6) if kept else best.cost)
+
+
+@pytest.mark.parametrize(
+    ("decreases", "trials", "bound", "end"),
+    [
+        ([1.0, 1.0, 0.9], [1.0, 2.0], -1.0, 2.0),  # in units of the tolerance, but for the first two
+        ([1.0, 1.0], [1.0, None], -1.0, 1.0),
+        ([1.0, 1.0], [1.0, -2.0], -1.0, 1.0),  # where a predictor is not stable
+        ([1.0], [], 1e-3, 0.0),  # beyond a bound
+    ],
+)
+def test_exact_steps_go_on_within_all_limits_as_long_as_they_are_taken(monkeypatch, decreases, trials, bound, end):
+    solver, left, waiting = deciding(), iter(decreases), iter(trials)
+    solver._nlp = None
+    solver._parts = SimpleNamespace(residual_weights=lambda _: None)
+    solver._limits = SimpleNamespace(linearized=lambda z: (np.eye(1), np.array([bound])))
+    solver._exact_step = lambda iterate, progress, first: first
+    solver._continuous = lambda trial, taken, progress: trial
+
+    def exact(nlp, parts, iterate, first):
+        assert first == (iterate.z == 0)
+        decrease = next(left)
+        return SimpleNamespace(decrease=decrease if decrease == 1 else decrease * SETTINGS.tolerance, dz=np.zeros(1))
+
+    def searched(*_):
+        z = next(waiting)
+        return (None if z is None else SimpleNamespace(z=z)), 1.0
+
+    monkeypatch.setattr(driver, "sharp_step", exact)
+    monkeypatch.setattr(driver, "merit_function", lambda *_: lambda iterate: 0.0)
+    monkeypatch.setattr(driver, "line_search", searched)
+    monkeypatch.setattr(driver, "are_stable", lambda parts, iterate: iterate.z >= 0)
+    assert solver._sharpened(SimpleNamespace(z=0.0)).z == end
+
+
+def test_nodes_move_alone_as_long_as_a_run_begins_so(monkeypatch):
+    made = Iterated(monkeypatch, [(7.0, 1.0), (6.0, 1.0)], decreases=[], gap_scale=0.5, state_iterations=1)
+    alone = []
+
+    def taken(iterate, linearizations, progress, *, states_only):
+        alone.append(states_only)
+        progress.state_iterations = 0
+        return step(1.0)
+
+    made.solver._step = taken
+    made.run(2)
+    assert alone == [True, False]

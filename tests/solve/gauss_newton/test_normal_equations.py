@@ -1,5 +1,7 @@
 """The step of the parameters against a dense quadratic program, and the merit against its definition."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -8,6 +10,8 @@ from spring_lag_tilt import HELD, SPRING, Spring, spring
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
+from greybox.compiled.part import Condensed
+from greybox.solve import Strategies
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.homotopy import EXACTNESS, Progress
 from greybox.solve.gauss_newton.merit import merit_function
@@ -65,9 +69,13 @@ def test_held_variables_and_nodes_alone_do_not_move():
     assert not alone.dz.any()
 
 
-def test_a_small_step_decreases_the_merit_as_predicted():
+@pytest.mark.parametrize("damping", [0.0, 3.0])
+@pytest.mark.parametrize("weight", [1.0, 20.0])
+def test_a_small_step_decreases_the_merit_as_predicted(damping, weight):
     """The exact merit is the cost, and a penalty on gaps that a step from a continuous trajectory does not have."""
-    _, parts, iterate, weights, linearizations, progress = prepared({"k": 8.97, "c": 1.2, "b": 4.0})
+    near = {"k": 8.97, "c": 1.2, "b": 4.0}
+    _, parts, iterate, weights, linearizations, progress = prepared(near, weight=weight)
+    progress.damping = damping
     held = np.zeros(3, dtype=bool)
     step = gauss_newton_step(parts, iterate, linearizations, progress, held=held, states_only=False)
     merit = merit_function(parts, weights, progress)
@@ -75,7 +83,7 @@ def test_a_small_step_decreases_the_merit_as_predicted():
     moved = parts.moved(iterate, step, 1.0)
     assert merit(iterate) - merit(moved) == pytest.approx(step.decrease, rel=0.05)
     assert merit(moved) > parts.cost(moved)  # curvature leaves gaps
-    closed = parts.close_gaps(moved, step, progress.multipliers, 1.0)
+    closed = parts.close_gaps(moved, step, progress.multipliers, 0.0)
     gaps = [parts.gap_cost(at, progress.multipliers) for at in (moved, closed)]
     assert gaps[1] < 0.01 * gaps[0]
 
@@ -145,3 +153,49 @@ def test_the_relaxed_merit_is_the_squares_of_residuals_and_gaps_and_infinite_whe
     lost = parts.at(iterate.z, [nodes + np.nan for nodes in iterate.nodes])
     for stage in (progress, exact):
         assert merit_function(parts, weights, stage)(lost) == np.inf
+
+
+def test_damping_of_nodes_shortens_a_step_and_is_no_part_of_what_it_promises():
+    """Two parts of one node w and one parameter z: the promise is the decrease of the quadratic cost of both."""
+    damping, slopes = 0.7, np.array([[1.0, -2.0], [-0.5, 3.0]])
+    curvatures = np.array([[[2.0, 0.6], [0.6, 3.0]], [[1.5, -0.4], [-0.4, 5.0]]])
+
+    def system(A, g):
+        damped = A[0, 0] + damping
+        alone, follows = -g[0] / damped, -A[0, 1] / damped
+        return Condensed(
+            hessian=np.array([[A[1, 1] + A[0, 1] * follows]]),
+            gradient=np.array([g[1] + A[0, 1] * alone]),
+            node_step=np.array([[alone]]),
+            node_sensitivity=np.array([[[follows]]]),
+            multiplier=np.zeros((1, 1)),
+            multiplier_sensitivity=np.zeros((1, 1, 1)),
+            damping=np.array([[damping]]),
+            decrease=-(g[0] * alone + A[0, 0] * alone**2 / 2),
+        )
+
+    systems = [system(A, g) for A, g in zip(curvatures, slopes, strict=True)]
+    parts = SimpleNamespace(
+        settings=Strategies(),
+        parts=[SimpleNamespace(condense=lambda *_, one=one: one) for one in systems],
+        weights=[1.0, 4.0],
+        gains=[None, None],
+        limits=SimpleNamespace(linearized=lambda *_: (np.zeros((0, 1)), np.zeros(0)), violation=lambda _: 0.0),
+    )
+    progress = Progress.exact(parts.settings)
+    iterate = SimpleNamespace(z=np.zeros(1), trajectories=[None, None])
+    progress.begin(SimpleNamespace(z=iterate.z, nodes=[]), [np.ones(1)] * 2)
+    progress.damping = damping
+    step = gauss_newton_step(parts, iterate, [None, None], progress, held=np.zeros(1, dtype=bool), states_only=False)
+    hessian = sum(w * one.hessian for w, one in zip(parts.weights, systems, strict=True))
+    gradient = sum(w * one.gradient for w, one in zip(parts.weights, systems, strict=True))
+    assert step.dz == pytest.approx(-gradient / hessian[0] / (1 + damping), rel=1e-8)
+    assert step.distance == pytest.approx(step.dz @ hessian @ step.dz / 2)
+    promised = 0.0
+    for weight, one, A, g in zip(parts.weights, systems, curvatures, slopes, strict=True):
+        v = np.array([one.nodes_after(np.zeros((1, 1)), step.dz, 1.0)[0, 0], step.dz[0]])
+        promised -= weight * (g @ v + v @ A @ v / 2)
+    assert step.decrease == pytest.approx(promised)
+    alone = gauss_newton_step(parts, iterate, [None, None], progress, held=np.zeros(1, dtype=bool), states_only=True)
+    assert alone.decrease == pytest.approx(sum(w * one.decrease for w, one in zip(parts.weights, systems, strict=True)))
+    assert alone.distance == 0
