@@ -8,7 +8,7 @@ import greybox as gb
 from greybox.models.controller import AttitudeController
 from greybox.models.tilt import NonlinearTilt
 from greybox.planning import expected_errors, plan_sines
-from greybox.planning.sine_plan import _density, _lines_around, _with_spare
+from greybox.planning.sine_plan import QUIET_PERIODS, _density, _lines_around, _with_spare
 
 TILT = {"a1": -14.6, "a2": 3.0, "a3": 8.5, "a4": 295.0}
 RATE = 100  # Hz
@@ -237,3 +237,32 @@ def test_equally_spaced_sines_are_those_of_the_band_for_the_same_errors(lag):
     period = 2 * np.pi / omega
     flown = np.maximum(np.ceil(seconds / period), 10) * period + np.ceil(2 / period) * period
     assert lag.equally_spaced == pytest.approx(np.sum(flown) + 4 * 2, rel=0.03)
+
+
+def test_constants_of_a_quiet_flight_are_no_noise():
+    random = np.random.default_rng(1)
+    time = np.arange(3000) / 50
+    u, y = 0.01 * random.normal(size=(2, 3000))
+    omega = np.array([0.8, 3.0, 30.0])
+    plain = _density(gb.Record(time, {"u": u, "y": y}), Lag(), LAG, omega, ("u", "y"), 50.0)
+    moved = _density(gb.Record(time, {"u": u + 7, "y": y - 9}), Lag(), LAG, omega, ("u", "y"), 50.0)
+    assert moved == pytest.approx(plain, rel=1e-9)
+
+
+def test_a_quiet_flight_has_a_few_periods_of_the_lowest_frequency():
+    time = np.arange(1000) / 50
+    record = gb.Record(time, {"u": np.sin(9 * time), "y": np.cos(7 * time)})
+    for share, enough in ((0.99, False), (1.01, True)):
+        omega = np.array([share * QUIET_PERIODS * 2 * np.pi / 20.0, 30.0])
+        if enough:
+            assert np.all(np.isfinite(_density(record, Lag(), LAG, omega, ("u", "y"), 50.0)))
+        else:
+            with pytest.raises(ValueError, match=r"the quiet flight has 20 s, fewer than \d+ periods of"):
+                _density(record, Lag(), LAG, omega, ("u", "y"), 50.0)
+
+
+def test_lines_lie_within_a_sixth_of_a_frequency_or_two_lines_of_the_flight():
+    found = _lines_around(np.array([0.5, 6.0, 60.0]), 10 * 2 * np.pi)
+    assert found[:, [0, -1]] == pytest.approx(np.array([[0.3, 0.7], [5.0, 7.0], [50.0, 70.0]]))
+    assert np.diff(found, axis=1) == pytest.approx(np.diff(found, axis=1)[:, :1] * np.ones(found.shape[1] - 1))
+    assert _lines_around(np.array([0.15]), 10 * 2 * np.pi).min() == pytest.approx(0.1)

@@ -88,3 +88,18 @@ def test_it_prints_a_table_and_a_sentence():
     assert (found["K"].differs, found["T"].differs) == (True, False)
     with pytest.raises(KeyError, match="there is no 'tau'; there are K, T, c"):
         found["tau"]
+
+
+def test_the_fit_that_lacks_a_parameter_is_named():
+    omega = np.geomspace(0.1, 10, 6)
+    one, other = (measured(Lag(), omega, {"K": 2.0, "T": 0.5}, noise=0.02, seed=k) for k in (1, 2))
+    fits = [
+        gb.fit(gb.Problem(Lag(), data, rename=rename), starts=1, progress=False, profiles=False)
+        for data, rename in ((one, {"K": "K_a"}), (other, {"K": "K_b"}))
+    ]
+    for name, label in (("K_a", "second"), ("K_b", "first")):
+        with pytest.raises(ValueError, match=f"{label} has no parameter '{name}'"):
+            gb.validation.differences(*fits, [name], labels=("first", "second"))
+    assert [q.name for q in gb.validation.differences(*fits).quantities] == ["T"]
+    assert gb.validation.differences(*fits, labels=("first", "second")).labels == ("first", "second")
+    assert gb.validation.differences(*fits, labels=("same", "same")).labels == ("Lag 1", "Lag 2")

@@ -10,6 +10,8 @@ from synthetic_logs import BATCH, BATCH_RATE, Log, imu_batches
 import greybox as gb
 from greybox.data.record import Recording
 from greybox.logs.readers import read
+from greybox.logs.readers.imu_batches import with_batches
+from greybox.logs.readers.messages import Messages
 from greybox.spectral.vibration import vibration
 
 
@@ -94,3 +96,25 @@ def test_spectra_are_drawn_with_their_peaks(saved, capsys, tmp_path):
     slow = gb.Record(np.arange(400) / 25, {"GyrX": np.zeros(400)}, name="IMU")
     with pytest.raises(ValueError, match="log raw batches"):
         gb.plotting.vibration(Recording({"IMU": slow}))
+
+
+@pytest.mark.parametrize(("before", "own"), [(0.0, True), (9.9, True), (10.1, False), (-0.1, False)])
+def test_a_batch_begins_at_its_own_stamp_unless_that_is_of_another_clock(before, own):
+    """One that is ten seconds older than its header, or younger: the header tells then."""
+    sent = 50.0
+    stamp = (sent - before) * 1e6
+    known = {"N": 3.0, "type": 1.0, "instance": 2.0, "mul": 10.0, "smp_rate": 100.0, "SampleUS": stamp}
+    columns = {name: [value] for name, value in known.items()}
+    header = Messages("ISBH", np.array([0]), np.array([sent]), {k: np.array(v) for k, v in columns.items()})
+    rows = {"N": [3.0, 3.0, 4.0], "seqno": [0.0, 1.0, 0.0]}
+    rows |= {
+        f"{axis}[{k}]": np.array([k, 32.0 + k, 99.0]) * (1 + "xyz".index(axis)) for axis in "xyz" for k in range(32)
+    }
+    data = Messages("ISBD", np.array([1, 2, 3]), None, {k: np.array(v) for k, v in rows.items()})
+    (kept, made), findings = with_batches([header, data])
+    assert (kept, findings) == (header, ())
+    assert made.time == pytest.approx((sent - before if own else sent) + np.arange(64) / 100)
+    assert made.columns["y"] == pytest.approx(2 * np.arange(64) / 10)
+    assert made.units == dict.fromkeys("xyz", "rad/s")
+    assert made.texts == {"sensor": ["gyro2"] * 64}
+    assert made.order.tolist() == [1] * 32 + [2] * 32
