@@ -9,8 +9,7 @@ several records, `sensor_biases` numbers the biases that each record has for its
 asks of an earlier `Fit` whose values it holds fixed, `prior` what is known of parameters before the data, `prior_part`
 that as a part of a sum, `restated_parameter` gives a parameter other bounds and starts than its model declares,
 `input_assumptions` says how inputs run between their samples, `signal_units` holds the units of a record against those
-that the model declares, and `starts` are the points from which a search begins, one rule a class, of which
-`sobol_points` is the default.
+that the model declares, and `starts` are the points from which a search begins, one rule a class.
 """
 
 from greybox.formulation.frequency_criteria import Criterion as Criterion
