@@ -13,7 +13,7 @@ from greybox.html_report.figure import Figure, Panel, Series, figure_grid
 from greybox.html_report.history_figures import history_figure
 from greybox.html_report.interval_section import profile_figures
 from greybox.html_report.residual_figures import residual_figures
-from greybox.html_report.response_figures import response_figures
+from greybox.html_report.response_figures import _spread, response_figures
 from greybox.html_report.sensitivity_figure import information_figure, sensitivity_figure
 from greybox.html_report.spectrum_figures import spectrum_figure
 from greybox.html_report.starts_figure import _limits, starts_figure
@@ -242,3 +242,10 @@ def test_limits_of_axes_are_handed_on_where_there_are_any():
     for limits, plain in (((0.0, 3.0), [0, 3]), (None, None)):
         plot = Figure("a", "x", [], limits=limits).element.find("div")
         assert json.loads(plot.get("data-figure"))["limits"] == plain
+
+
+@pytest.mark.parametrize("count", [1, 2, 400, 401, 5000])
+def test_curves_have_no_more_points_than_can_be_seen_and_keep_their_ends(count):
+    rows = _spread(count)
+    assert (rows[0], rows[-1], rows.size) == (0, count - 1, min(count, 400))
+    assert np.diff(rows).max(initial=1) <= -(-count // 399)

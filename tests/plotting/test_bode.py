@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 import greybox as gb
 from greybox.models.tilt import Tilt
-from greybox.plotting.bode import band_limits
+from greybox.plotting.bode import _moved, band_limits
 
 
 def test_bode_is_in_decibel_and_degrees(pitch):
@@ -148,3 +148,14 @@ def test_phases_have_at_most_eight_lines_at_parts_or_multiples_of_a_turn(span, s
     assert np.diff(ticks) == pytest.approx(step)
     assert 3 <= np.sum((low <= ticks) & (ticks <= high)) <= 8
     np.testing.assert_allclose(ticks % step, 0)
+
+
+def test_whole_turns_are_those_between_the_means_over_the_frequencies_that_both_have():
+    omega = np.geomspace(1, 100, 50)
+    curve = (omega, np.where(omega < 1.2, 190.0, 20.0) - 720)
+    beside = (np.geomspace(0.1, 10, 40), np.zeros(40))
+    moved = _moved(curve, beside)
+    np.testing.assert_array_equal(moved[0], omega)
+    np.testing.assert_allclose(moved[1], curve[1] + 720)
+    apart = _moved((np.array([20.0, 30.0]), np.array([400.0, 500.0])), beside)  # no frequency in common
+    np.testing.assert_allclose(apart[1], [40.0, 140.0])

@@ -60,3 +60,10 @@ def test_a_contour_is_closed_with_hollow_open_ends():
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("a [s]", "b")
     unknown = Contour(("a", "b"), ("s", ""), 0.95, np.array([1.0, 2.0]), np.nan * covariance, 2.0, points, ends)
     assert len(gb.plotting.contour(unknown, Figure().subplots()).get_lines()) == 4
+
+
+@pytest.mark.parametrize(("error", "lines"), [(0.15, 3), (0.0, 2), (np.inf, 2), (np.nan, 2)])
+def test_a_cone_needs_a_standard_error(error, lines):
+    found = SimpleNamespace(profiles=[profile(standard_error=error)], limit={"T": 2.0})
+    (ax,) = gb.plotting.profiles(found)
+    assert len(ax.get_lines()) == lines

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import optimize, special, stats
 
-from greybox.spectral.pooled_noise import pooled_levels
+from greybox.spectral.pooled_noise import _inverse_trigamma, pooled_levels
 
 OMEGA = np.geomspace(1, 20, 10)
 DOF = np.array([8.0] * 6 + [16.0] * 4)
@@ -56,3 +56,34 @@ def test_five_levels_on_one_curve_are_known_as_well_as_all_together():
     level, dof = pooled_levels(line, line, np.full(5, 8.0))
     assert dof.tolist() == [40.0] * 5
     assert level / line == pytest.approx(level[0] / line[0])
+
+
+@pytest.mark.parametrize(("count", "bends"), [(7, False), (8, True)])
+def test_from_eight_tests_on_the_curve_may_bend(count, bends):
+    """Levels on a parabola are on a curve that bends, which leaves them as they are but for one factor."""
+    omega = np.geomspace(1, 20, count)
+    levels = omega**1.5 * np.exp(0.5 * np.log(omega / 4) ** 2)
+    level, _ = pooled_levels(omega, levels, np.full(count, 40.0))
+    assert (np.ptp(np.log(level / levels)) < 1e-6) == bends
+
+
+def test_levels_are_weighted_by_their_freedom_against_what_they_differ():
+    """Smyth's formulas, written out."""
+    random = np.random.default_rng(2)
+    dof = np.array([8.0, 8.0, 20.0, 8.0, 12.0, 8.0])
+    omega = np.geomspace(1, 20, 6)
+    levels = omega * np.exp(0.9 * random.normal(size=6))
+    logs = np.log(levels) - special.digamma(dof / 2) + np.log(dof / 2)
+    line = np.polyval(np.polyfit(np.log(omega), logs, 1), np.log(omega))
+    spread = np.sum((logs - line) ** 2) / 4 - np.mean(special.polygamma(1, dof / 2))
+    assert spread > 0.1
+    prior = 2 * optimize.brentq(lambda x: special.polygamma(1, x) - spread, 1e-3, 1e3)
+    center = np.exp(line + special.digamma(prior / 2) - np.log(prior / 2))
+    level, freedom = pooled_levels(omega, levels, dof)
+    assert level == pytest.approx((dof * levels + prior * center) / (dof + prior), rel=1e-6)
+    assert freedom == pytest.approx(np.minimum(dof + prior, dof.sum()), rel=1e-6)
+
+
+@pytest.mark.parametrize("value", [1e-3, 0.3, 2.0, 50.0])
+def test_the_inverse_of_the_trigamma_function(value):
+    assert special.polygamma(1, _inverse_trigamma(value)) == pytest.approx(value, rel=1e-8)

@@ -433,3 +433,19 @@ def test_only_sines_that_are_usable_need_one_axis():
     assert len(finite_frequency(record, [one, *others]).points) == 1
     with pytest.raises(ValueError, match=r"the segments are of several axes \(pitch, roll\): choose those of one"):
         finite_frequency(record, [one, Segment(0.0, 19.99, omega=3.0, axis="pitch")])
+
+
+@pytest.mark.parametrize(("held", "flat", "saturated"), [(1, 2, False), (1, 3, True), (2, 5, False), (2, 6, True)])
+def test_a_flat_top_is_three_times_as_long_as_other_values_and_three_samples_at_least(held, flat, saturated):
+    rising = np.repeat(np.linspace(-1, 1, 3001)[1:-1], held)
+    u = np.concatenate([[-1.0], rising, np.full(flat, 1.0), rising[::-1]])
+    assert _saturation(u, None) == pytest.approx(flat / u.size if saturated else 0.0)
+    assert _saturation(-u, None) == pytest.approx(flat / u.size if saturated else 0.0)
+
+
+def test_a_control_of_few_values_does_not_show_its_limits():
+    """Steps of more than a two-thousandth of its travel."""
+    for step, known in ((4.9e-4, True), (5.1e-4, False)):
+        u = np.round(np.sin(np.linspace(0, 9, 40_000)) / (2 * step)) * 2 * step
+        assert math.isnan(_saturation(u, None)) != known
+        assert not math.isnan(_saturation(u, (-1.0, 1.0)))

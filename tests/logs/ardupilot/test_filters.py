@@ -116,3 +116,15 @@ def test_files_name_filters_and_nothing_else():
     for text in ("os:system('x')", "my.py:Class(1)", "LowPass(a)", "LowPass()", "", "LowPass(1, 2, 3, 4)"):
         with pytest.raises(ValueError, match="is not known: it must be one of LowPass"):
             from_text(text)
+
+
+@pytest.mark.parametrize(("options", "parts"), [(0, [0]), (1, [-1, 1]), (16, [-1, 0, 1]), (17, [-1, 0, 1])])
+def test_double_and_triple_notches_are_spread_over_the_width(options, parts):
+    """By width / 32 on either side, each as many times as narrow: HarmonicNotchFilter::set_center_frequency."""
+    setting = {"INS_GYRO_FILTER": 20, "INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 80, "INS_HNTCH_BW": 40}
+    found = named_filters(log(**setting, INS_HNTCH_OPTS=options, INS_HNTCH_HMNCS=5))["gyro-notch"]
+    expected = [k * (80 + part * 40 / 32) for k in (1, 3) for part in parts]
+    assert [notch.center for notch in found] == pytest.approx(expected)
+    half = 40 / len(parts) / 2
+    octave = (80 / (80 - half)) ** 2
+    assert found[0].quality == pytest.approx(math.sqrt(octave) / (octave - 1))

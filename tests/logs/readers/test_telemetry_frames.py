@@ -66,3 +66,34 @@ def test_layouts_are_as_long_as_pymavlinks():
     """Of every message of the dialect."""
     for kind, known in KINDS.items():
         assert layout(kind).itemsize == known.unpacker.size, known.msgname
+
+
+def unknown(version, payload=b"\x01\x02\x03", signed=False):
+    """A packet of a kind that pymavlink does not know, with any checksum."""
+    kind = next(k for k in range(255 if version == 1 else 60_000, 0, -1) if k not in KINDS)
+    if version == 1:
+        return bytes([0xFE, len(payload), 0, 1, 1, kind]) + payload + b"\xaa\xbb"
+    head = bytes([0xFD, len(payload), int(signed), 0, 0, 1, 1]) + kind.to_bytes(3, "little")
+    return head + payload + b"\xaa\xbb" + bytes(13 * signed)
+
+
+@pytest.mark.parametrize(("version", "signed"), [(1, False), (2, False), (2, True)])
+def test_packets_of_an_unknown_kind_are_sound_where_another_packet_follows(mapped, version, signed):
+    made, stamp = packets(6), struct.pack(">Q", START)
+    other = stamp + unknown(version, signed=signed)
+    frames = find_packets(mapped(b"".join([*made[:3], other, *made[3:], other])))
+    assert (frames.kinds.size, frames.unknown, frames.skipped) == (6, 2, 0)
+    junk = b"neither"
+    frames = find_packets(mapped(b"".join([*made[:3], other, junk, *made[3:]])))
+    assert (frames.kinds.size, frames.unknown) == (6, 0)
+    assert (frames.skipped, frames.places) == (len(other) + len(junk), 1)
+    assert np.diff(frames.starts).max() == len(made[0]) + len(other) + len(junk)
+
+
+def test_a_packet_ends_with_the_file_or_is_not_there(mapped):
+    made = packets(3)
+    whole = b"".join(made)
+    for cut in (0, 1, 2, 3):
+        frames = find_packets(mapped(whole[: len(whole) - cut]))
+        assert frames.kinds.size == (3 if not cut else 2)
+        assert frames.skipped == (0 if not cut else len(made[2]) - cut)
