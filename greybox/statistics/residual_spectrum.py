@@ -656,6 +656,8 @@ class _Sandwich:
         fit takes most from slow errors. Cosine transforms make these nearly independent, with no samples beyond the
         ends.
         """
+        from scipy.fft import dct  # noqa: PLC0415  (importing greybox stays light)
+
         shapes = np.concatenate([np.ones((1, len(self.grid.omega)))] + [family.shapes for family in self.families[i]])
         p = len(self.root)
         given = self.noise[i, i] / self.deviation[i] ** 2
@@ -664,7 +666,7 @@ class _Sandwich:
         for J, e in zip(self.weighted, self.residuals, strict=True):
             n = e.shape[1]
             rows = np.vstack([e[i] / self.deviation[i], self.root.T @ J[i] * given * self.deviation[i]])
-            rows = _cosine_transform(rows)
+            rows = np.asarray(dct(rows, axis=1, norm="ortho"))
             band = np.searchsorted(self.grid.starts, np.arange(n) * self.grid.size / (2 * n), side="right") - 1
             first = _changes(band)
             there = band[first]
@@ -842,17 +844,6 @@ def _smoothed(values: Array, width: int) -> Array:
     padded = np.pad(values, half, mode="reflect")
     total = np.cumsum(np.concatenate([[0.0], padded]))
     return np.maximum((total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1), 0.0)
-
-
-def _cosine_transform(rows: Array) -> Array:
-    """Return the orthonormal cosine transform (DCT-II) of rows (m, n): the Fourier transform of them and their image.
-
-    scipy.fft, which has it, takes longer to import than all else that is done to a record of 6000 samples.
-    """
-    n = rows.shape[1]
-    turn = np.exp(-0.5j * np.pi / n * np.arange(n)) / math.sqrt(2 * n)
-    turn[0] *= math.sqrt(0.5)
-    return np.array([(np.fft.rfft(np.concatenate([row, row[::-1]]))[:n] * turn).real for row in rows])
 
 
 def _whittle(r: Array) -> Iterator[tuple[Array, Array]]:

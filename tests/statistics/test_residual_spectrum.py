@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.fft import dct
 from scipy.linalg import expm, matmul_toeplitz, solve_discrete_lyapunov, toeplitz
 from scipy.signal import lfilter
 
 from greybox.statistics.residual_spectrum import (
-    _cosine_transform,
     _Grid,
     _Sandwich,
     colored_information,
@@ -263,12 +261,6 @@ def test_values_of_bands_are_interpolated_between_their_mean_frequencies():
     assert grid.mean(np.ones(len(grid.omega))) == pytest.approx(1)
     # The mean over all frequencies of a slowly changing density is that of its bands.
     assert grid.mean(grid.banded(np.cos(omega) ** 2)) == pytest.approx(0.5, abs=1e-3)
-
-
-@pytest.mark.parametrize("n", [1, 2, 61])
-def test_cosine_transforms_are_those_of_scipy(n):
-    rows = np.random.default_rng(n).normal(size=(2, n))
-    assert_allclose(_cosine_transform(rows), dct(rows, axis=1, norm="ortho"), atol=1e-13)
 
 
 def test_the_covariance_of_another_score_is_that_of_the_spectrum_of_the_errors():
