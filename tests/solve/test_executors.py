@@ -7,7 +7,8 @@ import subprocess
 import sys
 import textwrap
 import time
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from collections import OrderedDict
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,10 +19,22 @@ from numpy.testing import assert_array_equal
 from sampled_lag import lag_problem
 
 import greybox as gb
-from greybox.solve.executors import run_all
+from greybox.solve.executors import (
+    MOST_WAITING,
+    TASK_SECONDS,
+    ExecutorLostError,
+    _batches,
+    _Tasks,
+    call_all,
+    packed,
+    run_all,
+    run_starts,
+)
+from greybox.solve.kept_runs import Memory
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.outcome import Outcome
-from greybox.solve.worker_pool import _single_threads
+from greybox.solve.time_limits import current_limits
+from greybox.solve.worker_pool import NoWorkerError, WorkerLostError, _single_threads
 
 RESPONSE = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2))
 
@@ -297,3 +310,124 @@ def test_a_search_is_cut_into_enough_tasks_for_workers_of_unlike_speed(monkeypat
     executor.submit = lambda *words, **more: tasks.append(words) or submit(*words, **more)
     fitted(RESPONSE, executor, by_ipopt=False)
     assert len(tasks) == 13
+
+
+def tasks_of(solver, count, *, seconds, memory=None, begins=None):
+    """The tasks of a search of which the first start was run in so many seconds, and what was handed out."""
+    handed = []
+
+    def submit(function, key, payload, starts, *_):
+        handed.append([int(start[0]) for start in starts])
+        future = Future()
+        future.set_result([Outcome(2 * start, "solved", 1, seconds, converged=True) for start in starts])
+        return future
+
+    first = [Outcome(STARTS[0], "solved", 1, seconds, converged=True)]
+    batches = _batches(enumerate(np.arange(1.0, count)[:, None], 1), solver.together)
+    executor = SimpleNamespace(submit=submit)
+    return _Tasks(solver, batches, count, executor, memory or Memory(), begins or {}, first), handed
+
+
+@pytest.mark.parametrize(
+    ("seconds", "count", "size"),
+    [
+        (TASK_SECONDS / 5.5, 1000, 5),  # of the work of one task
+        (10 * TASK_SECONDS, 1000, 1),
+        (0.0, 1000, 63),  # a sixteenth of all, rounded up
+        (TASK_SECONDS / 40, 320, 20),
+    ],
+)
+def test_a_task_has_so_much_work_and_no_more_than_a_sixteenth_of_all(seconds, count, size):
+    tasks, handed = tasks_of(Fragile(-1.0), count, seconds=seconds)
+    tasks.hand_out()
+    assert [len(task) for task in handed[:10]] == [size] * 10
+    assert [k for task in handed for k in task] == [*range(1, 1 + sum(map(len, handed)))]
+    assert len(tasks.waiting) == min(MOST_WAITING, len(handed))
+    if sum(map(len, handed)) < count - 1:
+        assert len(handed) == MOST_WAITING
+
+
+def test_tasks_are_whole_batches_and_those_that_are_known_are_not_made_again():
+    """In threes that are run together; starts 7 to 9 are kept already."""
+    solver = Fragile(-1.0)
+    solver.together = 3
+    memory = Memory()
+    known = {number: Outcome(np.array([2.0 * number]), "kept", 1, 0.1, converged=True) for number in (4, 7, 8, 9)}
+    memory.recall = lambda number, start: known.get(number)
+    tasks, handed = tasks_of(solver, 100, seconds=TASK_SECONDS / 6.5, memory=memory)
+    tasks.hand_out()
+    assert handed[:3] == [[1, 2, 3, 4, 5, 6], [10, 11, 12, 13, 14, 15], [16, 17, 18, 19, 20, 21]]
+    first, second, *_ = [[outcome.status for outcome in task.outcomes or ()] for task in tasks.waiting]
+    assert (first, second) == ([], ["kept"] * 3)
+    assert tasks.is_next_done()
+    assert [number for number, _, _ in tasks.next()] == [1, 2, 3, 4, 5, 6]
+    assert [(number, outcome.status) for number, _, outcome in tasks.next()] == [(7, "kept"), (8, "kept"), (9, "kept")]
+
+
+def test_tasks_that_wait_hold_little_memory(monkeypatch):
+    size = len(packed(Fragile(-1.0))[1])
+    monkeypatch.setattr("greybox.solve.executors.MOST_BYTES", 5 * size + 1)
+    tasks, handed = tasks_of(Fragile(-1.0), 1000, seconds=1.0)
+    tasks.hand_out()
+    assert len(handed) == 5
+    monkeypatch.setattr("greybox.solve.executors.MOST_BYTES", 1)
+    tasks, handed = tasks_of(Fragile(-1.0), 1000, seconds=1.0)
+    tasks.hand_out()
+    assert len(handed) == 2  # one at work, and the next one
+
+
+def test_a_run_begins_where_it_is_told_to():
+    begun = run_all(Fragile(-1.0), enumerate(STARTS[:3]), 3, None, begins={1: np.array([7.0])})
+    assert [outcome.estimate[0] for _, _, outcome in begun] == [0.0, 14.0, 4.0]
+    seen = []
+    executor = LastFirst()
+    submit = executor.submit
+    executor.submit = lambda f, key, payload, starts, *more: (
+        seen.append(starts) or submit(f, key, payload, starts, *more)
+    )
+    made = run_all(Fragile(-1.0), enumerate(STARTS[:3]), 3, executor, begins={1: np.array([7.0])})
+    assert [(start[0], outcome.estimate[0]) for _, start, outcome in made] == [(0.0, 0.0), (1.0, 14.0), (2.0, 4.0)]
+    assert np.concatenate(seen).ravel().tolist() == [7.0, 2.0]
+
+
+def test_a_worker_keeps_the_last_four_solvers(monkeypatch):
+    built = []
+    monkeypatch.setattr(
+        "greybox.solve.executors.pickle", SimpleNamespace(loads=lambda name: built.append(name) or STILL)
+    )
+    monkeypatch.setattr("greybox.solve.executors._built", SimpleNamespace(solvers=OrderedDict()))
+
+    def serve(names):
+        for name in names:
+            (outcome,) = run_starts(name, name, STARTS[3:4], os.getpid(), current_limits())
+            assert outcome.estimate[0] == 6.0
+        return "".join(built)
+
+    assert serve("abcd") == "abcd"
+    assert serve("abab") == "abcd"
+    assert serve("ecd") == "abcdecd"  # c and d were the longest unused, one after the other
+    assert serve("b") == "abcdecd"
+
+
+STILL = Fragile(-1.0)
+
+
+def test_calls_come_back_in_their_order_and_what_was_lost_is_said():
+    assert call_all(divmod, [(7, 2), (9, 4)], None) == [(3, 1), (2, 1)]
+    with ThreadPoolExecutor(2) as threads:
+        assert call_all(divmod, [(7, 2), (9, 4)], threads) == [(3, 1), (2, 1)]
+
+    def lost(error):
+        future = Future()
+        future.set_exception(error)
+        return SimpleNamespace(submit=lambda *_: future)
+
+    for error, words in (
+        (WorkerLostError("lost"), "killed as often as it was tried"),
+        (NoWorkerError("none began"), "none began"),
+        (CancelledError(), "gave up its tasks"),
+        (ZeroDivisionError(""), "ZeroDivisionError: no reason given. Start"),
+        (ZeroDivisionError("by\n zero."), "ZeroDivisionError: by zero. Start"),
+    ):
+        with pytest.raises(ExecutorLostError, match=words):
+            call_all(divmod, [(7, 2)], lost(error))
