@@ -207,3 +207,14 @@ def test_a_bias_begins_as_near_to_zero_in_every_unit(unit):
     known = bias_parameter("y", gb.Record(time, {"y": np.sin(time)}))
     assert_allclose([*parameter.starts, *parameter.bounds], unit * np.array([*known.starts, *known.bounds]))
     assert parameter.bounds[0] <= parameter.starts[0] == -parameter.starts[1] < 0
+
+
+def test_what_a_record_cannot_be_compared_with_is_said():
+    record = gb.Record(0.1 * np.arange(50), {"F": np.ones(50), "other": np.zeros(50)})
+    with pytest.raises(ValueError, match=r"none of the outputs of Spring \(x, v\); it has F, other"):
+        gb.Problem(Spring(), record, HELD)
+    with pytest.raises(TypeError, match=r"initial is \[1\.0\]: give \{state: value or function"):
+        gb.OutputError(initial=[1.0])
+    for value in (np.nan, np.inf, "rest"):
+        with pytest.raises(ValueError, match="initial gives 'x' the value"):
+            gb.OutputError(initial={"x": value})

@@ -10,7 +10,7 @@ from rational_functions import PITCH, ROLL, ROOTS, YAW, expand, numbers, polynom
 import greybox as gb
 from greybox.formulation.frequency_criteria import evaluate
 from greybox.models.polynomial import Polynomial
-from greybox.regression.levy import levy
+from greybox.regression.levy import _aic, levy
 
 
 def naive(data, n, m):
@@ -236,3 +236,10 @@ def test_bad_arguments(arguments, sentence):
 def test_the_last_orders_that_the_data_allow():
     assert levy(table("roll"), 10, 8).n == 10
     assert levy(table("roll"), 10, 9, integrator=True).n == 10
+
+
+def test_an_exact_model_has_the_least_aic_that_there_is():
+    data = gb.FrequencyResponse(np.array([1.0, 2.0, 3.0]), np.array([1.0, 2j, 3.0]), "u", "y")
+    assert _aic(data.response, data, 2) == -np.inf
+    one_percent = _aic(1.01 * data.response, data, 2)
+    assert one_percent == pytest.approx(6 * np.log(1e-4) + 4)

@@ -165,3 +165,11 @@ def test_uneven_records_are_refused():
         regular(gb.Record(time, {"y": time}))
     with pytest.raises(ValueError, match="the record has 3 samples"):
         regular(gb.Record(TIME[:3], {"y": TIME[:3]}))
+
+
+def test_the_last_samples_of_a_stretch_are_filled_as_the_first_are():
+    time = 0.1 * np.arange(12)
+    truth = 1 + time - 0.3 * time**3
+    for hole in (1, 5, 10):
+        values = np.where(np.arange(12) == hole, np.nan, truth)
+        assert_allclose(without_holes(time, values), truth, atol=1e-12)

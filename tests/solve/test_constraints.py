@@ -98,3 +98,32 @@ def test_the_nearest_point_keeps_bounds_and_constraints():
     assert limits.nearest(np.array([2.0, 2.0])) == pytest.approx([0.5, 0.5])
     assert limits.nearest(np.array([0.2, 0.3])) == pytest.approx([0.2, 0.3])
     assert limits.violation(np.array([1.0, 1.0])) == pytest.approx(1.0)
+
+
+def test_steps_are_limited_by_bounds_and_constraints_but_of_variables_that_are_held():
+    """x + y <= 1, 0 <= x, y <= 1: rows of x and y upward, downward, and the constraint, from (0.25, 1.5)."""
+    z = ca.SX.sym("z", 2)
+    constraint = 1 - z[0] - z[1]
+    limits = Limits(
+        np.zeros(2),
+        np.array([1.0, np.inf]),
+        ca.Function("c", [z], [constraint, ca.densify(ca.jacobian(constraint, z))]),
+    )
+    normals, least = limits.linearized(np.array([0.25, 1.5]))
+    assert normals.tolist() == [[1, 0], [0, 1], [-1, 0], [-1, -1]]
+    assert least == pytest.approx([-0.25, -1.5, -0.75, 0.75])
+    normals, least = limits.linearized(np.array([0.25, 1.5]), np.array([False, True]))
+    assert normals.tolist() == [[1, 0], [0, 1], [-1, 0], [0, -1], [-1, -1]]
+    assert least == pytest.approx([-0.25, 0.0, -0.75, 0.0, 0.75])
+    # What is beyond a bound by rounding is not moved back to it.
+    _, least = limits.linearized(np.array([1.0 + 1e-9, -1e-9]))
+    assert least[:3] == pytest.approx([-1.0, 0.0, 0.0], abs=1e-8)
+    assert least[1] == least[2] == 0
+
+
+def test_a_step_ends_within_the_bounds_and_on_one_that_it_nearly_reaches():
+    z = ca.SX.sym("z", 3)
+    limits = Limits(np.zeros(3), np.ones(3), ca.Function("none", [z], [ca.SX(0, 1), ca.SX(0, 3)]))
+    there = limits.after(np.array([0.5, 0.5, 0.5]), np.array([-0.5 + 1e-17, 0.9, 0.25]))
+    assert there.tolist() == [0.0, 1.0, 0.75]
+    assert limits.after(np.array([0.5, 0.5, 0.5]), np.array([-0.4, 0.4, 0.0])) == pytest.approx([0.1, 0.9, 0.5])

@@ -83,3 +83,9 @@ def test_other_threads_are_left_alone(press_ctrl_c):
         thread.join()
         assert stop_requested()
     assert seen == [False]
+
+
+def test_an_error_without_it_stays_what_it_is():
+    with pytest.raises(ZeroDivisionError), listening():
+        raise ZeroDivisionError
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

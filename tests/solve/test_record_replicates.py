@@ -117,3 +117,17 @@ def test_replicates_of_several_records_are_the_same_where_the_problem_was_left_b
 def test_a_block_is_no_longer_than_the_record():
     with pytest.raises(ValueError, match="block is 13: give a number of samples from 1 to 12"):
         draws_of("residuals", block=13)
+
+
+def test_each_record_is_left_out_once():
+    """Below zero, against the fits of the four others."""
+    records, nlp, start, trajectories = levels()
+    draws = record_draws(nlp, trajectories, (None,) * 5, "parts", 0, 1)
+    runner = RecordReplicates(nlp, draws, start, tuple(t.nodes for t in trajectories))
+    assert runner.left_out == 5
+    for k in (0, 4):
+        found = runner.run(np.array([-1.0 - k]))
+        others = [record for j, record in enumerate(records) if j != k]
+        fit = gb.fit(gb.several(Ramp(), others), starts=[{}], progress=False)
+        assert_allclose(found.estimate, fit.estimate["K"], rtol=1e-6)
+        assert found.converged

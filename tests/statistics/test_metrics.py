@@ -285,3 +285,10 @@ def test_constants_in_residuals_and_inputs_change_no_test():
         found, alone = tested([e + 7], [u - 400]), tested([e], [u])
         assert_allclose([found.statistic, *found.correlations], [alone.statistic, *alone.correlations])
     assert metrics.whiteness([e + 7]).statistic == pytest.approx(metrics.whiteness([e]).statistic)
+
+
+def test_what_is_not_tested_has_no_degrees_of_freedom():
+    nothing = metrics.whiteness([[1.0, 2.0]], lags=4)
+    assert (nothing.dof, nothing.outside) == (0, 0)
+    assert nothing.correlations.shape == (4,)
+    assert all(math.isnan(value) for value in (nothing.statistic, nothing.p_value, nothing.bound))

@@ -336,3 +336,12 @@ def test_process_noise_is_found_through_the_dynamics_in_a_record_of_three_time_c
             found.append(estimate / np.sqrt(np.diag(inverse @ meat @ inverse)))
     assert np.sqrt(np.mean(np.square(known))) == pytest.approx(1.0, abs=0.25)
     assert np.sqrt(np.mean(np.square(alone))) > 1.5
+
+
+def test_no_errors_say_nothing_and_hide_nothing():
+    random = np.random.default_rng(0)
+    found = information([random.normal(size=(2, 3, 50))], [np.zeros((2, 50))])
+    assert_allclose(found.meat, np.zeros((3, 3)))
+    assert (found.taken, found.uncertainty, found.hidden, found.corrected, found.spectrum) == (0, 0, 1, True, None)
+    assert found.correlation_times.tolist() == [0, 0]
+    assert_allclose(score_covariance([random.normal(size=(2, 3, 50))], None), np.zeros((3, 3)))

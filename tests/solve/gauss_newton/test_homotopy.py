@@ -71,3 +71,9 @@ def test_delays_are_held_once_and_only_where_continuity_is_exact():
     progress = Progress.exact(Strategies())
     assert progress.hold_delays()
     assert not progress.hold_delays()
+
+
+def test_an_exact_iteration_moves_nodes_and_parameters_together_from_its_first_step():
+    progress = Progress.exact(Strategies(states_first=True))
+    assert (progress.is_exact, progress.state_iterations) == (True, 0)
+    assert Progress(Strategies(), state_iterations=7).state_iterations == 7

@@ -1,0 +1,118 @@
+"""Gains within an iteration, of gains whose poles and costs are stated."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from greybox.solve import Strategies
+from greybox.solve.gauss_newton.iterate import Iterate
+from greybox.solve.gauss_newton.stability import (
+    are_stable,
+    best_gains,
+    simulate_stable,
+    stability_constraints,
+)
+
+SETTINGS = Strategies()
+
+
+class Gain:
+    """One gain, which is stable below one; a filter of process noise of a variance has that as gain."""
+
+    def __init__(self, place, slopes=None, left=None, diverges=False):
+        self.place, self.slopes, self.left = place, slopes, left
+        self.part = SimpleNamespace(place=lambda z: z[place], trajectory=self.simulated)
+        self.diverges = diverges
+
+    def is_stable(self, trajectory, placed=None):
+        return (trajectory.gain if placed is None else placed) < 1
+
+    def pole_derivatives(self, trajectory, z, difference):
+        assert difference == SETTINGS.pole_difference
+        return self.slopes, self.left
+
+    def simulated(self, z, nodes, *, simulated):
+        assert simulated
+        return SimpleNamespace(gain=z[self.place], nodes=nodes, simulated=True, finite=not self.diverges)
+
+    def steady_state(self, trajectory, process):
+        return [float(variance[0]) if variance[0] < 1 else None for variance in process]
+
+    def placed(self, trajectory, z, value):
+        z = z.copy()
+        z[self.place] = value
+        return z
+
+    def excerpt_cost(self, nodes, placed):
+        return (np.log10(placed) - nodes) ** 2  # least at the decade that the nodes say
+
+
+def along(gain, *, simulated=False, nodes=0.0):
+    return SimpleNamespace(gain=gain, nodes=nodes, simulated=simulated, finite=True)
+
+
+def parts_of(*gains, weights=(1.0, 1.0), low=0.0):
+    parts = tuple(SimpleNamespace(weight=w) for w in weights[: len(gains)])
+    limits = SimpleNamespace(clipped=lambda z: np.maximum(z, low))
+    return SimpleNamespace(gains=gains, parts=parts, settings=SETTINGS, limits=limits)
+
+
+def test_predictors_are_stable_together_and_those_that_are_simulated_alone():
+    parts = parts_of(Gain(0), None, Gain(1), weights=(1, 1, 1))
+    lost = Iterate(np.zeros(2), (along(0.5), along(9.0), along(2.0)))
+    assert not are_stable(parts, lost)
+    assert are_stable(parts, lost, simulated=True)
+    assert not are_stable(parts, Iterate(lost.z, (*lost.trajectories[:2], along(2.0, simulated=True))), simulated=True)
+    assert are_stable(parts, Iterate(lost.z, (along(0.5, simulated=True), along(9.0, simulated=True), along(0.9))))
+
+
+@pytest.mark.parametrize(("gain", "began", "diverges", "simulated"), [
+    (0.5, False, False, True), (1.5, False, False, False), (0.5, False, True, False), (0.5, True, True, True),
+])  # fmt: skip
+def test_stable_predictors_are_simulated_where_they_stay_finite(gain, began, diverges, simulated):
+    trajectory, other = along(gain, simulated=began, nodes=7.0), along(0.1)
+    found = simulate_stable(parts_of(Gain(0, diverges=diverges), None), Iterate(np.array([gain]), (trajectory, other)))
+    first, second = found.trajectories
+    assert second is other
+    assert (first.gain, first.nodes, first.simulated) == (gain, 7.0, simulated)
+    assert (first is trajectory) == (began or not simulated)
+
+
+def test_steps_to_unstable_predictors_go_part_of_the_way_to_the_limit():
+    slopes, left = np.array([[2.0, 1.0], [np.inf, 0.0], [3.0, -1.0]]), np.array([0.1, 0.2, 0.3])
+    parts = parts_of(Gain(0, slopes, left), Gain(1, slopes, left), None, weights=(1, 1, 1))
+    z = np.array([0.9, 0.5])
+    simulated = [along(v, simulated=True) for v in (0.9, 0.5, 9.0)]
+    iterate = Iterate(z, tuple(simulated))
+    normals, limits = stability_constraints(parts, iterate, np.array([0.2, 0.4]))  # the first alone is lost
+    assert_allclose(normals, -slopes[[0, 2]])
+    assert_allclose(limits, -SETTINGS.stability_share * left[[0, 2]])
+    assert len(stability_constraints(parts, iterate, np.array([0.2, 0.6]))[1]) == 4
+    for none in (
+        stability_constraints(parts, iterate, np.zeros(2)),
+        stability_constraints(parts, Iterate(z, (along(0.9), along(0.5), along(9.0))), np.array([0.2, 0.6])),
+    ):
+        assert none[0].shape == (0, 2)
+        assert none[1].shape == (0,)
+
+
+@pytest.mark.parametrize(("own", "taken"), [(10.0**-5.1, "own"), (10.0**-5.3, "filter"), (1.2, "filter")])
+def test_the_best_gains_are_those_of_the_cheapest_filters_of_one_size_or_the_own(own, taken):
+    """In decades of gain, two parts want -4.1 and -6.1: the nearest filter is that of -5 for both."""
+    parts = parts_of(Gain(0), None, Gain(1), weights=(1.0, 5.0, 1.0))
+    iterate = Iterate(np.array([own, own]), (along(own, nodes=-4.1), along(0.0), along(own, nodes=-6.1)))
+    found = best_gains(parts, iterate, [np.ones(1)] * 3)
+    assert_allclose(found, [own, own] if taken == "own" else SETTINGS.process_noise * np.array([1e-5, 1e-5]))
+
+
+def test_a_weight_counts_and_what_no_filter_serves_stays():
+    parts = parts_of(Gain(0), Gain(1), weights=(9.0, 1.0))
+    iterate = Iterate(np.array([2.0, 2.0]), (along(2.0, nodes=-4.0), along(2.0, nodes=-8.9)))
+    assert_allclose(best_gains(parts, iterate, [np.ones(1), np.ones(1)]), [1e-4, 1e-4])
+    other = Iterate(iterate.z, (along(2.0, nodes=-4.0), along(2.0, nodes=-12.0)))
+    assert_allclose(best_gains(parts, other, [np.ones(1), np.ones(1)]), [1e-5, 1e-5])
+    assert best_gains(parts, iterate, [np.full(1, 1e20)] * 2).tolist() == [2.0, 2.0]
+    clipped = parts_of(Gain(0), Gain(1), weights=(9.0, 1.0), low=1e-3)
+    assert_allclose(best_gains(clipped, iterate, [np.ones(1), np.ones(1)]), [1e-3, 1e-3])
