@@ -22,6 +22,20 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: item.path.name not in FIRST)
 
 
+# Where damaged and crafted files are read, and how that is done.
+IN_SUBPROCESS = ("/tests/data/", "/tests/logs/readers/", "test_storage.py", "test_files_from_strangers.py")
+
+
+@pytest.fixture(autouse=True)
+def files_are_read_here(request, monkeypatch):
+    """Read what the tests themselves saved in this process: it saves a fifth of a second a file."""
+    if not any(where in request.path.as_posix() for where in IN_SUBPROCESS):
+        from read_here import read_here  # not above: it imports numpy
+
+        monkeypatch.setattr("greybox.data.sealed_files.read_in_subprocess", read_here)
+        monkeypatch.setattr("greybox.logs.readers.named_arrays.read_in_subprocess", read_here)
+
+
 @pytest.fixture
 def clock(monkeypatch):
     """A clock of time limits that goes on by a second at every look."""

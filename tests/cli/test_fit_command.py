@@ -237,7 +237,7 @@ def test_a_fit_that_is_killed_goes_on(capsys, own, monkeypatch):
     assert "--force to begin anew" in refused(capsys, *command(name, "--starts", count, "--seed", "1")[3:])
     assert (kept_runs(), made) == (before, [])
     assert run(capsys, *command(name, "--starts", count)[3:])[0] == 0
-    assert len(made) == 20
+    assert len([number for number, *_ in made if number < count]) == 20  # the others sharpen the best
     assert [path.name for path in Path().glob("own.h5*")] == ["own.h5"]
     fit, whole = gb.load("own.h5"), gb.fit(find_problem(name)[0], count, 3, search="multistart", progress=False)
     assert [r.cost for r in fit.runs] == [r.cost for r in whole.runs]

@@ -191,7 +191,7 @@ run_files.UNWRITTEN = 0.2
 
 if __name__ == "__main__":
     workers = gb.solve.WorkerPool(2) if {workers} else None
-    gb.batch(members(60), sys.argv[1], executor=workers, progress=False)
+    gb.batch(members(40), sys.argv[1], executor=workers, progress=False)
 """
 
 
@@ -219,8 +219,8 @@ def test_a_batch_that_was_killed_goes_on_and_none_joins_it_while_it_is_at_work(t
         assert len(gb.study.read_study(folder).members) == 3  # reading is free
     with at_work(tmp_path, folder, workers=True):
         pass
-    study = gb.batch(members(60), folder, progress=False)
-    for member, stated in zip(study.members, members(60), strict=True):
+    study = gb.batch(members(40), folder, progress=False)
+    for member, stated in zip(study.members, members(40), strict=True):
         require_same(
             member.fit, gb.fit(stated.problem, stated.starts, stated.seed, search=stated.search, progress=False)
         )

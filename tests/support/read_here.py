@@ -1,0 +1,27 @@
+"""Files that a test wrote itself, read without the process in which those of others are read."""
+
+import json
+import warnings
+
+import numpy as np
+
+from greybox.data.subprocess_main import EXPANSION, KINDS, SMALL, Collector, RefusedError
+
+
+def read_here(kind, path, *wanted):
+    """As `greybox.data.subprocess_reader.read_in_subprocess`, without the limits of time and memory."""
+    size = path.stat().st_size
+    found = Collector(8 * size if kind == "sealed" else max(SMALL, EXPANSION * size))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            KINDS[kind][1](str(path), found, list(wanted))
+    except RefusedError as reason:
+        raise ValueError(f"{path} is not read: {reason}.") from None
+    except Exception as problem:
+        said = f"{type(problem).__name__}: {problem}"
+        raise ValueError(f"{path} is damaged or of another format ({said:.160}): export or copy it again.") from None
+    arrays = [np.array(values, dtype="<f8", order="C") for values in found.arrays]
+    for values in arrays:
+        values.setflags(write=False)
+    return json.loads(json.dumps({"items": found.items, "findings": found.findings, "about": found.about})), arrays
