@@ -1,13 +1,12 @@
 """`greybox batch` and `greybox compare`, as they are typed."""
 
 import json
-import subprocess
 import sys
-import textwrap
 
 import pytest
 
 from greybox.cli.main import main
+from greybox.study.run_files import RunFiles
 
 STUDY = """
 starts = 12
@@ -152,31 +151,15 @@ def test_usage(study, tmp_path, capsys):
     assert "go on with it by --resume out" in answer(capsys, "batch", study, "--out", "out")[1]["error"]
 
 
-def test_ctrl_c_says_how_to_go_on(study, tmp_path, capsys):
+def test_ctrl_c_says_how_to_go_on(study, capsys, monkeypatch, press_ctrl_c):
     study.write_text('[[member]]\nproblem = "rotors"\nstarts = 12\nseed = [0, 1]\n')
-    script = tmp_path / "script.py"
-    script.write_text(
-        textwrap.dedent(
-            """
-            import os, signal, sys
-            from greybox.cli.main import main
-            from greybox.study.run_files import RunFiles
-            add = RunFiles.add
-            def pressed(self, number, start, outcome):
-                add(self, number, start, outcome)
-                if number == 7:
-                    os.kill(os.getpid(), signal.SIGINT)
-            signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job of a shell begins without
-            RunFiles.add = pressed
-            sys.exit(main(sys.argv[1:]))
-            """
-        )
-    )
-    command = [sys.executable, script, "batch", study, "--out", "out"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 130
-    assert "greybox: interrupted; `greybox batch --resume out` goes on." in done.stderr
-    assert "2 members: 2 unfinished" in done.stdout
+    add = RunFiles.add
+    monkeypatch.setattr(RunFiles, "add", lambda self, *run: (add(self, *run), run[0] == 7 and press_ctrl_c()))
+    assert main(["batch", str(study), "--out", "out"]) == 130
+    shown = capsys.readouterr()
+    assert "greybox: interrupted; `greybox batch --resume out` goes on." in shown.err
+    assert "2 members: 2 unfinished" in shown.out
+    monkeypatch.setattr(RunFiles, "add", add)
     status, found, _ = answer(capsys, "batch", "--resume", "out")
     assert status == 0
     assert all(member["runs"] == 12 for member in found["members"])

@@ -1,7 +1,6 @@
 """The command line, run as a user runs it: usage, errors, exit statuses."""
 
 import json
-import subprocess
 import sys
 
 import pytest
@@ -9,13 +8,6 @@ from command_line import OWN, refused, run
 
 import greybox.cli.main as main_module
 from greybox.cli.output import BAD_INPUT, FAILED, USABLE
-
-
-def test_both_commands_are_the_same():
-    command = [sys.executable, "-m", "greybox", "fit", "pitch_hover", "--starts", "8", "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0
-    assert json.loads(done.stdout)["cost"] == pytest.approx(0.559187, rel=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ def test_sines_one_after_another(pause, spoiled):
 
 
 @given(seed=st.integers(0, 10_000), ratio=st.floats(6, 100), omega=st.floats(1, 15))
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=12, deadline=None, derandomize=True)
 def test_sines_in_noise(seed, ratio, omega):
     plan = [(omega, 15.0 + 20 / omega), (1.3 * omega, 15.0 + 20 / omega)]
     t, r, starts = schedule(plan)
@@ -69,7 +69,7 @@ def test_sines_in_noise(seed, ratio, omega):
     logarithmic=st.booleans(),
     sign=st.booleans(),
 )
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=15, deadline=None, derandomize=True)
 def test_a_sweep_is_not_called_sines(low, factor, duration, logarithmic, sign):
     t = np.arange(0, duration, STEP)
     x = t / duration

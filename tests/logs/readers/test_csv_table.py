@@ -85,17 +85,17 @@ def test_text_and_infinite_cells_are_named_with_their_lines(saved):
     assert plain.findings == ("infinite values, which count as missing in a fit: x (1 cell, the first in line 3).",)
 
 
-def test_a_hundred_thousand_columns_take_seconds_of_the_processor(tmp_path):
-    """Each step is linear in the columns; a quadratic one took 60 s."""
-    names = [f"c{k}" for k in range(100_000)]
+def test_many_thousand_columns_take_seconds_of_the_processor(tmp_path):
+    """Each step is linear in the columns; a quadratic one would take 22 s."""
+    names = [f"c{k}" for k in range(60_000)]
     path = tmp_path / "wide.csv"
-    path.write_text("\n".join([",".join(["time", *names]), *(",".join([f"{k}"] * 100_001) for k in range(2))]))
+    path.write_text("\n".join([",".join(["time", *names]), *(",".join([f"{k}"] * 60_001) for k in range(2))]))
     limited = (
-        "import resource, sys; resource.setrlimit(resource.RLIMIT_CPU, (20, 20)); import greybox as gb;"
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_CPU, (10, 10)); import greybox as gb;"
         "print(len(gb.read(sys.argv[1])['wide'].signals))"
     )
     done = subprocess.run([sys.executable, "-c", limited, path], capture_output=True, text=True, check=True)
-    assert done.stdout == "100000\n"
+    assert done.stdout == "60000\n"
 
 
 def test_separators_at_the_end_of_lines_and_quotes(saved):
