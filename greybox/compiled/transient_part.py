@@ -373,7 +373,7 @@ class TransientPart(PartWithoutNodes):
         products = at.errors @ at.errors.T
         weight = at.covariance.weight(products)
         shown = weight @ products @ weight.T / (2 * len(self.data))
-        lost = len(self.states) * self.numbers / max(self.numbers - len(self.states), 1) / self.numbers
+        lost = len(self.states) / max(self.numbers - len(self.states), 1)
         meat = np.einsum("ka,klx,aly->xy", shown, mean, mean) * (1 + lost) + variance.T @ variance
 
         def spread(correction: float) -> tuple[float, Array]:

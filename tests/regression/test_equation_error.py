@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from greybox.models.rigid_body import RigidBody
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
 from greybox.models.yaw import YawStates
+from greybox.regression.equation_error import UsedEquation, _warnings, _why
 from greybox.regression.least_squares import Block, autocovariances, covariance, residuals, solve
 from greybox.regression.linear_in_parameters import regressions
 
@@ -650,3 +652,47 @@ def test_gains_that_only_their_sum_tells_count_as_one():
     assert set(found.missing) == {"a", "b"}
     assert found.estimate["c"] == pytest.approx(held.estimate["c"])
     assert found.standard_error["c"] == pytest.approx(held.standard_error["c"])
+
+
+def judged(**more):
+    """What is known of an estimate, for the sentences about it."""
+    known = {"names": ("a", "b"), "undetermined": (), "at_bound": (), "dof": 50.0}
+    return SimpleNamespace(**known | more)
+
+
+@pytest.mark.parametrize(
+    ("r_squared", "said"), [(0.49, "only 49 % of the variance of y"), (0.51, ""), (-0.2, "only 0 %")]
+)
+def test_an_equation_that_explains_less_than_half_is_told(r_squared, said):
+    used = [UsedEquation("y", ("a",), r_squared, 40, 1.0, 0.1), UsedEquation("z", ("a",), 0.1, 0, 1.0, 0.1)]
+    texts = _warnings(used, judged(), {"a": 0.0, "b": 0.0}, {"a": 1.0, "b": 1.0})
+    assert len(texts) == bool(said)
+    assert all(said in text for text in texts)
+
+
+@pytest.mark.parametrize(("bias", "named"), [((0.49, -0.49), ""), ((0.51, 0.0), "(a by about 0.51)"), (
+    (0.0, -1.1), "(b by about -1.1)")])  # fmt: skip
+def test_a_bias_of_half_a_standard_error_is_told(bias, named):
+    texts = _warnings([], judged(), dict(zip("ab", bias, strict=True)), {"a": 1.0, "b": 1.0})
+    assert len(texts) == bool(named)
+    assert all(named in text for text in texts)
+
+
+@pytest.mark.parametrize(("dof", "said"), [(9.4, "only 9 degrees of freedom"), (10.0, ""), (-3.0, "only 0 degrees")])
+def test_few_degrees_of_freedom_are_told(dof, said):
+    texts = _warnings([], judged(dof=dof), {"a": 0.0, "b": 0.0}, {"a": 1.0, "b": 1.0})
+    assert len(texts) == bool(said)
+    assert all(said in text for text in texts)
+    (text,) = _warnings([], judged(at_bound=("b",)), {"a": 0.0, "b": 0.0}, {"a": 1.0, "b": np.nan})
+    assert text.startswith("b ended at its bound")
+
+
+def test_why_a_parameter_was_not_estimated():
+    projection = judged(undetermined=(("c",), ("d", "e")))
+    for name, left_out, said in (
+        ("c", (), "it has no effect in these data"),
+        ("e", (), "only a combination of d, e is determined: fix one of them"),
+        ("f", ("y",), "it is in no equation that can be used"),
+        ("f", (), "it is in no equation of the model"),
+    ):
+        assert _why(name, SimpleNamespace(left_out=left_out), projection) == said

@@ -196,3 +196,14 @@ def test_aliases_of_the_integrator_are_no_minima_where_there_is_another(monkeypa
     if aliases == (1.0,):
         assert found.minima[0].variants == 1
         assert_allclose(found.minima[0].estimate, [2.0, 1.0])
+
+
+def test_of_two_ends_one_may_be_an_alias(monkeypatch):
+    search = search_of([(1.0, 10.0)], [(2.0, 10.2)])
+    shift = {True: DiscretizationError(np.array([1.1]), 4, 0.1), False: DiscretizationError(np.array([0.9]), 4, 0.1)}
+    monkeypatch.setattr("greybox.solve.discretization_error.discretization_error", lambda _, t, fine: shift[t[0].moves])
+    found, same_best = _without_aliases(PLAIN, search, Solver({1.0: 0.0}), ())
+    assert ([m.runs for m in found.minima], same_best) == ([(1,)], False)
+    assert found.nodes[0].item() == 2.0
+    alone = search_of([(1.0, 10.0)], [(2.0, 15.5)])  # no rival: the only one is left
+    assert _without_aliases(PLAIN, alone, Solver({1.0: 0.0}), ()) == (alone, True)

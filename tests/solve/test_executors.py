@@ -313,7 +313,7 @@ def test_a_search_is_cut_into_enough_tasks_for_workers_of_unlike_speed(monkeypat
 
 
 def tasks_of(solver, count, *, seconds, memory=None, begins=None):
-    """The tasks of a search of which the first start was run in so many seconds, and what was handed out."""
+    """The tasks of a search of which four starts were run in so many seconds each, and what was handed out."""
     handed = []
 
     def submit(function, key, payload, starts, *_):
@@ -322,7 +322,7 @@ def tasks_of(solver, count, *, seconds, memory=None, begins=None):
         future.set_result([Outcome(2 * start, "solved", 1, seconds, converged=True) for start in starts])
         return future
 
-    first = [Outcome(STARTS[0], "solved", 1, seconds, converged=True)]
+    first = [Outcome(STARTS[0], "solved", 1, seconds, converged=True)] * 4
     batches = _batches(enumerate(np.arange(1.0, count)[:, None], 1), solver.together)
     executor = SimpleNamespace(submit=submit)
     return _Tasks(solver, batches, count, executor, memory or Memory(), begins or {}, first), handed

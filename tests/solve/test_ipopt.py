@@ -1,10 +1,17 @@
 """One IPOPT run: options, failures that stay results, poles on the imaginary axis, silence."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, Oscillator, measured
 
 import greybox as gb
+from greybox.compiled.compiled_problem import compile_problem
+from greybox.solve.ipopt import IpoptSolver
+from greybox.solve.minima import Minimum, Multistart
+from greybox.solve.outcome import Outcome
 
 PROBLEM = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS))
 OSCILLATOR = measured(Oscillator(), [1.0, 2.0, 4.0, 8.0], {"w0": 3.0, "K": 2.0})
@@ -67,3 +74,39 @@ def test_estimates_stay_inside_their_bounds_to_the_last_bit():
     for run in fit.runs:
         assert np.all(run.estimate >= [0, 0.001, 0.001, 0])
         assert np.all(run.estimate <= [100, 10, 10, 0.5])
+
+
+def test_minima_within_a_hundredth_of_the_best_are_polished_and_sorted_again(monkeypatch):
+    nlp = compile_problem(PROBLEM)
+    costs = (1.0, 1.009, 1.011, 2.0)
+    minima = tuple(Minimum(cost, np.zeros(len(nlp.free)), (k,), 1) for k, cost in enumerate(costs))
+    monkeypatch.setattr(IpoptSolver, "_polish", lambda self, m: replace(m, cost=m.cost - 0.02 * (m.cost > 1)))
+    found = IpoptSolver(nlp, {}).polished(Multistart((), minima, 0.0))
+    assert [m.cost for m in found.minima] == pytest.approx([0.989, 1.0, 1.011, 2.0])
+    assert [m.runs for m in found.minima] == [(1,), (0,), (2,), (3,)]
+
+
+@pytest.mark.parametrize(
+    ("ends", "kept"),
+    [
+        ([(0.9, True), (0.8, True), (0.85, True)], 0.8),  # the third is worse
+        ([(0.9, True), (0.8, False)], 0.9),
+        ([(1.1, True)], 1.0),
+        ([(np.nan, True)], 1.0),
+        ([(1.0, True), (1.0, True), (0.9, True), (0.7, True)], 0.7),
+    ],
+)
+def test_a_minimum_is_polished_as_long_as_runs_are_solutions_and_no_worse(monkeypatch, ends, kept):
+    nlp = compile_problem(PROBLEM)
+    left = iter([*ends, (0.0, False)])
+    reached = []
+
+    def run(self, start, smoothing):
+        cost, solved = next(left)
+        reached.append(cost)
+        return Outcome(start, "Solve_Succeeded" if solved else "lost", 1, 0.0, solved, cost)
+
+    monkeypatch.setattr(IpoptSolver, "run", run)
+    solver = IpoptSolver(nlp, {})
+    solver._nlp = SimpleNamespace(costs=lambda _: np.array([reached[-1]]))
+    assert solver._polish(Minimum(1.0, np.zeros(2), (0,), 1)).cost == kept

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hard_models import direct_delay
 from numpy.testing import assert_allclose
 
 import greybox as gb
@@ -539,3 +540,40 @@ def test_nodes_move_alone_as_long_as_a_run_begins_so(monkeypatch):
     made.solver._step = taken
     made.run(2)
     assert alone == [True, False]
+
+
+def test_where_short_steps_do_not_close_the_gaps_a_simulation_is_gone_on_from():
+    solver, iterate, trial = deciding(), object(), object()
+    solver._simulate_instead = lambda progress: "simulated"
+    assert solver._recover(iterate, trial, 0.9 * SETTINGS.short_step, stage()) == "simulated"
+    assert solver._recover(iterate, trial, 1.1 * SETTINGS.short_step, stage()) is None
+    assert solver._recover(iterate, None, 0.0, stage()) is iterate  # more damping comes before
+    assert solver._recover(iterate, None, 0.0, stage(damping=2 * SETTINGS.largest_damping)) == "simulated"
+    solver._simulate_instead = lambda progress: None
+    assert solver._recover(iterate, trial, 0.0, stage()) is None
+
+
+@pytest.mark.parametrize(
+    ("status", "stable", "found"), [("converged", True, True), ("stalled", True, False), ("converged", False, False)]
+)
+def test_a_cost_at_given_parameters_is_that_of_the_best_nodes_or_unknown(monkeypatch, status, stable, found):
+    nlp = compile_problem(gb.Problem(Lag(), record(0), HELD))
+    solver, x = GaussNewton(nlp), np.array([2.0])
+    cost = solver.cost(nlp.all_values(x))
+    descend = solver._descend
+    solver._descend = lambda *words, **more: (descend(*words, **more)[0], status, 1)
+    monkeypatch.setattr(driver, "are_stable", lambda *_, **__: stable)
+    profile = solver.profile(x)
+    assert profile.converged is found
+    assert profile.cost == pytest.approx(cost)
+    assert solver.cost(nlp.all_values(x)) == pytest.approx(cost if found else np.nan, nan_ok=True)
+    assert (solver.signature(x) is None) == (not found)
+
+
+def test_delays_of_inputs_that_reach_an_output_directly_may_be_held():
+    solver = GaussNewton(compile_problem(direct_delay()))
+    jumping = {name for part in solver._parts.parts for name in part.discontinuous_delays}
+    assert jumping == {"d"}
+    assert dict(zip(solver._nlp.free, solver._is_discontinuous.tolist(), strict=True)) == {
+        name: name == "d" for name in solver._nlp.free
+    }
