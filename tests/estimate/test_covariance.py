@@ -14,7 +14,18 @@ from scipy.stats import binom, t
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.estimate.covariance import Accuracy, assess, degrees, known_of, propagate
+from greybox.estimate.covariance import (
+    Accuracy,
+    Combination,
+    _collinear,
+    _directions,
+    _is_loose,
+    _undetermined,
+    assess,
+    degrees,
+    known_of,
+    propagate,
+)
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import Tilt
 
@@ -649,3 +660,63 @@ def test_values_are_known_by_their_derivatives_within_what_is_determined():
     assert known_of(nlp, only_bound, np.zeros(2), slopes).unseen.shape == (2, 0)  # what ended at its bound is known
     assert known_of(nlp, BARE, np.zeros(2), slopes) is None
     assert known_of(nlp, replace(accuracy, covariance=BARE.covariance * np.nan), np.zeros(2), slopes) is None
+
+
+def test_directions_that_bounds_and_constraints_close_are_neither_seen_nor_invisible():
+    """Of four unknowns the data see the sum of the first two and the third; the fourth is at a bound."""
+    jacobian = np.array([[1.0, 1.0, 0.0, 2.0], [0.0, 0.0, 3.0, 1.0], [2.0, 2.0, 3.0, 0.0]])
+    seen, invisible = _directions(jacobian, np.zeros((0, 4)), [3])
+    assert (seen.shape, invisible.shape) == ((4, 2), (4, 1))
+    assert_allclose(np.abs(invisible[:, 0]), [math.sqrt(0.5), math.sqrt(0.5), 0, 0], atol=1e-12)
+    assert_allclose(seen.T @ seen, np.eye(2), atol=1e-12)
+    assert_allclose(seen.T @ invisible, np.zeros((2, 1)), atol=1e-12)
+    assert_allclose(seen[3], 0, atol=1e-12)
+    seen, invisible = _directions(jacobian, np.array([[1.0, -1.0, 0.0, 0.0]]), [3])  # with a constraint, equal ones
+    assert (seen.shape, invisible.shape) == ((4, 2), (4, 0))
+    assert_allclose(seen[0], seen[1], atol=1e-12)
+    for share, unseen in ((2e-7, 0), (0.5e-7, 1)):
+        assert _directions(np.diag([1.0, share]), np.zeros((0, 2)), [])[1].shape == (2, unseen)
+
+
+def test_invisible_directions_that_share_no_parameter_are_groups_of_their_own():
+    """a with c in units of their sizes, b alone, and d not at all; states whose initial values make up for them."""
+    mixed = np.array([[0.6, 0, 0.8, 0], [0, 1.0, 0, 0]]).T @ [[0.8, -0.6], [0.6, 0.8]]
+    size = np.array([1.0, 10.0, 0.1, 1.0])
+    follow = {"x": np.array([[0.0, 0.0, 1.0, 0.0]]), "v": np.array([[0.0, 1e-5, 0.0, 5.0]])}
+    parts = [SimpleNamespace(initial=follow), SimpleNamespace(initial={"z": np.array([[0.1, 0.0, 0.0, 0.0]])})]
+    second, first = _undetermined(mixed, size, ("a", "b", "c", "d"), parts)
+    assert (first.names, first.index, first.directions, first.states) == (("c", "a"), math.inf, 1, ("x", "z"))
+    assert (second.names, second.directions, second.states) == (("b",), 1, ())
+    both = np.linalg.qr(np.array([[1.0, 1, 1, 0], [1, -1, 0, 0]]).T)[0]
+    (group,) = _undetermined(both, size, ("a", "b", "c", "d"), ())
+    assert (set(group.names), group.directions) == ({"a", "b", "c"}, 2)
+    assert _undetermined(np.zeros((4, 0)), size, ("a", "b", "c", "d"), ()) == ()
+
+
+def columns(index):
+    """Two columns whose collinearity index is this, and one at right angles to both."""
+    angle = math.acos(1 - 1 / index**2)  # their smallest singular value squared is 1 - cos(angle)
+    return np.array([[1.0, 0, 0], [math.cos(angle), math.sin(angle), 0], [0, 0, 1]]).T
+
+
+@pytest.mark.parametrize(("index", "found"), [(20.5, True), (19.5, False), (1e4, True)])
+def test_collinear_columns_are_named_from_an_index_of_twenty(index, found):
+    nothing, unseen = np.zeros((0, 3)), np.zeros((3, 0))
+    jacobian = columns(index) * [5.0, 1e3, 1e-4]  # units do not matter
+    combinations = _collinear(jacobian, nothing, ("a", "b", "c"), (), unseen)
+    assert [set(c.names) for c in combinations] == [{"a", "b"}] * found
+    assert all(c.index == pytest.approx(index, rel=1e-4) for c in combinations)
+    assert _collinear(jacobian, nothing, ("a", "b", "c"), ("b",), unseen) == ()
+    held = np.array([[0.0, 1.0, 0.0]])  # a constraint that says what b is
+    assert _collinear(jacobian, held, ("a", "b", "c"), (), unseen) == ()
+    same = np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    difference = np.array([[1.0, -1.0, 0.0]]).T / math.sqrt(2)
+    assert _collinear(same, nothing, ("a", "b", "c"), (), difference) == ()  # said already: it is invisible
+    assert len(_collinear(same, nothing, ("a", "b", "c"), (), unseen)) == 1
+
+
+@pytest.mark.parametrize(("error", "loose"), [(0.49, False), (0.51, True), (np.nan, True)])
+def test_a_combination_is_loose_from_half_of_a_value(error, loose):
+    nlp = SimpleNamespace(free=("a", "b", "c"))
+    covariance = np.diag([1e9, (2 * error) ** 2, 1e-4])
+    assert _is_loose(Combination(("c", "b"), 30.0), nlp, covariance, np.array([1.0, -2.0, 1.0])) is loose

@@ -10,7 +10,14 @@ from numpy.testing import assert_allclose
 from scipy.signal import lfilter
 
 import greybox as gb
-from greybox.estimate.diagnostics.records import _Residuals, _successive, _weights, hidden_errors
+from greybox.estimate.diagnostics.records import (
+    _colored,
+    _fed_back,
+    _Residuals,
+    _successive,
+    _weights,
+    hidden_errors,
+)
 
 TRUTH = {"K": 2.0, "T": 0.1, "d": 0.023}
 STEP = 0.01
@@ -438,3 +445,73 @@ def test_a_given_standard_deviation_is_doubted_below_0_6_and_above_1_6_of_it(rat
     texts = said(fit(Late(), record, [TRUTH], given), "given standard deviation")
     assert len(texts) == (not 0.6 <= ratio <= 1.6)
     assert all(f"is {ratio:.2g} times the given standard deviation" in text for text in texts)
+
+
+class Signals(dict):
+    """Of a record in two pieces."""
+
+    def __init__(self, signals, *, has_time, name, samples):
+        super().__init__(signals)
+        self.has_time, self.name = has_time, name
+        self.pieces = [range(samples // 2), range(samples - samples // 2)]
+
+
+def fitted_with(residuals, *, white=True, inputs=None, time=True, name="one"):
+    """A part and its fitted record with these residuals by output."""
+    signals = inputs or {}
+    part = SimpleNamespace(
+        model=SimpleNamespace(criterion=SimpleNamespace(errors_are_white=white)),
+        is_static=False,
+        system=SimpleNamespace(inputs=tuple(signals)),
+    )
+    data = Signals(signals, has_time=time, name=name, samples=len(next(iter(residuals.values()))))
+    return part, SimpleNamespace(outputs=tuple(residuals), residual=residuals.__getitem__, data=data, name=name)
+
+
+@pytest.mark.parametrize(
+    ("n", "correlation", "told"),
+    [(2000, 0.195, False), (2000, 0.205, True), (2000, -0.205, True), (100, 0.49, False), (100, 0.51, True)],
+)
+def test_prediction_errors_are_told_from_a_fifth_of_correlation_or_five_deviations_of_white_ones(n, correlation, told):
+    """Two waves of correlations 1 and -1 from one sample to the next, of such shares; ends count for little."""
+    share = (1 + correlation * n / (n - 1)) / 2
+    e = np.sqrt(share) * np.ones(n) + np.sqrt(1 - share) * np.resize([1.0, -1.0], n)
+    assert _successive(e) == (pytest.approx(correlation, abs=2.5e-3), n - 1)
+    own = f"{_successive(e)[0]:.3g} for y"
+    found = [*_colored([fitted_with({"y": e})])]
+    assert len(found) == told
+    assert all(f"({own} from one sample to the next)" in text for text in found)
+    if told:
+        (text,) = _colored([fitted_with({"y": e}), fitted_with({"y": e}, name="two")])
+        assert f"{own} in 'one'" in text
+        assert f"{own} in 'two'" in text
+        assert not [*_colored([fitted_with({"y": e}, white=False)])]
+
+
+def fed_back(n=3000, *, gain=0.5, color=0.9, seed=0, **more):
+    """Errors of some color, and an input that responds to the last one, in each of two pieces."""
+    random = np.random.default_rng(seed)
+    e = lfilter([1.0], [1, -color], random.normal(size=n))
+    u = random.normal(size=n)
+    u[1:] += gain * e[:-1]
+    return fitted_with({"y": e}, white=False, inputs={"u": u, "w": random.normal(size=n)}, **more)
+
+
+def test_feedback_is_told_where_errors_are_colored_and_an_input_responds_to_them():
+    (text,) = _fed_back([fed_back()])
+    assert "(u to y)" in text
+    assert "at most 1 % of fits" in text
+    assert text.endswith("compare with criterion=PredictionError().")
+    assert not [*_fed_back([fed_back(color=0.0)])]  # white: no error depends on an earlier one
+    assert not [*_fed_back([fed_back(gain=0.0)])]
+    assert not [*_fed_back([fed_back(time=False)])]
+    part, fitted = fed_back()
+    part.model.criterion.errors_are_white = True
+    assert not [*_fed_back([(part, fitted)])]
+    part, fitted = fed_back()
+    part.is_static = True
+    (text,) = _fed_back([(part, fitted)])
+    assert text.endswith("use data without feedback.")
+    (text,) = _fed_back([fed_back(), fed_back(seed=1, name="two")])
+    assert "u to y in 'one'" in text
+    assert "u to y in 'two'" in text
