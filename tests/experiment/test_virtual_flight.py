@@ -420,6 +420,7 @@ def test_an_excitation_slower_than_the_controller_is_interpolated_or_held():
     smooth, stairs = (
         gb.virtual_flight(LinearTilt(), TRUTH, controller=PITCH, excitation=made, hold=hold) for hold in (False, True)
     )
+    assert_allclose(gb.virtual_flight(LinearTilt(), TRUTH, controller=PITCH, excitation=made)["u"], smooth["u"])
     whole = len(smooth) // 4 * 4
     assert_allclose(smooth["reference"][::4], made["reference"][: whole // 4 + 1], atol=1e-12)
     assert_allclose(smooth["reference"][2:whole:4], (made["reference"][1:] + made["reference"][:-1])[: whole // 4] / 2)

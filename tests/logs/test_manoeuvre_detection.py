@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.data.record import Recording
 from greybox.logs.manoeuvre_detection import chosen_manoeuvre, manoeuvres_in
 
 TIME = np.arange(0, 110, 0.02)
@@ -164,3 +165,12 @@ def test_the_level_of_rest_is_no_part_of_the_band():
     (alone,), (trimmed,) = (manoeuvres_in(TIME[TIME < 30], doublet + level) for level in (0.0, 1500.0))
     assert trimmed.band == pytest.approx(alone.band)
     assert alone.band[1] > 3
+
+
+@pytest.mark.parametrize(("channel", "found"), [("C1", 1), ("C4", 1), ("C5", 0), ("C8", 0)])
+def test_switches_beside_the_four_sticks_are_not_searched(channel, found):
+    time = np.arange(0, 40, 0.05)
+    pulse = 1500 + 300 * ((time > 15) & (time < 16)) - 300 * ((time >= 16) & (time < 17))
+    sticks = {name: pulse if name == channel else np.full(time.size, 1500.0) for name in ("C1", "C4", "C5", "C8")}
+    log = Recording({"RCIN": gb.Record(time, sticks)})
+    assert [segment.axis for segment in gb.logs.find_manoeuvres(log)] == [f"RCIN.{channel}"] * found

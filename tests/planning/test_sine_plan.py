@@ -266,3 +266,9 @@ def test_lines_lie_within_a_sixth_of_a_frequency_or_two_lines_of_the_flight():
     assert found[:, [0, -1]] == pytest.approx(np.array([[0.3, 0.7], [5.0, 7.0], [50.0, 70.0]]))
     assert np.diff(found, axis=1) == pytest.approx(np.diff(found, axis=1)[:, :1] * np.ones(found.shape[1] - 1))
     assert _lines_around(np.array([0.15]), 10 * 2 * np.pi).min() == pytest.approx(0.1)
+
+
+def test_no_more_sines_are_added_than_there_are_frequencies():
+    chosen, seconds = _with_spare(np.array([1.0, 2.0, 4.0]), np.array([1]), np.array([5.0]), 10, 3)
+    assert [*chosen] == [0, 1, 2]
+    assert seconds == pytest.approx([3 * 2 * np.pi, 5.0, 3 * 2 * np.pi / 4])

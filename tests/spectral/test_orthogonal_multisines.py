@@ -100,3 +100,11 @@ def test_the_matrix_is_drawn():
     with pytest.raises(TypeError, match="cannot draw 3: give FrequencyResponses"):
         gb.plotting.response_matrix([found[0], 3])
     assert [axes[k].get_title() for k in (0, 1, 4, 5)] == ["da to p", "dr to p", "da to r", "dr to r"]
+
+
+def test_excitations_may_be_of_any_unit():
+    data = record(0.01)
+    scaled = data.with_signals(e_a=1e3 * data["e_a"], e_r=1e-3 * data["e_r"])
+    for one, other in zip(estimated(data), estimated(scaled), strict=True):
+        np.testing.assert_array_equal(one.omega, other.omega)
+        np.testing.assert_allclose(one.response, other.response, rtol=1e-9)

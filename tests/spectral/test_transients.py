@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.spectral import transient_spectrum
+from greybox.spectral import transient_spectrum, transients
 
 T, STEP = 8.0, 0.02
 
@@ -89,3 +89,17 @@ def test_a_spectrum_off_the_grid_is_refused():
     """Its errors would be correlated."""
     with pytest.raises(ValueError, match=r"increasing multiples of 0\.785398"):
         gb.data.TransientSpectrum(np.array([1.0]), {"u": np.ones(1)}, {"y": np.ones(1)}, 8.0, 0.02)
+
+
+@pytest.mark.parametrize("duration", [0.7, 3.3, 12.1])
+def test_a_band_from_line_to_line_holds_both(duration):
+    """Whatever rounding makes of their frequencies; one that ends between two holds those inside."""
+    spacing = 2 * np.pi / duration
+    for first, last in ((1, 2), (3, 7), (11, 49)):
+        found = transients._grid((first * 2 * np.pi / duration, last * spacing), duration, 1e-3)
+        assert found / spacing == pytest.approx(np.arange(first, last + 1))
+        inside = transients._grid((first * spacing * 1.001, last * spacing * 1.001), duration, 1e-3)
+        assert inside / spacing == pytest.approx(np.arange(first + 1, last + 1))
+        tight = (first * spacing * (1 + 1e-12), last * spacing * (1 - 1e-12))
+        assert transients._grid(tight, duration, 1e-3).size == last - first + 1
+    assert transients._grid((0.0, 2.5 * spacing), duration, 1e-3) / spacing == pytest.approx([1, 2])

@@ -132,3 +132,12 @@ def test_a_window_of_fewer_than_two_periods_gives_nothing():
     assert np.isnan([few.variance, few.dof]).all()
     assert enough == welch.estimate(spectra, 1)
     assert np.isfinite(welch.estimates(spectra, np.array([4 * np.pi, 5.0]))[0].variance)
+
+
+@pytest.mark.parametrize(("hop", "count"), [(3, 5), (5, 2), (4, 3), (12, 4)])
+def test_windows_some_hops_apart_share_what_their_product_holds(hop, count):
+    window = np.random.default_rng(0).uniform(0.2, 1, 12)
+    placed = np.zeros((count, 12 + hop * count))
+    for k in range(count):
+        placed[k, hop * k : hop * k + 12] = window
+    assert welch._correlation(window, hop, count).toarray() == pytest.approx(placed @ placed.T)

@@ -360,3 +360,14 @@ def test_why_nothing_was_reduced_is_said(tried, said):
     rows = {line.split()[0]: line for line in str(found).splitlines()[2:] if "→" in line or "=" in line}
     assert ("rejected" in tried) == any(line.endswith("rejected") for line in rows.values())
     assert "failed" not in tried or rows["b"].split()[-2:] == ["-", "-"]
+
+
+def test_what_the_problem_frees_stays_free_unless_it_is_gone():
+    omega = np.array([0.5, 1.0, 2.0])
+    data = gb.FrequencyResponse(omega, 1 / (1j * omega + 1), input="u", output="y")
+    problem = gb.Problem(FastLag(), data, free=["tau"])
+    fit = fitted_values(a=1.0, w=500.0, tau=0.01)
+    fast = reduction._part_at_limit(problem, Candidate({"w": 1}, "infinity"), fit)
+    assert {name for name, p in fast.parameters.items() if not p.fixed} == {"a", "tau"}
+    prompt = reduction._part_at_limit(problem, Candidate({"tau": 1}, "zero"), fit)
+    assert {name for name, p in prompt.parameters.items() if not p.fixed} == {"a", "w"}

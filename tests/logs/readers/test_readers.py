@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import h5py
+import numpy as np
 import pytest
 from benchmark_module import benchmark
 from synthetic_logs import samples
@@ -84,3 +86,10 @@ def test_damaged_files_never_hang_crash_or_print(count, kinds):
     assert failures == []
     assert sum(counts.values()) == count
     assert sum(n for (_, outcome), n in counts.items() if outcome == "read") > count / 10
+
+
+@pytest.mark.parametrize("block", [0, 512, 1024, 2048])
+def test_hdf5_is_known_behind_a_block_of_the_user(tmp_path, block):
+    with h5py.File(tmp_path / "log.dat", "w", userblock_size=block) as file:
+        file["time"], file["x"] = np.arange(4) / 10, np.arange(4.0)
+    assert len(read(tmp_path / "log.dat")) == 1

@@ -72,3 +72,10 @@ def test_gaps_of_a_whole_log_are_one_line():
         "79 messages have gaps, up to 2; the longest lasts 78.5 s, at 3.0 s in M78.",
     )
     assert len(time_stamps.all_gaps({name: found[name] for name in ("M0", "M1")})) == 2
+
+
+def test_up_to_three_messages_with_gaps_are_told_one_by_one():
+    found = {f"M{k}": time_stamps.Gaps(1, 1.0 + k, 3.0, 0.1) for k in range(4)}
+    few = {name: found[name] for name in ("M0", "M1", "M2")}
+    assert [said.partition(":")[0] for said in time_stamps.all_gaps(few)] == ["M0", "M1", "M2"]
+    assert len(time_stamps.all_gaps(found)) == 1
