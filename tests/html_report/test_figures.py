@@ -106,6 +106,13 @@ def test_sensitivities_are_differences_of_fits_that_differ_by_a_percent(fit):
         assert phase.y == pytest.approx(np.degrees(np.angle(change)) * 0.01 / step, rel=1e-3, abs=1e-6)
 
 
+def test_what_is_zero_has_no_sensitivity(fit):
+    """One percent does not move it."""
+    at_zero = replace(fit, quantities=tuple(replace(q, value=0.0) if q.name == "a0" else q for q in fit.quantities))
+    shown = sensitivity_figure(at_zero, fit.responses[0], fit.models[0])
+    assert [series.name for series in shown.panels[0].series] == [name for name in fit.free if name != "a0"]
+
+
 def test_histories_show_degrees_and_extremes_of_what_is_too_long(fit):
     output, residual, given = history_figure([fit], 0, ["fit"], 2000).panels
     part = fit.records[0]

@@ -292,3 +292,13 @@ def test_a_sweep_flown_backwards_is_found_backwards():
     assert (t[-1] - back.end, t[-1] - back.start) == pytest.approx((there.start, there.end), abs=0.021)
     assert back.band == pytest.approx(there.band)
     assert there.start == pytest.approx(5, abs=0.2)
+
+
+@pytest.mark.parametrize("size", [1e-3, 1e3])
+def test_the_unit_of_a_sweep_does_not_matter(size):
+    t = np.arange(2501) / 50
+    since = np.clip(t - 5, 0, 40)
+    r = np.where((t > 5) & (t < 45), 2 * np.sin(40 * (20 ** (since / 40) - 1) / math.log(20)), 0.0)
+    (plain,), (scaled,) = (sines_and_sweeps(t, each) for each in (r, size * r))
+    assert (scaled.start, scaled.end, scaled.band) == (plain.start, plain.end, pytest.approx(plain.band))
+    assert scaled.amplitude == pytest.approx(size * plain.amplitude)

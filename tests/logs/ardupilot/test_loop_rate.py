@@ -8,7 +8,8 @@ import pytest
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.identification.systematic_errors import systematic_errors, with_systematic_errors
-from greybox.logs.ardupilot.loop_rate import _passed, thinning, thinning_error
+from greybox.logs.ardupilot.loop_rate import _first_order, _passed, _second_order, thinning, thinning_error
+from greybox.logs.known_filters import FirstOrderLowPass
 
 LOOP, GYRO = 400.0, 1000.0
 SETTINGS = {"SCHED_LOOP_RATE": LOOP, "INS_GYRO_FILTER": 20.0, "ATC_RAT_PIT_D": 0.01, "ATC_RAT_PIT_FLTD": 20.0}
@@ -135,3 +136,11 @@ def test_what_is_not_known_is_not_judged():
     assert thinning(flown, "RATE.POut", 0, 20) is None
     assert thinning(log(320.5), "RATE.POut", 0, 20) is None
     assert thinning(log(319.5), "RATE.POut", 0, 20).kept == 1
+
+
+def test_filters_of_first_and_second_order_are_butterworths():
+    cutoff = 20.0
+    s = 2j * math.pi * cutoff * np.array([0.1, 1.0, 10.0])
+    poles = 2 * math.pi * cutoff * np.exp(1j * math.pi * np.array([0.75, 1.25]))
+    assert _second_order(cutoff, s) == pytest.approx(np.prod(poles) / ((s - poles[0]) * (s - poles[1])))
+    assert _first_order([FirstOrderLowPass(cutoff)], s) == pytest.approx(1 / (1 + s / (2 * math.pi * cutoff)))
