@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.gauss_newton.shared_runs import SharedRuns
 from greybox.solve.interruption import stop_requested
 from greybox.solve.kept_runs import Memory
 from greybox.solve.local_solver import LocalSolver
@@ -32,10 +33,13 @@ class LocalSearch:
         Of the runs that began elsewhere than at the starts.
     """
 
-    def __init__(self, nlp: Nlp, solver: LocalSolver, memory: Memory, *, neighbors: bool) -> None:
-        """Begin a search; with `neighbors` the neighborhood of every new best end is tried."""
+    def __init__(
+        self, nlp: Nlp, solver: LocalSolver, memory: Memory, shared: SharedRuns | None = None, *, neighbors: bool
+    ) -> None:
+        """Begin a search; with `neighbors` the neighborhood of every new best end is tried, by `shared` runs if any."""
         self._nlp = nlp
         self._solver = solver
+        self._shared = shared
         self._memory = memory
         self._number = 0  # of the run that was made last, below zero
         self._tries_more = isinstance(solver, GaussNewton)
@@ -102,7 +106,7 @@ class LocalSearch:
         simulated = None
         if settings.simulated_neighbors and best.nodes is not None:
             simulated = solver.run_simulated(point, best.nodes, settings.neighbor_iterations)
-        return simulated or solver.run(point, settings.neighbor_iterations)
+        return simulated or (self._shared or solver).run(point, settings.neighbor_iterations)
 
 
 def _scaled(nlp: Nlp, best: Array) -> list[Array]:

@@ -1,9 +1,10 @@
 """Many runs of one compiled problem."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
+from itertools import chain
 from types import MappingProxyType
 from typing import Any
 
@@ -15,11 +16,12 @@ from greybox.compiled.strategies import with_options
 from greybox.solve.batched_solver import BatchedSolver
 from greybox.solve.executors import packed, run_all
 from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.gauss_newton.shared_runs import SharedRuns
 from greybox.solve.interruption import stop_requested
 from greybox.solve.ipopt import IpoptSolver
 from greybox.solve.kept_runs import KeptRuns, Memory
 from greybox.solve.local_search import LocalSearch
-from greybox.solve.local_solver import LocalSolver
+from greybox.solve.local_solver import LocalSolver, Runner
 from greybox.solve.minima import Minimum, Multistart, find_minima
 from greybox.solve.runs import Ended, Runs
 from greybox.solve.screened_ipopt import ScreenedIpopt
@@ -83,16 +85,20 @@ def multistart(
     if movable and nlp.strategies.moved_starts:
         points = _moved_to_finite(nlp, solver, starts)
     memory = Memory() if kept is None else Memory(kept, packed(solver)[0])
-    search = LocalSearch(nlp, solver, memory, neighbors=len(starts) > 1)
     ended, done = Ended(starts), 0
     drawn = _Drawn(points, starts)
     waves = waves or AllAtOnce()
     screened = waves.screened(solver, starts) if movable else None
+    many = movable and screened is None and len(starts) > 1
+    shared = SharedRuns.of(solver) if many and isinstance(solver, GaussNewton) else None
+    search = LocalSearch(nlp, solver, memory, shared, neighbors=len(starts) > 1)
     begins = {} if screened is None else dict(enumerate(screened.begins))
     runs, minima = ended.runs(), ()
     for wave in waves.numbers(len(starts), screened):
-        numbered = ((number, drawn[number]) for number in wave)
-        for number, start, outcome in run_all(solver, numbered, len(wave), executor, memory, begins):
+        each = _runners(solver, shared, wave)
+        given = ((runner, ((number, drawn[number]) for number in part), len(part)) for runner, part in each)
+        made = (run_all(*some, executor, memory, begins) for some in given)
+        for number, start, outcome in chain.from_iterable(made):
             ended.put(number, start, search.improved(outcome))
             done += 1
             if progress is not None:
@@ -111,6 +117,25 @@ def multistart(
         runs = ended.among_screened(runs, screened.costs)
         minima = tuple(replace(m, runs=tuple(rows[np.array(m.runs)].tolist())) for m in minima)
     return Multistart(runs, minima, time.perf_counter() - began, nodes, ends)
+
+
+def _runners(
+    solver: LocalSolver, shared: SharedRuns | None, wave: Sequence[int]
+) -> Iterator[tuple[Runner, Sequence[int]]]:
+    """Give what makes the runs of a wave, and their numbers; the first start of all is run alone in any case.
+
+    A longer search then tries what one from the first start alone does.
+    """
+    if shared is None:
+        yield solver, wave
+        return
+    if wave[0] == 0:
+        yield solver, wave[:1]
+        wave = wave[1:]
+        if stop_requested():
+            return
+    if wave:
+        yield shared, wave
 
 
 class _Drawn:

@@ -27,7 +27,8 @@ diverge, whatever the parameters. (Bock 1983; Bock, Kostina and Schlöder 2007, 
 to zero (`homotopy`); the first iterations move the nodes alone. Long records are first solved on excerpts.
 
 **Of many starts** that nobody has asked for by their number, the promising ones are run alone, and begin where short
-segments, evaluated for all starts at once, have led (`screening`).
+segments, evaluated for all starts at once, have led (`screening`). Those that were asked for are all run, on excerpts
+first; what is left of the way from there is gone once for all that meet (`shared_runs`).
 
 **Where Newton steps fail**: where gaps do not close, the records are simulated from their first nodes from then on;
 delays at which the cost jumps are held; a stalled run begins once more near the data. Each is a strategy that can be

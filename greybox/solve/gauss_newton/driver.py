@@ -94,8 +94,11 @@ class GaussNewton(LocalSolver):
         samples = sum(part.samples for part in self._nlp.parts)
         if samples <= settings.long_record or not settings.stretches_first:
             return None
-        parts = tuple(excerpts(self._nlp.parts, settings.long_record // 2))
-        return GaussNewton(self._nlp, parts, settings=settings)
+        return self.on_excerpts(settings.long_record // 2)
+
+    def on_excerpts(self, samples: int) -> "GaussNewton":
+        """Return the solver of the same problem on excerpts of the records, of about so many samples in all."""
+        return GaussNewton(self._nlp, tuple(excerpts(self._nlp.parts, samples)), settings=self._settings)
 
     def within(self, low: Array, high: Array, equation: ca.Function | None = None) -> "GaussNewton":
         """Return the same solver with other bounds of the variables z (p,), and an `equation` (z) -> 0 that holds."""
@@ -111,6 +114,26 @@ class GaussNewton(LocalSolver):
         """Return the solver of the same problem with finer steps."""
         return GaussNewton(nlp, settings=self._settings)
 
+    @property
+    def nlp(self) -> Nlp:
+        """The compiled problem."""
+        return self._nlp
+
+    @property
+    def samples(self) -> int:
+        """Those of all records, or of their excerpts."""
+        return sum(part.samples for part in self._parts.parts)
+
+    @property
+    def limits(self) -> Limits:
+        """The bounds and constraints."""
+        return self._limits
+
+    @property
+    def settings(self) -> Strategies:
+        """Those of the problem, with the options of the solver."""
+        return self._settings
+
     # --- runs ---------------------------------------------------------------------------------------------------------
 
     @DIVERGING
@@ -124,9 +147,20 @@ class GaussNewton(LocalSolver):
             if first.status in CUT_SHORT:  # its cost is that of the excerpts
                 return replace(first, cost=math.inf, signature=None, nodes=None)
             z, before = self._nlp.scaling.to_solver(first.estimate), first.iterations
-        progress = self._progress(near_solution=self._coarse is not None)
-        outcome = self._solve(self._parts.from_data(z), progress, iterations)
+        outcome, _ = self.run_from(z, iterations, near_solution=self._coarse is not None)
         return replace(outcome, iterations=before + outcome.iterations, seconds=time.perf_counter() - began)
+
+    @DIVERGING
+    def run_from(
+        self, z: Array, iterations: int | None = None, *, near_solution: bool = False
+    ) -> tuple[Outcome, Array | None]:
+        """Solve from z (p,) with nodes from the data; also return the Hessian (p, p) of the last step, None without.
+
+        From about a solution, continuity is demanded from the first step of the parameters.
+        """
+        progress = self._progress(near_solution=near_solution)
+        outcome = self._solve(self._parts.from_data(z), progress, iterations)
+        return outcome, progress.hessian
 
     @DIVERGING
     def run_simulated(self, start: Array, nodes: Nodes, iterations: int) -> Outcome | None:

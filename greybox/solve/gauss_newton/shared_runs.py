@@ -1,0 +1,121 @@
+"""Runs from many starts on records that are not short: on excerpts first, and on from there once for all that meet.
+
+Nearly all runs end at a few points. What they do alike, the last iterations on the whole record, is the most expensive
+part: a run is therefore brought to a minimum of excerpts first, a quarter of the samples and less. Where it ends there
+is rounded to a small share of a standard error, so that all runs that end at this minimum go on from the same digits,
+and what follows is made once. It is a matter of the start alone: the result is the same, bit for bit, whichever run
+comes first and wherever it is made.
+
+A run that does not arrive this way is made as if it were alone. So is that of the first start of every search, so that
+not everything depends on the excerpts.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.local_solver import Runner
+from greybox.solve.outcome import CUT_SHORT, Outcome
+
+Array = NDArray[np.float64]
+
+# Samples of a record over those of its excerpts. An iteration on a quarter takes about 0.4 of the time.
+FACTOR = 4
+FEWER = 2  # times as many samples, at least, for excerpts to be worth a run
+
+# Of a standard error with all other parameters held. Runs end some 1e-4 of one apart, and a grid that is a thousand
+# times as wide hardly ever comes between them; the minimum of the whole record is whole standard errors away.
+ROUNDED_TO = 0.1
+
+# Of the solver's variables, whose size is one: a parameter that the data hardly show stays about where it is.
+COARSEST = 1e-3
+
+# Ends on the whole record, with all their states, that are kept.
+MOST_KEPT = 64
+
+
+class SharedRuns(Runner):
+    """Runs on the records of one problem, of which those that meet on excerpts are made once from there."""
+
+    def __init__(self, solver: GaussNewton) -> None:
+        """Build what runs on excerpts, from the longest to the shortest; `solver` runs on the whole records."""
+        self._alone = solver
+        self._levels = [solver]
+        for size in _sizes(solver):
+            excerpts = solver.on_excerpts(size)
+            # Of many records at least some segments each are left, which may be nearly all.
+            if FEWER * excerpts.samples <= self._levels[-1].samples:
+                self._levels.append(excerpts)
+        self._known: list[dict[bytes, tuple[Outcome, Array | None]]] = [{} for _ in self._levels]
+
+    def __reduce__(self) -> tuple[Callable[..., "SharedRuns"], tuple[Any, ...]]:
+        """Return what builds the same."""
+        return SharedRuns, (self._alone,)
+
+    @classmethod
+    def of(cls, solver: GaussNewton) -> "SharedRuns | None":
+        """Return the runs of a solver; None where records are short, or too short to judge the poles of a predictor."""
+        if not solver.settings.shared_runs or any(part.gains for part in solver.nlp.parts):
+            return None
+        shared = cls(solver)
+        return shared if len(shared._levels) > 1 else None
+
+    def run(self, start: Array, iterations: int | None = None) -> Outcome:
+        """Solve from the parameters `start` (p,), on excerpts and on the whole records in so many `iterations` each."""
+        began = time.perf_counter()
+        z = self._alone.limits.nearest(self._alone.nlp.scaling.to_solver(start))
+        outcome, _ = self._end(0, z, iterations)
+        if not outcome.converged and outcome.status not in CUT_SHORT:
+            alone = self._alone.run(start, iterations)
+            outcome = replace(alone, iterations=outcome.iterations + alone.iterations)
+        return replace(outcome, seconds=time.perf_counter() - began)
+
+    def _end(self, level: int, z: Array, iterations: int | None) -> tuple[Outcome, Array | None]:
+        """Return where a run from z (p,) ends on the records of a level, by way of those that are shorter."""
+        if level == len(self._levels) - 1:
+            return self._levels[level].run_from(z, iterations)
+        first, hessian = self._end(level + 1, z, iterations)
+        if not first.converged:  # its cost is that of the excerpts
+            return replace(first, cost=math.inf, signature=None, nodes=None), None
+        outcome, hessian = self._once(level, self._rounded(first.estimate, hessian), iterations)
+        return replace(outcome, iterations=first.iterations + outcome.iterations), hessian
+
+    def _once(self, level: int, z: Array, iterations: int | None) -> tuple[Outcome, Array | None]:
+        """Return where a run from z (p,) ends on the records of a level, as it did before if it was made."""
+        known, key = self._known[level], z.tobytes()
+        most = iterations or self._alone.settings.max_iterations
+        if key in known and known[key][0].iterations <= most:
+            return known[key]
+        found = self._levels[level].run_from(z, iterations, near_solution=True)
+        if found[0].converged:
+            if len(known) >= MOST_KEPT:
+                known.clear()
+            known[key] = found
+        return found
+
+    def _rounded(self, estimate: Array, hessian: Array | None) -> Array:
+        """Return z of an estimate (p,) in digits that all runs have which end at the same minimum."""
+        z = self._alone.nlp.scaling.to_solver(estimate)
+        if hessian is None:
+            return z
+        with np.errstate(divide="ignore"):
+            width = np.fmin(ROUNDED_TO / np.sqrt(np.maximum(np.diag(hessian), 0.0)), COARSEST)
+        grid = 2.0 ** np.floor(np.log2(width))  # a power of two, the same for errors that are nearly the same
+        return self._alone.limits.nearest(np.round(z / grid) * grid + 0.0)  # no zero below zero
+
+
+def _sizes(solver: GaussNewton) -> list[int]:
+    """Return the samples of excerpts, the longest first, down to what is short."""
+    sizes: list[int] = []
+    settings = solver.settings
+    samples = solver.samples
+    while samples > settings.short_record:
+        samples = min(samples // FACTOR, settings.long_record // 2)
+        sizes.append(samples)
+    return sizes
