@@ -48,3 +48,9 @@ def test_sine_schedule_is_the_formula():
 def test_mistakes_are_sentences(make, words):
     with pytest.raises(ValueError, match=words):
         make()
+
+
+def test_sines_have_a_hundred_samples_a_second_unless_stated():
+    assert sine_schedule([1.0], 0.1).rate == 100.0
+    made = sine_schedule([1.0], 0.1, rate=40.0)
+    assert (made.rate, np.diff(made.time)[0]) == (40.0, pytest.approx(1 / 40))

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from page_results import lag
@@ -11,7 +12,7 @@ from greybox.html_report.comparison_section import comparison_section, overview
 from greybox.html_report.entry import Entry
 from greybox.html_report.interval_section import bootstrap_table
 from greybox.html_report.provenance import data_summary, provenance
-from greybox.html_report.tables import Cell, number_cell, parameter_table, table
+from greybox.html_report.tables import Cell, _best_effort, number_cell, parameter_table, table
 
 
 @pytest.fixture(scope="module")
@@ -182,3 +183,13 @@ def test_a_bootstrap_is_a_sentence_and_a_table():
     assert [cell.get("data-value") for cell in found.iter("td")][-2:] == ["1.5", None]
     assert warning.text == "few."
     assert bootstrap_table({**said, "failed": 0})[0].text == "Bootstrap: residuals resampled; 1 replicate; seed 5."
+
+
+@pytest.mark.parametrize(("known", "shown"), [({"b0": 3.0}, ["b0"]), ({}, ["b0", "a0"]), (None, ["b0", "a0"])])
+def test_where_a_search_ended_is_told_of_what_is_known_or_else_of_all(known, shown):
+    def quantity(name):
+        return SimpleNamespace(name=name, unit="s", kind="free", about="", bounds=(0.0, 9.0))
+
+    found = texts(_best_effort(SimpleNamespace(best_effort=known, quantities=[quantity("b0"), quantity("a0")])))
+    assert [row[0] for row in found[1:]] == shown
+    assert [row[1] for row in found[1:]] == (["3"] if known else ["–", "–"])

@@ -8,6 +8,7 @@ from declared_models import TILT, TILT_OMEGA, Lag, measured
 from scipy import signal
 
 import greybox as gb
+from greybox.interop.linear_systems import given_model
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
 
 VALUES = {**TILT, "T_rotor": 0.05, "T_delay": 0.02}
@@ -191,3 +192,10 @@ def test_states_of_a_delay_are_those_of_the_input_that_it_delays(control, pade):
     for row, name in zip(found, ("u", "w"), strict=True):
         wanted = gb.frequency_response(TwoInputs(), {}, TILT_OMEGA, input=name, delay=f"pade:{pade}").response
         np.testing.assert_allclose(row, wanted, rtol=1e-9)
+
+
+def test_a_fit_is_converted_about_its_own_operating_point_or_that_which_is_stated():
+    assert given_model(FIT, None, None).at == FIT.parts[0].at == {}
+    assert given_model(FIT, None, {"x": 1.0}).at == {"x": 1.0}
+    assert given_model(LinearTilt(), {}, None).at == {}
+    assert given_model(LinearTilt(), {}, {"theta": 0.1}).at == {"theta": 0.1}

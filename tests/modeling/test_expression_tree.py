@@ -16,6 +16,7 @@ from greybox.modeling.expression_tree import (
     Product,
     Sum,
     Symbol,
+    _operate,
     expressions,
     size,
     with_values,
@@ -133,3 +134,8 @@ def test_negative_numbers_stand_behind_their_sign():
     assert tree(lambda s, k: k - 2.5, "s", "K") == Sum(((1, k), (-1, Number(2.5))))
     assert with_values(tree(lambda s, k: s + k, "s", "K"), {"K": -3.0}) == Sum(((1, s), (-1, Number(3.0))))
     assert with_values(tree(lambda s, k: s * k, "s", "K"), {"K": -3.0}) == Sum(((-1, Product((Number(3.0), s), ())),))
+
+
+def test_an_operation_without_a_sign_of_its_own_is_refused():
+    with pytest.raises(ValueError, match="the operation -7 of CasADi has no way to be written"):
+        _operate(-7, [Symbol("x")])

@@ -288,3 +288,30 @@ def test_dropped_points_are_told():
     got = spectral_response(record(u=u, theta=y))
     assert " points, of a coherence below 0.6, at " in got.about["dropped"]
     assert spectral_response(record(u=u, theta=lfilter(b, a, u))).about == {}
+
+
+@pytest.mark.parametrize(
+    ("band", "inside"), [((0.1, 5), (1, 5)), ((2, 50), (2, 20)), ((2, 5), (2, 5)), ((0.1, 50), (1, 20))]
+)
+def test_of_a_band_is_left_what_the_records_resolve(band, inside):
+    assert composite_windows._within(band, 1, 20) == inside
+    for outside in ((0.1, 1), (20, 30)):
+        with pytest.raises(ValueError, match="lies outside of what these records resolve, 1 to 20 rad/s"):
+            composite_windows._within(outside, 1, 20)
+
+
+def test_estimates_of_several_windows_are_weighted_by_their_errors():
+    """By the formula; what they differ beyond the noise of the longest is added."""
+    point = composite_windows.WindowedPoint
+    known = [point(1.0 + 0j, 0.01, 10.0, 0.9), point(1.4 + 0j, 0.0025, 20.0, 0.8)]
+    found = composite_windows._combined([*known, point(weak=True)])
+    error = np.array([0.1 / 1.0, 0.05 / 1.4])
+    weight = (error / error.min()) ** -composite_windows.SHARPNESS
+    weight /= weight.sum()
+    assert found.response == pytest.approx(weight @ [1.0, 1.4])
+    smeared = (weight[1] * 0.4) ** 2 - 0.01
+    assert smeared > 0
+    assert found.variance == pytest.approx((weight @ [0.1, 0.05]) ** 2 + smeared)
+    assert (found.dof, found.coherence) == (pytest.approx(weight @ [10, 20]), pytest.approx(weight @ [0.9, 0.8]))
+    assert composite_windows._combined([point(weak=True), point()]).weak
+    assert not composite_windows._combined([point(), point()]).weak
