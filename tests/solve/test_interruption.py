@@ -85,6 +85,7 @@ def test_other_threads_are_left_alone(press_ctrl_c):
     assert seen == [False]
 
 
+@pytest.mark.usefixtures("press_ctrl_c")  # whose handler is then Python's
 def test_an_error_without_it_stays_what_it_is():
     with pytest.raises(ZeroDivisionError), listening():
         raise ZeroDivisionError
