@@ -25,7 +25,7 @@ def parsimony(
     k = smallest_supported(bic, sizes)
     best = min(range(len(bic)), key=lambda i: bic[i])
     counts = f"{labels[k]} ({sizes[k]} free)"
-    alike = [i for i, value in enumerate(bic) if sizes[i] == sizes[k] and abs(value - bic[k]) <= BARE_MENTION]
+    alike = [i for i, value in enumerate(bic) if sizes[i] == sizes[k] and value - bic[k] <= BARE_MENTION]
     if len(alike) > 1:
         text = (
             f"{listed([labels[i] for i in alike])} ({sizes[k]} free) are supported alike: their BIC differs by at most "

@@ -141,3 +141,8 @@ def test_some_points_are_kept_with_all_that_belongs_to_them():
     assert kept.name == "a"
     assert kept.dof is None
     assert_allclose(measured(**EXTRAS).where(omega > 1).common_errors, np.array(EXTRAS["common_errors"])[:, 1:])
+
+
+def test_magnitudes_are_in_decibels():
+    found = gb.FrequencyResponse([1.0, 2.0, 3.0, 4.0], [10.0, -1.0, 0.1j, 0.0]).decibels
+    assert found.tolist() == pytest.approx([20.0, 0.0, -20.0, -np.inf])

@@ -8,6 +8,7 @@ from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment
 from greybox.identification.systematic_errors import (
     SystematicError,
+    _size,
     motor_saturation,
     systematic_errors,
     with_systematic_errors,
@@ -138,3 +139,11 @@ def test_a_motor_at_its_limit_is_told_from_one_percent_and_refused_from_twenty(s
             f"a motor is at its limit for {samples / 30:.0f} % of the time: a linear model is wrong there; use a "
             "smaller amplitude."
         )
+
+
+@pytest.mark.parametrize(
+    ("relative", "said"),
+    [((0.02, 0.0219), "2.2 %"), ((0.02, 0.0221), "2 to 2.2 %"), ((0.001, 0.02), "up to 2 %")],
+)
+def test_sizes_are_one_number_where_they_are_nearly_one(relative, said):
+    assert _size(np.array(relative)) == said

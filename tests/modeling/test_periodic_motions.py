@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 import greybox as gb
 from greybox.modeling import periodic_motions as periodic
-from greybox.modeling.harmonic_balance import harmonic_function
+from greybox.modeling.harmonic_balance import MOST_HARMONICS, harmonic_function
 from greybox.modeling.periodic_motions import periodic_motions, response_of_test
 from greybox.models.tilt import LinearTilt
 
@@ -251,3 +251,29 @@ def test_the_response_of_a_motion_with_jumps_is_extrapolated_as_that_of_a_fit():
     re, im = harmonic_function(Rubbing(), np.array([0.8]), gb.modeling.Sine("u", 5.0, harmonics=7))([0.5])
     assert level.response(7, motion, 0) == pytest.approx(complex(re, im), rel=1e-9)
     assert abs(level.response(7, motion, 0) / periodic._response(balance, motion, given) - 1) > 1e-3
+
+
+def test_of_unstable_motions_the_stable_one_next_to_the_first_is_meant():
+    def motion(response, stable):
+        return periodic._Motion(np.zeros(1), response, stable)
+
+    first, near, far = motion(1.0, False), motion(1.5j, True), motion(-3.0, True)
+    assert periodic._chosen([first, far, near]) is near
+    assert periodic._chosen([motion(1.0, True), near]).response == 1.0
+    assert periodic._chosen([motion(2.0, None), near]).response == 2.0
+    assert periodic._chosen([first, motion(1.1, False)]) is first
+
+
+def test_a_motion_of_a_symmetric_model_has_its_twin(monkeypatch):
+    """The other way up, half a period later: odd harmonics stay, the mean and the even ones change their sign."""
+    level = level_of(Spring(), 0.4, 3)
+    balance, given = level.balance(3), level.given(3, 0)
+    number = (balance.balance.places % (2 * MOST_HARMONICS + 1) + 1) // 2
+    x = np.random.default_rng(0).normal(size=number.size)
+    twin = np.where(number % 2 == 1, x, -x)
+    monkeypatch.setattr(periodic, "_followed", lambda *_: [x])
+    monkeypatch.setattr(periodic, "_solved", lambda _, guess, __: guess if np.allclose(guess, twin) else None)
+    found = periodic._candidates(balance, given)
+    assert len(found) == 2
+    assert found[0] is x
+    assert_allclose(found[1], twin)

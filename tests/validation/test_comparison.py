@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from greybox.validation.comparison import Comparison, Row, p_text
+from greybox.validation.comparison import Comparison, Row, _without_uncorrelated, p_text
 
 ROWS = (
     Row("fit", "", "AIC", "", (3.0, None)),
@@ -65,3 +65,13 @@ def test_p_values_in_sentences():
         "p = 0.5",
     ]
     assert p_text(math.nan) == "p = nan"
+
+
+def test_one_signal_that_is_not_correlated_is_told_by_itself_and_several_by_the_least():
+    def row(name, *values):
+        return Row("held-out", "p", f"  not correlated with {name} (p)", "", values, name)
+
+    plain, found, one = Row("held-out", "p", "fit", "%", (1.0, 2.0)), row("u", 1e-9, 0.4), row("w", 0.4, 0.2)
+    assert _without_uncorrelated([plain, one, found]) == [plain, found, one]
+    last = _without_uncorrelated([plain, one, found, row("z", 0.3, None)])[-1]
+    assert (last.measure, last.values) == ("  2 other signals (least p)", (0.3, 0.2))

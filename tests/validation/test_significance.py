@@ -305,3 +305,25 @@ def test_a_term_is_told_from_the_value_at_which_others_hold_it_beyond_two_errors
     (said,) = significance._terms((fit, other), ("a", "b"), 0, {})
     assert said.startswith(f"{name} = ")
     assert said.endswith(f"(a): {verdict} from {number(held)}.")
+
+
+@pytest.mark.parametrize("more", [0, 3])
+def test_the_difference_of_aic_is_that_of_the_likelihoods_and_of_the_numbers_that_were_estimated(more):
+    """Of residuals that two models share but for a little, where Vuong's test finds nothing."""
+    random = np.random.default_rng(5)
+    e = random.normal(size=(2, 200))
+    e[1] = np.roll(e[0], 7) + 0.2 * random.normal(size=200)
+
+    def fit(residuals, free):
+        data = SimpleNamespace(independent_pieces=[slice(None)])
+        noise = np.array([[np.mean(residuals**2)]])
+        part = SimpleNamespace(outputs=("y",), noise=noise, data=data, nuisances=1, residual=lambda _: residuals)
+        return SimpleNamespace(records=[part], parts=[part], free=("p",) * free)
+
+    logs = [-100 * (np.log(2 * np.pi * np.mean(r**2)) + 1) for r in e]
+    aic = 2 * (2 + more - logs[0]) - 2 * (2 - logs[1])
+    assert abs(aic) > 2
+    _, sentence = significance._likelihoods_sample_by_sample((fit(e[0], 1 + more), fit(e[1], 1)), ("a", "b"), (0, 1))
+    assert f"AIC differs by {number(abs(aic), 2)})" in sentence
+    close = (fit(e[0], 1), fit(e[0], 3))
+    assert "AIC differs by 4)" in significance._likelihoods_sample_by_sample(close, ("a", "b"), (0, 1))[1]

@@ -79,3 +79,10 @@ def test_up_to_three_messages_with_gaps_are_told_one_by_one():
     few = {name: found[name] for name in ("M0", "M1", "M2")}
     assert [said.partition(":")[0] for said in time_stamps.all_gaps(few)] == ["M0", "M1", "M2"]
     assert len(time_stamps.all_gaps(found)) == 1
+
+
+@pytest.mark.parametrize(("samples", "known"), [(20, False), (21, True)])
+def test_twenty_intervals_are_needed_to_know_the_usual_one(samples, known):
+    time = np.arange(float(samples))
+    time[samples // 2 :] += 9
+    assert (time_stamps.gaps(time) is not None) == known
