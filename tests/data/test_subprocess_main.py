@@ -119,3 +119,15 @@ def test_structs_and_simulinks_structure_with_time(contents, names):
     collector = Collector(SMALL)
     subprocess_main._keep_struct("", contents, collector)
     assert [item["path"] for item in collector.items] == names
+
+
+def test_of_a_table_of_rows_the_columns_of_numbers_are_kept(tmp_path):
+    rows = np.array([(1, 2.5, b"a"), (3, 4.5, b"b")], dtype=[("k", "<i4"), ("x", "<f8"), ("name", "S3")])
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["table"] = rows
+    collector = Collector(SMALL)
+    subprocess_main.hdf5(str(tmp_path / "log.h5"), collector, [])
+    assert {item["path"]: values.tolist() for item, values in zip(collector.items, collector.arrays, strict=True)} == {
+        "table/k": [1, 3],
+        "table/x": [2.5, 4.5],
+    }

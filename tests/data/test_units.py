@@ -104,7 +104,9 @@ def test_pounds_may_be_two_things(unit):
         to_si(unit)
 
 
-@pytest.mark.parametrize("unit", ["pwm", "satellites", "g/s", "10/s", "m/", "(m", "m)", "m^x", "a b c", "MS"])
+@pytest.mark.parametrize(
+    "unit", ["pwm", "satellites", "g/s", "10/s", "m/", "(m", "m)", "m^x", "a b c", "MS", "S", "KN"]
+)
 def test_what_is_not_known_is_not_guessed(unit):
     with pytest.raises(ValueError, match="is not known"):
         to_si(unit)
@@ -137,3 +139,8 @@ def test_what_may_be_something_else_says_so():
 def test_units_of_one_kind(one, other, same):
     assert are_of_one_kind(to_si(one), to_si(other)) is same
     assert are_of_one_kind(to_si(other), to_si(one)) is same
+
+
+def test_capitals_are_units_of_three_letters_feet_knots_and_inches():
+    for unit in ("ft", "kt", "in", "rpm", "psi", "kts"):
+        assert to_si(unit.upper()) == to_si(unit)

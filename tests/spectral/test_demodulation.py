@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sampled_sines import irregular, sine
 
-from greybox.spectral.demodulation import demodulate, least_squares, spectral_line
+from greybox.spectral.demodulation import demodulate, least_squares, quadrature, spectral_line
 
 STEP = 1 / 400  # s
 
@@ -96,3 +96,14 @@ def test_the_drift_is_the_change_of_the_trend_over_the_window_wherever_it_begins
     assert drift == pytest.approx([0.3 * (t[-1] - t[0])])
     assert abs(amplitudes[0, 0] - (1 - 2j)) < 1e-9
     assert np.abs(residual).max() < 1e-9
+
+
+def test_quadrature_weighs_a_sample_by_half_the_distance_of_its_neighbors():
+    t = np.array([0.0, 0.1, 0.4, 0.5, 0.9])
+    x = np.array([[1.0, -2.0, 0.5, 3.0, 1.5]])
+    weight = [0.1, 0.2, 0.2, 0.25, 0.4]  # at the ends, the whole distance of the one that there is
+    sums = [
+        2 / sum(weight) * sum(w * v * f(3 * (s - 0.2)) for w, v, s in zip(weight, x[0], t, strict=True))
+        for f in (math.sin, math.cos)
+    ]
+    assert quadrature(t, x, 3.0, 0.2) == pytest.approx([sums[0] + 1j * sums[1]])

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from greybox.spectral.frequency_points import FrequencyPoint, averaged, missing_samples, with_findings
+from greybox.spectral.frequency_points import DRIFTING, FrequencyPoint, averaged, missing_samples, with_findings
 
 
 def point(response=1 + 0j, error=0.01, dof=8.0, periods=10, u=1 + 0j, **values):
@@ -57,3 +57,10 @@ def test_what_is_not():
     assert with_findings(clean, []).findings == ()
     assert missing_samples(0.04) == []
     assert missing_samples(0.2) == ["20% of the samples are missing"]
+
+
+@pytest.mark.parametrize("size", [0.01, 100.0])
+def test_a_drift_is_held_against_the_amplitude(size):
+    for share, warned in ((0.98, False), (1.02, True)):
+        drifting = point(u=size * 1j, drift=(0.0, -share * DRIFTING * size))
+        assert any("the trim of the output drifts" in said for said in with_findings(drifting, []).findings) == warned

@@ -75,3 +75,20 @@ def test_one_signal_that_is_not_correlated_is_told_by_itself_and_several_by_the_
     assert _without_uncorrelated([plain, one, found]) == [plain, found, one]
     last = _without_uncorrelated([plain, one, found, row("z", 0.3, None)])[-1]
     assert (last.measure, last.values) == ("  2 other signals (least p)", (0.3, 0.2))
+
+
+def test_rows_stand_under_their_data_and_output():
+    rows = tuple(
+        Row(data, output, f"{data} {output}", "", (float(k), None))
+        for k, (data, output) in enumerate((d, o) for d in ("identification", "held-out") for o in ("p", "q"))
+    )
+    windows = dict.fromkeys(("identification", "held-out"), ((),))
+    found = Comparison(("a", "b"), "the same for all", (*ROWS, *rows), predictions=windows, statements=())
+    lines = [line.split() for line in str(found).splitlines()]
+    begins = [
+        lines.index(next(w for w in lines if w[:2] == [kind, "data:"])) for kind in ("identification", "held-out")
+    ]
+    for kind, part in zip(
+        ("identification", "held-out"), (lines[begins[0] : begins[1]], lines[begins[1] :]), strict=True
+    ):
+        assert [words[:2] for words in part if words[:1] == [kind] and words[-1] == "-"] == [[kind, "p"], [kind, "q"]]
