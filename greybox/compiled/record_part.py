@@ -241,7 +241,9 @@ class RecordPart(Part):
 
     def excerpt(self, samples: int) -> "RecordPart":
         """Return the part on excerpts, evenly over the record, of about so many samples in all."""
-        return RecordPart(self.model, self.data.excerpts(samples), self.substeps, step=self.step, like=self)
+        data = self.data.excerpts(samples)
+        covariance = self.covariance.along(data.measured)  # the criterion stays behind when a part is sent to a worker
+        return RecordPart(self.model, data, self.substeps, step=self.step, covariance=covariance, like=self)
 
     def with_outputs(self, outputs: Sequence[Array]) -> "RecordPart":
         """Return the part with other measured outputs (k, n) of every stretch, NaN where there are none."""

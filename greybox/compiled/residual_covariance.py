@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,6 +116,11 @@ class ResidualCovariance:
         shared = np.swapaxes(both, -1, -2) / np.sqrt(counts.max(axis=-1))[..., None, None]
         return np.concatenate([own, shared], axis=-1)
 
+    def along(self, measured: Array) -> "ResidualCovariance":
+        """Return that of other measured values (k, samples) of the same outputs."""
+        counts, spread = _counts_and_spread(measured)
+        return replace(self, counts=counts, spread=spread)
+
     def of(self, records: NDArray[np.integer]) -> "ResidualCovariance":
         """Return that of these records, in this order; the same where there is one for all."""
         if self.counts.ndim == 1:
@@ -156,11 +161,16 @@ def reduced_hessian(hessian: Array, by: Array, least: float) -> Array:
 
 def residual_covariance_of(criterion: TimeCriterion, outputs: tuple[str, ...], measured: Array) -> ResidualCovariance:
     """Read the criterion's option for the outputs (k, samples) that are compared."""
+    known = None
+    if isinstance(criterion.noise, Mapping):
+        known = np.array([float(criterion.noise[name]) for name in outputs])
+    return ResidualCovariance(*_counts_and_spread(measured), known, criterion.noise == "full")
+
+
+def _counts_and_spread(measured: Array) -> tuple[NDArray[np.integer], Array]:
+    """Return how often each output (k, samples) was measured, and how far it spreads."""
     present = np.isfinite(measured)
     rows = [row[there] for row, there in zip(measured, present, strict=True)]
     # What never changes has its size for a scale.
     spread = np.array([(np.std(row) or np.abs(row).max()) if row.size else 0.0 for row in rows])
-    known = None
-    if isinstance(criterion.noise, Mapping):
-        known = np.array([float(criterion.noise[name]) for name in outputs])
-    return ResidualCovariance(present.sum(axis=1), np.where(spread > 0, spread, 1.0), known, criterion.noise == "full")
+    return present.sum(axis=1), np.where(spread > 0, spread, 1.0)

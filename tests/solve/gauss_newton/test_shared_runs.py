@@ -1,5 +1,6 @@
 """Runs that meet on excerpts of a record: each is what it would be alone, and the way on from there is gone once."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -158,6 +159,16 @@ def test_levels_end_where_excerpts_are_short_and_are_left_out_where_they_are_har
 def test_predictors_are_run_on_whole_records():
     problem = lag_problem(samples=400).with_(criterion=gb.PredictionError(inputs="held"))
     assert SharedRuns.of(solver_of(problem)) is None
+
+
+def test_the_answer_is_the_same_on_a_worker(solver, starts):
+    here = multistart(solver.nlp, solver, starts)
+    with ThreadPoolExecutor(1) as executor:
+        there = multistart(solver.nlp, solver, starts, executor=executor)
+    assert here.converged == len(here.runs)
+    assert_array_equal(there.runs.cost, here.runs.cost)
+    assert_array_equal(there.runs.estimate, here.runs.estimate)
+    assert_array_equal(there.runs.iterations, here.runs.iterations)
 
 
 def test_a_search_runs_its_first_start_alone_and_starts_of_ones_own_as_they_are(solver, starts, monkeypatch):
