@@ -60,3 +60,13 @@ def test_times_are_in_seconds_and_degrees_of_freedom_do_not_depend_on_them():
     assert fast.dof == slow.dof
     assert fast.is_long_enough
     assert_allclose(fast.meat, slow.meat)
+
+
+def test_the_size_of_the_errors_changes_no_degrees_of_freedom():
+    n = 400
+    e = lfilter([1], [1, -0.8], np.random.default_rng(2).normal(size=n))[None]
+    J = np.random.default_rng(3).normal(size=(1, 2, n)).cumsum(axis=2)
+    inverse = np.linalg.inv(J[0] @ J[0].T)
+    small, large = (colored_errors([J], [size * e], inverse, np.eye(1), 1, 1.0) for size in (0.03, 30.0))
+    assert_allclose(large.dof, small.dof, rtol=1e-6)
+    assert_allclose(large.meat, 1e6 * small.meat, rtol=1e-6)

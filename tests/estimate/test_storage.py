@@ -206,6 +206,9 @@ def test_a_failed_fit_comes_back(tmp_path):
     assert not loaded.converged
     assert loaded.status == fit.status
     assert [run.status for run in loaded.runs] == [run.status for run in fit.runs]
+    for one in (fit, loaded):
+        with pytest.raises(ValueError, match="has no estimate"):
+            one.correlation  # noqa: B018
 
 
 def test_an_earlier_fit_from_a_file_is_taken_as_fixed_values(tmp_path):

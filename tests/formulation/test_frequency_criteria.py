@@ -351,3 +351,17 @@ def test_common_errors_of_the_data_are_a_condition(criterion):
     assert criterion.condition_on(data4(variance=variance)) == criterion.condition
     common = criterion.condition_on(data4(variance=variance, common_errors=[0.1 * MEASURED4]))
     assert common == f"{criterion.condition}, and the common errors of the data"
+
+
+@pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.SquaredRelativeError()], ids=repr)
+def test_the_noise_does_not_depend_on_the_phase(criterion):
+    random = np.random.default_rng(0)
+    omega = np.arange(1.0, 13.0)
+    model = np.exp(1j * omega / 3)
+    measured = model * (1 + 0.1 * random.normal(size=12) + 0.1j * random.normal(size=12))
+    sizes = [
+        criterion.noise(turn * model, gb.FrequencyResponse(omega, turn * measured, "u", "y"))
+        for turn in np.exp(1j * np.array([0.0, 2.0, 4.0]))
+    ]
+    assert sizes == pytest.approx([sizes[0]] * 3, rel=1e-9)
+    assert 0.05 < sizes[0] < 0.2

@@ -218,3 +218,12 @@ def test_what_a_record_cannot_be_compared_with_is_said():
     for value in (np.nan, np.inf, "rest"):
         with pytest.raises(ValueError, match="initial gives 'x' the value"):
             gb.OutputError(initial={"x": value})
+
+
+def test_only_a_model_with_named_states_is_predicted():
+    record = gb.Record(0.1 * np.arange(50), {"u": np.ones(50), "y": np.zeros(50)})
+    with pytest.raises(TypeError, match="PredictionError needs a StateSpace, whose states it corrects, not Lag"):
+        gb.PredictionError().gains(Lag(), ("y",))
+    constant = bias_parameter("u", record)
+    known = bias_parameter("u", record.with_signals(u=np.linspace(3.0, 4.0, 50)))
+    assert (constant.starts, constant.bounds) == (known.starts, known.bounds)  # a constant counts as a range of one

@@ -61,3 +61,10 @@ def test_replicates_that_equal_the_estimate_count_half_below_it():
     """So many on either side: no bias, and without acceleration the interval is that of percentiles."""
     values = np.concatenate([np.arange(40.0), np.full(20, 40.0), np.arange(41.0, 81.0)])
     assert bca_interval(values, 40.0, 0.0, 0.9) == pytest.approx(percentile_interval(values, 0.9))
+
+
+@pytest.mark.parametrize("estimate", [-3.0, 3.0])
+def test_an_estimate_on_one_side_of_all_replicates_has_no_corrected_interval(estimate):
+    values = np.linspace(-2, 2, 41)
+    assert np.isnan(bca_interval(values, estimate, 0.0, 0.9)).all()
+    assert np.isfinite(bca_interval(values, 0.9 * estimate / 1.5, 0.0, 0.9)).all()
