@@ -12,6 +12,7 @@ import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.shared_runs import SharedRuns
+from greybox.solve.kept_runs import KeptRuns
 from greybox.solve.multistart import multistart
 from greybox.solve.outcome import RUN_OVER
 
@@ -169,6 +170,33 @@ def test_the_answer_is_the_same_on_a_worker(solver, starts):
     assert_array_equal(there.runs.cost, here.runs.cost)
     assert_array_equal(there.runs.estimate, here.runs.estimate)
     assert_array_equal(there.runs.iterations, here.runs.iterations)
+
+
+class Kept(KeptRuns):
+    """In memory, those of some numbers alone."""
+
+    def __init__(self, before):
+        self.before, self.made = before, {}
+
+    def known(self, fingerprint):
+        return self.before
+
+    def add(self, number, start, outcome):
+        self.made[number] = (start, outcome)
+
+    def look(self):
+        """Write nothing."""
+
+
+def test_a_search_that_goes_on_ends_bit_for_bit_where_it_would_have(solver, starts):
+    kept = Kept({})
+    whole = multistart(solver.nlp, solver, starts, kept=kept)
+    assert len(kept.made) > len(starts)
+    rest = {number: kept.made[number] for number in (0, 3, -1)}  # the run on the whole record was that of another start
+    later = multistart(solver.nlp, solver, starts, kept=Kept(rest))
+    assert_array_equal(later.runs.cost, whole.runs.cost)
+    assert_array_equal(later.runs.estimate, whole.runs.estimate)
+    assert_array_equal(later.minima[0].estimate, whole.minima[0].estimate)
 
 
 def test_a_search_runs_its_first_start_alone_and_starts_of_ones_own_as_they_are(solver, starts, monkeypatch):
