@@ -98,19 +98,17 @@ class _Solver:
 
     def __init__(self, s: int, n: int, r: int) -> None:
         """Analyze the pattern of s blocks of n states, for r right-hand sides."""
-        local = np.arange(n)
-        of_states = np.concatenate([(local - n)[:, None], np.tile(np.arange(2 * n), (n, 1))], axis=1)
-        of_multipliers = np.concatenate(
-            [np.tile(local, (n, 1)), (n + local)[:, None], (2 * n + local)[:, None]], axis=1
-        )
-        rows = np.concatenate([of_states.ravel(), of_multipliers.ravel()])
-        columns = np.concatenate([np.repeat(local, 2 * n + 1), np.repeat(n + local, n + 2)])
-        shift = 2 * n * np.arange(s)[:, None]
-        row, column = (rows + shift).ravel(), (columns + shift).ravel()
         size = 2 * n * s
-        self.inside = (row >= 0) & (row < size)
-        starts = np.concatenate([[0], np.cumsum(np.bincount(column[self.inside], minlength=size))])
-        sparsity = ca.Sparsity(size, size, starts.tolist(), row[self.inside].tolist())
+        full, unit, nothing = ca.DM.ones(n, n), ca.DM.eye(n), ca.DM(n, n)
+        own = ca.blockcat([[full, full], [full, unit]]).sparsity()
+        to_next = ca.blockcat([[nothing, nothing], [unit, nothing]]).sparsity()
+        sparsity = ca.kron(ca.Sparsity.diag(s), own)
+        if s > 1:
+            sparsity += ca.kron(ca.Sparsity.band(s, -1), to_next) + ca.kron(ca.Sparsity.band(s, 1), to_next.T)
+        self.inside = np.ones((s, n * (2 * n + 1) + n * (n + 2)), dtype=bool)
+        self.inside[0, : n * (2 * n + 1) : 2 * n + 1] = False
+        self.inside[-1, n * (2 * n + 1) + n + 1 :: n + 2] = False
+        self.inside = self.inside.ravel()
         values, right = ca.MX.sym("values", sparsity.nnz()), ca.MX.sym("right", size, r)
         solution = ca.solve(ca.MX(sparsity, values), right, "qr")
         # A buffer hands over memory as it is; converting numpy arrays to CasADi's takes longer than the solution.

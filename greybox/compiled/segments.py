@@ -97,9 +97,14 @@ class Segments:
         self.k = step.function.size1_out(1)
         self._ordered: tuple[Array, Array] | None = None
         self._array: Array | None = None
+        self._last: tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]] | None = None
         self._compiled = None
         if compile_linearization:
             self._compiled = CompiledLinearization(step.function, active.tolist(), count, length, each=self.number > 1)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave behind what was evaluated last."""
+        return vars(self) | {"_array": None, "_last": None}
 
     # --- compiled functions, built when they are first asked for -----------------------------------------------------
 
@@ -362,17 +367,25 @@ class Segments:
         """Return derivatives of the ends (n, v, c) and residuals (length, k, v, c), and the residuals (length, k, c).
 
         Of the c segments of a `batch`, by node and active parameters. The second array is overwritten by the next call.
+        What was found last for all segments is returned again for the same arrays.
         """
         length = self.length
         count = len(range(self.count)[batch])
+        if count == self.count and self._last is not None:
+            asked, found = self._last
+            if asked[0] is states and asked[2] is data and np.array_equal(asked[1], q):
+                return found
 
         def chosen(values: Array) -> Array:
             return values.reshape(len(values), length, self.count)[:, :, batch].reshape(len(values), length * count)
 
-        q = q[:, batch] if self._own else q
+        all_parameters, q = q, q[:, batch] if self._own else q
         A, C, e = _finite(self._evaluate(self._derivatives, chosen(states), q, chosen(data)))
         S, J = self._propagated(A, C, count)
-        return S, J, e.reshape(self.k, length, count).transpose(1, 0, 2)
+        found = S, J, e.reshape(self.k, length, count).transpose(1, 0, 2)
+        if count == self.count:
+            self._last = (states, all_parameters, data), found
+        return found
 
     def output_sensitivities(self, states: Array, q: Array, data: Array) -> Array:
         """Return the derivatives of the simulated outputs at all samples, (s, length, k, v), measured or not.
@@ -415,6 +428,7 @@ class Segments:
         A and C are the derivatives by the state at a sample and the parameters, as CasADi stacks matrices, column by
         column. Segments come last: products of small matrices one after the other cost more than their arithmetic.
         """
+        self._last = None  # the workspace is overwritten
         n, k, length = self.n, self.k, self.length
         v = n + len(self.active)
         transitions, rows = A.reshape(v, n, length, count), C.reshape(v, k, length, count)

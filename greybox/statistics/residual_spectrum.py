@@ -242,7 +242,8 @@ class _Grid:
         above = np.clip(np.searchsorted(self.omega, omega), 1, len(self.omega) - 1)
         low, high = self.omega[above - 1], self.omega[above]
         share = np.clip((omega - low) / (high - low), 0.0, 1.0)
-        return values[..., above - 1] * (1 - share) + values[..., above] * share
+        # Indexing would put the frequencies first in memory, where all that follows runs over them.
+        return np.take(values, above - 1, axis=-1) * (1 - share) + np.take(values, above, axis=-1) * share
 
     @cached_property
     def delays(self) -> Complex:
@@ -284,8 +285,8 @@ class _Grid:
             for start in range(0, len(self.weight), COLUMNS):
                 part = slice(start, start + COLUMNS)
                 spread = self.spread_out(density, part) * self.weight[part]
-                filtered = np.einsum("ijf,jpf->ipf", spread, transform[..., part])
-                total = total + (transform[..., part].conj() @ filtered.transpose(0, 2, 1)).sum(axis=0).real
+                each = transform[..., part]
+                total = total + _real_products(np.ascontiguousarray(each), _filtered(spread, each))
         assert isinstance(total, np.ndarray)
         return (total + total.T) / 2
 
@@ -407,17 +408,17 @@ class _Sandwich:
         power = np.zeros((k, k, len(grid.starts)), dtype=complex)
         kept: list[Complex] = []
         keeps = len(weighted) * weighted[0].shape[1] * k * len(grid.weight) <= MOST_KEPT
-        product = np.empty(len(grid.weight), dtype=complex)
         for J in weighted:
             transform = grid.transform(J, size)
             if keeps:
                 kept.append(transform)
-            for i, j in _pairs_of(k):
-                for start in range(0, len(product), COLUMNS):
-                    part = slice(start, start + COLUMNS)
-                    one, other = (root.T @ transform[row, :, part] for row in (i, j))
-                    product[part] = np.einsum("qf,qf->f", one.conj(), other)
-                banded = grid.banded(product)
+            products = np.empty((len(_pairs_of(k)), len(grid.weight)), dtype=complex)
+            for start in range(0, len(grid.weight), COLUMNS):
+                part = slice(start, start + COLUMNS)
+                turned = root.T @ transform[..., part]
+                for product, (i, j) in zip(products, _pairs_of(k), strict=True):
+                    product[part] = (turned[i].conj() * turned[j]).sum(axis=0)
+            for banded, (i, j) in zip(grid.banded(products), _pairs_of(k), strict=True):
                 power[i, j] += banded
                 if i != j:
                     power[j, i] += banded.conj()
@@ -710,12 +711,13 @@ class _Sandwich:
         bring to the estimate is taken to have errors of the same color.
         """
         transforms = list(self.transforms())
-        filtered = [self._filtered(density, J, F) for J, F in zip(self.weighted, transforms, strict=True)]
+        spread = self.grid.spread_out(density)
+        filtered = [self._in_time(_filtered(spread, F), J) for J, F in zip(self.weighted, transforms, strict=True)]
         size = self.deviation[:, None, None]
         bread, meat = np.zeros_like(self.inverse), np.zeros_like(self.inverse)
         for J, G in zip(self.weighted, filtered, strict=True):
             bread += product_over_time(J, self.noise)
-            meat += np.tensordot(J * size, G, ((0, 2), (0, 2)))
+            meat += _products(J * size, G)
         own = self.inverse @ bread @ self.inverse
         factor = np.sum(self.inverse * meat) / max(float(np.sum(self.inverse * bread)), 1e-300)
         middle = self.inverse @ meat @ self.inverse + factor * (self.inverse - own)
@@ -729,9 +731,9 @@ class _Sandwich:
                 # Every stretch has initial states of its own, whose errors are correlated with those of the parameters.
                 X = self.initial[s]
                 of_initial = self.grid.transform(X, self.deviation)
-                G = self._filtered(density, X, of_initial)
-                both = self.inverse @ np.tensordot(J * size, G, ((0, 2), (0, 2)))
-                own = np.tensordot(X * size, G, ((0, 2), (0, 2)))
+                G = self._in_time(_filtered(spread, of_initial), X)
+                both = self.inverse @ _products(J * size, G)
+                own = _products(X * size, G)
                 covariance = np.block([[middle, both], [both.T, own]])
                 J, moved = np.concatenate([J, X], axis=1), np.concatenate([moved, G], axis=1)
                 transform = np.concatenate([transform, of_initial], axis=1)
@@ -743,15 +745,14 @@ class _Sandwich:
         def product(i: int, j: int) -> Complex:
             total = np.zeros(len(self.grid.weight), dtype=complex)
             for one, other in pairs:
-                total += np.einsum("pf,pf->f", one[i], other[j]) + np.einsum("pf,pf->f", one[j], other[i]).conj()
+                total += (one[i] * other[j]).sum(axis=0) + (one[j] * other[i]).sum(axis=0).conj()
             return total
 
         return self.grid.covariances(product, len(unit), _highest_order(self.counts))
 
-    def _filtered(self, density: Complex, J: Array, transform: Complex) -> Array:
-        """Return Σ_e R⁻¹ J (k, p, n) of a stretch."""
-        spread = self.grid.spread_out(density)
-        return np.fft.irfft(np.einsum("ijf,jpf->ipf", spread, transform), self.grid.size)[..., : J.shape[2]]
+    def _in_time(self, transform: Complex, like: Array) -> Array:
+        """Return the samples (k, p, n) of a transform, as many as another array has."""
+        return np.fft.irfft(transform, self.grid.size)[..., : like.shape[2]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -778,6 +779,24 @@ class _Evidence:
     score: float
     taken: float
     uncertainty: float
+
+
+def _filtered(density: Complex, transform: Complex) -> Complex:
+    """Return the product of a density (k, k, f) and transforms (k, p, f), frequency by frequency."""
+    result = density[:, 0, None] * transform[0]
+    for j in range(1, len(transform)):
+        result += density[:, j, None] * transform[j]
+    return result
+
+
+def _products(one: Array, other: Array) -> Array:
+    """Return the sums (p, q) over k and n of the products of arrays (k, p, n) and (k, q, n)."""
+    return (one @ other.transpose(0, 2, 1)).sum(axis=0)
+
+
+def _real_products(one: Complex, other: Complex) -> Array:
+    """Return the real part of the same with `one` conjugated: that of pairs of real numbers."""
+    return _products(one.view(float), other.view(float))
 
 
 def _positive(matrices: Complex) -> Complex:

@@ -83,6 +83,7 @@ class GaussNewton(LocalSolver):
         # The answer does not depend on where a run is made.
         self._can_sharpen = parts is None and all(part.travels_whole for part in nlp.parts)
         self._coarse = self._on_excerpts() if parts is None else None
+        self._polished: tuple[Array, Nodes, Iterate] | None = None  # an estimate, and the iterate that it belongs to
 
     def __reduce__(self) -> tuple[Callable[..., "GaussNewton"], tuple[Any, ...]]:
         """Return what builds the same solver, of the whole problem."""
@@ -103,6 +104,7 @@ class GaussNewton(LocalSolver):
     def within(self, low: Array, high: Array, equation: ca.Function | None = None) -> "GaussNewton":
         """Return the same solver with other bounds of the variables z (p,), and an `equation` (z) -> 0 that holds."""
         other = copy(self)
+        other._polished = None
         other._limits = replace(self._limits, low=low, high=high)
         if equation is not None:
             other._limits = other._limits.with_equation(equation)
@@ -229,10 +231,14 @@ class GaussNewton(LocalSolver):
             return search
         estimate = np.clip(self._nlp.scaling.to_parameters(end.z), self._nlp.lower, self._nlp.upper)
         minimum = replace(best, cost=min(cost, best.cost), estimate=estimate)
-        return replace(search, minima=(minimum, *search.minima[1:]), nodes=self._parts.nodes_by_part(end))
+        nodes = self._parts.nodes_by_part(end)
+        self._polished = (estimate, nodes, end)
+        return replace(search, minima=(minimum, *search.minima[1:]), nodes=nodes)
 
     def _at(self, x: Array, nodes: Nodes) -> Iterate:
         """Return the iterate at the parameters x (p,) with these nodes of every part of the problem."""
+        if self._polished is not None and nodes is self._polished[1] and np.array_equal(x, self._polished[0]):
+            return self._polished[2]
         return self._parts.at(self._nlp.scaling.to_solver(x), self._parts.joined(nodes))
 
     def _undamped(self, iterate: Iterate) -> tuple[Iterate, float]:
