@@ -7,7 +7,7 @@ what they take from these.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,7 @@ def colored_errors(
     step: float,
     *,
     initial: Sequence[Array] | None = None,
-    shocks: Array | None = None,
+    shocks: Callable[[], Array] | None = None,
 ) -> ColoredErrors:
     """Return what the correlation of the residuals makes of an estimate.
 
@@ -57,8 +57,8 @@ def colored_errors(
         From sample to sample, s.
     initial : sequence of (k, m, n) arrays, optional
         WᵀW dy/dx by directions x of the initial states, of unit variance for white errors.
-    shocks : (k, s, n) array, optional
-        dy of the longest stretch after unit jumps of s states.
+    shocks : function, optional
+        Returns (k, s, n), dy of the longest stretch after unit jumps of s states.
     """
     noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)
     found = colored_information(weighted, residuals, inverse, noise, initial, shocks)

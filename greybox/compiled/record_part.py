@@ -2,10 +2,10 @@
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import casadi as ca
@@ -896,7 +896,7 @@ class RecordPart(Part):
             white=white,
             weighted=weighted.reshape(k, p, s * length),
             by_initial=of_initial,
-            shocks=self._shocks(initial_directions, of_initial, weight),
+            shocks=partial(self._shocks, initial_directions, of_initial, weight),
             reach=np.sqrt(squares),
             initial={name: first[:, i] for i, name in enumerate(self.system.states) if not known[i]},
         )
@@ -965,7 +965,7 @@ class _Sensitivity:
         WᵀJ.
     by_initial : (k, m, samples) array
         The same by m directions of unit variance of the initial states of every stretch, at known parameters.
-    shocks : (k, s, n) array
+    shocks : function
         How the residuals of the longest stretch follow after unit jumps of s states.
     reach : (p,) array
         Lengths of the columns of J if what states and parameters contribute to it could not cancel.
@@ -977,7 +977,7 @@ class _Sensitivity:
     white: Array
     weighted: Array
     by_initial: Array
-    shocks: Array
+    shocks: Callable[[], Array]
     reach: Array
     initial: Mapping[str, Array]
 

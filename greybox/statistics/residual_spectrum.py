@@ -120,7 +120,7 @@ def colored_information(
     inverse: Array,
     noise: Array,
     initial: Sequence[Array] | None = None,
-    shocks: Array | None = None,
+    shocks: Callable[[], Array] | None = None,
 ) -> ColoredInformation:
     """Return Σ J' Σ_e J (p, p) for errors with the spectrum of the residuals: the middle of the sandwich.
 
@@ -137,8 +137,9 @@ def colored_information(
     initial : sequence of (k, m, n) arrays, optional
         R⁻¹ dy/dx by directions x of the initial states, which the fit moved along, of unit variance for white errors
         of covariance R: what these took from the errors.
-    shocks : (k, s, n) array, optional
-        dy of the longest stretch after unit jumps of s states, through which process noise reaches the outputs.
+    shocks : function, optional
+        Returns (k, s, n), dy of the longest stretch after unit jumps of s states, through which process noise reaches
+        the outputs. Long records do not ask for it.
 
     Source of the sandwich: Morelli and Klein (1997), Accuracy of aerodynamic model parameters estimated from flight
     test data, Journal of Guidance, Control, and Dynamics 20(1).
@@ -156,7 +157,7 @@ def colored_information(
             inverse,
             noise[np.ix_(there, there)],
             None if initial is None else [X[there] for X in initial],
-            None if shocks is None else shocks[there],
+            None if shocks is None else lambda: shocks()[there],
         )
     corrected = False
     mixture = problem.mixture(*problem.periodogram)
@@ -378,7 +379,7 @@ class _Sandwich:
     families: Sequence[Sequence[_Family]]
     kept: list[Complex]
     initial: Sequence[Array] | None = None
-    shocks: Array | None = None
+    shocks: Callable[[], Array] | None = None
 
     @classmethod
     def of(
@@ -388,7 +389,7 @@ class _Sandwich:
         inverse: Array,
         noise: Array,
         initial: Sequence[Array] | None = None,
-        shocks: Array | None = None,
+        shocks: Callable[[], Array] | None = None,
     ) -> "_Sandwich":
         k = len(weighted[0])
         grid = _Grid.of(max(e.shape[1] for e in residuals))
@@ -533,7 +534,7 @@ class _Sandwich:
         if self.shocks is None or self.counts.max() > LONGEST_MODELED:
             return None
         k, grid = len(self.counts), self.grid
-        transforms = np.fft.rfft(self.shocks / self.deviation[:, None, None], grid.size)
+        transforms = np.fft.rfft(self.shocks() / self.deviation[:, None, None], grid.size)
         spectra = [np.einsum("if,jf->ijf", H, H.conj()) for H in transforms.transpose(1, 0, 2)]
         power = [float(np.einsum("iif->f", spectrum).real @ grid.weight) / k for spectrum in spectra]
         spectra = [spectrum / p for spectrum, p in zip(spectra, power, strict=True) if p > TINY]
@@ -781,7 +782,7 @@ class _Evidence:
     uncertainty: float
 
 
-def _filtered(density: Complex, transform: Complex) -> Complex:
+def _filtered(density: NDArray, transform: Complex) -> Complex:
     """Return the product of a density (k, k, f) and transforms (k, p, f), frequency by frequency."""
     result = density[:, 0, None] * transform[0]
     for j in range(1, len(transform)):

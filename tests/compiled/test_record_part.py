@@ -289,7 +289,7 @@ def test_process_noise_reaches_the_outputs_as_jumps_of_the_states_do():
     record = record.with_signals(x=np.where(np.arange(120) % 7 == 3, np.nan, record["x"]))
     part, z = part_of(record)
     trajectory = part.trajectory(z, part.initial_trajectory(z).nodes)
-    shocks = part._jacobian(trajectory, part.initial_weight(0.1)).shocks
+    shocks = part._jacobian(trajectory, part.initial_weight(0.1)).shocks()
     A = np.array([[0.0, 1.0], [-SPRING["k"], -SPRING["c"]]])
     wanted = np.stack([expm(A * t) for t in record.time - record.time[0]], axis=2)
     assert_allclose(-shocks, wanted, atol=0.02)  # residuals are measured less modeled outputs
@@ -300,4 +300,4 @@ def test_process_noise_of_an_unstable_model_has_no_spectrum():
     unstable = z.copy()
     unstable[list(SPRING).index("c")] *= -3
     trajectory = part.trajectory(unstable, part.initial_trajectory(unstable).nodes)
-    assert part._jacobian(trajectory, part.initial_weight(0.1)).shocks.shape[1] == 0
+    assert part._jacobian(trajectory, part.initial_weight(0.1)).shocks().shape[1] == 0

@@ -331,7 +331,7 @@ def test_process_noise_is_found_through_the_dynamics_in_a_record_of_three_time_c
         columns = columns - X @ (X.T @ columns)
         inverse = np.linalg.inv(columns.T @ columns)
         weighted, moved = (c.reshape(2, 100, -1).transpose(0, 2, 1) / [[[1.0]], [[5.0]]] for c in (columns, X))
-        for found, more in ((alone, ()), (known, ([moved], jumps))):
+        for found, more in ((alone, ()), (known, ([moved], lambda jumps=jumps: jumps))):
             meat = colored_information([weighted], [residuals], inverse, noise, *more).meat
             found.append(estimate / np.sqrt(np.diag(inverse @ meat @ inverse)))
     assert np.sqrt(np.mean(np.square(known))) == pytest.approx(1.0, abs=0.25)
