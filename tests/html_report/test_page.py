@@ -133,3 +133,10 @@ def test_lines_of_records_share_the_room_of_the_page(records, signals, columns):
     many = [SimpleNamespace(records=[part] * 9)] * 20  # of six records of a fit there are figures
     lines = 20 * 6 * (3 + signals)
     assert _columns(many) == np.clip(LINES // (BYTES * lines), FEWEST, COLUMNS)
+
+
+def test_a_page_without_some_of_the_details_says_how_to_see_them(fit):
+    whole = [Entry("one", fit), Entry("two", None, error="no start converged")]
+    assert "NAME shows others" not in page(whole, None, "study")
+    some = page([*whole, Entry("three", None)], None, "study")
+    assert "Below are details of 1 result, the best of each data set" in some

@@ -1,5 +1,7 @@
 """Figures of fitted and predicted records show what they hold: lines, gaps, bands, windows."""
 
+from types import SimpleNamespace
+
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from drawn_lines import legend
 from hardening_spring import Spring, driven
 
 import greybox as gb
+from greybox.plotting.time_history import _half_width
 
 mpl.use("Agg")
 WHOLE = driven(20.0, noise=0.05, seed=2)
@@ -144,3 +147,14 @@ def test_wrong_use_is_said_in_a_sentence(fit):
         gb.plotting.time_history(fit, gb.predict(fit, record=WHOLE))
     with pytest.raises(ValueError, match="there are 2 labels for 1 items"):
         gb.plotting.time_history(fit, labels=("a", "b"))
+
+
+def test_bands_are_half_as_wide_on_either_side_and_straight_between_samples():
+    part = SimpleNamespace(error=1, data=range(5))
+    band = np.array([[1.0, np.nan, 3.0, 2.0, np.nan], [2.0, np.nan, 7.0, 2.5, np.nan]])
+    unknown = np.full((2, 5), np.nan)
+    fit = SimpleNamespace(known=1, parts=(part,), output_band=lambda part: {"y": band, "z": unknown})
+    (found,) = _half_width(fit, part).items()
+    assert found[0] == "y"
+    np.testing.assert_allclose(found[1], [0.5, 1.25, 2.0, 0.25, np.nan])
+    assert _half_width(fit, SimpleNamespace(error=None)) == {}

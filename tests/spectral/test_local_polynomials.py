@@ -174,14 +174,14 @@ def test_what_is_left_in_narrow_bands_counts_as_often_as_they_overlap():
 
 def test_the_residuals_with_an_instrument_are_those_of_the_response_of_the_nearest_band():
     lines = random_lines(joint=True)
-    band = local_polynomials._fit(lines, 20.0, 15.0)
+    band = local_polynomials._fit(lines, 20.0, 12.0)
     other = local_polynomials._fit(lines, 32.0, 8.0)
     nearest = local_polynomials.Band(band, np.zeros(0), np.zeros(0), np.zeros(0), None)
     far = nearest._replace(fitted=other)
     found = local_polynomials._residual(lines, 12.0, 7.0, [far, nearest])
     rows, *_ = by_matrices(lines, 12.0, 7.0)
     u, y, *_ = lines.values[:, rows]
-    response = band.weights(np.maximum(lines.omega[rows], 5.0)) @ lines.values[1, band.rows]
+    response = band.weights(np.maximum(lines.omega[rows], 8.0)) @ lines.values[1, band.rows]
     known = local_polynomials.Lines(lines.omega, lines.values[[2, 1, 2]], lines.stretch, 1.0, True)
     _, _, _, q = by_matrices(known, 12.0, 7.0)
     squares = [np.linalg.norm(q @ (y - response * u)) ** 2, np.linalg.norm(q @ u) ** 2]

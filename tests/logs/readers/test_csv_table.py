@@ -143,3 +143,12 @@ def test_a_table_without_a_time_holds_rows(saved):
 def test_other_encodings(saved):
     assert saved("t,Neigung [°]\n0,1\n1,2\n".encode("cp1252"))["flight"].units == {"Neigung": "°"}
     assert saved("t,Neigung [°]\n0,1\n1,2\n".encode("utf-8-sig"))["flight"].units == {"Neigung": "°"}
+
+
+SECONDS = {"s": 1, "sec": 1, "seconds": 1, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60, "h": 3600}
+
+
+@pytest.mark.parametrize("unit", SECONDS)
+def test_times_have_the_unit_that_their_column_states(saved, unit):
+    record = saved(f"time [{unit}],x\n0,1\n2000,2\n4000,3\n")["flight"]
+    np.testing.assert_allclose(np.diff(record.time), 2000 * SECONDS[unit])
