@@ -59,6 +59,7 @@ def test_a_stalled_run_begins_once_more_near_the_data_with_what_is_left_of_its_i
     parts, seen = solver._parts, []
 
     def iterated(iterate, linearizations, progress, iterations, *, states_only):
+        assert not states_only
         seen.append((iterate, iterations))
         first = len(seen) == 1
         lost = parts.at(iterate.z + 0.1, [nodes + 1.0 for nodes in iterate.nodes])
