@@ -409,17 +409,17 @@ class _Sandwich:
         power = np.zeros((k, k, len(grid.starts)), dtype=complex)
         kept: list[Complex] = []
         keeps = len(weighted) * weighted[0].shape[1] * k * len(grid.weight) <= MOST_KEPT
+        product = np.empty(len(grid.weight), dtype=complex)
         for J in weighted:
             transform = grid.transform(J, size)
             if keeps:
                 kept.append(transform)
-            products = np.empty((len(_pairs_of(k)), len(grid.weight)), dtype=complex)
-            for start in range(0, len(grid.weight), COLUMNS):
-                part = slice(start, start + COLUMNS)
-                turned = root.T @ transform[..., part]
-                for product, (i, j) in zip(products, _pairs_of(k), strict=True):
-                    product[part] = (turned[i].conj() * turned[j]).sum(axis=0)
-            for banded, (i, j) in zip(grid.banded(products), _pairs_of(k), strict=True):
+            for i, j in _pairs_of(k):
+                for start in range(0, len(product), COLUMNS):
+                    part = slice(start, start + COLUMNS)
+                    one, other = (root.T @ transform[row, :, part] for row in (i, j))
+                    product[part] = (one.conj() * other).sum(axis=0)
+                banded = grid.banded(product)
                 power[i, j] += banded
                 if i != j:
                     power[j, i] += banded.conj()
