@@ -26,6 +26,7 @@ from scipy.special import stdtrit
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess, degrees, propagate
+from greybox.estimate.diagnostics.frequency_correlation import FEWEST_LENGTHS
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import Tilt
@@ -74,12 +75,16 @@ CRITERIA: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Part:
-    """One synthetic experiment: model, frequencies, noise (standard deviation of a component, relative)."""
+    """One synthetic experiment: model, frequencies, noise (standard deviation of a component, relative).
+
+    Errors over their sizes have a `correlation` from one point to the next, of an autoregression.
+    """
 
     model: gb.modeling.Model
     omega: np.ndarray
     noise: float
     free: tuple[str, ...] = ()
+    correlation: float = 0.0
 
     def sizes(self, given: bool) -> np.ndarray:
         """Noise of every point; where the fit is told of them they differ fourfold in size."""
@@ -97,6 +102,9 @@ class Part:
         """Return noisy responses, (repeats, n)."""
         exact = self.exact()
         noise = random.normal(size=(repeats, exact.size)) + 1j * random.normal(size=(repeats, exact.size))
+        for k in range(1, exact.size if self.correlation else 0):
+            noise[:, k] *= np.sqrt(1 - self.correlation**2)
+            noise[:, k] += self.correlation * noise[:, k - 1]
         return exact * (1 + self.sizes(given) * noise)
 
     def problem(self, response: np.ndarray, criterion: str, fixed: Any) -> gb.Problem:
@@ -265,7 +273,8 @@ class Cell:
         half = stdtrit(np.minimum(degrees(accuracy, gradient), 1e9), 0.975) * error
         found = np.concatenate([x, value.ravel()])
         center = found - gradient @ accuracy.bias
-        return Answer(found, error, center, half, accuracy.covariance, accuracy.dof)
+        rough = any(known is not None and known.lengths < FEWEST_LENGTHS for known in accuracy.neighbors)
+        return Answer(found, error, center, half, accuracy.covariance, accuracy.dof, rough)
 
     def inside(self, x: np.ndarray) -> np.ndarray:
         """Return which rows of `x` lie within the bounds."""
@@ -282,6 +291,7 @@ class Answer:
     half: np.ndarray
     covariance: np.ndarray
     dof: float
+    rough: bool
 
 
 @dataclass
@@ -294,6 +304,7 @@ class Outcome:
     error: list[np.ndarray] = field(default_factory=list)
     center: list[np.ndarray] = field(default_factory=list)
     half: list[np.ndarray] = field(default_factory=list)
+    rough: list[bool] = field(default_factory=list)
     difference: float = 0.0
     by_fit: int = 0
 
@@ -303,6 +314,7 @@ class Outcome:
         self.error.append(answer.error)
         self.center.append(answer.center)
         self.half.append(answer.half)
+        self.rough.append(answer.rough)
 
     def summary(self) -> list[tuple[str, float, float, int, float, float]]:
         """Per quantity: coverage and its binomial sigma (per cent), no interval, bias / sd, printed error / sd."""
@@ -332,6 +344,7 @@ def by_fit(problem: Any, names: Sequence[str]) -> Answer:
         np.array([(intervals[name][1] - intervals[name][0]) / 2 for name in names]),
         fit.covariance,
         fit.dof,
+        any("standard errors are rough" in text for text in fit.warnings),
     )
 
 

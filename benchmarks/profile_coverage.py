@@ -3,7 +3,8 @@
 python benchmarks/profile_coverage.py [--repeats 1000] [--output benchmarks/results/profile_coverage.txt]
 
 A model whose pole lies far above the band, so that the data bound it on one side alone, and the tilt model of the
-paper; isotropic errors of one relative size. Standard errors of the first are of no use, which its column shows.
+paper; isotropic errors of one relative size, independent or an autoregression from point to point. Standard errors of
+the first are of no use, which its column shows.
 """
 
 import argparse
@@ -46,17 +47,18 @@ def main() -> None:
         f"greybox {gb.__version__}, {dt.date.today()}, {options.repeats} repeats of each cell, "
         f"seed {options.seed}, "
         "relative error criterion (4.26)",
-        "cell       noise  parameter  profile %  Wald %  refused  s a fit with its profile",
+        "cell       noise  correlation  parameter  profile %  Wald %  refused  s a fit with its profile",
     ]
     for name, model, truth, omega, names in CELLS:
-        for sigma in (0.05, 0.1):
-            lines += _cell(name, model, truth, omega, names, sigma, options.repeats, seed=options.seed)
+        for errors in ((0.05, 0.0), (0.1, 0.0), (0.05, 0.3), (0.05, 0.6)):
+            lines += _cell(name, model, truth, omega, names, errors, options.repeats, seed=options.seed)
             print("\n".join(lines[-len(names) :]), flush=True)
     if options.output:
         options.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _cell(name, model, truth, omega, names, sigma, repeats, *, seed) -> list[str]:
+def _cell(name, model, truth, omega, names, size_and_correlation, repeats, *, seed) -> list[str]:
+    sigma, correlation = size_and_correlation
     values = {key: p.start for key, p in model.parameters.items()} | truth
     clean = gb.frequency_response(model, values, omega)
     profile, wald, refused = dict.fromkeys(names, 0), dict.fromkeys(names, 0), 0
@@ -64,6 +66,8 @@ def _cell(name, model, truth, omega, names, sigma, repeats, *, seed) -> list[str
     for repeat in range(repeats):
         rng = np.random.default_rng([seed, repeat])
         errors = sigma * (rng.normal(size=omega.size) + 1j * rng.normal(size=omega.size))
+        for k in range(1, omega.size if correlation else 0):
+            errors[k] = correlation * errors[k - 1] + np.sqrt(1 - correlation**2) * errors[k]
         data = gb.FrequencyResponse(omega, clean.response * (1 + errors), input=clean.input, output=clean.output)
         fit = gb.fit(gb.Problem(model, data), starts=3, profiles=False, progress=False)
         try:
@@ -79,7 +83,8 @@ def _cell(name, model, truth, omega, names, sigma, repeats, *, seed) -> list[str
     seconds = (time.perf_counter() - began) / repeats
     done = max(repeats - refused, 1)
     return [
-        f"{name:<10} {sigma:5.2f}  {key:<9}  {100 * profile[key] / done:9.1f}  {100 * wald[key] / done:6.1f}"
+        f"{name:<10} {sigma:5.2f}  {correlation:11.1f}  {key:<9}  {100 * profile[key] / done:9.1f}"
+        f"  {100 * wald[key] / done:6.1f}"
         f"  {refused:7}  {seconds:.3f}"
         for key in names
     ]

@@ -69,7 +69,7 @@ def flights(angles=ANGLES, starts=None):
     """
     by = {"criterion": gb.SquaredRelativeError()}
     chosen = gb.fit(problem().with_(**by), starts, progress=False)
-    variance = chosen.cost / chosen.dof
+    variance = chosen.cost / (2 * sum(len(part.data) for part in chosen.responses) - len(chosen.free))
     omega = pitch_5deg.data().omega
     rows = []
     for terms in RIVALS:

@@ -144,6 +144,31 @@ class ColoredErrors:
 
 
 @dataclass(frozen=True, eq=False)
+class CorrelatedPoints:
+    """What correlation of the errors along frequency makes of an estimate.
+
+    Attributes
+    ----------
+    meat : (k, k) array
+        Of the sandwich.
+    dof : float
+        Degrees of freedom of the variances that follow.
+    correlation : float
+        Of neighboring points, in the mean.
+    scale : float
+        How many times larger the variances of errors of this correlation are than those of independent ones.
+    lengths : float
+        How many correlation lengths the points are.
+    """
+
+    meat: Array
+    dof: float
+    correlation: float
+    scale: float
+    lengths: float
+
+
+@dataclass(frozen=True, eq=False)
 class Information:
     """What a part says about all values x (k,) of a problem, free ones first, for the covariance of the estimate.
 
@@ -168,6 +193,9 @@ class Information:
         For a record whose errors are taken as correlated in time: what that makes of it, for the directions of the root
         of the covariance of the free parameters for white errors times the weight of the part. `spread` takes them as
         white. Directions of unit variance keep their digits where parameters are hardly determined.
+    correlated : function of a correction, a square root (p, r) of B⁻¹ and degrees of freedom, or None
+        Of a frequency response, what its errors are where neighboring points are correlated, or None where nothing is
+        known of that. `spread` takes them as independent.
     offset : function of a correction, or None
         Of a frequency response, what noise adds to the residuals (rows,) in the mean, by the `gain_bias` of the
         criterion, with the noise larger by the correction: the bias of the estimate is its least squares on the
@@ -188,6 +216,7 @@ class Information:
     reach: Array
     initial: Mapping[str, Array] = field(default_factory=dict)
     colored: Callable[[Array], ColoredErrors] | None = None
+    correlated: Callable[[float, Array, float], CorrelatedPoints | None] | None = None
     offset: Callable[[float], Array] | None = None
     told: Callable[[Array], Array] | None = None
     output_errors: Callable[[Array, ColoredErrors | None], Array] | None = None

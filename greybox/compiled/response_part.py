@@ -8,11 +8,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.compiled.part import Information, Program, Trajectory
+from greybox.compiled.part import CorrelatedPoints, Information, Program, Trajectory
 from greybox.compiled.part_without_nodes import NO_NODES, PartWithoutNodes
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
+from greybox.statistics.neighbor_correlation import NeighborCorrelation, averaged_meat, neighbor_correlation
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -162,6 +163,18 @@ class ResponsePart(PartWithoutNodes):
             moved = bread * jacobian.T @ common
             return bread, jacobian.T @ ((own * meat)[:, None] * jacobian) + moved @ moved.T
 
+        def correlated(correction: float, root: Array, dof: float) -> CorrelatedPoints | None:
+            known = self.neighbors(values, root, correction)
+            if known is None:
+                return None
+            order = np.argsort(data.omega, kind="stable")
+            bread, meat = criterion.spread(response, data, correction)
+            scores = _complex(np.sqrt(own * meat)[:, None] * jacobian)[order]
+            every = np.vstack([root, np.zeros((jacobian.shape[1] - len(root), root.shape[1]))])
+            middle, left, scale = averaged_meat(scores, every, known, criterion.score_correlation, dof)
+            moved = bread * jacobian.T @ common
+            return CorrelatedPoints(middle + moved @ moved.T, left, known.mean, scale, known.lengths)
+
         nonzero = data.response != 0
         errors = np.abs(response[nonzero] / data.response[nonzero] - 1)
         # Of isotropic normal errors of deviation s in each component, the mean magnitude is s sqrt(π/2).
@@ -177,7 +190,30 @@ class ResponsePart(PartWithoutNodes):
             return bread * (along**2).reshape(2, -1, directions.shape[1]).sum(axis=0).T
 
         reach = np.linalg.norm(jacobian, axis=0)
-        return Information(self, jacobian, len(jacobian), spread, noise, reach, offset=offset, told=told)
+        return Information(
+            self, jacobian, len(jacobian), spread, noise, reach, correlated=correlated, offset=offset, told=told
+        )
+
+    def neighbors(self, values: Array, root: Array, correction: float) -> NeighborCorrelation | None:
+        """Return how the errors of neighboring points are correlated, at all values (k,); None where independent.
+
+        The fit moved along the columns of `root` (p, r), directions of the first values. `correction` scales the noise
+        for the parameters estimated.
+        """
+        criterion, data = self.criterion, self.data
+        response = self.response(values)
+        size = criterion.error_size(response, data)
+        order = np.argsort(data.omega, kind="stable")
+        if not np.all(size > 0):
+            return None
+        turned = (np.exp(-1j * np.angle(response)) / size)[order]
+        moved = self.sensitivity(values)[:, : len(root)] @ root
+        if data.common_errors is not None:  # these are known, and accounted for
+            moved = np.column_stack([moved, data.common_errors.T])
+        design = turned[:, None] * moved[order]
+        inflation = criterion.noise_ratio(response, data) * correction**2 if criterion.known_noise else None
+        errors = turned * (data.response - response)[order]
+        return neighbor_correlation(errors, np.vstack([design.real, design.imag]), inflation)
 
 
 class ResponseProgram(Program):
@@ -200,6 +236,12 @@ class ResponseProgram(Program):
     def outcome(self, z: Array, unknowns: Array, w: Array) -> tuple[float, Array, bool]:
         """Return the cost without smoothing: nothing follows from it."""
         return float(self._part.objective(z, 0.0)), w, True
+
+
+def _complex(stacked: Array) -> Complexes:
+    """Return rows (2n, k), real parts first, as complex ones (n, k)."""
+    n = len(stacked) // 2
+    return stacked[:n] + 1j * stacked[n:]
 
 
 def _symbol(function: ca.Function, k: int = 0) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.compiled.part import ColoredErrors, Information, Trajectory
+from greybox.compiled.part import ColoredErrors, CorrelatedPoints, Information, Trajectory
 from greybox.estimate.identifiability import KnownDirections
 from greybox.formulation.held_estimate import HeldEstimate
 
@@ -70,6 +70,7 @@ class Accuracy:
         The change of each value that the data notice.
     dof : float
         Numbers in the data less the directions they choose; infinite where all have given variances, records never.
+        Fewer where errors are correlated.
     shares : tuple of (k, k) array and float
         What each part, and each earlier fit, contributes to the covariance, and the degrees of freedom it has.
     combinations : tuple of Combination
@@ -85,8 +86,13 @@ class Accuracy:
         not in it.
     white : (p, p) array or None
         The covariance of the free parameters if the cost were the likelihood of white errors: the inverse bread.
+    independent : (p, p) array and float, or None
+        Covariance of the free parameters, and degrees of freedom, if the errors of responses were independent along
+        frequency; None where they are.
     correlation : (parts,) tuple of ColoredErrors or None
         What correlation in time makes of each record; None for responses, and where errors are taken as white.
+    neighbors : (parts,) tuple of CorrelatedPoints or None
+        What correlation along frequency makes of each response; None for others, and where nothing is known of it.
     informations : (parts,) tuple of Information
         What every part says, for what else follows from the covariance.
     """
@@ -103,7 +109,9 @@ class Accuracy:
     noise: Array
     bias: Array
     white: Array | None = None
+    independent: tuple[Array, float] | None = None
     correlation: tuple[ColoredErrors | None, ...] = ()
+    neighbors: tuple[CorrelatedPoints | None, ...] = ()
     informations: tuple[Information, ...] = ()
 
 
@@ -153,18 +161,29 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
     combinations = _undetermined(np.hstack([invisible, np.eye(p)[:, idle]]), size, nlp.free, parts)
     blind = np.hstack([invisible, np.eye(p)[:, bounded]])
     dof = sum(part.numbers for part in parts) - seen.shape[1]
+    known_noise = all(part.criterion.known_noise for part in nlp.problem.parts)
+    if known_noise:
+        dof = math.inf
     covariance, contributions, inverse = np.full((k, k), np.nan), (), None
     bias = np.zeros(k)
     correlation: tuple[ColoredErrors | None, ...] = (None,) * len(parts)
+    neighbors: tuple[CorrelatedPoints | None, ...] = (None,) * len(parts)
+    independent = None
     size = np.concatenate([size, np.ones(k - p)])
     blind = np.vstack([blind, np.zeros((k - p, blind.shape[1]))])
-    known_noise = all(part.criterion.known_noise for part in nlp.problem.parts)
-    if (dof > 0 or known_noise) and all(np.all(np.isfinite(share.bread)) for share in shares):
+    if dof > 0 and all(np.all(np.isfinite(share.bread)) for share in shares):
         basis = seen * size[:p, None]
         before = _root_of_inverse(shares, basis)
-        corrected, correlation, dof = _corrected(parts, shares, before)
+        corrected, correlation, neighbors, dof = _corrected(parts, shares, before)
+        if any(neighbors):
+            alike, _, _, left = _corrected(parts, shares, before, correlated=False)
+            root = _root_of_inverse(alike, basis)
+            found, _ = _contributions(nlp, shares, before, alike, correlation, root, _slope(alike, root))
+            independent = sum((c[:p, :p] for c, _ in found), np.zeros((p, p))), math.inf if known_noise else left
         root = _root_of_inverse(corrected, basis)
         inverse, slope = root @ root.T, _slope(corrected, root)
+        if known_noise:
+            dof = min((found.dof for found in neighbors if found is not None), default=math.inf)
         bias[:p] = inverse @ sum((share.pull for share in corrected), np.zeros(p))
         contributions, unknown = _contributions(nlp, shares, before, corrected, correlation, root, slope)
         covariance = sum((c for c, _ in contributions), np.zeros((k, k)))
@@ -178,7 +197,7 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
         covariance=covariance,
         blind=blind,
         size=size,
-        dof=math.inf if known_noise else float(max(dof, 0)),
+        dof=float(max(dof, 0)),
         shares=contributions,
         combinations=combinations,
         at_bound=at_bound,
@@ -186,7 +205,9 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
         noise=np.array([part.relative_noise for part in parts]),
         bias=bias,
         white=inverse,
+        independent=independent,
         correlation=correlation,
+        neighbors=neighbors,
         informations=tuple(parts),
     )
 
@@ -308,16 +329,20 @@ def _corrected(
     parts: Sequence[Information],
     shares: Sequence[_Share],
     root: Array,
-) -> tuple[list[_Share], tuple[ColoredErrors | None, ...], float]:
+    *,
+    correlated: bool = True,
+) -> tuple[list[_Share], tuple[ColoredErrors | None, ...], tuple[CorrelatedPoints | None, ...], float]:
     """Scale the noise of every part for the parameters that it pays: pᵢ = tr(B⁻¹ Bᵢ) of the p in all.
 
     2nᵢ residuals then have 2nᵢ - pᵢ degrees of freedom, as if the part had been fitted alone with pᵢ parameters.
-    Records whose errors are correlated in time have their own. Returns these, and the degrees of freedom of all parts,
-    too. `root` (p, r) is one of B⁻¹.
+    Records whose errors are correlated in time have their own, and responses those of errors that are correlated along
+    frequency, unless these count as independent, or all do that are not `correlated`. Returns these, and the degrees of
+    freedom of all parts, too. `root` (p, r) is one of B⁻¹.
     """
     p = len(root)
     result: list[_Share] = []
     correlation: list[ColoredErrors | None] = []
+    neighbors: list[CorrelatedPoints | None] = []
     degrees = 0.0
     for part, share in zip(parts, shares, strict=True):
         problem = part.part.problem
@@ -327,12 +352,21 @@ def _corrected(
         correlation.append(colored)
         if colored is not None:
             degrees += colored.dof
+            neighbors.append(None)
             result.append(replace(share, dof=colored.dof))
             continue
-        degrees += left
         dof = math.inf if problem.criterion.known_noise else left
-        result.append(_share(part, p=p, correction=math.sqrt(max(part.numbers, left) / left), dof=dof))
-    return result, tuple(correlation), degrees
+        correction = math.sqrt(max(part.numbers, left) / left)
+        independent = _share(part, p=p, correction=correction, dof=dof)
+        found = part.correlated(correction, root, dof) if correlated and part.correlated is not None else None
+        neighbors.append(found)
+        if found is None:
+            degrees += left
+            result.append(independent)
+        else:
+            degrees += min(left, found.dof)
+            result.append(replace(independent, meat=problem.weight**2 * found.meat[:p, :p], dof=found.dof))
+    return result, tuple(correlation), tuple(neighbors), degrees
 
 
 def _root_of_inverse(shares: Sequence[_Share], basis: Array) -> Array:

@@ -372,6 +372,7 @@ def assemble(
         },
         models=tuple(part.model for part in problem.parts),
         white=accuracy.white,
+        independent=accuracy.independent,
         directions=(
             known_directions(nlp, best, accuracy, lambda x: solver.profile(x, search.nodes).trajectories)
             if found

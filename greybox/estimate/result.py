@@ -5,7 +5,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -109,6 +109,9 @@ class Fit:
         not hold what it needs. Empty for fits with records.
     white : (p, p) array or None
         What the covariance of the free parameters would be if the cost were the likelihood of white errors.
+    independent : (p, p) array and float, or None
+        What covariance and degrees of freedom would be if the errors of responses were independent along frequency;
+        None where they are. Not kept in a file.
     directions : KnownDirections or None
         The covariance of the free parameters within the directions that the data determine, and the other directions.
     known : KnownDirections or None
@@ -148,6 +151,7 @@ class Fit:
     models: tuple[Model, ...] | None = field(default=None, repr=False)
     given: tuple[Model | type[Model], ...] = field(default=(), repr=False)
     white: NDArray[np.float64] | None = field(default=None, repr=False)
+    independent: tuple[NDArray[np.float64], float] | None = field(default=None, repr=False)
     notes: tuple[str, ...] = ()
     directions: KnownDirections | None = field(default=None, repr=False)
     profiles: Profiles | None = field(default=None, repr=False)
@@ -304,6 +308,16 @@ class Fit:
                 )
         rows = [self.names.index(name) for name in names]
         return self.covariance[np.ix_(rows, rows)]
+
+    def with_independent_errors(self) -> "Fit":
+        """Return the fit with the covariance that it had if errors of responses were independent along frequency."""
+        if self.independent is None:
+            return self
+        covariance, dof = self.independent
+        rows = np.ix_(*[[self.names.index(name) for name in self.free]] * 2)
+        changed = self.covariance.copy()
+        changed[rows] = np.where(np.isnan(changed[rows]), np.nan, covariance)
+        return replace(self, covariance=changed, dof=dof, independent=None)
 
     def at_estimate(
         self,

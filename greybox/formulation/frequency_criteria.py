@@ -84,13 +84,20 @@ class Criterion(AnyCriterion):
     def jacobian(
         self, model: NDArray[np.complex128], sensitivity: NDArray[np.complex128], data: FrequencyResponse
     ) -> NDArray[np.float64]:
-        """Return the Jacobian (2n, p) of the real residuals, from the response (n,) and its derivatives (n, p)."""
+        """Return the Jacobian (2n, p) of the real residuals, from the response (n,) and its derivatives (n, p).
+
+        Those along the response stand first, then those across: errors of neighboring points may be correlated there.
+        """
 
     @abstractmethod
     def spread(
         self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
     ) -> tuple[float, NDArray[np.float64]]:
         """Return `bread` and `meat` (2n,); `correction` scales the noise size for the parameters estimated."""
+
+    def score_correlation(self, correlation: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how the gradients of two points are correlated whose errors are: as these, for sums of squares."""
+        return correlation
 
     def error_size(self, model: NDArray[np.complex128], data: FrequencyResponse) -> NDArray[np.float64]:
         """Return what the errors of the points are in proportion to, (n,): by default the model's magnitude."""
@@ -194,6 +201,20 @@ class RelativeError(_Relative):
         paid = 1 - 1 / correction**2  # p / (2n)
         return float(np.abs(errors).mean()) * math.sqrt(2 / math.pi) / (1 - 2 / math.pi * paid)
 
+    def score_correlation(self, correlation: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the correlation of the directions of errors, E e₁ e₂* / |e₁ e₂|, of a correlation from 0 to 1.
+
+        (E(k) - (1 - k²) K(k)) / k with the complete elliptic integrals, k the correlation of circular normal errors.
+        Source: Middleton (1960), An Introduction to Statistical Communication Theory, section 9.1.
+        """
+        from scipy.special import ellipe, ellipkm1  # noqa: PLC0415  (takes a tenth of a second to import)
+
+        k = np.clip(correlation, 1e-150, 1.0)
+        rest = 1 - k**2
+        found = (ellipe(k**2) - np.where(rest > 0, rest * ellipkm1(np.maximum(rest, 1e-300)), 0.0)) / k
+        # Below, the difference is rounding.
+        return np.where(k < 1e-4, math.pi / 4 * k, found)
+
 
 @dataclass(frozen=True, eq=False)
 class SquaredRelativeError(_Relative):
@@ -250,8 +271,8 @@ class RelativeLikelihood(Criterion):
     def jacobian(
         self, model: NDArray[np.complex128], sensitivity: NDArray[np.complex128], data: FrequencyResponse
     ) -> NDArray[np.float64]:
-        """Return the derivatives of the relative errors, the normalization held."""
-        return _stack(sensitivity / np.abs(model)[:, None])
+        """Return the derivatives of the relative errors along and across the response, the normalization held."""
+        return _stack(sensitivity / model[:, None])
 
     def spread(
         self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float
@@ -382,11 +403,14 @@ class MaximumLikelihood(Criterion):
     def jacobian(
         self, model: NDArray[np.complex128], sensitivity: NDArray[np.complex128], data: FrequencyResponse
     ) -> NDArray[np.float64]:
-        """Return the derivatives of the errors over their standard deviations, weighted for estimated variances."""
+        """Return the derivatives of the errors over their standard deviations, weighted for estimated variances.
+
+        Along and across the response.
+        """
         weight = 1 / _variance(data)
         if data.dof is not None:
             weight = weight * data.dof / (data.dof + 2 * self._squares(model, data))
-        return _stack(sensitivity * np.sqrt(weight)[:, None])
+        return _stack(sensitivity * (np.sqrt(weight) * np.exp(-1j * np.angle(model)))[:, None])
 
     def spread(
         self, model: NDArray[np.complex128], data: FrequencyResponse, correction: float

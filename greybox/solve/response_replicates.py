@@ -40,7 +40,7 @@ UNSEEN = (
 
 FEW = "too few distinct points"  # status of a replicate whose points cannot determine the parameters
 
-RE, IM = 1, 2  # rows of a table
+OMEGA, RE, IM = 0, 1, 2  # rows of a table
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +71,9 @@ class ResponseDraws:
         A square root of their covariance.
     unknowns : int
         How many parameters are free.
+    neighbors : tuple of (float, float) or None
+        Of every part whose errors are correlated along frequency, the correlation of neighbors, and how many times
+        larger the variances are than `deviations` say.
     """
 
     drawn: Drawn
@@ -85,6 +88,7 @@ class ResponseDraws:
     constants: Array
     root: Array
     unknowns: int
+    neighbors: tuple[tuple[float, float] | None, ...] = ()
 
     def replicate(self, number: int) -> Array | None:
         """Return what is given for a replicate, (g,); None where its points are too few."""
@@ -124,6 +128,14 @@ class ResponseDraws:
             turn = np.exp(2j * math.pi * random.random(count))
             return self.errors[k][random.integers(0, count, count)] * turn
         normal = random.standard_normal(count) + 1j * random.standard_normal(count)
+        if self.neighbors and (known := self.neighbors[k]) is not None:
+            correlation, scale = known
+            order = np.argsort(self.tables[k][OMEGA], kind="stable")
+            normal = math.sqrt(scale) * normal[order]
+            for i in range(1, count):
+                normal[i] = correlation * normal[i - 1] + math.sqrt(1 - correlation**2) * normal[i]
+            # As the residuals are compared: along and across the response.
+            normal = normal[np.argsort(order)] * np.exp(1j * np.angle(self.responses[k]))
         dof = self.dofs[k]
         if dof is not None:
             normal = normal / np.sqrt(random.chisquare(dof) / dof)
@@ -145,7 +157,13 @@ class ResponseDraws:
 
 
 def response_draws(
-    nlp: Nlp, x: Array, at_bound: NDArray[np.bool_], covariance: Array, drawn: Drawn, seed: int
+    nlp: Nlp,
+    x: Array,
+    at_bound: NDArray[np.bool_],
+    covariance: Array,
+    drawn: Drawn,
+    seed: int,
+    neighbors: Sequence[tuple[float, float] | None] = (),
 ) -> ResponseDraws:
     """Return how replicates of a problem of responses are drawn, at the estimate x (p,).
 
@@ -161,7 +179,7 @@ def response_draws(
         Parameters that a bound holds.
     covariance : (c, c) array
         Of the constants.
-    drawn, seed
+    drawn, seed, neighbors
         As of `ResponseDraws`.
 
     Raises
@@ -208,6 +226,7 @@ def response_draws(
         constants=nlp.constant_values,
         root=(vectors * np.sqrt(np.maximum(found, 0.0)))[:, found > 0],
         unknowns=len(x),
+        neighbors=tuple(neighbors),
     )
 
 

@@ -381,8 +381,13 @@ def bootstrap(  # noqa: PLR0913  (what is drawn, how often, and where)
     if fit.records:
         runner, about = _of_records(nlp, x, fit.cost, drawn, seed, block)
     else:
-        draws = response_draws(nlp, x, at_bound, constants, drawn, seed)
+        neighbors = []
+        if drawn == "parametric":
+            neighbors = [known and (known.correlation, known.scale) for known in assess(nlp, x).neighbors]
+        draws = response_draws(nlp, x, at_bound, constants, drawn, seed, neighbors)
         runner, about = response_replicates(nlp, draws, x), WORDS[drawn]
+        if any(neighbors):
+            about += " with their correlation along frequency"
     quantities = _Quantities(fit, nlp, only_shared=drawn == "parts")
     outcomes = _made(runner, replicates, executor, folder, progress)
     values = quantities.at(

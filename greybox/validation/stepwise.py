@@ -6,6 +6,10 @@ significant at the stated size shared by all that were tried; after that, terms 
 What the data cannot tell apart is looked for at the end, by putting each term that was left out in the place of each
 one that was chosen.
 
+What a term that is missing leaves in the residuals of a response looks like errors that are correlated along frequency:
+the tests take errors as independent, or they would find all of it in the errors. The standard errors of the fit that is
+chosen do not.
+
 Source: Klein and Morelli (2006), Aircraft System Identification, section 5.4; the shares of the size are Bonferroni's.
 """
 
@@ -240,7 +244,7 @@ class _Search:
         if small is None or large is None:
             return Trial(step, change, term, math.nan, math.nan, limit, why_not="no fit converged")
         try:
-            p, why = nested_test(small, large).p_value, ""
+            p, why = nested_test(small, large.with_independent_errors()).p_value, ""
         except ValueError:
             line = next(q for q in large.quantities if q.name == term)
             is_known = math.isfinite(line.standard_error)
@@ -250,7 +254,7 @@ class _Search:
     def alike(self, terms: Terms, fit: Fit) -> dict[str, dict[str, float]]:
         """Return which terms could stand in the place of each chosen one, and how much larger AIC is with them."""
         found: dict[str, dict[str, float]] = {}
-        scale = cost_scale(fit)
+        scale = cost_scale(fit.with_independent_errors())
         for term in self._absent:
             for other in self._absent:
                 if term not in terms or other in terms:

@@ -22,7 +22,7 @@ from greybox.models.rotor import Rotor
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
 
 ORDERED = [lambda p: p.T1 - p.T2]
-LAG = gb.fit(gb.Problem(Lag(), measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0, "T": 0.3}, noise=0.05)), starts=6)
+LAG = gb.fit(gb.Problem(Lag(), measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0, "T": 0.3}, noise=0.05, seed=3)), starts=6)
 LAGS = gb.fit(
     gb.Problem(
         LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2), constraints=ORDERED
@@ -55,7 +55,7 @@ def test_intervals_are_those_of_students_t(level):
 
 def test_intervals_of_known_noise_are_normal():
     exact = gb.frequency_response(Lag(), {"K": 2.0}, TWO_LAGS_OMEGA).response
-    noisy = measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0}, noise=0.05)
+    noisy = measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0}, noise=0.05, seed=3)
     data = gb.FrequencyResponse(noisy.omega, noisy.response, variance=2 * 0.05**2 * np.abs(exact) ** 2)
     fit = gb.fit(gb.Problem(Lag(), data, gb.MaximumLikelihood()), starts=4)
     low, high = fit.interval(0.95)["T"]

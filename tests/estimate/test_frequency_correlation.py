@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.diagnostics.frequency_correlation import chance_of_more, neighbor_correlation
 
 OMEGA = np.geomspace(0.5, 40, 25)
@@ -109,3 +110,51 @@ def test_four_residuals_must_be_left(parameters, is_told):
     residuals = random.normal(size=4) + 1j * random.normal(size=4)
     found = neighbor_correlation(residuals, np.hstack([random.normal(size=(8, parameters)), np.zeros((8, 1))]))
     assert (found is not None) == is_told
+
+
+def test_the_answer_says_that_the_standard_errors_account_for_it_or_are_rough():
+    (told,) = [t for t in fitted(0.6, gb.RelativeError(), 1, n=60).warnings if "along frequency" in t]
+    assert told.endswith("or the model leaves something out; the standard errors account for that.")
+    (rough,) = [t for t in fitted(0.9, gb.RelativeError(), 3, n=12).warnings if "along frequency" in t]
+    assert "so few points show the size of slow errors only roughly (12 points, over " in rough
+    assert rough.endswith("of which errors stay correlated), and the standard errors are rough.")
+
+
+def test_what_follows_from_the_covariance_is_as_wide():
+    """Profiles and replicates, of errors that are correlated: as intervals by the standard errors, or nearly."""
+    fit = fitted(0.6, gb.SquaredRelativeError(), 1, n=60)
+    alone = fit.with_independent_errors()
+    widened = np.sqrt(np.diag(fit.covariance) / np.diag(alone.covariance))
+    assert np.all(widened > 1.4)
+    low, high = gb.profile(fit, ["K"]).intervals["K"]
+    wald = fit.interval()["K"]
+    assert high - low == pytest.approx(wald[1] - wald[0], rel=0.1)
+    drawn = gb.bootstrap(fit, "parametric", 400, progress=False)
+    assert "with their correlation along frequency" in drawn.about
+    assert drawn.standard_error["K"] == pytest.approx(fit.standard_error["K"], rel=0.15)
+    small = gb.fit(
+        gb.Problem(Lag(), fit.responses[0].data, gb.SquaredRelativeError(), fixed={"tau": fit.estimate["tau"] * 1.02}),
+        starts=[{"K": 2.0, "T": 0.03}],
+        progress=False,
+    )
+    ratio = gb.validation.nested_test(small, fit).scale / gb.validation.nested_test(small, alone).scale
+    assert ratio == pytest.approx(widened[1] ** 2, rel=1e-6)
+    assert fit.dof < alone.dof == 2 * 60 - 3
+
+
+def test_common_errors_are_not_counted_as_correlation():
+    """Errors that all points share are known: the residuals are judged without them."""
+    rng = np.random.default_rng(3)
+    n = 40
+    omega = np.geomspace(0.5, 40, n)
+    exact = 2 / (0.3j * omega + 1) * np.exp(-0.03j * omega)
+    common = 0.2 * exact * np.exp(1j * np.linspace(0, 6, n))
+    errors = 0.02 * exact * (rng.standard_normal(n) + 1j * rng.standard_normal(n))
+    variance = 2 * (0.02 * np.abs(exact)) ** 2 + np.abs(common) ** 2
+    found = {}
+    for name, told in (("told", {"common_errors": common[None]}), ("not told", {})):
+        data = gb.FrequencyResponse(omega, exact + common + errors, "u", "y", variance=variance, **told)
+        nlp = compile_problem(gb.Problem(Lag(), data, gb.MaximumLikelihood()))
+        found[name] = nlp.parts[0].neighbors(np.array([2.0, 0.3, 0.03]), np.eye(3), 1.0)
+    assert found["told"] is None
+    assert found["not told"].mean > 0.8

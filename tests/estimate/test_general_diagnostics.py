@@ -55,7 +55,7 @@ def test_one_start_and_few_agreeing_starts_are_told():
 def test_runs_that_failed_are_counted_when_they_are_the_majority():
     data = measured(Oscillator(), [1.0, 2.0, 4.0, 8.0], {"w0": 3.0, "K": 2.0}, noise=0.01)
     starts = [{"w0": 2.0}, {"w0": 4.0}, {"w0": 2.0}, {"w0": 3.2}, {"w0": 3.1}]
-    (text,) = warned(Oscillator(), data, starts=starts)
+    text = warned(Oscillator(), data, starts=starts)[0]
     assert text.startswith("only 2 of 5 runs converged (2 × Invalid_Number_Detected (no finite response at omega = 2 ")
     few = warned(Oscillator(), data, starts=[{"w0": 2.0}, {"w0": 3.2}, {"w0": 3.1}])
     assert not any("runs converged" in text for text in few)

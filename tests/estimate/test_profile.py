@@ -13,6 +13,7 @@ from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 import greybox as gb
+from greybox.compiled.response_part import ResponsePart
 from greybox.estimate import profile as profile_module
 from greybox.estimate.profiles import ProfileOf, Profiles
 from greybox.problems import pitch_hover, yaw_hover
@@ -84,7 +85,8 @@ def test_with_little_noise_profiles_are_the_intervals_of_the_standard_errors():
             assert_allclose(profiles[name].interval, wald, atol=width * (wald[1] - wald[0]), err_msg=str(criterion))
 
 
-def test_an_open_end_is_said_and_the_ratio_is_known():
+def test_an_open_end_is_said_and_the_ratio_is_known(monkeypatch):
+    monkeypatch.setattr(ResponsePart, "neighbors", lambda *_: None)  # the brute force is that of independent errors
     data = noisy(OneSided(), {"b": 10000.0, "a": 5000.0}, 0.05, 1)
     fit = fitted(OneSided(), data, gb.SquaredRelativeError())
     profiles = gb.profile(fit)
@@ -98,7 +100,7 @@ def test_an_open_end_is_said_and_the_ratio_is_known():
 def test_the_yaw_damping_is_positive_and_has_no_upper_limit():
     profiles = gb.profile(gb.fit(yaw_hover.problem(), starts=20, profiles=False, progress=False), ["a2", "a3_tilde"])
     low, high = profiles["a2"].interval
-    assert 100 < low < 200
+    assert 60 < low < 100  # above 100 if the errors of neighboring points were independent, which they do not look
     assert high == np.inf
     assert profiles["a2"].ends == ("crossed", "bound")
     # a3 / a2 is determined, so that the upper end of a3 is made by the bound of a2.

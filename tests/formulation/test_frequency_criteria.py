@@ -102,7 +102,7 @@ def held_residuals(criterion, data, scale):
             )
 
         return residuals
-    along = np.exp(1j * np.angle(MODEL)) if hasattr(criterion, "normalized") else 1.0
+    along = np.exp(1j * np.angle(MODEL))
     errors = lambda P: (P - data.response) / (scale * along)  # noqa: E731
     return lambda P: np.concatenate([errors(P).real, errors(P).imag])
 

@@ -107,7 +107,7 @@ def test_degrees_of_freedom_are_those_of_independent_residuals_also_with_noise_g
     assert found.dof == pytest.approx(same.dof, rel=0.05)
     colored = fit(gb.Problem(Spring(), noisy(1, rho=0.9), given))
     assert colored.dof < 0.7 * same.dof
-    response = measured(StaticLag(), np.geomspace(0.1, 10, 20), noise=0.02)
+    response = measured(StaticLag(), np.geomspace(0.1, 10, 20), noise=0.02, seed=3)
     variances = replace(response, variance=2 * (0.02 * np.abs(response.response)) ** 2)
     exact = gb.fit(gb.Problem(StaticLag(), variances, gb.MaximumLikelihood()), starts=1, progress=False)
     assert exact.dof == np.inf

@@ -45,6 +45,6 @@ def warnings(
         *coarse_pade(nlp, pade_errors),
         *biased_gains(nlp, accuracy),
         *unlikely_noise(nlp, trajectories),
-        *correlated_frequencies(nlp, best.estimate),
+        *correlated_frequencies(nlp, best.estimate, accuracy),
         *discontinuous_costs(nlp),
     )
