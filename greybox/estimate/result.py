@@ -5,7 +5,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -111,7 +111,7 @@ class Fit:
         What the covariance of the free parameters would be if the cost were the likelihood of white errors.
     independent : (p, p) array and float, or None
         What covariance and degrees of freedom would be if the errors of responses were independent along frequency;
-        None where they are. Not kept in a file.
+        None where they are.
     directions : KnownDirections or None
         The covariance of the free parameters within the directions that the data determine, and the other directions.
     known : KnownDirections or None
@@ -308,16 +308,6 @@ class Fit:
                 )
         rows = [self.names.index(name) for name in names]
         return self.covariance[np.ix_(rows, rows)]
-
-    def with_independent_errors(self) -> "Fit":
-        """Return the fit with the covariance that it had if errors of responses were independent along frequency."""
-        if self.independent is None:
-            return self
-        covariance, dof = self.independent
-        rows = np.ix_(*[[self.names.index(name) for name in self.free]] * 2)
-        changed = self.covariance.copy()
-        changed[rows] = np.where(np.isnan(changed[rows]), np.nan, covariance)
-        return replace(self, covariance=changed, dof=dof, independent=None)
 
     def at_estimate(
         self,

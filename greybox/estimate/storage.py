@@ -8,7 +8,8 @@ Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``
                  ``warnings`` and, if any, ``notes``.
 ``/quantities``  one row per parameter and derived quantity: ``name, value, standard_error, bias, kind, unit, about,
                  bounds, at_bound, dof``.
-``/covariance``  ``names`` (k,) and ``values`` (k, k); if known, ``white`` (p, p) of the free ones for white errors.
+``/covariance``  ``names`` (k,) and ``values`` (k, k); if known, ``white`` (p, p) of the free ones for white errors; if
+                 errors are correlated along frequency, ``independent`` (p, p) as if they were not, attribute ``dof``.
 ``/directions``  if known, ``covariance`` (p, p) of the free parameters within the directions that the data determine,
                  and the other directions ``unseen`` (p, b) in multiples of ``size`` (p,), ``at`` the estimate (p,); if
                  some are not determined, the same beside the estimate in ``elsewhere``.
@@ -151,6 +152,9 @@ def _write(file: Node, fit: Fit) -> None:
     file["covariance/values"] = fit.covariance
     if fit.white is not None:
         file["covariance/white"] = fit.white
+    if fit.independent is not None:
+        file["covariance/independent"], dof = fit.independent
+        _attributes(file["covariance/independent"], dof=dof)
     _write_judgment(file, fit)
     _write_runs(file, fit)
     for k, part in enumerate(fit.parts):
@@ -318,6 +322,7 @@ def _read(file: Stored) -> Fit:
         command=_json_names(attributes["command"]) if "command" in attributes else (),
         versions=_json_texts(attributes["versions"]),
         white=_array(file["covariance/white"], (len(free), len(free))) if "white" in file["covariance"] else None,
+        independent=_read_independent(file["covariance"], len(free)),
         profiles=_read_profiles(file["profiles"]) if "profiles" in file else None,
         directions=_read_directions(file["directions"], len(free)) if "directions" in file else None,
         known=_read_directions(file["known"], len(names)) if "known" in file else None,
@@ -325,6 +330,13 @@ def _read(file: Stored) -> Fit:
         priors=_read_priors(attributes, free) if "priors" in attributes else {},
     )
     return _checked(fit)
+
+
+def _read_independent(group: Stored, p: int) -> tuple[Any, float] | None:
+    if "independent" not in group:
+        return None
+    stored = group["independent"]
+    return _array(stored, (p, p)), float(stored.attrs["dof"])
 
 
 def _write_directions(group: Node, directions: KnownDirections) -> None:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -206,6 +206,21 @@ def ratio_test(small: Fit, large: Fit, terms: tuple[str, ...], labels: tuple[str
     statistic = max(ratio, 0.0) / (scale * removed)
     p_value = _p_value(statistic, removed, large.dof, on_bound=False)
     return NestedTest(*labels, terms, ratio, scale, statistic, (removed, large.dof), p_value, _scaled_for(large))
+
+
+def with_independent_errors(fit: Fit) -> Fit:
+    """Return a fit with the covariance and degrees of freedom as if errors were independent along frequency.
+
+    For tests: its quantities keep their errors.
+    """
+    if fit.independent is None:
+        return fit
+    covariance, dof = fit.independent
+    rows = np.ix_(*[[fit.names.index(name) for name in fit.free]] * 2)
+    changed = fit.covariance.copy()
+    changed[rows] = np.where(np.isnan(changed[rows]), np.nan, covariance)
+    directions = None if fit.directions is None else replace(fit.directions, covariance=covariance)
+    return replace(fit, covariance=changed, dof=dof, directions=directions, independent=None)
 
 
 def cost_scale(fit: Fit) -> float:

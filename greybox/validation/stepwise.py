@@ -26,7 +26,7 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol
 from greybox.modeling.model import require_known
 from greybox.validation.comparison import SIGNIFICANT, p_text
-from greybox.validation.nested_models import cost_scale, nested_test
+from greybox.validation.nested_models import cost_scale, nested_test, with_independent_errors
 from greybox.validation.significance import EQUAL_AIC
 
 Terms = frozenset[str]
@@ -244,7 +244,7 @@ class _Search:
         if small is None or large is None:
             return Trial(step, change, term, math.nan, math.nan, limit, why_not="no fit converged")
         try:
-            p, why = nested_test(small, large.with_independent_errors()).p_value, ""
+            p, why = nested_test(small, with_independent_errors(large)).p_value, ""
         except ValueError:
             line = next(q for q in large.quantities if q.name == term)
             is_known = math.isfinite(line.standard_error)
@@ -254,7 +254,7 @@ class _Search:
     def alike(self, terms: Terms, fit: Fit) -> dict[str, dict[str, float]]:
         """Return which terms could stand in the place of each chosen one, and how much larger AIC is with them."""
         found: dict[str, dict[str, float]] = {}
-        scale = cost_scale(fit.with_independent_errors())
+        scale = cost_scale(with_independent_errors(fit))
         for term in self._absent:
             for other in self._absent:
                 if term not in terms or other in terms:

@@ -6,6 +6,7 @@ import pytest
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.diagnostics.frequency_correlation import chance_of_more, neighbor_correlation
+from greybox.validation.nested_models import cost_scale, with_independent_errors
 
 OMEGA = np.geomspace(0.5, 40, 25)
 
@@ -123,7 +124,7 @@ def test_the_answer_says_that_the_standard_errors_account_for_it_or_are_rough():
 def test_what_follows_from_the_covariance_is_as_wide():
     """Profiles and replicates, of errors that are correlated: as intervals by the standard errors, or nearly."""
     fit = fitted(0.6, gb.SquaredRelativeError(), 1, n=60)
-    alone = fit.with_independent_errors()
+    alone = with_independent_errors(fit)
     widened = np.sqrt(np.diag(fit.covariance) / np.diag(alone.covariance))
     assert np.all(widened > 1.4)
     low, high = gb.profile(fit, ["K"]).intervals["K"]
@@ -139,6 +140,7 @@ def test_what_follows_from_the_covariance_is_as_wide():
     )
     ratio = gb.validation.nested_test(small, fit).scale / gb.validation.nested_test(small, alone).scale
     assert ratio == pytest.approx(widened[1] ** 2, rel=1e-6)
+    assert cost_scale(fit) > widened.min() ** 2 * cost_scale(alone)
     assert fit.dof < alone.dof == 2 * 60 - 3
 
 

@@ -24,6 +24,7 @@ from greybox.formulation.included_criteria import CRITERIA
 from greybox.models.polynomial import Polynomial
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import LinearTilt, Tilt
+from greybox.problems import pitch_hover
 
 SHARED = TILT | {n: ROTOR[n] for n in ("T_rotor", "T_delay")}
 NOISY = measured(Tilt(), TILT_OMEGA, SHARED, noise=0.02, columns={"coherence": np.full(16, 0.9), "dof": np.full(16, 8)})
@@ -125,6 +126,14 @@ RECORDS = {
     "record and response": gb.Problem(Spring(), HOLES)
     + gb.Problem(Spring(), measured(Spring(), np.geomspace(0.5, 8, 12), noise=0.02)),
 }
+
+
+def test_errors_that_are_correlated_along_frequency_come_back(tmp_path):
+    fit = gb.fit(pitch_hover.problem(), starts=5)
+    gb.save(fit, tmp_path / "a.h5")
+    loaded = gb.load(tmp_path / "a.h5")
+    assert_array_equal(fit.independent[0], loaded.independent[0])
+    assert fit.independent[1] == loaded.independent[1] > fit.dof == loaded.dof
 
 
 @pytest.mark.parametrize("name", RECORDS)
