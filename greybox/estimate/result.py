@@ -576,7 +576,7 @@ def _text(fit: Fit) -> str:
     sections = (
         [title],
         _overview(fit),
-        [*_table(fit), *(["", f"  ± is the standard error for {_error_condition(fit)}."] if fit.dof > 0 else [])],
+        [*_table(fit), *(["", f"  ± is the standard error for {error_condition(fit)}."] if fit.dof > 0 else [])],
         _profile_lines(fit),
         _other_criteria(fit),
         [*warnings, *(f"  note: {text}" for text in fit.notes), f"  {fit.seconds:.2f} s; starts: {fit.starts}"],
@@ -605,7 +605,7 @@ def _html(fit: Fit) -> str:
     if not fit.converged:
         return html_text(_title(fit), "b") + html_text(f"FAILED: {fit.status}.") + html_list(said)
     overview = [" ".join(line.split()) for line in _overview(fit)]
-    error = html_text(f"± is the standard error for {_error_condition(fit)}.") if fit.dof > 0 else ""
+    error = html_text(f"± is the standard error for {error_condition(fit)}.") if fit.dof > 0 else ""
     return (
         html_text(_title(fit), "b")
         + html_list(overview)
@@ -827,9 +827,11 @@ def _best_effort_table(fit: Fit, values: Mapping[str, float]) -> list[str]:
     return ["  " + line for line in text_table(header, rows, left=(0, 2, 4, 5)).splitlines()]
 
 
-def _error_condition(fit: Fit) -> str:
+def error_condition(fit: Fit) -> str:
     """Say for what errors of the data the standard errors hold, and of which distribution they are the scale."""
     conditions = "; ".join(dict.fromkeys(part.condition for part in fit.parts))
+    if fit.independent is not None:
+        conditions += "; correlated along frequency as far as the residuals are"
     if math.isinf(fit.dof):
         return conditions
     return f"{conditions}; Student's t with {counted(round(fit.dof), 'degree of', 'degrees of')} freedom{_biased(fit)}"

@@ -7,7 +7,7 @@ from xml.etree.ElementTree import Element
 
 from greybox.data.text_table import counted, number
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
-from greybox.estimate.result import Fit
+from greybox.estimate.result import Fit, error_condition
 from greybox.html_report.elements import Child, tag
 from greybox.html_report.tables import Cell, number_cell, table
 
@@ -48,7 +48,7 @@ def provenance(fit: Fit, file: str = "", command: Sequence[str] = ()) -> list[El
         ("versions", ", ".join(f"{name} {version}" for name, version in fit.versions.items())),
     ]
     if fit.dof > 0:
-        facts.append(("standard errors", _condition(fit)))
+        facts.append(("standard errors", f"for {error_condition(fit)}"))
     others = [f"{name} {number(cost)}" for name, cost in fit.costs.items() if _is_other(fit, name, cost)]
     if others:
         facts.append(("other criteria", f"{', '.join(others)} at this estimate"))
@@ -62,14 +62,6 @@ def description(facts: list[tuple[str, Child]]) -> Element:
 
 def _is_other(fit: Fit, name: str, cost: float) -> bool:
     return name != fit.criterion and math.isfinite(cost)
-
-
-def _condition(fit: Fit) -> str:
-    conditions = "; ".join(dict.fromkeys(part.condition for part in fit.parts))
-    if math.isinf(fit.dof):
-        return f"for {conditions}"
-    degrees = counted(round(fit.dof), "degree", "degrees")
-    return f"for {conditions}; Student's t with {degrees} of freedom"
 
 
 def _data_table(fit: Fit) -> Element:
