@@ -31,7 +31,7 @@ SIZE = 0.01
 LEAST_LEFT = 4
 
 # Correlation lengths of the points below which standard errors are called rough: of 12 points with a correlation of
-# 0.8, two and a half lengths, intervals of 95 % hold in 87 to 89 % of fits, of 24 in 92 to 95.
+# 0.8, two and a half lengths, intervals of 95 % hold in 86 to 93 % of fits, of 24 in 91 to 98.
 FEWEST_LENGTHS = 8.0
 
 DEPENDENT = 1e-9  # of the largest singular value of a Jacobian with unit columns: rounding errors
