@@ -158,10 +158,13 @@ class ResponsePart(PartWithoutNodes):
         # A given variance has the common errors inside; what residuals say of the noise has not: the fit follows them.
         own = np.tile(data.independent_share, 2) if criterion.known_noise else 1.0
 
+        def shared(bread: float) -> Array:
+            moved = bread * jacobian.T @ common
+            return moved @ moved.T
+
         def spread(correction: float) -> tuple[float, Array]:
             bread, meat = criterion.spread(response, data, correction)
-            moved = bread * jacobian.T @ common
-            return bread, jacobian.T @ ((own * meat)[:, None] * jacobian) + moved @ moved.T
+            return bread, jacobian.T @ ((own * meat)[:, None] * jacobian) + shared(bread)
 
         def correlated(correction: float, root: Array, dof: float) -> CorrelatedPoints | None:
             known = self.neighbors(values, root, correction)
@@ -172,8 +175,7 @@ class ResponsePart(PartWithoutNodes):
             scores = _complex(np.sqrt(own * meat)[:, None] * jacobian)[order]
             every = np.vstack([root, np.zeros((jacobian.shape[1] - len(root), root.shape[1]))])
             middle, left, scale = averaged_meat(scores, every, known, criterion.score_correlation, dof)
-            moved = bread * jacobian.T @ common
-            return CorrelatedPoints(middle + moved @ moved.T, left, known.mean, scale, known.lengths)
+            return CorrelatedPoints(middle + shared(bread), left, known.mean, scale, known.lengths)
 
         nonzero = data.response != 0
         errors = np.abs(response[nonzero] / data.response[nonzero] - 1)

@@ -133,6 +133,22 @@ class _Share:
     dof: float
 
 
+@dataclass(frozen=True, eq=False)
+class _Corrected:
+    """What each part tells once its noise pays for the parameters, and the degrees of freedom of all parts.
+
+    `independent` and `independent_dof` are these if errors were independent along frequency; `correlation` and
+    `neighbors` (parts,) what correlated errors make of each.
+    """
+
+    shares: list[_Share]
+    dof: float
+    independent: list[_Share]
+    independent_dof: float
+    correlation: tuple[ColoredErrors | None, ...]
+    neighbors: tuple[CorrelatedPoints | None, ...]
+
+
 def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -> Accuracy:
     """Return the accuracy of the estimate `x` (p,); parts with nodes need their best `trajectories` there.
 
@@ -174,18 +190,17 @@ def assess(nlp: Nlp, x: Array, trajectories: Sequence[Trajectory | None] = ()) -
     if dof > 0 and all(np.all(np.isfinite(share.bread)) for share in shares):
         basis = seen * size[:p, None]
         before = _root_of_inverse(shares, basis)
-        corrected, correlation, neighbors, dof = _corrected(parts, shares, before)
+        corrected = _corrected(parts, shares, before)
+        correlation, neighbors, dof = corrected.correlation, corrected.neighbors, corrected.dof
         if any(neighbors):
-            alike, _, _, left = _corrected(parts, shares, before, correlated=False)
-            root = _root_of_inverse(alike, basis)
-            found, _ = _contributions(nlp, shares, before, alike, correlation, root, _slope(alike, root))
-            independent = sum((c[:p, :p] for c, _ in found), np.zeros((p, p))), math.inf if known_noise else left
-        root = _root_of_inverse(corrected, basis)
-        inverse, slope = root @ root.T, _slope(corrected, root)
+            alone = _independent_covariance(nlp, shares, before, corrected, basis)
+            independent = alone, math.inf if known_noise else corrected.independent_dof
+        root = _root_of_inverse(corrected.shares, basis)
+        inverse, slope = root @ root.T, _slope(corrected.shares, root)
         if known_noise:
             dof = min((found.dof for found in neighbors if found is not None), default=math.inf)
-        bias[:p] = inverse @ sum((share.pull for share in corrected), np.zeros(p))
-        contributions, unknown = _contributions(nlp, shares, before, corrected, correlation, root, slope)
+        bias[:p] = inverse @ sum((share.pull for share in corrected.shares), np.zeros(p))
+        contributions, unknown = _contributions(nlp, shares, before, corrected.shares, correlation, root, slope)
         covariance = sum((c for c, _ in contributions), np.zeros((k, k)))
         # What depends on a constant that has no standard error has none either.
         lost = slope[:, unknown] / size[:, None]
@@ -325,48 +340,51 @@ def propagate(accuracy: Accuracy, gradient: Array) -> Array:
     return np.where(unseen.any(axis=1), np.nan, np.sqrt(np.maximum(variance, 0)))
 
 
-def _corrected(
-    parts: Sequence[Information],
-    shares: Sequence[_Share],
-    root: Array,
-    *,
-    correlated: bool = True,
-) -> tuple[list[_Share], tuple[ColoredErrors | None, ...], tuple[CorrelatedPoints | None, ...], float]:
+def _corrected(parts: Sequence[Information], shares: Sequence[_Share], root: Array) -> _Corrected:
     """Scale the noise of every part for the parameters that it pays: pᵢ = tr(B⁻¹ Bᵢ) of the p in all.
 
     2nᵢ residuals then have 2nᵢ - pᵢ degrees of freedom, as if the part had been fitted alone with pᵢ parameters.
     Records whose errors are correlated in time have their own, and responses those of errors that are correlated along
-    frequency, unless these count as independent, or all do that are not `correlated`. Returns these, and the degrees of
-    freedom of all parts, too. `root` (p, r) is one of B⁻¹.
+    frequency, unless these count as independent. `root` (p, r) is one of B⁻¹.
     """
     p = len(root)
-    result: list[_Share] = []
+    result, independent = [], []
     correlation: list[ColoredErrors | None] = []
     neighbors: list[CorrelatedPoints | None] = []
-    degrees = 0.0
+    degrees = independent_degrees = 0.0
     for part, share in zip(parts, shares, strict=True):
         problem = part.part.problem
         paid = round(float(np.sum((share.root @ root) ** 2)), 9)  # of a fit alone a whole number
         left = max(part.numbers - paid, 0.5)
         colored = None if part.colored is None else part.colored(math.sqrt(problem.weight) * root)
-        correlation.append(colored)
+        found = None
         if colored is not None:
-            degrees += colored.dof
-            neighbors.append(None)
-            result.append(replace(share, dof=colored.dof))
-            continue
-        dof = math.inf if problem.criterion.known_noise else left
-        correction = math.sqrt(max(part.numbers, left) / left)
-        independent = _share(part, p=p, correction=correction, dof=dof)
-        found = part.correlated(correction, root, dof) if correlated and part.correlated is not None else None
-        neighbors.append(found)
-        if found is None:
-            degrees += left
-            result.append(independent)
+            left = colored.dof
+            alike = corrected = replace(share, dof=left)
         else:
-            degrees += min(left, found.dof)
-            result.append(replace(independent, meat=problem.weight**2 * found.meat[:p, :p], dof=found.dof))
-    return result, tuple(correlation), tuple(neighbors), degrees
+            dof = math.inf if problem.criterion.known_noise else left
+            correction = math.sqrt(max(part.numbers, left) / left)
+            alike = corrected = _share(part, p=p, correction=correction, dof=dof)
+            found = None if part.correlated is None else part.correlated(correction, root, dof)
+            if found is not None:
+                corrected = replace(alike, meat=problem.weight**2 * found.meat[:p, :p], dof=found.dof)
+        result.append(corrected)
+        independent.append(alike)
+        correlation.append(colored)
+        neighbors.append(found)
+        degrees += left if found is None else min(left, found.dof)
+        independent_degrees += left
+    return _Corrected(result, degrees, independent, independent_degrees, tuple(correlation), tuple(neighbors))
+
+
+def _independent_covariance(
+    nlp: Nlp, before: Sequence[_Share], root_before: Array, corrected: _Corrected, basis: Array
+) -> Array:
+    """Return the covariance (p, p) of the free parameters if errors were independent along frequency."""
+    shares, p = corrected.independent, len(nlp.free)
+    root = _root_of_inverse(shares, basis)
+    found, _ = _contributions(nlp, before, root_before, shares, corrected.correlation, root, _slope(shares, root))
+    return sum((c[:p, :p] for c, _ in found), np.zeros((p, p)))
 
 
 def _root_of_inverse(shares: Sequence[_Share], basis: Array) -> Array:

@@ -129,11 +129,13 @@ class ResponseDraws:
             return self.errors[k][random.integers(0, count, count)] * turn
         normal = random.standard_normal(count) + 1j * random.standard_normal(count)
         if self.neighbors and (known := self.neighbors[k]) is not None:
+            from scipy.signal import lfilter  # noqa: PLC0415 - takes a third of a second to import
+
             correlation, scale = known
             order = np.argsort(self.tables[k][OMEGA], kind="stable")
             normal = math.sqrt(scale) * normal[order]
-            for i in range(1, count):
-                normal[i] = correlation * normal[i - 1] + math.sqrt(1 - correlation**2) * normal[i]
+            normal[1:] *= math.sqrt(1 - correlation**2)
+            normal = lfilter([1.0], [1.0, -correlation], normal)
             # As the residuals are compared: along and across the response.
             normal = normal[np.argsort(order)] * np.exp(1j * np.angle(self.responses[k]))
         dof = self.dofs[k]

@@ -22,6 +22,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.statistics.column_space import column_basis
+
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
@@ -31,7 +33,6 @@ INDEPENDENT = 0.5  # how likely independent errors are before
 TAKEN_FOR_SURE = 2 / 3
 VALUES = 200  # of rho, evenly up to a correlation over all points: steps are below its error up to 10 000 points
 LEAST_WEIGHT = 1e-6  # of a value of rho: what is below does not show
-DEPENDENT = 1e-9  # of the largest singular value of a design with unit columns: rounding errors
 LEAST_LEFT = 4  # numbers beyond the parameters: fewer tell nothing of a correlation
 EXACT = math.sqrt(np.finfo(float).eps)  # residuals over the sizes of the errors below which data are fitted exactly
 
@@ -98,13 +99,11 @@ def neighbor_correlation(errors: Complex, design: Array, inflation: float | None
         say so.
     """
     n = errors.size
-    length = np.linalg.norm(design, axis=0)
     if n < 2 or not (np.all(np.isfinite(design)) and np.all(np.isfinite(errors))):
         return None
     if not np.sqrt(np.mean(np.abs(errors) ** 2)) > EXACT:
         return None
-    left, singular, _ = np.linalg.svd(design[:, length > 0] / length[length > 0], full_matrices=False)
-    basis = left[:, singular > DEPENDENT * max(singular, default=0.0)]
+    basis = column_basis(design)
     numbers = 2 * n - basis.shape[1]
     if numbers < LEAST_LEFT:
         return None

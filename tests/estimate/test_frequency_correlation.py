@@ -5,7 +5,7 @@ import pytest
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.estimate.diagnostics.frequency_correlation import chance_of_more, neighbor_correlation
+from greybox.estimate.diagnostics.frequency_correlation import chance_of_more, lag_one_correlation
 from greybox.validation.nested_models import cost_scale, with_independent_errors
 
 OMEGA = np.geomspace(0.5, 40, 25)
@@ -64,7 +64,7 @@ def test_mean_and_variance_are_those_of_projected_noise():
     basis, _ = np.linalg.qr(jacobian)
     draws = rng.standard_normal((4000, 2 * n))
     draws -= draws @ basis @ basis.T
-    found = [neighbor_correlation(e[:n] + 1j * e[n:], jacobian) for e in draws]
+    found = [lag_one_correlation(e[:n] + 1j * e[n:], jacobian) for e in draws]
     r, mean, variance = (np.array(column) for column in zip(*found, strict=True))
     assert mean[0] == pytest.approx(r.mean(), abs=4 * r.std() / np.sqrt(4000))
     assert variance[0] == pytest.approx(r.var(), rel=0.1)
@@ -74,8 +74,8 @@ def test_mean_and_variance_are_those_of_projected_noise():
 
 
 def test_too_few_residuals_say_nothing():
-    assert neighbor_correlation(np.ones(3, complex), np.eye(6)[:, :3]) is None
-    assert neighbor_correlation(np.zeros(9, complex), np.ones((18, 1))) is None
+    assert lag_one_correlation(np.ones(3, complex), np.eye(6)[:, :3]) is None
+    assert lag_one_correlation(np.zeros(9, complex), np.ones((18, 1))) is None
 
 
 @pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.MaximumLikelihood()], ids=str)
@@ -109,7 +109,7 @@ def test_the_correlation_that_is_said_is_that_of_residuals_over_their_sizes(crit
 def test_four_residuals_must_be_left(parameters, is_told):
     random = np.random.default_rng(0)
     residuals = random.normal(size=4) + 1j * random.normal(size=4)
-    found = neighbor_correlation(residuals, np.hstack([random.normal(size=(8, parameters)), np.zeros((8, 1))]))
+    found = lag_one_correlation(residuals, np.hstack([random.normal(size=(8, parameters)), np.zeros((8, 1))]))
     assert (found is not None) == is_told
 
 

@@ -21,6 +21,7 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transient_part import TransientPart
 from greybox.data.text_table import counted
 from greybox.estimate.covariance import Accuracy
+from greybox.statistics.column_space import column_basis
 
 Array = NDArray[np.float64]
 
@@ -33,8 +34,6 @@ LEAST_LEFT = 4
 # Correlation lengths of the points below which standard errors are called rough: of 12 points with a correlation of
 # 0.8, two and a half lengths, intervals of 95 % hold in 86 to 93 % of fits, of 24 in 91 to 98.
 FEWEST_LENGTHS = 8.0
-
-DEPENDENT = 1e-9  # of the largest singular value of a Jacobian with unit columns: rounding errors
 
 # Of the largest measured magnitude: points below, which may be zero, have no relative error.
 LEAST_MAGNITUDE = 1e-9
@@ -78,7 +77,7 @@ def _correlated(what: str, correlation: float) -> str:
 
 def _is_correlated(residuals: NDArray[np.complex128], jacobian: Array) -> float | None:
     """Return the correlation of neighbors beyond that of independent errors; None where these may have it."""
-    found = neighbor_correlation(residuals, jacobian)
+    found = lag_one_correlation(residuals, jacobian)
     if found is None:
         return None
     r, mean, variance = found
@@ -94,7 +93,7 @@ def chance_of_more(r: float, mean: float, variance: float) -> float:
     return float(betaincc(middle * total, (1 - middle) * total, (1 + r) / 2))
 
 
-def neighbor_correlation(residuals: NDArray[np.complex128], jacobian: Array) -> tuple[float, float, float] | None:
+def lag_one_correlation(residuals: NDArray[np.complex128], jacobian: Array) -> tuple[float, float, float] | None:
     """Return the correlation of neighbors, and its mean and variance if the errors are independent.
 
     Parameters
@@ -110,9 +109,7 @@ def neighbor_correlation(residuals: NDArray[np.complex128], jacobian: Array) -> 
         None where too few are left, or all are zero.
     """
     n = residuals.size
-    length = np.linalg.norm(jacobian, axis=0)
-    left, singular, _ = np.linalg.svd(jacobian[:, length > 0] / length[length > 0], full_matrices=False)
-    basis = left[:, singular > DEPENDENT * max(singular, default=0.0)]
+    basis = column_basis(jacobian)
     k = 2 * n - basis.shape[1]
     total = np.sum(np.abs(residuals) ** 2)
     if k < LEAST_LEFT or n < 2 or not total > 0:

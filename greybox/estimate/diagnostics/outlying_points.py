@@ -21,6 +21,7 @@ from greybox.data.text_table import number, with_error
 from greybox.estimate.covariance import Accuracy, assess
 from greybox.formulation.problem import Problem
 from greybox.solve.multistart import multistart, solver_for
+from greybox.statistics.column_space import column_basis
 
 Array = NDArray[np.float64]
 
@@ -34,7 +35,7 @@ MOVED = 0.1
 LEAST_SIZE = 1e-9
 
 LEAST_LEFT = 2  # degrees of freedom of the other points
-DEPENDENT = 1e-9  # singular values and shares of a point's residual: rounding errors
+DEPENDENT = 1e-9  # shares of a point's residual: rounding errors
 
 
 @dataclass(frozen=True, order=True)
@@ -111,9 +112,7 @@ def _ratios(residual: NDArray[np.complex128], sensitivity: NDArray[np.complex128
     """Return Q/2 over the mean square of the rest, at least `least`, (n,), and its dof; NaN where nothing is left."""
     n = residual.size
     jacobian = np.vstack([sensitivity.real, sensitivity.imag])
-    length = np.linalg.norm(jacobian, axis=0)
-    left, singular, _ = np.linalg.svd(jacobian[:, length > 0] / length[length > 0], full_matrices=False)
-    basis = left[:, singular > DEPENDENT * max(singular, default=0.0)]
+    basis = column_basis(jacobian)
     dof = 2 * n - basis.shape[1] - 2
     z = np.concatenate([residual.real, residual.imag])
     z = z - basis @ (basis.T @ z)

@@ -82,14 +82,14 @@ class GaussNewton(LocalSolver):
         self._is_discontinuous = np.array([name in jumping for name in nlp.free])
         # The answer does not depend on where a run is made.
         self._can_sharpen = parts is None and all(part.travels_whole for part in nlp.parts)
-        self._coarse = self._on_excerpts() if parts is None else None
+        self._coarse = self._coarse_solver() if parts is None else None
         self._polished: tuple[Array, Nodes, Iterate] | None = None  # an estimate, and the iterate that it belongs to
 
     def __reduce__(self) -> tuple[Callable[..., "GaussNewton"], tuple[Any, ...]]:
         """Return what builds the same solver, of the whole problem."""
         return partial(GaussNewton, settings=self._settings), (self._nlp,)
 
-    def _on_excerpts(self) -> "GaussNewton | None":
+    def _coarse_solver(self) -> "GaussNewton | None":
         """Return the solver on excerpts of long records, which lead to the neighborhood of the minimum."""
         settings = self._settings
         samples = sum(part.samples for part in self._nlp.parts)

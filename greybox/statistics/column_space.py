@@ -1,0 +1,15 @@
+"""What linear parameters can take from residuals: the space of the columns of a Jacobian."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+DEPENDENT = 1e-9  # of the largest singular value of columns of unit length: rounding errors
+
+
+def column_basis(columns: Array) -> Array:
+    """Return an orthonormal basis (n, r) of the space of the columns (n, p), of whatever lengths, also zero."""
+    length = np.linalg.norm(columns, axis=0)
+    left, singular, _ = np.linalg.svd(columns[:, length > 0] / length[length > 0], full_matrices=False)
+    return left[:, singular > DEPENDENT * max(singular, default=0.0)]
