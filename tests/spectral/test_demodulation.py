@@ -9,7 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sampled_sines import irregular, sine
 
-from greybox.spectral.demodulation import demodulate, least_squares, quadrature, spectral_line
+from greybox.spectral.demodulation import (
+    UnusableSegmentError,
+    demodulate,
+    least_squares,
+    quadrature,
+    spectral_line,
+    whole_periods,
+)
 
 STEP = 1 / 400  # s
 
@@ -107,3 +114,44 @@ def test_quadrature_weighs_a_sample_by_half_the_distance_of_its_neighbors():
         for f in (math.sin, math.cos)
     ]
     assert quadrature(t, x, 3.0, 0.2) == pytest.approx([sums[0] + 1j * sums[1]])
+
+
+def samples(count, step=0.1):
+    return 3 + step * np.arange(count)
+
+
+@pytest.mark.parametrize(("count", "settle", "periods"), [(40, 0.0, 4), (39, 0.0, 3), (40, 1.0, 3), (40, 1.05, 2)])
+def test_whole_periods_reach_from_the_last_sample_back(count, settle, periods):
+    """Of ten samples each: the last sample ends its own interval."""
+    rows, found = whole_periods(samples(count), 2 * math.pi, settle, None)
+    assert found == periods
+    assert np.flatnonzero(rows).tolist() == list(range(count - 10 * periods, count))
+    rows, found = whole_periods(samples(count), 2 * math.pi, settle, periods - 1)
+    assert (rows.sum(), found) == (10 * (periods - 1), periods - 1)
+
+
+def test_windows_have_eight_samples_four_in_a_period_and_a_third_of_each():
+    assert whole_periods(samples(8), 2 * math.pi / 0.8, 0.0, None)[1] == 1
+    with pytest.raises(UnusableSegmentError, match=r"^only 7 samples$"):
+        whole_periods(samples(7), 2 * math.pi / 0.7, 0.0, None)
+    assert whole_periods(samples(20, 0.25), 2 * math.pi, 0.0, None)[1] == 5
+    with pytest.raises(UnusableSegmentError, match=r"a period of 0\.99 s has fewer than four samples of 0.25 s"):
+        whole_periods(samples(20, 0.25), 2 * math.pi / 0.99, 0.0, None)
+    for left, usable in ((4, True), (2, False)):
+        kept = np.r_[0:50, 50 : 50 + left, 60:100]
+        if usable:
+            assert whole_periods(samples(100)[kept], 2 * math.pi, 0.0, None)[1] == 10
+        else:
+            with pytest.raises(UnusableSegmentError, match=r"a whole period is missing after 3\.0 s"):
+                whole_periods(samples(100)[kept], 2 * math.pi, 0.0, None)
+    for omega in (0.0, math.inf):
+        with pytest.raises(UnusableSegmentError, match=f"the frequency is {omega:g} rad/s: it must be above 0"):
+            whole_periods(samples(100), omega, 0.0, None)
+
+
+@pytest.mark.parametrize(("per_period", "expected"), [(5.1, 2), (4.9, 1), (7.6, 3), (7.4, 2), (2.2, 1), (100, 4)])
+def test_harmonics_are_fitted_up_to_four_fifths_of_half_the_sampling_rate(per_period, expected):
+    """Of the k-th there are so many samples a period over k, and 2.5 are the fewest."""
+    t = samples(200)
+    amplitudes, _, _ = least_squares(t, np.sin(t)[None], 2 * math.pi / (0.1 * per_period), 3.0, 4)
+    assert amplitudes.shape == (1, expected)

@@ -5,10 +5,12 @@ import pytest
 from resonance_records import RATE, covered, record, resonance
 from scipy.signal import freqz, lfilter
 
+from greybox.data.frequency_response import Stretch
 from greybox.data.record import Record
 from greybox.experiment.multisine import multisine
 from greybox.spectral.composite_windows import spectral_response
-from greybox.spectral.multisine_lines import periodic_response
+from greybox.spectral.multisine_lines import periodic_response, whole_periods
+from greybox.spectral.uniform_stretches import UniformStretch
 
 
 def test_multisine_in_steady_state_is_exact():
@@ -84,3 +86,54 @@ def test_lines_that_the_output_does_not_answer_are_left_out():
     assert found.about["dropped"] == "3 of 28 points, of a coherence below 0.6, at 6.283 to 7.54 rad/s"
     assert len(found) == 25
     assert len(periodic_response(data, 10.0, "u", "y", omega=2 * np.pi / 10 * lines)) == 28
+
+
+@pytest.mark.parametrize(("samples", "left_out"), [(30, 0), (37, 7), (9, 9)])
+def test_the_last_whole_periods_are_kept(samples, left_out):
+    """Of ten samples each, which take a hundred thousandth less than the period that is stated."""
+    values, origin = np.arange(2.0 * samples).reshape(2, samples), Stretch("x", 5.0, 5.0 + 0.1 * (samples - 1))
+    kept = whole_periods(UniformStretch(values, 0.1 * (1 - 9e-6), "a.bin", origin), 1.0)
+    np.testing.assert_array_equal(kept.values, values[:, left_out:])
+    assert (kept.step, kept.source) == (0.1, "a.bin")
+    assert kept.origin.start == pytest.approx(min(5 + 0.1 * left_out, origin.end), abs=1e-4)
+    assert (kept.origin.end, kept.origin.checksum) == (origin.end, "x")
+    assert whole_periods(UniformStretch(values, 0.1, ""), 1.0).origin is None
+
+
+def test_a_period_is_a_whole_number_of_samples_two_at_least():
+    values = np.zeros((2, 40))
+    for step in (0.1 * (1 + 1.1e-5), 0.1 * (1 - 1.1e-5)):
+        with pytest.raises(ValueError, match=r"a period of 1 s is (10\.0001|9\.99989) samples: resample so that it is"):
+            whole_periods(UniformStretch(values, step, ""), 1.0)
+    with pytest.raises(ValueError, match="a period of 1 s is 1 samples"):
+        whole_periods(UniformStretch(values, 1.0, ""), 1.0)
+    assert whole_periods(UniformStretch(values, 0.5, ""), 1.0).values.shape == (2, 40)
+
+
+def test_three_periods_are_the_fewest_and_frequencies_are_their_multiples():
+    rng = np.random.default_rng(0)
+    u = np.tile(rng.standard_normal(50), 3)
+    y = 3 * u + 0.1 * rng.standard_normal(150)
+    found = periodic_response(record(u=u, theta=y), 50 / RATE, omega=2 * math.pi * RATE / 50 * np.array([1, 7, 24.0]))
+    assert len(found) == 3
+    assert found.dof == pytest.approx(4)
+    fundamental = 2 * math.pi * RATE / 50
+    with pytest.raises(ValueError, match="fewer than three periods of"):
+        periodic_response(record(u=u[:149], theta=y[:149]), 50 / RATE)
+    for wrong in (0.0, -fundamental, 2.5 * fundamental, (3 + 2e-6) * fundamental):
+        with pytest.raises(ValueError, match=rf"omega = {wrong:g} rad/s is not a multiple of .* = {fundamental:g} rad"):
+            periodic_response(record(u=u, theta=y), 50 / RATE, omega=[2 * fundamental, wrong])
+    near = periodic_response(record(u=u, theta=y), 50 / RATE, omega=[(3 + 5e-7) * fundamental])
+    assert near.response == pytest.approx(
+        periodic_response(record(u=u, theta=y), 50 / RATE, omega=[3 * fundamental]).response
+    )
+
+
+def test_lines_are_excited_from_three_hundredths_of_the_largest_on():
+    """Of sines with amplitudes from 1 down to 0.029, up to the last line below half of the sampling rate."""
+    amplitude = {2: 0.5, 5: 1.0, 9: 0.031, 12: 0.029, 24: 0.4}
+    period, t = 50 / RATE, np.arange(200) / RATE
+    u = sum(a * np.sin(2 * math.pi * k / period * t + k) for k, a in amplitude.items())
+    found = periodic_response(record(u=u, theta=2 * u), period)
+    assert found.omega * period / (2 * math.pi) == pytest.approx([2, 5, 9, 24])
+    assert found.response == pytest.approx(2)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.spectral import response_matrix
+from greybox.spectral import orthogonal_multisines, response_matrix
 
 PERIOD, RATE, PERIODS = 20.0, 25.0, 6
 POLES = {("p", "da"): (4.0, 2.0), ("p", "dr"): (1.5, 1.0), ("r", "da"): (-0.5, 3.0), ("r", "dr"): (-2.0, 1.5)}
@@ -108,3 +108,77 @@ def test_excitations_may_be_of_any_unit():
     for one, other in zip(estimated(data), estimated(scaled), strict=True):
         np.testing.assert_array_equal(one.omega, other.omega)
         np.testing.assert_allclose(one.response, other.response, rtol=1e-9)
+
+
+def test_the_variance_is_that_of_the_jackknife():
+    """Of one input that owns its lines alone: of a ratio of sums, with every period left out in turn."""
+    random = np.random.default_rng(1)
+    count, rate, periods = 40, 20.0, 5
+    t = np.arange(count * periods) / rate
+    lines = np.array([2, 3, 5, 8])
+    u = sum(np.sin(2 * np.pi * k / 2.0 * t + k) for k in lines) + 0.01 * random.standard_normal(t.size)
+    y = 2 * u + 0.3 * random.standard_normal(t.size)
+    data = gb.Record(t, {"u": u, "y": y}, {"u": "N", "y": "m"}, name="r", source="r.csv")
+    (found,) = response_matrix(data, 2.0, ["u"], ["y"], name="test")
+    np.testing.assert_allclose(found.omega, np.pi * lines)
+    U, Y = (np.fft.rfft(x.reshape(periods, count), axis=1)[:, lines] for x in (u, y))
+    np.testing.assert_allclose(found.response, Y.sum(axis=0) / U.sum(axis=0))
+    without = np.array([np.delete(Y, k, 0).sum(axis=0) / np.delete(U, k, 0).sum(axis=0) for k in range(periods)])
+    scatter = np.sum(np.abs(without - without.mean(axis=0)) ** 2, axis=0)
+    np.testing.assert_allclose(found.variance, (periods - 1) / periods * scatter)
+    np.testing.assert_allclose(found.dof, 2 * (periods - 1))
+    assert (found.name, found.source, found.units) == ("test u to y", "r.csv", {"u": "N", "y": "m"})
+    (stretch,) = found.stretches
+    assert (stretch.start, stretch.end) == (t[0], t[-1])
+
+
+def test_three_periods_two_lines_for_each_input_and_one_excitation_for_each():
+    t = np.arange(120) / 20.0
+    lines = {"a": (2, 5), "b": (3, 7)}
+    signals = {name: sum(np.sin(np.pi * k * t + k) for k in own) for name, own in lines.items()}
+    data = gb.Record(t, {**signals, "y": signals["a"] + 2 * signals["b"]})
+    first, second = response_matrix(data, 2.0, ["a", "b"], ["y"])
+    np.testing.assert_allclose(first.response, 1)
+    np.testing.assert_allclose(second.response, 2)
+    np.testing.assert_allclose(second.omega, [3 * np.pi, 7 * np.pi])
+    with pytest.raises(ValueError, match="there are 1 excitations for 2 inputs: give one for each"):
+        response_matrix(data, 2.0, ["a", "b"], ["y"], excitations=["a"])
+    lone = data.with_signals(b=np.sin(3 * np.pi * t))
+    with pytest.raises(ValueError, match="b has 1 line of its own, and a response between lines needs two"):
+        response_matrix(lone, 2.0, ["a", "b"], ["y"])
+
+
+def test_what_one_input_does_at_the_lines_of_another_is_interpolated():
+    """A cubic over log ω through its own lines, exact for a cubic; beyond the last line the value there."""
+    own, wanted = np.array([1.0, 2.0, 5.0, 9.0, 14.0]), np.array([0.5, 1.5, 4.0, 9.0, 20.0])
+
+    def cubic(omega):
+        return 2 - np.log(omega) + 0.5 * np.log(omega) ** 3
+
+    found = orthogonal_multisines._interpolation(own, wanted) @ cubic(own)
+    np.testing.assert_allclose(found, cubic(np.clip(wanted, 1, 14)))
+    two = orthogonal_multisines._interpolation(own[:2], np.array([np.sqrt(2)])) @ [3.0, 7.0]
+    np.testing.assert_allclose(two, 5)
+
+
+@pytest.mark.parametrize(("share", "alike"), [(0.975, False), (0.985, True)])
+def test_inputs_are_alike_from_a_condition_number_of_a_hundred_on(share, alike):
+    """Of [[1, c], [c, 1]], whose condition number is (1 + c) / (1 - c), whatever the units of the inputs."""
+    units = np.array([[1e3], [1e-4]])
+    inputs = units * np.array([[1.0, share], [share, 1.0]], dtype=complex)
+    between = [np.ones((2, 1)), np.ones((2, 1))]
+    truth = np.array([[2.0 - 1j, 0.5], [3.0, -1.0]]) / units
+    outputs = (inputs.T @ truth).T
+    if alike:
+        with pytest.raises(ValueError, match=r"condition number 132\) that their effects cannot be told apart"):
+            orthogonal_multisines._solved(inputs, outputs, between)
+    else:
+        np.testing.assert_allclose(orthogonal_multisines._solved(inputs, outputs, between), truth)
+
+
+def test_lines_of_any_size_are_told_apart():
+    """A thousand times as strong a line of one input, of which the other has hardly anything."""
+    inputs = np.array([[1e3, 0.0], [2.0, 1.0]], dtype=complex)
+    truth = np.array([[2.0], [-3j]])
+    found = orthogonal_multisines._solved(inputs, (inputs.T @ truth).T, [np.ones((2, 1))] * 2)
+    np.testing.assert_allclose(found, truth)

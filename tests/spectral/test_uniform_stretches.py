@@ -37,3 +37,30 @@ def test_a_time_base_may_be_off_by_a_twentieth_of_a_step(share, accepted, start)
     else:
         with pytest.raises(ValueError, match=rf"flight is not uniformly sampled \(1.1 ms off at {start + 0.6:.2f} s\)"):
             uniform_stretches(flown, ["u"], "none")
+
+
+def test_a_stretch_says_where_it_comes_from():
+    record = Record(10 + TIME, {"u": RAMP, "y": np.where(TIME < 0.5, np.nan, RAMP)}, {"u": "N"}, source="a.bin")
+    (stretch,) = uniform_stretches([record], ["u", "y"], "none")
+    assert (stretch.origin.start, stretch.origin.end) == (10.5, record.time[-1])
+    assert stretch.origin.checksum == record.checksum
+    assert (stretch.source, dict(stretch.units)) == ("a.bin", {"u": "N"})
+
+
+def test_single_samples_are_no_stretch_and_constants_no_signal():
+    lost = RAMP.copy()
+    lost[[1, 3, 6]] = np.nan  # leaves one sample, one, and two before the rest
+    sizes = [s.values.shape[1] for s in uniform_stretches(Record(TIME, {"u": lost}), ["u"], "none")]
+    assert sizes == [2, 93]
+    for size, moves in ((1e-11, True), (1e-13, False)):
+        still = Record(TIME, {"u": RAMP, "y": size * (np.arange(100) % 2)})
+        if moves:
+            assert len(uniform_stretches(still, ["u", "y"], "none")) == 1
+        else:
+            with pytest.raises(ValueError, match=r"^y does not change in these records"):
+                uniform_stretches(still, ["u", "y"], "none")
+    # It is enough that it changes in one of them.
+    parts = [Record(TIME, {"u": RAMP}), Record(TIME, {"u": np.ones(100)})]
+    assert len(uniform_stretches(parts, ["u"], "none")) == 2
+    with pytest.raises(ValueError, match="there are no samples in which u, y are all present"):
+        uniform_stretches(Record(TIME, {"u": RAMP, "y": np.full(100, np.nan)}), ["u", "y", "u"], "none")

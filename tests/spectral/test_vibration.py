@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from greybox.data.record import Record
-from greybox.spectral.vibration import peaks_of, vibration, vibration_table
+from greybox.spectral.vibration import peaks_of, power_density, sensors, vibration, vibration_table
 
 HZ = np.arange(0, 500.0)
 
@@ -47,3 +47,39 @@ def test_the_size_of_vibration_is_that_above_the_motion():
     peaks = [f"{found.peaks[0]:.4g},", f"{found.peaks[1]:.4g}"]
     assert row == ["ISBD[gyro0]", "x", "1000", f"{found.rms:.3g}", "rad/s", *peaks]
     assert vibration("IMU", Record(time[:20], {"x": x[:20]})) == []
+
+
+def made(rate, count, signals, start=0.0):
+    return Record(start + np.arange(count) / rate, {name: np.arange(float(count)) for name in signals})
+
+
+def test_sensors_are_raw_batches_and_fast_imu_messages():
+    """From ten times 10 Hz, less a twentieth, and stretches of 64 samples on."""
+    recording = {
+        "ISBD[gyro0]": made(1000, 64, ["x", "y"]),
+        "ISBD[gyro1]": made(1000, 63, ["x"]),
+        "IMU[0]": made(96, 100, ["GyrX", "AccZ", "T"]),
+        "IMU[1]": made(94, 100, ["GyrX"]),
+        "IMU[2]": made(400, 100, ["T"]),
+        "RATE": made(400, 100, ["GyrX"]),
+        "IMU[3]": Record(np.arange(100.0) / 400, {"GyrX": np.arange(100.0)}, has_time=False),
+    }
+    found = sensors(recording)
+    assert {name: list(record.signals) for name, record in found.items()} == {
+        "ISBD[gyro0]": ["x", "y"],
+        "IMU[0]": ["GyrX", "AccZ"],
+    }
+
+
+def test_the_density_is_the_mean_of_stretches_by_their_samples():
+    """Of sines of two sizes in stretches of 960 and 240 samples, in windows of a sixth of the samples together."""
+    rate, sizes = 1000.0, {960: 2.0, 240: 6.0}
+    time = np.concatenate([np.arange(960) / rate, 3 + np.arange(240) / rate])
+    x = np.concatenate([a * np.sin(2 * np.pi * 100 * np.arange(n) / rate) for n, a in sizes.items()])
+    hz, (density,) = power_density(Record(time, {"x": x}))
+    assert hz[1] == pytest.approx(rate / 200)
+    near = np.abs(hz - 100) < 3 * hz[1]
+    power = np.sum(density[near]) * hz[1]
+    assert power == pytest.approx((960 * 2.0**2 / 2 + 240 * 6.0**2 / 2) / 1200, rel=1e-3)
+    long = Record(np.arange(20000) / rate, {"x": np.sin(np.arange(20000.0))})
+    assert power_density(long)[0][1] == pytest.approx(rate / 1024)
