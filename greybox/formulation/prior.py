@@ -119,7 +119,7 @@ def _of_estimate(source: HeldEstimate, names: tuple[str, ...]) -> NormalPrior:
     if unknown:
         raise ValueError(
             f"the Fit given as prior has no standard error of {listed(unknown)}: give prior={{name: (mean, standard "
-            "deviation)}} for the others, or fix it in both."
+            "deviation)} for the others, or fix it in both."
         )
     return NormalPrior(names, np.array([source.estimate[name] for name in names]), covariance)
 

@@ -85,3 +85,15 @@ def test_what_a_criterion_in_time_answers_about_itself():
     questions = ("corrects_states", "errors_are_white")
     assert [getattr(gb.OutputError(), q) for q in questions] == [False, False]
     assert [getattr(gb.PredictionError(), q) for q in questions] == [True, True]
+
+
+def test_settings_of_a_criterion_that_is_no_dataclass_are_its_public_values():
+    class Plain(gb.Criterion):
+        def __init__(self, share):
+            self.share, self._cache = share, 7
+
+        cost = jacobian = spread = None
+
+    assert Plain(np.float64(0.25)).settings == {"share": 0.25}
+    assert Plain(0.25) == Plain(0.25)
+    assert Plain(0.25) != Plain(0.5)

@@ -1,6 +1,7 @@
 """A-priori knowledge against the closed-form posterior of a linear normal problem, and against a joint fit."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -152,3 +153,61 @@ def test_parts_must_not_contradict_and_parameters_must_be_finite():
         gb.fit(parts[0] + parts[1], **ONE)
     with pytest.raises(ValueError, match="prior"):
         gb.Parameter(1.0, prior=(1.0, -1.0))
+
+
+class Known:
+    """An earlier answer of other parameters, or without standard errors."""
+
+    def __init__(self, estimate, covariance):
+        self.estimate, self.covariance, self.dof = estimate, covariance, np.inf
+
+    def covariance_of(self, names):
+        return self.covariance
+
+
+@pytest.mark.parametrize(
+    ("prior", "error", "words"),
+    [
+        (
+            Known({"a": 1.0, "b": 2.0}, None),
+            ValueError,
+            "the Fit given as prior has a, b, of which none is free here; free are K, T.",
+        ),
+        (3.0, TypeError, "prior is 3.0: give {name: (mean, standard deviation)} or a Fit."),
+        (
+            Known({"K": 2.0, "T": 0.5}, np.diag([0.1, np.nan])),
+            ValueError,
+            "the Fit given as prior has no standard error of T: give prior={name: (mean, standard deviation)} for the "
+            "others, or fix it in both.",
+        ),
+        (
+            {"K": Known({"K": 2.0}, np.zeros((1, 1)))},
+            ValueError,
+            "the Fit given as prior has no standard error of K: give prior={name: (mean, standard deviation)} for the "
+            "others, or fix it in both.",
+        ),
+        ({"K": (2.0, -1.0)}, ValueError, "the prior of K is (2.0, -1.0): give two finite numbers (mean, standard"),
+        ({"K": (np.inf, 1.0)}, ValueError, "the prior of K is (inf, 1.0): give two finite numbers (mean, standard"),
+        ({"K": (2.0, np.inf)}, ValueError, "the prior of K is (2.0, inf): give two finite numbers (mean, standard"),
+        ({"K": 2.0}, ValueError, "the prior of K is 2.0: give two finite numbers (mean, standard deviation above 0)."),
+        ({"K": (1.0, 2.0, 3.0)}, ValueError, "the prior of K is (1.0, 2.0, 3.0): give two finite numbers (mean, "),
+    ],
+)
+def test_knowledge_that_says_nothing_is_refused(prior, error, words):
+    with pytest.raises(error, match=f"^{re.escape(words)}"):
+        gb.Problem(Lag(), responses(6, np.array([1.0, 2.0, 4.0])), prior=prior)
+
+
+def test_an_answer_is_knowledge_of_the_parameters_that_it_shares():
+    """By their names outside, with the covariance of these; the others keep what they declare."""
+    covariance = np.array([[0.04, -0.01], [-0.01, 0.09]])
+    known = Known({"gain": 2.5, "T": 0.7, "zeta": 1.0}, covariance)
+    problem = gb.Problem(Lag(), responses(6, np.array([1.0, 2.0, 4.0])), prior=known, rename={"K": "gain"})
+    (prior,) = problem.priors
+    assert prior.names == ("gain", "T")
+    assert prior.mean.tolist() == [2.5, 0.7]
+    assert prior.covariance.tolist() == covariance.tolist()
+    assert prior.stated == {"gain": (2.5, 0.2), "T": (0.7, 0.3)}
+    own = {"T": (0.6, 0.5)}
+    (prior,) = gb.Problem(Lag(), responses(6, np.array([1.0, 2.0, 4.0])), prior=own, rename={"T": "lag"}).priors
+    assert (prior.names, prior.mean.tolist(), prior.covariance.tolist()) == (("lag",), [0.6], [[0.25]])

@@ -130,6 +130,26 @@ def test_other_kinds_of_statements_are_refused_by_their_name(statement, words):
         gb.Problem(LagLagDelay(), TWO, **statement)
 
 
+@pytest.mark.parametrize("new", ["", 3])
+def test_a_new_name_is_a_string(new):
+    with pytest.raises(TypeError, match=f"^rename gives 'T1' the name {new!r}: give a string.$"):
+        gb.Problem(LagLagDelay(), TWO, rename={"T1": new})
+
+
+def test_a_model_must_not_declare_what_its_criterion_adds():
+    class Biased(gb.StateSpace):
+        inputs, outputs = ("u",), ("y",)
+        y_bias = gb.Parameter(0.0)
+
+        def output(self, x, u, p):
+            return (u.u + p.y_bias,)
+
+    record = gb.Record([0.0, 1.0, 2.0], {"u": [0.0, 1.0, 3.0], "y": [0.1, 1.2, np.nan]})
+    assert gb.Problem(Biased(), record).numbers == 2
+    with pytest.raises(ValueError, match=r"^Biased declares 'y_bias', which is also the name of an unknown of the cri"):
+        gb.Problem(Biased(), record, gb.OutputError(biases=("y",)))
+
+
 def test_data_and_model_meet_by_signal_names():
     with pytest.raises(ValueError, match="Rotor has no output 'theta'; it has Omega"):
         gb.Problem(Rotor(), DATA)

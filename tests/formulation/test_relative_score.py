@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from declared_models import measured
+from scipy.optimize import minimize_scalar
 
 import greybox as gb
 from greybox.formulation.relative_score import relative_score
@@ -75,3 +76,37 @@ def test_beyond_the_largest_noise_all_grows_as_small_noise_does_but_the_bias():
     at, above = (relative_score(sigma, 50, 1, "measured") for sigma in (0.3, 0.6))
     assert above.curvature == pytest.approx(at.curvature / 2)
     assert above.variance == pytest.approx(at.variance)
+
+
+@pytest.mark.parametrize(("power", "rel"), [(1, 0.012), (2, 1e-3)])  # the first turns sharply about a measurement
+@pytest.mark.parametrize("normalized", ["measured", "model"])
+@pytest.mark.parametrize(("sigma", "n"), [(0.2, 30), (0.1, 12)])
+def test_gain_curvature_and_variances_are_means_over_a_fine_grid_of_errors(sigma, n, normalized, power, rel):
+    """Gradients by differences, the gain by a search, over errors up to what one point in 2n exceeds."""
+    edge = np.linspace(0, np.sqrt(2 * np.log(2 * n)), 401)
+    radius, angle = (edge[1:] + edge[:-1]) / 2, 2 * np.pi * (np.arange(90) + 0.5) / 90
+    share = np.exp(-(edge[:-1] ** 2) / 2) - np.exp(-(edge[1:] ** 2) / 2)
+    share /= share.sum()
+    # As large as all errors are in the mean: E|ε| = σ √(π/2), E|ε|² = 2 σ².
+    radius *= np.sqrt(np.pi / 2) / (share @ radius) if power == 1 else np.sqrt(2 / (share @ radius**2))
+    error = sigma * radius[:, None] * np.exp(1j * angle)
+
+    def mean(values):
+        return share @ values.mean(axis=1)
+
+    def cost(gain, moved=0.0):
+        """Of a model that is the truth times `gain`, by the logarithm `moved` away."""
+        model = gain * np.exp(moved)
+        return np.abs((1 + error - model) / (1 + error if normalized == "measured" else model)) ** power
+
+    def unlikely(moved):
+        return np.abs((1 + error) / np.exp(moved) - 1) ** 2 / (2 * sigma**2) + 2 * np.real(moved)
+
+    gain = minimize_scalar(lambda g: mean(cost(g)), bounds=(0.5, 1.5), method="bounded", options={"xatol": 1e-9}).x
+    slopes = [(cost(gain, d) - cost(gain, -d)) / 2e-5 for d in (1e-5, 1e-5j)]
+    likely = [(unlikely(d) - unlikely(-d)) / 2e-5 for d in (1e-5, 1e-5j)]
+    found = relative_score(sigma, n, power, normalized)
+    assert found.gain_bias == pytest.approx(1 - 1 / gain, rel=rel)
+    assert found.variance == pytest.approx([mean(slope**2) for slope in slopes], rel=rel)
+    curvature = sum(mean(slope * other) for slope, other in zip(slopes, likely, strict=True)) / 2
+    assert found.curvature == pytest.approx(curvature, rel=rel)
