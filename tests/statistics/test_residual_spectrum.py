@@ -1,17 +1,29 @@
 """Covariances of estimates whose errors are correlated in time: against dense covariance matrices and Monte Carlo."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.linalg import expm, matmul_toeplitz, solve_discrete_lyapunov, toeplitz
+from scipy.fft import dct
+from scipy.linalg import block_diag, expm, matmul_toeplitz, solve_discrete_lyapunov, solve_toeplitz, toeplitz
 from scipy.signal import lfilter
 
 from greybox.statistics.residual_spectrum import (
+    _aicc,
+    _Evidence,
+    _fast,
     _Grid,
     _Sandwich,
+    _seen,
+    _slow_parts,
+    _smoothed,
+    _smoothed_shapes,
+    _whittle,
     colored_information,
     score_covariance,
 )
+from greybox.statistics.variance_components import whittle_score
 
 AR2 = np.array([1.0, -1.5, 0.7])
 
@@ -345,3 +357,590 @@ def test_no_errors_say_nothing_and_hide_nothing():
     assert (found.taken, found.uncertainty, found.hidden, found.corrected, found.spectrum) == (0, 0, 1, True, None)
     assert found.correlation_times.tolist() == [0, 0]
     assert_allclose(score_covariance([random.normal(size=(2, 3, 50))], None), np.zeros((3, 3)))
+
+
+# By dense matrices of few samples.
+
+DEVIATION = np.array([0.3, 5.0])
+NOISE = np.array([[0.2, 0.4], [0.4, 9.0]])
+
+
+def lagged(e, lag, i, j):
+    """Σ e_i(t + lag) e_j(t) over stretches, by a loop."""
+    return sum(one[i, t + lag] * one[j, t] for one in e for t in range(one.shape[1] - lag))
+
+
+def small(initial=False, shocks=None, others=0.0, missing=False):
+    """Two stretches of 12 and 9 samples, of two outputs, three parameters, and the initial states of each stretch.
+
+    `others` is how much other data tell of the parameters, of what these do.
+    """
+    random = np.random.default_rng(11)
+    there, noise = [np.ones((2, n)) for n in (12, 9)], NOISE
+    if missing:
+        noise = np.diag(np.diag(NOISE))
+        there[0][0, 3:5] = there[0][1, 7] = there[1][1, 2] = 0.0
+    weighted = [random.normal(size=(2, 3, n)) * t[:, None] for n, t in zip((12, 9), there, strict=True)]
+    residuals = [DEVIATION[:, None] * random.normal(size=(2, n)) * t for n, t in zip((12, 9), there, strict=True)]
+    bread = sum(np.einsum("ipn,ij,jqn->pq", W, noise, W) for W in weighted)
+    moved = [random.normal(size=(2, 2, t.shape[1])) / 9 * t[:, None] for t in there] if initial else None
+    return _Sandwich.of(weighted, residuals, np.linalg.inv(bread) / (1 + others), noise, moved, shocks)
+
+
+def some_density(made):
+    """A spectrum of both outputs with phase between them, (k, k, b)."""
+    response = np.array(
+        [
+            [1 + 0.6 * made.grid.delays[1], 0.5 * made.grid.delays[2]],
+            [0.3 * made.grid.delays[3], 0.8 + 0j * made.grid.omega],
+        ]
+    )
+    return np.einsum("ikb,jkb->ijb", response, response.conj())
+
+
+def dense(made, density, stretch):
+    """The covariance matrix (2n, 2n) of errors of a density in one stretch, in the outputs' own units."""
+    n = made.residuals[stretch].shape[1]
+    r = np.fft.irfft(density, made.grid.size)
+    blocks = [
+        [toeplitz(r[i, j, :n], r[j, i, :n]) * made.deviation[i] * made.deviation[j] for j in (0, 1)] for i in (0, 1)
+    ]
+    return np.block(blocks)
+
+
+def rows_of(array):
+    """(k, p, n) as (k n, p)."""
+    return array.transpose(0, 2, 1).reshape(-1, array.shape[1])
+
+
+def left_by_a_fit(made, density):
+    """Covariances of e and of (1 - P) e in every stretch, by dense matrices of all stretches and their parameters."""
+    sigma = block_diag(*(dense(made, density, s) for s in (0, 1)))
+    W = np.vstack([rows_of(W) for W in made.weighted])
+    R = block_diag(*(np.kron(made.noise, np.eye(e.shape[1])) for e in made.residuals))
+    P = R @ W @ made.inverse @ W.T
+    if made.initial is not None:
+        X = block_diag(*(rows_of(X) for X in made.initial))
+        P = P + R @ X @ X.T
+    there = np.diag(np.concatenate([(e != 0).ravel() for e in made.residuals]).astype(float))
+    return there @ sigma @ there, (there - P) @ sigma @ (there - P).T
+
+
+def lags_of(made, covariance, lag, i, j):
+    """Σ_t C[(i, t + lag), (j, t)] over the stretches, in the units of periodograms."""
+    total, start = 0.0, 0
+    for e in made.residuals:
+        n = e.shape[1]
+        block = covariance[start : start + 2 * n, start : start + 2 * n].reshape(2, n, 2, n)[i, :, j]
+        total += np.trace(block, offset=-lag)
+        start += 2 * n
+    return total / (np.sqrt(made.counts[i] * made.counts[j]) * made.deviation[i] * made.deviation[j])
+
+
+def test_the_periodogram_has_the_autocovariances_of_the_residuals():
+    made = small()
+    counts = [21, 21]
+    size = [np.sqrt(lagged(made.residuals, 0, i, i) / 21) for i in (0, 1)]
+    assert_allclose(made.deviation, size)
+    assert made.counts.tolist() == counts
+    lags, banded = made.periodogram
+    assert len(lags) == 6  # four samples for each order
+    for lag in range(6):
+        for i in (0, 1):
+            for j in (0, 1):
+                wanted = lagged(made.residuals, lag, i, j) / (21 * size[i] * size[j])
+                assert lags[lag, i, j] == pytest.approx(wanted, abs=3e-9), (lag, i, j)
+                turned = (banded[i, j] * made.grid.delays[lag].conj()).real
+                assert made.grid.mean(turned) == pytest.approx(wanted, abs=3e-9), (lag, i, j)
+
+
+def test_what_the_estimate_takes_from_errors_is_that_of_dense_matrices():
+    made = small()
+    density = some_density(made)
+    wanted = sum(rows_of(W).T @ dense(made, density, s) @ rows_of(W) for s, W in enumerate(made.weighted))
+    assert_allclose(made.grid.score_covariance(made.transforms(), density), wanted)
+    assert made._taken(density) == pytest.approx(np.sum(made.inverse * wanted))
+
+
+@pytest.mark.parametrize(("initial", "missing"), [(False, False), (True, False), (True, True)])
+def test_the_power_that_a_fit_takes_is_that_of_dense_matrices(initial, missing):
+    made = small(initial, missing=missing)
+    density = some_density(made)
+    sigma, left = left_by_a_fit(made, density)
+    lags, banded = made.taken_power(density)
+    for lag in range(len(lags)):
+        for i in (0, 1):
+            for j in (0, 1):
+                wanted = lags_of(made, sigma - left, lag, i, j)
+                assert lags[lag, i, j] == pytest.approx(wanted, abs=1e-9), (lag, i, j)
+                turned = (banded[i, j] * made.grid.delays[lag].conj()).real
+                assert made.grid.mean(turned) == pytest.approx(wanted, abs=1e-9)
+
+
+def test_other_data_are_taken_to_have_errors_of_the_same_color():
+    """White errors three times as large as the given noise: so are the estimate's, whatever tells of it."""
+    made = small(others=1.5)
+    density = (
+        np.repeat((3 * NOISE / np.outer(made.deviation, made.deviation))[:, :, None], len(made.grid.omega), 2) + 0j
+    )
+    lags, _ = made.taken_power(density)
+    R = block_diag(*(np.kron(NOISE, np.eye(n)) for n in (12, 9)))
+    W = np.vstack([rows_of(W) for W in made.weighted])
+    taken = 3 * R @ W @ made.inverse @ W.T @ R  # P Σ + Σ Pᵀ - P (Σ of all data) Pᵀ
+    for lag in (0, 1, 4):
+        for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            assert lags[lag, i, j] == pytest.approx(lags_of(made, taken, lag, i, j), abs=1e-9)
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_expected_periodograms_are_those_of_residuals_by_dense_matrices(missing):
+    jumps = lfilter([1.0], [1, -0.8], np.eye(2)[:, :, None] * np.eye(1, 12)[0]) * [[[0.1], [0.3]], [[4.0], [1.0]]]
+    jumps[1, 0] = np.cumsum(jumps[0, 0])
+    made = small(initial=True, shocks=lambda: jumps, missing=missing)
+    parts = made.noise_parts
+    assert parts.density.shape[0] == 4
+    for i in (0, 1):
+        assert_allclose(parts.density[i], np.diag(np.eye(2)[i])[:, :, None] * np.ones(len(made.grid.omega)))
+    for s in (0, 1):  # through each state alone, of one unit of power for each output
+        through = np.fft.rfft(jumps[:, s] / made.deviation[:, None], made.grid.size)
+        power = np.einsum("ib,jb->ijb", through, through.conj())
+        power *= 2 / made.grid.mean(np.einsum("iib->b", power).real)
+        assert_allclose(parts.density[2 + s], power, atol=1e-12)
+    for density, found in zip(parts.density, parts.of_residuals, strict=True):
+        _, left = left_by_a_fit(made, density)
+        for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            for lag in (0, 1, 5):
+                turned = (found[:, i, j] * made.grid.delays[lag].conj()).real
+                assert made.grid.mean(turned) == pytest.approx(lags_of(made, left, lag, i, j), abs=1e-8)
+
+
+def test_process_noise_is_looked_for_where_jumps_move_an_output():
+    assert small().noise_parts is None
+    assert small(shocks=lambda: np.zeros((2, 2, 12))).noise_parts is None
+    jumps = np.zeros((2, 2, 12))
+    jumps[0, 1, 3] = 1.0
+    assert len(small(shocks=lambda: jumps).noise_parts.density) == 3
+
+
+def test_missing_samples_multiply_covariances_by_their_share():
+    """At all lags but zero, of an output; of two outputs at every lag, by the root of both shares."""
+    made = replace(small(), seen=np.array([0.5, 0.8]))
+    density = some_density(made)
+    r = np.fft.irfft(density, made.grid.size)
+    seen = r * np.sqrt(np.multiply.outer(made.seen, made.seen))[:, :, None]
+    seen[[0, 1], [0, 1], 0] = r[[0, 1], [0, 1], 0]
+    assert_allclose(made._unmasked(np.fft.rfft(seen)), density, atol=1e-12)
+    assert replace(made, seen=np.array([0.95, 1.0]))._unmasked(density) is density
+    assert replace(made, seen=np.array([1.0, 0.94]))._unmasked(density) is not density
+
+
+def test_the_best_lag_tells_which_share_of_the_products_is_left():
+    e = np.ones((4, 20))
+    e[1, 1::2] = 0.0  # every other one: all products two samples apart
+    e[2, 4:] = 0.0  # of neighbors 3 are left for 4 samples, of 19 for 20
+    e[3] = 0.0
+    assert_allclose(_seen([e]), [1.0, 1.0, 3 / 4 * 20 / 19, 1e-3])
+    random = np.where(np.random.default_rng(3).random((1, 4000)) < 0.6, 1.0, 0.0)
+    assert _seen([random, random[:, :1500]])[0] == pytest.approx(0.6, abs=0.05)
+    assert _seen([e[:1], e[:1, :7]]).tolist() == [1.0]
+
+
+def test_the_moving_average_is_mirrored_at_its_ends():
+    values = np.array([3.0, 1.0, 4.0, 1.5, 9.0, 2.0])
+    mirrored = [4.0, 1.0, 3.0, 1.0, 4.0, 1.5, 9.0, 2.0, 9.0, 1.5]
+    assert_allclose(_smoothed(values, 5), [np.mean(mirrored[k : k + 5]) for k in range(6)])
+    assert_allclose(_smoothed(values, 4), _smoothed(values, 5))
+    assert_allclose(_smoothed(values[:2], 32), [(1 + 3 + 1) / 3, (3 + 1 + 3) / 3])
+
+
+def test_slow_parts_are_exponentials_in_white_noise():
+    """Of a circle of samples: covariances share φˡ, wound around it, and the rest of one at lag zero."""
+    for n, slowest in ((90, 30.0), (4, 2.0)):
+        grid = _Grid.of(n)
+        shapes = _slow_parts(grid).reshape(14, 11, -1)
+        for k, share in ((0, 0.01), (4, 0.12), (9, 0.9)):
+            for m in (0, 5, 13):
+                phi = np.exp(-(slowest ** (-m / 13)))
+                for lag in (0, 1, 3):
+                    wound = (phi**lag + phi ** (grid.size - lag)) / (1 - phi**grid.size)
+                    found = grid.mean(shapes[m, k] * np.cos(lag * grid.omega))
+                    assert found == pytest.approx(share * wound + (1 - share) * (lag == 0)), (n, k, m, lag)
+
+
+def test_shapes_of_the_sensitivities_are_their_power_and_its_root_of_mean_one():
+    grid = _Grid.of(40)
+    flat = _smoothed_shapes(grid, np.full(len(grid.omega), 7.0))
+    assert_allclose(flat, np.ones((4, len(grid.omega))))
+    power = 0.1 + np.exp(-grid.omega)
+    shapes = _smoothed_shapes(grid, power)
+    assert_allclose([grid.mean(shape) for shape in shapes], np.ones(4))
+    for one, root in (shapes[:2], shapes[2:]):
+        assert np.ptp(one / root**2) < 1e-12
+    assert np.ptp(shapes[0]) > np.ptp(shapes[2])  # of 8 and of 32 frequencies
+    assert_allclose(shapes[0][10:30] / shapes[0][20], power[10:30] / power[20], rtol=0.01)
+
+
+def test_weights_of_frequencies_make_sums_of_squares():
+    for n in (5, 24, 900):
+        grid = _Grid.of(n)
+        x = np.random.default_rng(0).normal(size=n)
+        assert grid.size >= 2 * n
+        assert grid.weight @ np.abs(np.fft.rfft(x, grid.size)) ** 2 == pytest.approx(x @ x)
+        ends = [*grid.starts[1:], len(grid.weight)]
+        omega = np.linspace(0, np.pi, len(grid.weight))
+        for start, end, weight, mean in zip(grid.starts, ends, grid.band_weight, grid.omega, strict=True):
+            assert weight == pytest.approx(grid.weight[start:end].sum())
+            assert mean == pytest.approx(np.average(omega[start:end], weights=grid.weight[start:end]))
+            assert end - start <= 0.016 * start + 1
+        assert (np.diff(grid.starts) > 0).all()
+        if n == 900:
+            assert 257 <= len(grid.starts) < 256 + np.log(1024 / 256) / 0.0145
+
+
+def test_fast_lengths_are_the_next_even_ones_of_few_small_factors():
+    fast = sorted(m * 2**k for m in (1, 3, 5, 9, 15) for k in range(1, 13))
+    for count in range(1, 1200):
+        assert _fast(count) == next(length for length in fast if length >= count)
+
+
+def of_past(r, order):
+    """The covariance of samples before t at one, two ... lags, from r(l) = E e(t + l) e(t)ᵀ: (order k, order k)."""
+    return np.block([[r[m - n] if m >= n else r[n - m].T for m in range(order)] for n in range(order)])
+
+
+def test_vector_autoregressions_solve_the_equations_of_yule_and_walker():
+    e = lfilter([1, 0.4], [1, -0.7, 0.3], np.random.default_rng(2).normal(size=(2, 60)))
+    e[1] += 0.6 * np.roll(e[0], 2)
+    r = np.array([[[lagged([e], lag, i, j) / 60 for j in (0, 1)] for i in (0, 1)] for lag in range(6)])
+    found = list(_whittle(r))
+    assert [a.shape for a, _ in found] == [(2, 2 * order) for order in range(6)]
+    for order, (a, innovation) in enumerate(found):
+        past = np.zeros((0, 0))
+        if order:
+            past = of_past(r, order)
+        ahead = np.hstack([*r[1 : order + 1], np.zeros((2, 0))])
+        assert_allclose(a, -np.linalg.solve(past.T, ahead.T).T if order else a, atol=1e-9)
+        assert_allclose(innovation, r[0] + a @ ahead.T, atol=1e-9)
+
+
+def test_predictable_outputs_have_no_higher_order():
+    """Of a sine two samples tell all others."""
+    r = np.array([[[np.cos(0.5 * lag)]] for lag in range(7)])
+    found = list(_whittle(r))
+    assert len(found) == 2
+    assert_allclose(found[1][1], [[np.sin(0.5) ** 2]])
+
+
+def test_the_vector_autoregression_has_the_covariances_of_the_residuals_up_to_its_order():
+    n = 400
+    random = np.random.default_rng(5)
+    white = np.array([[1.0, 0.0], [0.5, 2.0]]) @ random.normal(size=(2, n + 100))
+    e = np.zeros((2, n + 100))
+    for t in range(2, n + 100):
+        e[:, t] = np.array([[0.5, 0.2], [-0.3, 0.4]]) @ e[:, t - 1] - 0.3 * e[:, t - 2] + white[:, t]
+    J = random.normal(size=(2, 1, n))
+    made = _Sandwich.of([J], [e[:, 100:]], 1 / np.einsum("kpn,kpn->p", J, J)[:, None], np.eye(2))
+    lags = made.periodogram[0]
+    found = made._together(lags)
+    order = round(found.uncertainty * n / 2) - 1
+    assert order in (2, 3)
+    assert found.taken == pytest.approx(made._taken(found.density))
+    for lag in range(order + 1):
+        covariance = np.fft.irfft(made.grid.spread_out(found.density), made.grid.size)[:, :, lag]
+        assert_allclose(covariance, lags[lag], atol=1e-3)
+    assert_allclose(found.typical, np.log(np.einsum("iib->ib", found.density).real))
+    # -2 log likelihood of the innovations, with AICc's penalty for coefficients and covariance.
+    lost = np.linalg.slogdet(of_past(lags, order + 1))[1] - np.linalg.slogdet(of_past(lags, order))[1]
+    unknowns = 4 * order + 3
+    assert found.score == pytest.approx(n * lost + 2 * unknowns * 2 * n / (2 * n - unknowns - 1), rel=1e-6)
+
+
+def test_autoregressions_of_one_output_are_averaged_by_their_aicc():
+    n = 60
+    e = lfilter([1, 0.7], [1, -0.6], np.random.default_rng(8).normal(size=(1, n + 50)))[:, 50:]
+    J = np.random.default_rng(9).normal(size=(1, 2, n)).cumsum(axis=2)
+    made = replace(_Sandwich.of([J], [e], np.linalg.inv(J[0] @ J[0].T), np.eye(1)), families=[()])
+    r = made.periodogram[0][:, 0, 0]
+    spectra, scores, orders = [], [], [order for order in range(16) if order != 1]
+    for order in orders:
+        a = np.r_[1, solve_toeplitz(r[:order], -r[1 : order + 1]) if order else []]
+        variance = a @ r[: order + 1]
+        response = sum(c * np.exp(-1j * k * made.grid.omega) for k, c in enumerate(a))
+        spectra.append(variance / np.abs(response) ** 2)
+        unknowns = order + 1
+        scores.append(n * np.log(variance) + 2 * unknowns + 2 * unknowns * (unknowns + 1) / (n - unknowns - 1))
+    weight = np.exp(-0.5 * np.array(scores))
+    evidence = -2 * np.log(weight.sum())
+    weight /= weight.sum()
+    found = made._one_output(0, r, made.periodogram[1][0, 0].real)
+    assert_allclose(found.density, weight @ spectra, rtol=2e-3)
+    assert_allclose(found.typical, weight @ np.log(spectra), atol=2e-3)
+    assert found.score == pytest.approx(evidence)
+    taken = np.array([made._taken(one[None, None] + 0j) for one in spectra])
+    assert found.taken == pytest.approx(weight @ taken, rel=2e-3)
+    between = weight @ (np.log(taken) - weight @ np.log(taken)) ** 2
+    assert found.uncertainty == pytest.approx(between + weight @ (2 * (np.array(orders) + 1) / n), rel=5e-3)
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_spectra_that_are_not_excluded_are_those_of_the_restricted_likelihood_by_dense_matrices(beside):
+    """Errors whose cosine transform has the variances of a spectrum: its likelihood without what a fit took.
+
+    Another output, `beside` it, tells of the parameters as if its errors were white and of the given noise.
+    """
+    n = 48
+    random = np.random.default_rng(4)
+    A = np.column_stack([np.ones(n), np.linspace(-1, 2, n) ** 2])
+    B = random.normal(size=(n, 2)) * beside
+    noise, other = 2.5, 0.7
+    e = lfilter([1.0], [1, -0.8], random.normal(size=(2, n))) * [[1.0], [0.6 * beside]]
+    inverse = np.linalg.inv(A.T @ A / noise + B.T @ B / other)
+    estimate = inverse @ (A.T @ e[0] / noise + B.T @ e[1] / other)
+    e -= [A @ estimate, B @ estimate]
+    k = 1 + beside
+    weighted = np.array([A.T / noise, B.T / other])
+    made = _Sandwich.of([weighted[:k]], [e[:k]], inverse, np.diag([noise, other])[:k, :k])
+    size = np.sqrt(np.mean(e[0] ** 2))
+    told, meats = made._not_excluded(0)
+    assert_allclose(told, made.root.T @ A.T @ A @ made.root / noise, atol=1e-9)
+    turn = dct(np.eye(n), axis=0, norm="ortho")
+    band = np.arange(n) * made.grid.size // (2 * n)
+    scores, wanted = [], []
+    for shape in (np.ones(len(made.grid.omega)), *(s for family in made.families[0] for s in family.shapes)):
+        sigma = turn.T @ np.diag(shape[band]) @ turn * size**2
+        solved = np.linalg.solve(sigma, A)
+        information = A.T @ solved + B.T @ B / other
+        change = np.linalg.solve(information, solved.T @ e[0] + B.T @ e[1] / other)
+        first, second = e[0] - A @ change, e[1] - B @ change
+        squares = first @ np.linalg.solve(sigma, first) + (second @ second - e[1] @ e[1]) / other
+        left = n - np.trace(told)
+        scale = squares / left
+        scores.append(left * np.log(scale) + np.linalg.slogdet(sigma)[1] + np.linalg.slogdet(information)[1])
+        wanted.append(made.root.T @ A.T @ sigma @ A @ made.root * scale / noise**2)
+    scores, wanted = np.array(scores), np.array(wanted)
+    order = np.argsort(scores)
+    order = order[scores[order] < scores.min() + 3.84]
+    assert_allclose(meats, wanted[order], rtol=1e-6, atol=1e-9)
+
+
+def test_an_output_that_tells_nothing_hides_nothing():
+    n = 120
+    J = np.vstack([np.ones(n), np.linspace(-1, 1, n)])[None]
+    inverse = np.linalg.inv(J[0] @ J[0].T)
+    e = lfilter([1.0], [1, -0.7], np.random.default_rng(3).normal(size=(2, n)))
+    e[0] -= e[0] @ J[0].T @ inverse @ J[0]
+    alone = _Sandwich.of([J], [e[:1]], inverse, np.eye(1))
+    both = _Sandwich.of([np.concatenate([J, 0 * J])], [e], inverse, np.eye(2))
+    meat = inverse @ np.linalg.inv(inverse) @ np.linalg.inv(inverse) / 100
+    density = np.ones((1, 1, len(alone.grid.omega)))
+    assert alone.hidden(meat, density) > 2
+    assert both.hidden(meat, density) == pytest.approx(alone.hidden(meat, density))
+
+
+def test_correlation_times_are_the_time_constants_of_exponentials():
+    grid = _Grid.of(1000)
+    found = grid.correlation_times(
+        np.array(
+            [(1 - p**2) / np.abs(1 - p * np.exp(-1j * grid.omega)) ** 2 for p in np.exp(-1 / np.array([4.0, 25.0]))]
+        )
+    )
+    assert_allclose(found, [4.0, 25.0], atol=1)
+
+
+def test_the_penalty_is_that_of_aicc():
+    """2 k + 2 k (k + 1) / (n - k - 1), and beyond any score where the unknowns are as many as the numbers."""
+    assert _aicc(3, 20) == pytest.approx(6 + 24 / 16)
+    assert _aicc(9, 10) == pytest.approx(2 * 9 * 10 / 1e-3)
+    assert _aicc(30, 10) > 1e5
+
+
+def test_outputs_that_are_not_measured_are_left_out_and_have_no_correlation_time():
+    n = 80
+    random = np.random.default_rng(6)
+    J = random.normal(size=(3, 2, n)).cumsum(axis=2)
+    e = lfilter([1.0], [1, -0.8], random.normal(size=(3, n)))
+    e[1], J[1] = 0.0, 0.0
+    noise = np.diag([1.0, 7.0, 4.0])
+    J /= np.diag(noise)[:, None, None]
+    inverse = np.linalg.inv(sum(noise[i, i] * J[i] @ J[i].T for i in (0, 2)))
+    found = colored_information([J], [e], inverse, noise)
+    alone = colored_information([J[[0, 2]]], [e[[0, 2]]], inverse, noise[np.ix_([0, 2], [0, 2])])
+    assert_allclose(found.meat, alone.meat)
+    assert found.taken == pytest.approx(np.trace(np.linalg.solve(np.linalg.inv(inverse), found.meat)))
+    assert_allclose(found.correlation_times, [alone.correlation_times[0], 0, alone.correlation_times[1]])
+    assert alone.correlation_times.min() > 0
+    assert_allclose(found.spectrum.deviation, [np.sqrt(np.mean(e[0] ** 2)), 1, np.sqrt(np.mean(e[2] ** 2))])
+    assert not found.spectrum.density[1].any()
+    assert_allclose(found.spectrum.density[0, 2], alone.spectrum.density[0, 1])
+
+
+def slow_and_its_parameter(seed, n=150):
+    """One output, one parameter of which slow errors take much: sensitivities, and residuals of its fit."""
+    random = np.random.default_rng(seed)
+    J = lfilter([1.0], [1, -0.9], random.normal(size=n))
+    e = lfilter([1.0], [1, -0.7], random.normal(size=n))
+    return J[None], e - J * (J @ e) / (J @ J)
+
+
+def test_limits_of_outputs_of_which_each_tells_of_one_parameter_combine_as_independent_numbers():
+    (one, e), (other, f) = slow_and_its_parameter(1), slow_and_its_parameter(2)
+    inverse = np.diag([1 / (one[0] @ one[0]), 1 / (other[0] @ other[0])])
+    both = _Sandwich.of(
+        [np.array([[one[0], 0 * one[0]], [0 * other[0], other[0]]])], [np.array([e, f])], inverse, np.eye(2)
+    )
+    density, meats, hidden = None, [], []
+    for i, (J, left) in enumerate(((one, e), (other, f))):
+        alone = _Sandwich.of([J[None]], [left[None]], inverse[i : i + 1, i : i + 1], np.eye(1))
+        density = np.ones((1, 1, len(alone.grid.omega)))
+        likeliest = alone._not_excluded(0)[1][0, 0, 0]
+        meats.append(likeliest / inverse[i, i])
+        hidden.append(alone.hidden(np.array([[meats[i]]]), density))
+        assert hidden[i] > 1.5
+        # Of what other data tell three fourths, nothing is hidden.
+        quarter = _Sandwich.of([J[None]], [left[None]], inverse[i : i + 1, i : i + 1] / 4, np.eye(1))
+        told, spectra = quarter._not_excluded(0)
+        assert told[0, 0] == pytest.approx(0.25)
+        wanted = (0.75 + spectra.max()) / (0.75 + 0.25 * 1.3)
+        assert quarter.hidden(np.array([[1.3 * 4 / inverse[i, i] * 0.25]]), density) == pytest.approx(wanted)
+    found = both.hidden(np.diag(meats), density)
+    assert np.log(found) == pytest.approx(np.hypot(*np.log(hidden)) / 2)
+
+
+def test_where_a_fit_took_nothing_residuals_say_what_a_periodogram_of_errors_says():
+    made = small()
+    nothing = _Sandwich.of([0 * W for W in made.weighted], made.residuals, made.inverse, NOISE)
+    density = some_density(made)
+    one = _Evidence(density, np.zeros((2, len(made.grid.omega))), 7.5, 3.0, 0.2)
+    judged = nothing._judged_on_residuals(one, made.periodogram[1])
+    assert judged.score == pytest.approx(7.5 + 21 * 2)  # of every number, the mean of its square over its variance
+    assert judged.density is density
+    lags, banded = nothing.taken_power(density)
+    assert not lags.any()
+    assert not banded.any()
+
+
+def test_outputs_apart_add_what_they_take_and_its_variance():
+    made = small()
+    size = len(made.grid.omega)
+    alone = [
+        _Evidence(np.full(size, d), np.full(size, t), s, taken, u)
+        for d, t, s, taken, u in ((2, 0.5, 11, 3, 0.2), (5, 1.5, 6, 0.5, 0.7))
+    ]
+    found = made._apart(alone)
+    assert_allclose(found.density[:, :, 3], [[2, 0], [0, 5]])
+    assert_allclose(found.typical[:, 3], [0.5, 1.5])
+    assert (found.score, found.taken) == (17, 3.5)
+    assert found.uncertainty == pytest.approx((0.2 * 3**2 + 0.7 * 0.5**2) / 3.5**2)  # of the logarithm of the sum
+
+
+def test_spectra_are_averaged_by_their_evidence():
+    made = small()
+    lags, banded = made.periodogram
+    apart = made._apart([made._one_output(i, lags[:, i, i], banded[i, i].real) for i in (0, 1)])
+    together = made._together(lags)
+    share = 1 / (1 + np.exp((together.score - apart.score) / 2))
+    assert 1e-6 < share < 1 - 1e-6
+    found = made.mixture(lags, banded)
+    assert_allclose(found.density, share * together.density + (1 - share) * apart.density)
+    assert_allclose(np.log(found.typical), share * together.typical + (1 - share) * apart.typical)
+    assert found.taken == pytest.approx(share * together.taken + (1 - share) * apart.taken)
+    within = share * together.uncertainty + (1 - share) * apart.uncertainty
+    between = share * (1 - share) * np.log(together.taken / apart.taken) ** 2
+    assert found.uncertainty == pytest.approx(within + between)
+
+
+def resonant():
+    """A mass on a spring: position and velocity, one parameter, and the jumps of both states."""
+    n = 60
+    F = expm(0.1 * np.array([[0.0, 1.0], [-4.0, -0.8]]))
+    random = np.random.default_rng(7)
+    e, gust, jumps = np.zeros((2, n)), np.zeros(2), np.zeros((2, 2, n))
+    jumps[:, :, 0] = np.eye(2)
+    for t in range(1, n):
+        jumps[:, :, t] = F @ jumps[:, :, t - 1]
+        gust = F @ gust + [0.0, 0.4 * random.normal()]
+        e[:, t] = gust
+    e += 0.2 * random.normal(size=(2, n))
+    J = np.zeros((2, n))
+    for t in range(1, n):
+        J[:, t] = F @ J[:, t - 1] + [0.0, np.sign(np.sin(0.2 * t))]
+    A = J.reshape(-1)
+    inverse = 1 / (A @ A)
+    e -= J * (A @ e.reshape(-1)) * inverse
+    return _Sandwich.of([J[:, None]], [e], np.array([[inverse]]), np.eye(2), None, lambda: jumps)
+
+
+def test_process_noise_is_judged_by_the_variances_of_its_parts():
+    made = resonant()
+    parts = made.noise_parts
+    found, variances = made._process_noise(parts), made._variances
+    assert variances.variance.shape == (4,)
+    assert_allclose(found.density, sum(v * part for v, part in zip(variances.variance, parts.density, strict=True)))
+    assert_allclose(found.typical, np.log([found.density[i, i].real for i in (0, 1)]))
+    assert found.taken == pytest.approx(made._taken(found.density))
+    assert found.score == pytest.approx(variances.score + 8 + 2 * 4 * 5 / (120 - 5))
+
+    def logarithm(logs):
+        return np.log(made._taken(np.tensordot(np.exp(logs), parts.density, 1)))
+
+    logs = np.log(variances.variance)
+    slope = np.array([(logarithm(logs + d) - logarithm(logs - d)) / 2e-5 for d in 1e-5 * np.eye(4)])
+    assert found.uncertainty == pytest.approx(slope @ variances.covariance @ slope, rel=1e-4)
+
+
+def test_the_most_process_noise_that_residuals_do_not_exclude_is_the_largest_below_the_limit():
+    made = resonant()
+    parts, variances = made.noise_parts, made._variances
+    white = np.eye(2)[:, :, None] * np.ones(len(made.grid.omega), dtype=complex)
+
+    def score(variance):
+        expected = np.tensordot(variance, parts.of_residuals, 1)
+        return whittle_score(expected, made.periodogram[1].transpose(2, 0, 1), 60 * made.grid.band_weight)
+
+    for likely in (white, made._process_noise(parts).density):
+        limit = min(variances.score, made._score(likely)) + 3.84
+        (worst,) = made._process_noise_not_excluded(parts, likely)
+        own, shares = variances.variance[:2], np.maximum(variances.variance[2:], 1e-4)
+        total = (made.grid.mean(np.einsum("iib->b", worst).real) - own.sum()) / 2
+        every = np.geomspace(1e-3, 30, 40)
+        place = np.argmin(np.abs(np.log(every / total)))
+        assert every[place] == pytest.approx(total, rel=1e-9)
+        assert total > 1.2 * variances.variance[2:].sum()
+        above, at = (score(np.concatenate([own, each * shares / shares.sum()])) for each in every[[place + 1, place]])
+        assert at < limit <= above
+    assert made._score(white) > limit + 5  # what has no process noise is less likely
+    # One parameter, of which the data tell alone: its variance is the sum of what the spectrum makes of its score.
+    meat = np.array([[1e-3]])
+    wanted = made.grid.score_covariance(made.transforms(), worst)[0, 0]
+    plain = resonant()
+    plain = replace(plain, shocks=None).hidden(meat, likely)
+    assert made.hidden(meat, likely) == pytest.approx(max(wanted / 1e-3, plain))
+    assert wanted / 1e-3 > plain
+
+
+def test_spectra_are_corrected_for_what_a_fit_took_once_more_where_that_changes_the_variance_by_a_tenth():
+    again = []
+    for n, slow in ((400, 0.2), (60, 0.95)):
+        random = np.random.default_rng(3)
+        J = np.vstack([np.ones(n), np.linspace(-1, 1, n)])[None]
+        inverse = np.linalg.inv(J[0] @ J[0].T)
+        e = lfilter([1.0], [1, -slow], random.normal(size=n))
+        e = (e - e @ J[0].T @ inverse @ J[0])[None]
+        made = _Sandwich.of([J], [e], inverse, np.eye(1))
+        lags, banded = made.periodogram
+        mixtures = [made.mixture(lags, banded)]
+        for _ in range(2):
+            more = made.taken_power(mixtures[-1].density)
+            mixtures.append(made.mixture(lags + more[0], banded + more[1]))
+        again.append(abs(mixtures[1].taken / mixtures[0].taken - 1) > 0.1)
+        found = colored_information([J], [e], inverse, np.eye(1))
+        assert found.corrected
+        assert found.taken == pytest.approx(mixtures[2 if again[-1] else 1].taken)
+    assert again == [False, True]
+
+
+def test_frequencies_without_power_do_not_make_a_spectrum_infinitely_unlikely():
+    J, e = slow_and_its_parameter(0)
+    silent = np.fft.irfft(np.fft.rfft(J[0]) * (np.arange(76) < 9), 150)
+    made = _Sandwich.of([silent[None, None]], [e[None]], np.array([[1 / (silent @ silent)]]), np.eye(1))
+    assert all(np.isfinite(family.logarithm).all() for family in made.families[0])
