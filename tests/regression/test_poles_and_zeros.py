@@ -1,11 +1,13 @@
 """Poles and zeros: pairs that nearly cancel, and the factored form of (3.18)."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.testing import assert_allclose
 from rational_functions import OMEGA, PITCH, ROLL, YAW, expand, numbers, polynomial, table
 
 from greybox.regression.levy import levy
-from greybox.regression.poles_and_zeros import NearPair, factored, near_pairs
+from greybox.regression.poles_and_zeros import NearPair, factored, near_pairs, upper_half
 
 
 def test_an_exact_pair_is_reported():
@@ -38,3 +40,34 @@ def test_factored_form_is_the_same_function():
     numerator, denominator = expand(fit.factored)
     s = 1j * OMEGA
     assert_allclose(np.polyval(numerator, s) / np.polyval(denominator, s), fit.response(OMEGA).response, rtol=1e-9)
+
+
+def test_a_pair_counts_below_the_tolerance_and_is_stable_off_the_axis():
+    assert near_pairs([-0.75], [-1.0], tolerance=0.25) == ()  # a quarter apart
+    (pair,) = near_pairs([-1.0], [-0.75], tolerance=0.2501)
+    assert (pair.distance, pair.stable) == (0.25, True)
+    assert [NearPair(z, p, 0.0).stable for z, p in ((-1, 0), (0, -1), (-1, 2), (2, -1))] == [False] * 4
+    assert str(NearPair(-1 + 2j, 0.5, 0.123)) == "unstable zero -1 ± 2j and pole 0.5, 12 % apart"
+
+
+def test_a_zero_is_matched_with_the_nearest_of_several_poles():
+    """Each once: what is left over of three zeros and three poles finds no partner within the tolerance."""
+    pairs = near_pairs([-2.0, -2.1, -9.0], [-2.11, -2.2, -30.0])
+    assert [(pair.zero, pair.pole) for pair in pairs] == [(-2.1, -2.11), (-2.0, -2.2)]
+    assert upper_half([-3.0, 1 - 2j, 1 + 2j, 0.5]) == [0.5, 1 + 2j, -3.0]
+
+
+def test_every_kind_of_factor_is_written():
+    """6 (s + 0.5) s (s² - 2 s + 5) over 2 s² (s + 4) (s + 0.5) (s - 3) (s² + 10)."""
+    above = 6 * np.real(np.poly([-0.5, 0, 1 + 2j, 1 - 2j]))
+    below = 2 * np.polymul(np.poly([0, 0, -4, -0.5, 3]), [1, 0, 10])
+    found = factored(above, below)
+    assert found.integrators == 2
+    assert_allclose(found.gain, 6 / 2 / 4 / 0.5)
+    assert_allclose(found.zeros, [0, 0.5], atol=1e-12)
+    assert_allclose(found.time_constants, [1 / 4, 2])
+    assert_allclose(found.unstable, [-3])
+    assert_allclose(found.zero_quadratics, [(-2, 5)])
+    assert_allclose(found.quadratics, [(0, 10)], atol=1e-12)
+    stated = replace(found, zeros=(0.0, 0.5), quadratics=((0.0, 10.0),), gain=1.5)
+    assert str(stated) == "1.5 s (s + 0.5) (s² - 2 s + 5) / [s s (0.25 s + 1) (2 s + 1) (s - 3) (s² + 10)]"

@@ -8,11 +8,13 @@ import pytest
 from lagged_plant import STEP, TIME, TRUTH, Lagged, flown, force
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
 
+import greybox as gb
 from greybox.data.intersample import Intersample
 from greybox.modeling.realization import dynamics
 from greybox.regression.linear_in_parameters import regressions
-from greybox.regression.regressors import FEWEST, REMEMBERED, _linear_response, memory, regressors
+from greybox.regression.regressors import FEWEST, REMEMBERED, _derivative, _linear_response, acting, memory, regressors
 from greybox.regression.smoothing import reach
 
 
@@ -102,3 +104,191 @@ def test_stretches_that_are_too_short_give_no_block():
 def test_a_band_limits_all_terms():
     assert made(band=2.0).bands == (2.0,)
     assert made(cutoffs={"v": 10.0}).bands == (5.0,)
+
+
+def test_what_is_held_acts_as_the_smooth_slope_of_what_integrates_it():
+    """x(k+1) = x(k) + h u(k) over two stretches, of which a spline gives the slope; the rest is of (ωh)⁴."""
+    step = 0.1
+    time = np.concatenate([step * np.arange(90), 30 + step * np.arange(70)])
+    u = np.sin(5 * time)
+    values = u.copy()
+    values[120:123] = np.nan
+    acts = acting(time, values, True)
+    for rows in (slice(0, 90), slice(90, 120), slice(123, 160)):
+        x = step * np.concatenate([[0.0], np.cumsum(u[rows][:-1])])
+        inside = slice(8, -8)
+        assert_allclose(acts[rows][inside], CubicSpline(time[rows], x)(time[rows], 1)[inside], atol=3e-3)
+        first = CubicSpline(time[rows], u[rows])  # before the first sample nothing is known
+        assert acts[rows][0] == pytest.approx(first(time[rows][0]) - step**2 / 24 * first(time[rows][0], 2))
+    assert np.flatnonzero(np.isnan(acts)).tolist() == [120, 121, 122]
+    assert acting(time, values, False) is values
+    alone = np.array([np.nan, 4.0, np.nan, 1.0, 3.0, np.nan])
+    # Of two samples the line through them, half a step late; of one there is none.
+    assert_allclose(acting(step * np.arange(6), alone, True), [np.nan, np.nan, np.nan, 1.0, 2.0, np.nan])
+
+
+class Autonomous(gb.StateSpace):
+    """Nothing drives it."""
+
+    states, inputs, outputs = ("v",), (), ("v",)
+    a = gb.Parameter(-1.0, bounds=(-5, 0))
+
+    def derivative(self, x, u, p):
+        return (p.a * x.v,)
+
+    def output(self, x, u, p):
+        return (x.v,)
+
+
+class TwoInputs(gb.StateSpace):
+    """A state that is simulated behind another lag than that which is measured, and two inputs with delays."""
+
+    states, inputs, outputs = ("v", "w"), ("u", "r"), ("v", "y")
+    delays = {"u": "T", "r": "D"}
+    a = gb.Parameter(-1.5, bounds=(-5, 0))
+    b = gb.Parameter(2.0, bounds=(0, 9))
+    lag = gb.Parameter(0.4, bounds=(0.01, 1))
+    T = gb.Parameter(0.07, bounds=(0, 0.1))
+    D = gb.Parameter(0.02, bounds=(0, 0.3))
+
+    def derivative(self, x, u, p):
+        return (p.a * x.v + p.b * x.w + u.r, (u.u - x.w) / p.lag)
+
+    def output(self, x, u, p):
+        return (x.v, p.b * x.v - u.u)
+
+
+POINT = np.array([-1.5, 2.0, 0.4, 0.07, 0.02])
+
+
+def two_inputs(record, between, p=POINT, **options):
+    system = dynamics(TwoInputs())
+    equations = regressions(system, record.signals, {}, p)
+    return regressors(equations, (system.states, system.inputs), record, p, np.array([0.1, 0.3]), between, **options)
+
+
+CONTINUOUS = {"u": Intersample(False), "r": Intersample(False)}
+
+
+def driven(count=600, step=0.05):
+    time = step * np.arange(count)
+    signals = {"u": np.sin(1.3 * time) + 2, "r": np.cos(2.1 * time), "v": np.sin(time), "y": np.cos(0.7 * time)}
+    return gb.Record(time, signals)
+
+
+def test_without_inputs_nothing_is_late():
+    time = 0.05 * np.arange(200)
+    system = dynamics(Autonomous())
+    record = gb.Record(time, {"v": np.exp(-1.0 * time)})
+    data = regressors(
+        regressions(system, ["v"], {}, np.array([-1.0])), (("v",), ()), record, np.array([-1.0]), np.zeros(0), {}
+    )
+    assert (data.lateness, data.step) == (0.0, pytest.approx(0.05))
+    (block,) = data.blocks(np.array([-1.0]))
+    assert_allclose(block.target, -block.slopes[:, 0], rtol=0.05)
+    assert data.busiest(50).time.tolist() == time[:50].tolist()
+
+
+def test_a_stretch_begins_late_by_the_longest_delay_and_the_memory_of_the_slowest_lag():
+    """A value that is held lasts a step, and one that is interpolated acts late by what is known of it."""
+    remembered = 0.4 * math.log(100)
+    held, late = Intersample(True), Intersample(False, 0.04)
+    for between, longest in (
+        (CONTINUOUS, 0.3),
+        ({"u": held, "r": CONTINUOUS["r"]}, 0.3),
+        ({"u": CONTINUOUS["u"], "r": held}, 0.35),
+        ({"u": held, "r": late}, 0.34),
+    ):
+        data = two_inputs(driven(), between)
+        assert data.lateness == pytest.approx(longest + remembered)
+        # The lag and the delays; the output needs no simulated state, and yet waits as long.
+        edges = [math.ceil(reach(band) / 0.05) for band in data.bands]
+        wanted = [600 - 2 * edge - math.ceil(data.lateness / 0.05) for edge in edges]
+        assert [b.target.size for b in data.blocks(POINT)] == wanted
+
+
+def test_inputs_arrive_after_their_delays_and_before_the_first_sample_as_it_was():
+    record = driven()
+    time, inside = record.time, slice(20, -20)
+    data = two_inputs(record, CONTINUOUS | {"r": Intersample(False, 0.04)})
+    u, r = data._late(np.array([0.07, 0.02]))
+    assert_allclose(u[inside], np.sin(1.3 * (time[inside] - 0.07)) + 2, atol=1e-6)
+    assert_allclose(r[inside], np.cos(2.1 * (time[inside] - 0.06)), atol=1e-5)
+    assert u[:2].tolist() == [2.0, 2.0]
+    # Held: between two values, in shares of the part of a step.
+    acts = acting(time, record["u"], True)
+    data = two_inputs(record, CONTINUOUS | {"u": Intersample(True)})
+    assert_allclose(data.inputs["u"], acts)
+    later = data._late(np.array([0.07, 0.0]))
+    assert_allclose(later[0, 2:], 0.6 * acts[1:-1] + 0.4 * acts[:-2])  # 1.4 steps
+    assert later[1] is not None
+    assert_allclose(later[1], record["r"])
+
+
+def test_a_simulated_state_is_that_of_its_lag_over_each_stretch():
+    record = driven()
+    u = record["u"].copy()
+    u[300:304] = np.nan
+    data = two_inputs(record.with_signals(u=u), CONTINUOUS)
+    x = np.full((2, 600), np.nan)
+    assert data._simulate(x, data._late(np.zeros(2)), POINT)
+    assert np.isnan(x[0]).all()
+    assert np.flatnonzero(np.isnan(x[1])).tolist() == [300, 301, 302, 303]
+    # Of a lag: the gain and the phase of the sine, once the start is forgotten.
+    wanted = 2 + np.imag(np.exp(1.3j * record.time) / (1 + 0.4 * 1.3j))
+    settled = np.r_[100:300, 404:600]
+    assert_allclose(x[1, settled], wanted[settled], atol=5e-5)
+    unstable = POINT * [1, 1, -1, 1, 1]
+    assert not data._simulate(x, data._late(np.zeros(2)), unstable)
+    assert data.blocks(unstable) == []
+
+
+def test_a_stretch_is_used_from_four_rows_on():
+    """What smoothing and delays need at its ends is left out of each."""
+    record, band = driven(), 8.0
+    edge, late = math.ceil(reach(band) / 0.05), math.ceil((0.3 + 0.4 * math.log(100)) / 0.05)
+    for rows in (FEWEST - 1, FEWEST):
+        count = 2 * edge + late + rows
+        short = record.rows(slice(count))
+        data = two_inputs(short, CONTINUOUS, cutoffs=dict.fromkeys(("v", "y"), 2 * band), band=band)
+        assert data.bands == (band, band)
+        assert [block.target.size for block in data.blocks(POINT)] == [FEWEST] * 2 * (rows == FEWEST)
+
+
+def test_a_band_is_half_the_lowest_cutoff_or_less_where_one_is_given():
+    cutoffs = {"v": 10.0, "y": 6.0}
+    assert two_inputs(driven(), CONTINUOUS, cutoffs=cutoffs).bands == (5.0, 5.0)
+    assert two_inputs(driven(), CONTINUOUS, cutoffs=cutoffs, band=4.0).bands == (4.0, 4.0)
+    assert two_inputs(driven(), CONTINUOUS, cutoffs=cutoffs, band=7.0).bands == (5.0, 5.0)
+
+
+def test_each_input_counts_by_its_own_variance_where_it_moves_most():
+    """One of a thousand moves from row 100 on, one of a thousandth from row 350 on, and twice as long: there it is."""
+    record, rows = driven(), np.arange(600)
+    u = 1e3 * (1 + 0.01 * np.sin(rows) * ((rows >= 100) & (rows < 140)))
+    r = 1e-3 * (5 + np.sin(0.7 * rows) * ((rows >= 350) & (rows < 430)))
+    r[[360, 361]] = np.nan
+    data = two_inputs(record.with_signals(u=u, r=r), CONTINUOUS)
+    share = [(values - np.nanmean(values)) ** 2 / np.nanvar(values) for values in (u, r)]
+    moved = np.nan_to_num(share[0]) + np.nan_to_num(share[1])
+    for count in (40, 90, 599):
+        part = data.busiest(count)
+        begin = int(np.flatnonzero(record.time == part.time[0])[0])
+        sums = [moved[k : k + count].sum() for k in range(601 - count)]
+        assert sums[begin] == pytest.approx(max(sums), rel=1e-9)
+        assert part.time.tolist() == record.time[begin : begin + count].tolist()
+        assert_allclose(part.inputs["r"], data.inputs["r"][begin : begin + count])
+        assert_allclose(part.outputs["y"], data.outputs["y"][begin : begin + count])
+        assert_allclose(part.derivatives["v"], data.derivatives["v"][begin : begin + count])
+    assert data.busiest(600) is data
+
+
+def test_the_slope_of_a_state_is_known_over_four_rows_and_more():
+    values = np.full(80, np.nan)
+    values[:40] = np.sin(0.3 * np.arange(40))
+    values[42:45] = 1.0
+    values[50:54] = 2.0 + 3 * np.arange(4)
+    found = _derivative(0.5 * np.arange(80), values)
+    assert_allclose(found[5:35], 0.6 * np.cos(0.3 * np.arange(5, 35)), atol=1e-4)
+    assert_allclose(found[50:54], 6.0)
+    assert np.flatnonzero(np.isfinite(found)).tolist() == [*range(40), *range(50, 54)]

@@ -7,7 +7,7 @@ from scipy.fft import dst
 from scipy.signal import savgol_filter
 
 import greybox as gb
-from greybox.regression.smoothing import low_pass, reach, regular, smooth, stretches, without_holes
+from greybox.regression.smoothing import differentiate, low_pass, reach, regular, smooth, stretches, without_holes
 
 STEP = 0.02
 TIME = np.arange(1500) * STEP
@@ -173,3 +173,122 @@ def test_the_last_samples_of_a_stretch_are_filled_as_the_first_are():
     for hole in (1, 5, 10):
         values = np.where(np.arange(12) == hole, np.nan, truth)
         assert_allclose(without_holes(time, values), truth, atol=1e-12)
+
+
+def steps(*lengths):
+    """Time from the steps between samples, each so many times 0.1 s."""
+    return 0.1 * np.concatenate([[0.0], np.cumsum(lengths)])
+
+
+def test_a_step_may_be_two_percent_off_and_from_two_and_a_half_it_is_a_gap():
+    def of(odd):
+        time = steps(*[1.0] * 13, odd, *[1.0] * 14)
+        return smooth(time, time**2)
+
+    for within in (1.019, 0.981, 2.51):
+        assert np.isfinite(of(within).values).all()
+    for odd in (1.021, 0.979, 2.49):
+        with pytest.raises(ValueError, match=rf"the step at 1\.3 s is {0.1 * odd:.4g} s and otherwise 0\.1 s; put the"):
+            of(odd)
+
+
+def test_a_stretch_has_twelve_samples():
+    values = np.arange(40.0) ** 2
+    values[[12, 13, 25, 26]] = np.nan  # of 12, 11 and 13 samples
+    known = smooth(0.1 * np.arange(40), values)
+    assert np.isnan(known.derivative[14:25]).all()
+    assert np.isfinite(known.derivative[[0, 11, 27, 39]]).all()
+    with pytest.raises(ValueError, match="no stretch of 12 samples"):
+        smooth(0.1 * np.arange(11), np.arange(11.0) ** 2)
+
+
+def test_a_cutoff_serves_all_stretches_and_is_weighed_by_both():
+    """One alone has no noise, the other has: together they are judged as one signal."""
+    random = np.random.default_rng(3)
+    time = np.concatenate([TIME[:300], TIME[:500] + 40])
+    values = np.sin(3 * time) + 0.05 * random.normal(size=800)
+    both = smooth(time, values)
+    omega, power = [], []
+    for part in (values[:300], values[300:]):
+        n = len(part)
+        power += [dst((part - np.linspace(part[0], part[-1], n))[1:-1], type=1, norm="ortho") ** 2]
+        omega += [np.pi * np.arange(1, n - 1) / ((n - 1) * STEP)]
+    omega, power = np.concatenate(omega), np.concatenate(power)
+
+    def removed(cutoff):
+        return 1 - 1 / (1 + (omega / cutoff) ** 8)
+
+    scores = [removed(c) ** 2 @ power / removed(c).sum() ** 2 for c in (both.cutoff, 0.97 * both.cutoff)]
+    assert scores[0] < scores[1]
+    assert scores[0] < removed(1.03 * both.cutoff) ** 2 @ power / removed(1.03 * both.cutoff).sum() ** 2
+    gone = removed(both.cutoff)
+    assert both.noise == pytest.approx(np.sqrt(gone**2 @ power / gone.sum()))
+
+
+def test_white_noise_alone_is_all_removed():
+    """The least cutoff that is tried passes little more than the third sine of the record."""
+    values = np.random.default_rng(5).normal(size=400)
+    known = smooth(TIME[:400], values)
+    third = 3 * np.pi / TIME[399]
+    assert third * (1 - 1e-9) <= known.cutoff < 40 * third
+    assert np.std(known.values) < 0.5
+
+
+def test_rows_that_are_missing_are_put_in_on_the_base_through_the_ends():
+    """Samples that are off by up to a fiftieth of the step are taken as on it; of two pieces each has its own."""
+    jitter = 0.1 * np.array([0, 0.01, -0.01, 0.015, 0.0, 0.01, 0.0, -0.01, 0.0])
+    piece = steps(1, 1, 2, 1, 2, 1, 1, 1) + jitter
+    record = gb.Record(np.concatenate([piece, piece + 7.03]), {"y": np.arange(18.0)})
+    full = regular(record)
+    assert_allclose(full.time, [*0.1 * np.arange(11), *(7.03 + 0.1 * np.arange(11))], atol=1e-12)
+    put_in = [0, 1, 2, np.nan, 3, 4, np.nan, 5, 6, 7, 8]
+    assert_allclose(full["y"], [*put_in, *np.add(put_in, 9)])
+    off = piece.copy()
+    off[5] += 0.1 * 0.015
+    with pytest.raises(ValueError, match=r"the step at 0\.7025 s is 0\.0975 s and otherwise 0\.1 s"):
+        regular(gb.Record(np.concatenate([off, piece + 7.03]), {"y": np.arange(18.0)}))
+    double = np.sort(np.append(piece, 0.1004))
+    with pytest.raises(ValueError, match=r"sampling is not uniform: the step at 0\.1004 s"):
+        regular(gb.Record(np.concatenate([double, piece + 7.03]), {"y": np.arange(19.0)}))
+
+
+def test_a_lone_sample_between_gaps_stays_one():
+    time = np.concatenate([0.1 * np.delete(np.arange(14), 5), [9.0], 20 + 0.1 * np.arange(13)])
+    full = regular(gb.Record(time, {"y": time}))
+    assert len(full) == 14 + 1 + 13
+    assert full.time[14] == 9.0
+    assert_allclose(np.delete(full["y"], 5), time)
+    assert np.isnan(full["y"][5])
+
+
+@pytest.mark.parametrize(("count", "served"), [(11, False), (12, True)])
+def test_a_record_has_twelve_samples(count, served):
+    record = gb.Record(0.1 * np.arange(count), {"y": np.arange(count) ** 2.0})
+    if served:
+        assert regular(record) is record
+    else:
+        with pytest.raises(ValueError, match="the record has 11 samples: give at least 12"):
+            regular(record)
+
+
+def test_holes_are_filled_within_stretches_and_not_across_gaps():
+    """Samples 0.1 s apart but for a gap of 5 s; cubics of each side, so that a spline through both would be off."""
+    time = np.concatenate([steps(*[1] * 8), 6 + steps(*[1] * 8)])
+    truth = np.where(time < 3, time**3 - time, 50 - 2 * time**3)
+    values = truth.copy()
+    values[[3, 12]] = np.nan
+    assert_allclose(without_holes(time, values), truth, rtol=1e-9)
+    values[[4, 13]] = np.nan  # two in a row are a gap, between stretches of three and four known samples
+    filled = without_holes(time, values)
+    assert np.flatnonzero(np.isnan(filled)).tolist() == [3, 4, 12, 13]
+    assert [(rows.start, rows.stop) for rows in stretches(time, filled)] == [(0, 3), (5, 9), (9, 12), (14, 18)]
+
+
+def test_a_derivative_has_the_order_of_a_cubic_spline():
+    """Halving the step divides its error by sixteen, away from the ends."""
+    errors = []
+    for count in (81, 161):
+        time = np.linspace(0, 4, count)
+        found = differentiate(np.sin(3 * time), time[1])
+        errors.append(np.abs(found - 3 * np.cos(3 * time))[count // 4 : -(count // 4)].max())
+    assert errors[0] / errors[1] == pytest.approx(16, rel=0.1)

@@ -1,5 +1,7 @@
 """A plant behind a lag that no signal shows, and a record of it without noise."""
 
+from functools import cache
+
 import numpy as np
 from scipy.integrate import solve_ivp
 
@@ -33,6 +35,7 @@ def force(t):
     return np.sin(1.7 * t) + 0.5 * np.sin(4.1 * t + 1)
 
 
+@cache
 def flown(count=TIME.size):
     time = TIME[:count]
     a, b, tau, T = TRUTH
