@@ -23,7 +23,6 @@ SEARCHED = 6000  # samples on which the search begins: a minute at 100 Hz determ
 PASSES = 3  # times that the equations are weighted by their residuals: each changes the weights to second order only
 TOUCHING = 1e-6  # of the interval between bounds: closer is at the bound
 DIFFERENCE = 1e-4  # of a nonlinear unknown: central differences err by its square, 1e-8, and rounding by 1e-12
-TINY = 1e-9  # the least size of an unknown that is differenced
 WORST = 1e3  # weighted residual where the model has none (an unstable simulated state): larger than any that has
 
 
@@ -125,10 +124,9 @@ class _Search:
         """Return the regressions with the slopes to the nonlinear unknowns behind the others, by differences."""
         blocks = self.blocks(point)
         slopes: list[list[Array]] = []
-        low, high = self.bounds(self.nonlinear)
-        for k in range(len(point)):
-            width = high[k] - low[k]
-            size = DIFFERENCE * min(width, max(abs(point[k]), 1e-3 * width, TINY), 1 / TINY)
+        widths = _widths(*self.bounds(self.nonlinear), point)
+        for k, width in enumerate(widths):
+            size = DIFFERENCE * min(width, max(abs(point[k]), 1e-3 * width))
             ends = [self.blocks(point + sign * size * (np.arange(len(point)) == k)) for sign in (1, -1)]
             if any([len(b.base) for b in end] != [len(b.base) for b in blocks] for end in ends):
                 # A simulated state becomes unstable there, or rows are lost: no difference can be taken.
@@ -165,6 +163,11 @@ def project(data: Regressors, parameters: Mapping[str, Parameter], start: Array)
         weights = _weights(blocks, residuals(blocks, unknowns))
     unknowns = _inner(search, blocks, weights)
     return _judged(search, point, unknowns, weights)
+
+
+def _widths(low: Array, high: Array, point: Array) -> Array:
+    """Return the intervals between bounds; of one without an end the size of the value, at least one."""
+    return np.where(np.isfinite(high - low), high - low, np.maximum(np.abs(point), 1))
 
 
 def _too_short(data: Regressors) -> str:
@@ -233,7 +236,7 @@ def _refine(search: _Search, point: Array, weights: Array) -> Array:
     log = np.array([search.parameters[n].scale == "log" for n in search.nonlinear])
     low, high = search.bounds(search.nonlinear)
     low, high = (np.where(log, np.log(np.where(log, end, 1)), end) for end in (low, high))
-    width = np.where(np.isfinite(high - low), high - low, np.maximum(np.abs(point), 1))
+    width = _widths(low, high, point)
     here = np.where(log, np.log(np.where(log, point, 1)), point) / width
 
     def back(z: Array) -> Array:

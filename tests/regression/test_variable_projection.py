@@ -1,18 +1,21 @@
 """Variable projection: the truth of noise-free data, and the best of a grid over the nonlinear unknowns."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from lagged_plant import TRUTH, Lagged, flown
 from numpy.testing import assert_allclose
+from scipy.optimize import minimize
 
+import greybox as gb
 from greybox.data.intersample import Intersample
 from greybox.modeling.realization import dynamics
-from greybox.regression.least_squares import residuals, solve
+from greybox.regression.least_squares import Block, autocovariances, covariance, residuals, solve
 from greybox.regression.linear_in_parameters import regressions
 from greybox.regression.regressors import regressors
-from greybox.regression.variable_projection import project
+from greybox.regression.variable_projection import SEARCHED, _explained, project
 
 START = np.array([-2.0, 1.0, 0.12, 0.01])  # a, b, tau, T
 
@@ -130,3 +133,179 @@ def test_a_start_that_is_almost_as_good_as_the_minimum_is_improved_too():
     assert cost(data, *beside[2:]) < 1.5 * cost(data, *found.vector[2:])
     again = project(data, parameters, beside)
     assert_allclose(again.values, found.values, atol=0.05 * errors.min())
+
+
+# --- two equations of two linear and two nonlinear unknowns in closed form --------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Decay:
+    """Two equations over three stretches: exponentials and waves with bases of their own, in place of a record."""
+
+    targets: tuple[np.ndarray, ...]
+    bands: tuple[float, ...] = (2.0, 5.0)
+    lateness: float = 0.4
+    step: float = 0.1
+    time: np.ndarray = field(default_factory=lambda: 0.1 * np.arange(5.0))
+    asked: list[int] = field(default_factory=list)
+
+    equations = SimpleNamespace(
+        linear=("a", "b"),
+        nonlinear=("tau", "w"),
+        free=("b", "tau", "a", "w"),
+        equations=(SimpleNamespace(left="p"), SimpleNamespace(left="q")),
+    )
+
+    def blocks(self, p):
+        _, tau, _, w = p
+        made = []
+        for equation, t, target in zip(EQUATIONS, TIMES, self.targets, strict=True):
+            base, slopes = MODELS[equation](t, tau, w)
+            made.append(Block(equation, target, base, slopes))
+        return made if tau < 30 else []
+
+    def busiest(self, count):
+        self.asked.append(count)
+        return self
+
+
+EQUATIONS = (0, 1, 0)
+TIMES = (np.linspace(0, 4, 60), np.linspace(0.5, 7, 90), np.linspace(5, 9, 40))
+MODELS = (
+    lambda t, tau, w: (0.3 * np.sin(w * t), np.column_stack([np.exp(-t / tau), np.cos(w * t)])),
+    lambda t, tau, w: (2 - np.exp(-t / tau), np.column_stack([w * t, 5 + 0 * t])),
+)
+VALUES = {"a": 2.0, "b": -0.7, "tau": 1.7, "w": 3.1}
+NOISE = (0.02, 0.3)
+
+
+def decay(noise=1.0, seed=0, moved=None):
+    """What is measured, of noise that is as large in each equation as in `NOISE`."""
+    random, known = np.random.default_rng(seed), VALUES | (moved or {})
+    targets = []
+    for equation, t in zip(EQUATIONS, TIMES, strict=True):
+        base, slopes = MODELS[equation](t, known["tau"], known["w"])
+        clean = base + slopes @ [known["a"], known["b"]]
+        targets.append(clean + noise * NOISE[equation] * random.normal(size=t.size))
+    return Decay(tuple(targets))
+
+
+def declared(**options):
+    """The free parameters, in the order of the model, and where they start."""
+    some = {"b": (0.1, (-5, 5)), "tau": (1.0, (0.2, 20)), "a": (1.0, (-9, 9)), "w": (2.7, (0.5, 6))}
+    made = {name: gb.Parameter(start, bounds=bounds) for name, (start, bounds) in some.items()}
+    made |= {name: replace(made[name], **more) for name, more in options.items()}
+    return made, np.array([p.start for p in made.values()])
+
+
+def jacobian(values):
+    """The slopes of every block to a, b, tau and w by hand."""
+    a, b, tau, w = values
+    made = []
+    for equation, t in zip(EQUATIONS, TIMES, strict=True):
+        e, de = np.exp(-t / tau), t / tau**2 * np.exp(-t / tau)
+        if equation == 0:
+            to_w = 0.3 * t * np.cos(w * t) - b * t * np.sin(w * t)
+            made.append(np.column_stack([e, np.cos(w * t), a * de, to_w]))
+        else:
+            made.append(np.column_stack([w * t, 5 + 0 * t, -de, a * t]))
+    return made
+
+
+@pytest.mark.parametrize("options", [{}, {"tau": {"scale": "log"}}, {"w": {"bounds": (-np.inf, np.inf)}}])
+def test_the_projection_is_the_likeliest_of_all_unknowns_at_once(options):
+    """Against a search over all four by scipy with the logarithms of both sums of squares, and its slopes by hand."""
+    data, (parameters, start) = decay(), declared(**options)
+    found = project(data, parameters, start)
+    assert found.names == ("a", "b", "tau", "w")
+
+    def errors(values):
+        a, b, tau, w = values
+        blocks = data.blocks((b, tau, a, w))
+        each = residuals(blocks, np.array([a, b]))
+        return np.concatenate([each[0], each[2]]), each[1]
+
+    def likelihood(values):
+        return sum(e.size * np.log(e @ e) for e in errors(values))
+
+    best = minimize(likelihood, found.values, method="Nelder-Mead", options={"xatol": 1e-10, "fatol": 1e-12}).x
+    assert_allclose(found.values, best, rtol=1e-5)
+    first, second = errors(found.values)
+    assert_allclose(found.spread, [np.sqrt(np.mean(first**2)), np.sqrt(np.mean(second**2))])
+    assert found.rows == (100, 90)
+    targets = np.concatenate([data.targets[0], data.targets[2]]), data.targets[1]
+    wanted = [1 - e @ e / np.sum((y - y.mean()) ** 2) for e, y in zip((first, second), targets, strict=True)]
+    assert_allclose(found.r_squared, wanted)
+
+    by_hand = [Block(k, y, 0 * y, J) for k, y, J in zip(EQUATIONS, data.targets, jacobian(found.values), strict=True)]
+    full = found.search.full(found.point, found.unknowns)
+    for block, exact in zip(full, by_hand, strict=True):
+        assert_allclose(block.slopes, exact.slopes, rtol=1e-5, atol=1e-6)
+    blocks = data.blocks(found.vector)
+    colored = autocovariances(blocks, residuals(blocks, found.unknowns))
+    independent = sum(c.independent for c in colored)
+    assert found.dof == pytest.approx(independent - 4)
+    assert_allclose(found.weights, 1 / np.array(found.spread), rtol=1e-6)
+    wanted = covariance(by_hand, found.weights, colored) * independent / (independent - 4)
+    assert_allclose(found.covariance, wanted, rtol=1e-4)
+    assert data.asked == [SEARCHED]
+
+
+def test_a_step_is_that_of_gauss_and_newton():
+    """On data that a small move of the truth made, it is the move; what a bound holds does not take part in it."""
+    clean, (parameters, start) = decay(noise=0.0), declared()
+    found = project(clean, parameters, start)
+    assert_allclose(found.values, list(VALUES.values()), rtol=1e-6)
+    move = {"a": 2.0 + 3e-4, "b": -0.7 - 2e-4, "tau": 1.7 - 4e-4, "w": 3.1 + 1e-4}
+    assert_allclose(found.step(decay(noise=0.0, moved=move)), [3e-4, -2e-4, -4e-4, 1e-4], rtol=0.01)
+
+    parameters, start = declared(a={"bounds": (-9, 1.9)})
+    found = project(decay(), parameters, start)
+    assert found.at_bound == ("a",)
+    assert found.values[0] == 1.9
+    assert np.isnan(found.covariance[0]).all()
+    other = decay(seed=1)
+    errors = [
+        y - b.base - b.slopes @ found.unknowns for y, b in zip(other.targets, other.blocks(found.vector), strict=True)
+    ]
+    rows = [found.weights[k] * J[:, 1:] for k, J in zip(EQUATIONS, jacobian(found.values), strict=True)]
+    right = np.concatenate([found.weights[k] * e for k, e in zip(EQUATIONS, errors, strict=True)])
+    assert_allclose(found.step(other), [0, *np.linalg.lstsq(np.vstack(rows), right, rcond=None)[0]], rtol=1e-3)
+
+
+@pytest.mark.parametrize(("high", "reached"), [(1.5, True), (4.0, False)])
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_a_nonlinear_unknown_ends_at_its_bound_exactly_or_inside(high, reached, scale):
+    parameters, start = declared(tau={"bounds": (0.2, high), "scale": scale})
+    found = project(decay(), parameters, start)
+    assert (found.at_bound == ("tau",)) == reached
+    assert found.values[2] == pytest.approx(1.5 if reached else 1.7, rel=1e-12 if reached else 0.1)
+    low, start = declared(tau={"bounds": (2.0, 25.0), "scale": scale, "start": 3.0})
+    found = project(decay(), low, start)
+    assert found.at_bound == ("tau",)
+    assert found.values[2] == pytest.approx(2.0, rel=1e-12)
+
+
+def test_a_search_from_good_points_finds_what_one_from_the_start_misses():
+    """A wave of another frequency is a minimum too; where a bound is infinite there is no box to draw from."""
+    parameters, start = declared(w={"start": 5.9})
+    assert project(decay(), parameters, start).values[3] == pytest.approx(3.1, rel=0.01)
+    parameters, start = declared(w={"start": 5.9, "bounds": (-np.inf, np.inf)})
+    assert abs(project(decay(), parameters, start).values[3] - 3.1) > 1
+
+
+def test_how_much_is_missing_of_a_record_that_is_too_short():
+    data, (parameters, start) = decay(), declared(tau={"start": 35.0, "bounds": (0.2, 50)})
+    needed = 2 * np.log(10) / (np.sin(np.pi / 8) * 2.0) + 0.4
+    with pytest.raises(ValueError, match=f"record has 0.5 s, of which .* states need {needed:.3g} s at its ends"):
+        project(data, parameters, start)
+
+
+def test_a_target_that_is_constant_has_no_share_that_is_explained():
+    made = [
+        Block(0, np.array([2.0, 4.0, 9.0]), np.zeros(3), np.zeros((3, 1))),
+        Block(2, *np.ones((2, 4)), np.ones((4, 1))),
+    ]
+    rows, shares = _explained(made, [np.array([1.0, -1.0, 2.0]), np.zeros(4)], 3)
+    assert rows == (3, 0, 4)
+    assert_allclose(shares, [1 - 6 / 26, np.nan, np.nan])
