@@ -4,6 +4,7 @@ import json
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from greybox.html_report.elements import html
 from greybox.html_report.interval_section import bootstrap_table
 from greybox.problems import pitch_hover, yaw_hover
 from greybox.solve.response_replicates import response_draws
-from greybox.study.bootstrap import Bootstrap, _warnings, interval_text
+from greybox.study.bootstrap import Bootstrap, _resampling, _warnings, interval_text
 
 OMEGA = np.geomspace(0.5, 20, 8)
 SIGMA = 0.05
@@ -304,3 +305,56 @@ def test_four_replicates_lie_beyond_each_end(count, dof, make):
         assert make - 100 < 4 / share <= make
         few = f"with {dof:.3g} degrees of freedom " if math.isfinite(dof) else ""
         assert said[0].startswith(f"{few}{100 * share:.2g} % of the replicates lie beyond each end of a 95 % interval")
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "error", "sentence"),
+    [
+        ({"converged": False, "status": "stagnated"}, {}, ValueError, "'made' has no estimate to begin from: stagnated"),
+        ({}, {"seed": -1}, ValueError, "seed is -1: give a whole number of at least 0"),
+        ({}, {"seed": True}, ValueError, "seed is True: give"),
+        ({}, {"seed": 1.0}, ValueError, "seed is 1.0: give"),
+        ({}, {"replicates": True}, ValueError, "replicates is True: give a whole number of at least 2"),
+        ({}, {"replicates": 2.0}, ValueError, "replicates is 2.0: give"),
+        ({}, {"executor": ThreadPoolExecutor}, TypeError, "give an instance such as"),
+        ({"spectra": ("one",)}, {}, ValueError, "'made' has manoeuvres, which are not drawn yet"),
+        ({"parts": (SimpleNamespace(is_prior=True),)}, {}, ValueError, "'made' has a prior, which is not drawn"),
+        ({"records": ("one",), "responses": ("one",)}, {}, ValueError, "'made' has records and responses"),
+        ({}, {"resampling": "sites"}, ValueError, "resampling is 'sites': give one of 'residuals', 'points', 'param"),
+        ({"records": ("one",)}, {"resampling": "points"}, ValueError, "'points' is not for records: give one of 'bl"),
+        ({"parts": (SimpleNamespace(is_prior=False),) * 2}, {"resampling": "parts"}, ValueError, "has 2 parts, and par"),
+    ],
+)
+def test_what_cannot_be_repeated_is_said(change, options, error, sentence):
+    known = {"name": "made", "converged": True, "status": "converged", "records": (), "responses": (), "spectra": ()}
+    fit = SimpleNamespace(**known | {"parts": (SimpleNamespace(is_prior=False),)} | change)
+    with pytest.raises(error, match=sentence):
+        gb.bootstrap(fit, **options)
+
+
+def test_of_three_parts_and_more_whole_parts_are_drawn_and_by_default_what_suits_the_data():
+    parts = (SimpleNamespace(is_prior=False),) * 3
+    fit = SimpleNamespace(name="made", spectra=(), parts=parts, records=parts, responses=())
+    assert _resampling(fit, "parts") == "parts"
+    assert _resampling(fit, None) == "blocks"
+    assert _resampling(SimpleNamespace(**vars(fit) | {"records": (), "responses": parts}), None) == "parametric"
+
+
+@pytest.mark.parametrize("level", [0, 1, 95])
+def test_a_level_is_a_share(replicates, level):
+    with pytest.raises(ValueError, match=f"level {level} must lie between 0 and 1, e.g. 0.95"):
+        replicates.interval(level)
+
+
+def test_what_has_no_replicates_is_named(replicates):
+    with pytest.raises(KeyError, match="'c' has no replicates; there are a, b"):
+        replicates["c"]
+    assert_array_equal(replicates["b"], np.delete(replicates.values[:, 1], [3, 7]))
+
+
+def test_parts_that_share_no_parameter_are_not_drawn():
+    data = [measured(Gain(), OMEGA, {"K": 1.0}, noise=0.01, seed=k) for k in range(3)]
+    own = (gb.Problem(Gain(), one, gb.SquaredRelativeError(), rename={"K": f"K_{k}"}) for k, one in enumerate(data))
+    fit = gb.fit(sum(own), starts=1, progress=False, profiles=False)
+    with pytest.raises(ValueError, match="the parts of .* share no parameter, so that none is left to draw them for"):
+        gb.bootstrap(fit, "parts", 2, progress=False)
