@@ -18,6 +18,7 @@ from greybox.html_report.sensitivity_figure import information_figure, sensitivi
 from greybox.html_report.spectrum_figures import spectrum_figure
 from greybox.html_report.starts_figure import _limits, starts_figure
 from greybox.models.polynomial import Polynomial
+from greybox.solve.outcome import SCREENED
 
 
 @pytest.fixture(scope="module")
@@ -173,6 +174,9 @@ def test_the_spectrum_of_a_manoeuvre_has_data_fit_and_what_is_left(fit):
     )
     assert given.series[0].y == pytest.approx(np.abs(spectrum.inputs["u"]))
     assert [output.label, given.label] == ["y, (°) s", "u, s"]
+    assert [output.is_logarithmic, given.is_logarithmic] == [True, True]
+    left = named(output, "what is left", "points").y
+    assert left == pytest.approx(np.degrees(np.abs(fitted.spectra[0].residual("y"))))
 
 
 def test_numbers_keep_the_digits_that_zooming_needs():
@@ -244,6 +248,7 @@ def test_wide_figures_and_a_figure_alone_take_the_whole_width():
 
 def test_limits_of_axes_are_handed_on_where_there_are_any():
     assert Panel("a", [], limits=(0.5, np.inf)).plain["limits"] == [0.5, None]
+    assert Panel("a", [], limits=(0.0, 123456.7)).plain["limits"] == [0, 123460]  # five digits of what has no span
     usual = Panel("a", []).plain
     assert (usual["limits"], usual["log"], usual["height"]) == (None, False, 1.0)
     for limits, plain in (((0.0, 3.0), [0, 3]), (None, None)):
@@ -256,3 +261,63 @@ def test_curves_have_no_more_points_than_can_be_seen_and_keep_their_ends(count):
     rows = _spread(count)
     assert (rows[0], rows[-1], rows.size) == (0, count - 1, min(count, 400))
     assert np.diff(rows).max(initial=1) <= -(-count // 399)
+
+
+def test_minima_have_five_colors_and_further_ones_and_failed_runs_none(fit):
+    first = fit.runs[0]
+    ended = [replace(first, index=k, cost=3.0 + k, iterations=k + 1, converged=True) for k in range(7)]
+    lost = [replace(first, index=7 + k, status="stagnated", converged=False) for k in range(2)]
+    screened = [replace(first, index=9 + k, stage=SCREENED) for k in range(4)]
+    minima = tuple(replace(fit.minima[0], cost=run.cost, runs=(run.index,)) for run in ended[:6])
+    minima = (replace(minima[0], runs=(6, 0)), *minima[1:])  # the dearest run counts to the first as well
+    made = replace(fit, runs=(*reversed(ended), *lost, *screened), minima=minima)
+    figure = starts_figure(made)
+    *found, failed = figure.panels[0].series
+    assert [series.name for series in found] == [
+        "minimum 1: 2 × cost 3",
+        *(f"minimum {k}: 1 × cost {2 + k}" for k in range(2, 6)),
+        "further minima",
+    ]
+    assert [series.x.tolist() for series in found] == [[1, 7], [2], [3], [4], [5], [6]]
+    assert [series.y.tolist() for series in found] == [[3, 9], [4], [5], [6], [7], [8]]
+    assert [(series.color, series.style) for series in found] == [(0, 0), (1, 1), (2, 2), (3, 3), (4, 4), (-1, 0)]
+    assert found[0].notes == ["start 0, cost 3, 1 iteration", "start 6, cost 9, 7 iterations"]
+    assert (failed.name, failed.color, failed.x.tolist()) == ("2 × failed", -2, [8, 9])
+    assert failed.style not in range(5)
+    assert (figure.limits, figure.is_whole) == ((0.0, 10.0), True)
+    said = f"{made.agreeing} of 9 most promising of 13 starts agree on the best minimum. Failed runs stand at the right"
+    assert made.agreeing > 1
+    assert figure.caption.startswith(said)
+    alone = starts_figure(replace(fit, runs=(ended[0],), minima=(replace(minima[0], runs=(0,)),)))
+    assert alone.caption == "1 of 1 start agrees on the best minimum."
+
+
+@pytest.mark.parametrize("dearest", [6.0, 4e5])
+def test_failed_runs_stand_below_the_upper_end_of_their_axis(fit, dearest):
+    runs = [replace(fit.runs[0], index=0, cost=3.0), replace(fit.runs[0], index=1, cost=dearest)]
+    runs.append(replace(fit.runs[0], index=2, converged=False))
+    minima = tuple(replace(fit.minima[0], cost=run.cost, runs=(run.index,)) for run in runs[:2])
+    (panel,) = starts_figure(replace(fit, runs=tuple(runs), minima=minima)).panels
+    above, top = panel.limits[1], panel.series[-1].y
+    assert panel.is_logarithmic is (dearest > 100)
+    assert dearest < top[0] < above
+
+
+def test_bounds_of_correlations_are_drawn_about_zero(fit):
+    (figure,) = residual_figures(fit.records[0])
+    panel = figure.panels[0]
+    band = named(panel, "99 % bound", "band")
+    bound = 2.576 / np.sqrt(np.isfinite(fit.records[0].residual("y")).sum())
+    assert band.high == pytest.approx(np.full(band.x.size, bound), rel=0.02)
+    assert band.low.tolist() == band.y.tolist() == (-band.high).tolist()
+    points = named(panel, "", "points")
+    assert [points.low.tolist(), points.high.tolist()] == [
+        [min(r, 0.0) for r in points.y],
+        [max(r, 0.0) for r in points.y],
+    ]
+    assert points.x.tolist() == band.x.tolist() == [*range(1, points.y.size + 1)]
+    most = max(np.abs(points.y).max(), bound)
+    assert most < panel.limits[1] == -panel.limits[0] < 1.5 * most
+    assert [panel.label, figure.label, figure.is_whole] == ["Autocorrelation", "Lag, samples", True]
+    assert figure.caption.startswith("99 % of single correlations stay within the band if there is none. Probability")
+    assert "with themselves p" in figure.caption

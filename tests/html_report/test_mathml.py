@@ -5,7 +5,8 @@ import pytest
 import greybox as gb
 from greybox.html_report.elements import html, tag
 from greybox.html_report.equation import equations
-from greybox.html_report.mathml import symbol
+from greybox.html_report.mathml import parenthesized, symbol, written
+from greybox.modeling.expression_tree import Function, Number, Power, Product, Sum, Symbol
 from greybox.models.drag import Drag
 from greybox.models.rate import DampedAngle
 from greybox.models.tilt import LinearTilt
@@ -61,3 +62,53 @@ def test_elements_escape_what_they_hold():
     made = tag("p", "<b>&", tag("i", "x"), "tail </p>", title='"><script>', hidden=True, lang=None)
     assert html(made) == '<p title="&quot;&gt;<script&gt;" hidden="">&lt;b&gt;&amp;<i>x</i>tail &lt;/p&gt;</p>'
     assert html(tag("p", "\x1b[2J\ud800")) == "<p>\\x1b[2J\\ud800</p>"
+
+
+A, B, T = Symbol("a"), Symbol("b"), Symbol("tau")
+DIFFERENCE = Sum(((-1, A), (1, B)))
+ABOVE = Function("<", (A, B))
+
+
+@pytest.mark.parametrize(
+    ("expression", "text"),
+    [
+        (Number(1 / 3), "0.33333"),
+        (Number(-1.5e-7), "-1.5·10−7"),
+        (Number(2e9), "2·109"),
+        (Number(float("inf")), "∞"),
+        (Number(float("nan")), "?"),
+        (DIFFERENCE, "−a+b"),
+        (Sum(((1, A), (-1, B), (1, ABOVE))), "a−b+(a<b)"),
+        (Product((A, DIFFERENCE, Number(2.0))), "a(−a+b)·2"),
+        (Product((Number(2.0), ABOVE)), "2(a<b)"),
+        (Product((DIFFERENCE,)), "−a+b"),
+        (Product((A, Power(Symbol("e"), B)), (T,)), "aτeb"),
+        (Product((Power(Symbol("e"), B),), (T,)), "1τeb"),
+        (Product((Power(A, Number(2.0)),), (T,)), "a2τ"),
+        (Power(Symbol("u", "tau"), Number(2.0)), "(u(t−τ))2"),
+        (Power(Number(10.0), A), "10a"),
+        (Power(DIFFERENCE, Number(3.0)), "(−a+b)3"),
+        (Function("abs", (A,)), "|a|"),
+        (Function("if", (ABOVE, DIFFERENCE)), "[a<b](−a+b)"),
+        (Function("if", (ABOVE, T)), "[a<b]τ"),
+        (Function("≤", (B, A)), "b≤a"),
+        (Function("arctan2", (A, DIFFERENCE, B)), "arctan2(a,−a+b,b)"),
+        (Symbol("u", "T_delay"), "u(t−Tdelay)"),
+    ],
+)
+def test_every_kind_of_expression_is_written_as_on_paper(expression, text):
+    assert read(written(expression)) == text
+
+
+def test_roots_powers_and_fractions_have_their_elements():
+    root = written(Power(DIFFERENCE, Number(0.5)))
+    assert (root.tag, read(root)) == ("msqrt", "−a+b")
+    assert written(Function("sqrt", (A,))).tag == "msqrt"
+    power = written(Power(A, B))
+    assert (power.tag, [read(part) for part in power]) == ("msup", ["a", "b"])
+    row = written(Product((A, Power(Symbol("e"), B), Number(3.0)), (T,)))
+    assert [(part.tag, read(part)) for part in row] == [("mfrac", "a·3τ"), ("mspace", ""), ("msup", "eb")]
+    fraction = row.find("mfrac")
+    for inside, stretchy in ((fraction, "true"), (tag("mrow", fraction), "true"), (tag("mi", "x"), "false")):
+        left, *_, right = parenthesized(tag("mi", "y"), inside)
+        assert (left.get("stretchy"), right.get("stretchy")) == (stretchy,) * 2

@@ -3,6 +3,7 @@
 import math
 import os
 import shutil
+from types import SimpleNamespace
 
 import pytest
 from page_results import MARKUP, crafted, lag
@@ -10,6 +11,7 @@ from page_results import MARKUP, crafted, lag
 import greybox as gb
 from greybox.html_report.entry import Entry
 from greybox.html_report.page import page
+from greybox.html_report.report import _best, study_entries
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
@@ -221,3 +223,39 @@ def test_what_does_not_fit_on_the_page_stands_in_its_table(fit, monkeypatch):
     assert all(f">fit {k}<" in text for k in range(9))
     assert 1 < text.count("<details") < 9
     assert len(text) < 120_000 + 60_000  # style and script
+
+
+def member(name, checksum, rule, cost, status="done"):
+    answer = {"checksum": checksum, "rule": rule, "cost": cost}
+    said = {"error": "no log" if status == "failed" else "", "folder": f"of/{name}"}
+    return SimpleNamespace(name=name, status=status, answer=answer, fit=f"fit of {name}", **said)
+
+
+def test_of_a_study_the_best_of_all_data_and_criteria_are_shown_first():
+    """By their place among those that can be compared; of one place the first criterion of the data first."""
+    members = [
+        member("a", "one", "ML", 5.0),
+        member("b", "one", "ML", 3.0),
+        member("c", "one", "SE", 0.5),
+        member("d", "two", "SE", 7.0),
+        member("e", "two", "ML", None),
+        member("f", "one", "ML", None),
+        member("g", "two", "ML", 9.0),
+    ]
+    assert [each.name for each in _best(members)] == ["b", "d", "c", "g", "a", "e", "f"]
+
+
+def test_the_members_of_a_study_stand_with_their_answers_or_why_there_are_none():
+    members = [member(f"pitch{k}", "one", "ML", 20.0 - k) for k in range(14)]
+    members += [member("lost", "one", "ML", None, "failed"), member("later", "one", "ML", None, "unfinished")]
+    study = SimpleNamespace(members=members)
+    made = study_entries(study)
+    assert [each.label for each in made] == [each.name for each in members]
+    assert [each.fit for each in made[:14]] == [None, None, *(f"fit of pitch{k}" for k in range(2, 14))]
+    assert [each.error for each in made] == [""] * 14 + ["no log", "unfinished"]
+    assert made[3].file == "of/pitch3"
+    assert made[14].fit is made[15].fit is None
+    named = study_entries(study, ["pitch1", "*2"])
+    assert [each.label for each in named if each.fit] == ["pitch1", "pitch2", "pitch12"]
+    with pytest.raises(ValueError, match=r"the study has no answer of a member 'lost': its members are in its table"):
+        study_entries(study, ["pitch1", "lost"])

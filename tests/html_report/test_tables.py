@@ -10,6 +10,7 @@ from page_results import lag
 from greybox.data.text_table import number, with_error
 from greybox.html_report.comparison_section import comparison_section, overview
 from greybox.html_report.entry import Entry
+from greybox.html_report.fit_section import _remarks
 from greybox.html_report.interval_section import bootstrap_table
 from greybox.html_report.provenance import data_summary, provenance
 from greybox.html_report.tables import Cell, _best_effort, number_cell, parameter_table, table
@@ -193,3 +194,40 @@ def test_where_a_search_ended_is_told_of_what_is_known_or_else_of_all(known, sho
     found = texts(_best_effort(SimpleNamespace(best_effort=known, quantities=[quantity("b0"), quantity("a0")])))
     assert [row[0] for row in found[1:]] == shown
     assert [row[1] for row in found[1:]] == (["3"] if known else ["–", "–"])
+
+
+def entry(label, **known):
+    """A result whose fit is not loaded: values by name, and their errors."""
+    values = {name: pair[0] for name, pair in known.items()}
+    errors = {name: pair[1] for name, pair in known.items()}
+    kept = {"converged": True, "estimate": values, "derived": {}, "standard_error": errors}
+    return Entry(label, None, kept=kept)
+
+
+def test_quantities_that_a_result_has_not_are_empty_and_unknown_ones_a_dash():
+    first, second = entry("one", a=(2.0, 0.25), b=(None, None)), entry("two", c=(3.0, None))
+    _, made = comparison_section([first, second], None, 200)
+    assert texts(made) == [["result", "a", "b", "c"], ["one", "2.00 ± 0.25", "–", ""], ["two", "", "", "3"]]
+
+
+@pytest.mark.parametrize(("count", "tables"), [(12, 1), (13, 2)])
+def test_results_of_more_than_twelve_quantities_have_a_table_each(count, tables):
+    many = {f"a{k}": (1.0 + k, 0.5) for k in range(count - 1)}
+    _, *made = comparison_section([entry("one", **many), entry("two", b=(1.0, 0.5))], None, 200)
+    assert [len(texts(each)[0]) for each in made] == ([13] if tables == 1 else [count, 2])
+
+
+def test_correlations_and_combinations_are_told_below_the_parameters():
+    judged = SimpleNamespace(correlated=[("a", "b", -0.954), ("b", "c", 0.91)], combinations=("a b", "c / d"))
+    unprofiled = SimpleNamespace(converged=True, profiles=None, identifiability=judged)
+    meaning, correlated, combined = (part.text for part in _remarks(unprofiled))
+    assert correlated == "Correlated beyond 0.9: a and b (−0.95), b and c (0.91)."
+    assert combined == "Determined in combination: a b; c / d."
+    profiled = SimpleNamespace(profiles=[SimpleNamespace(name="a"), SimpleNamespace(name="c")])
+    plain = SimpleNamespace(correlated=(), combinations=())
+    told = _remarks(SimpleNamespace(converged=True, profiles=profiled, identifiability=plain))
+    assert [part.text for part in told] == [
+        meaning,
+        "The intervals here are those of the standard errors, which mislead for a and c: see Intervals.",
+    ]
+    assert _remarks(SimpleNamespace(converged=False)) == []

@@ -76,7 +76,11 @@ def test_a_panel_for_each_parameter_with_one_axis_and_one_legend():
     assert first.get_title() == r"b\$"
     assert (first.get_xlabel(), second.get_xlabel()) == ("", "Time, s")
     (legend,) = first.figure.legends
-    assert [text.get_text() for text in legend.get_texts()] == ["p, others estimated", "q, others estimated", "others known"]
+    assert [text.get_text() for text in legend.get_texts()] == [
+        "p, others estimated",
+        "q, others estimated",
+        "others known",
+    ]
     keys = [to_hex(key.get_color()).upper() for key in legend.legend_handles]
     assert keys == [*COLORS[:2], GRAYS[2]]
     assert first.figure.get_size_inches()[1] > 2

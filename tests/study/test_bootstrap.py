@@ -310,7 +310,12 @@ def test_four_replicates_lie_beyond_each_end(count, dof, make):
 @pytest.mark.parametrize(
     ("change", "options", "error", "sentence"),
     [
-        ({"converged": False, "status": "stagnated"}, {}, ValueError, "'made' has no estimate to begin from: stagnated"),
+        (
+            {"converged": False, "status": "stagnated"},
+            {},
+            ValueError,
+            "has no estimate to begin from: stagnated",
+        ),
         ({}, {"seed": -1}, ValueError, "seed is -1: give a whole number of at least 0"),
         ({}, {"seed": True}, ValueError, "seed is True: give"),
         ({}, {"seed": 1.0}, ValueError, "seed is 1.0: give"),
@@ -322,7 +327,12 @@ def test_four_replicates_lie_beyond_each_end(count, dof, make):
         ({"records": ("one",), "responses": ("one",)}, {}, ValueError, "'made' has records and responses"),
         ({}, {"resampling": "sites"}, ValueError, "resampling is 'sites': give one of 'residuals', 'points', 'param"),
         ({"records": ("one",)}, {"resampling": "points"}, ValueError, "'points' is not for records: give one of 'bl"),
-        ({"parts": (SimpleNamespace(is_prior=False),) * 2}, {"resampling": "parts"}, ValueError, "has 2 parts, and par"),
+        (
+            {"parts": (SimpleNamespace(is_prior=False),) * 2},
+            {"resampling": "parts"},
+            ValueError,
+            "has 2 parts, and",
+        ),
     ],
 )
 def test_what_cannot_be_repeated_is_said(change, options, error, sentence):
@@ -356,5 +366,5 @@ def test_parts_that_share_no_parameter_are_not_drawn():
     data = [measured(Gain(), OMEGA, {"K": 1.0}, noise=0.01, seed=k) for k in range(3)]
     own = (gb.Problem(Gain(), one, gb.SquaredRelativeError(), rename={"K": f"K_{k}"}) for k, one in enumerate(data))
     fit = gb.fit(sum(own), starts=1, progress=False, profiles=False)
-    with pytest.raises(ValueError, match="the parts of .* share no parameter, so that none is left to draw them for"):
+    with pytest.raises(ValueError, match=r"the parts of .* share no parameter, so that none is left to draw them for"):
         gb.bootstrap(fit, "parts", 2, progress=False)

@@ -16,10 +16,15 @@ RUN = Outcome(np.array([1.0, 2.0]), "Solve_Succeeded", 3, 0.5, True, stage=IMPRO
 def test_runs_of_a_fit_that_an_error_ends_are_written(tmp_path):
     folder = runs_beside(tmp_path / "fit.h5")
     assert folder == tmp_path / "fit.h5.runs"
-    with pytest.raises(ZeroDivisionError), kept_beside(tmp_path / "fit.h5") as kept:
-        kept.known("a problem")
-        kept.add(4, np.array([0.5, 0.25]), RUN)
-        raise ZeroDivisionError
+
+    def fit():
+        with kept_beside(tmp_path / "fit.h5") as kept:
+            kept.known("a problem")
+            kept.add(4, np.array([0.5, 0.25]), RUN)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fit()
     assert count_runs(folder) == 1
     assert 4 in RunFiles(folder).known("a problem")
 
