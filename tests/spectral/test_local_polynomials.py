@@ -1,5 +1,7 @@
 """Sweeps and noise by local polynomials: independent points, stated variances, and likelihoods that hold."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from known_systems import EXAMPLE, LIGHT, MODE, flown, maximum_likelihood
@@ -9,6 +11,7 @@ from scipy.signal import freqz, lfilter
 from greybox.data.record import Record
 from greybox.spectral import local_polynomials
 from greybox.spectral.composite_windows import spectral_response
+from greybox.spectral.uniform_stretches import UniformStretch
 
 
 @pytest.mark.parametrize(
@@ -391,3 +394,143 @@ def test_noise_is_the_mean_of_the_neighborhood_brought_to_the_frequency_of_the_b
     asked.clear()
     assert local_polynomials._noise(lines, few, [few], widths) is not None
     assert all(abs(center - 20.0) >= 4.0 for center, _ in asked)
+
+
+# --- from records to lines, and from bands to points
+
+
+def test_lines_are_transforms_of_whole_stretches_by_frequency():
+    """Sums that are written out, whose squares are densities; of 12 and 8 samples, of other steps."""
+    rng = np.random.default_rng(0)
+    pieces = [UniformStretch(rng.standard_normal((3, n)), step, "") for n, step in ((12, 0.05), (8, 0.04))]
+    found = local_polynomials.lines_of(pieces)
+    rows = []
+    for index, (values, step, *_) in enumerate(pieces):
+        n = values.shape[1]
+        for k in range(1, n // 2 + 1):
+            omega = 2 * np.pi * k / (n * step)
+            rows.append((omega, index, values @ np.exp(-1j * omega * step * np.arange(n)) * np.sqrt(step / n)))
+    rows.sort(key=lambda row: row[0])
+    np.testing.assert_allclose(found.omega, [row[0] for row in rows])
+    np.testing.assert_array_equal(found.stretch, [row[1] for row in rows])
+    np.testing.assert_allclose(found.values, np.array([row[2] for row in rows]).T, atol=1e-12)
+    assert found.spacing == pytest.approx(2 * np.pi / 0.6)
+    assert not found.same
+    same = [p._replace(values=p.values[[0, 1, 0]]) for p in pieces]
+    assert local_polynomials.lines_of(same).same
+    assert not local_polynomials.lines_of([same[0], pieces[1]]).same
+
+
+def quartic(lines, center):
+    """Lines whose response is a quartic, without noise: no quadratic holds."""
+    lines.values[1] = (1 + ((lines.omega - center) / 10) ** 4) * lines.values[0]
+    return lines
+
+
+@pytest.mark.parametrize(("width", "count"), [(33.2, 4), (31.8, 2), (15.9, 1)])
+def test_a_band_is_halved_as_long_as_its_halves_are_no_narrower_than_a_point_needs(width, count):
+    center = 26.5
+    lines = quartic(one_stretch(), center - 3)
+    widths = local_polynomials._Widths(point=8.0, noise=6.0, residuals=1)
+    low, high = center - width / 2, center + width / 2
+    bands = [b.fitted for b in local_polynomials._halved(lines, low, high, widths)]
+    edges = np.linspace(low, high, count + 1)
+    np.testing.assert_allclose(
+        [(b.center, b.half) for b in bands], np.array([edges[1:] + edges[:-1], np.diff(edges)]).T / 2
+    )
+    # Where a half leaves no residuals the whole is kept; and so it is where it holds.
+    narrow = widths._replace(point=1.0)
+    assert len(local_polynomials._halved(lines, 20.0, 33.0, narrow)) == 1
+    (kept,) = local_polynomials._halved(one_stretch(), low, high, widths)
+    np.testing.assert_allclose(kept.omega, local_polynomials._gauss_nodes(lines, kept.fitted))
+    assert local_polynomials._halved(lines, 20.0, 26.0, widths) == []
+
+
+@pytest.mark.parametrize(("half", "wrong", "taken"), [(20.0, True, 4.0), (6.0, True, 4.0), (20.0, False, 20.0)])
+def test_a_band_around_a_frequency_is_halved_until_its_polynomials_hold(half, wrong, taken):
+    lines = quartic(one_stretch(), 23.0) if wrong else one_stretch()
+    widths = local_polynomials._Widths(point=8.0, noise=6.0, residuals=1)
+    band = local_polynomials._centered(lines, 26.5, half, widths)
+    assert (band.fitted.center, band.fitted.half) == (26.5, taken)
+    np.testing.assert_array_equal(band.omega, [26.5])
+    assert local_polynomials._centered(lines, 26.5, 3.4, widths) is None
+
+
+def quiet():
+    """Lines whose noise is too small for polynomials to be judged wrong by chance."""
+    lines = one_stretch(200)
+    lines.values[1] = 2 * lines.values[0] + 1e-3 * (lines.values[1] - 2 * lines.values[0])
+    return lines
+
+
+def by_least_squares(lines, center, half, omega):
+    rows, solution, _ = solution_of(lines, center, half, 2, 1)
+    at = np.vander(np.atleast_1d((omega - center) / half), 3, increasing=True)
+    return at @ solution @ lines.values[1, rows]
+
+
+def test_given_frequencies_have_bands_half_way_to_their_neighbors():
+    """But a third of their frequency at most, and what a point needs at least; in any order."""
+    lines = quiet()
+    omega = np.array([100.0, 53.0, 20.0, 50.0, 165.0])
+    halves = [23.5, 4.0, 7.0, 4.0, 32.5]
+    found = local_polynomials.points_at(lines, omega)
+    for point, center, half in zip(found, omega, halves, strict=True):
+        assert point.response == pytest.approx(by_least_squares(lines, center, half, center)[0], rel=1e-9)
+    assert len(local_polynomials.points_at(lines, np.array([1.0]))) == 1
+    lost = local_polynomials.points_at(lines, np.array([204.0, 207.0, 100.0]))
+    assert np.isfinite([p.variance for p in lost]).tolist() == [False, False, True]
+
+
+@pytest.mark.parametrize(("points", "count"), [(15, 5), (1, 1), (4, 1), (5, 2)])
+def test_a_smooth_response_has_three_points_in_each_of_the_bands(points, count):
+    lines = quiet()
+    omega, found = local_polynomials.tiled_points(lines, 30.5, 189.5, points)
+    edges = np.geomspace(30.5, 189.5, count + 1)
+    assert len(omega) == len(found) == 3 * count
+    for k, (low, high) in enumerate(pairwise(edges)):
+        own = omega[3 * k : 3 * k + 3]
+        assert low < own[0] < own[1] < own[2] < high
+        wanted = by_least_squares(lines, (low + high) / 2, (high - low) / 2, own)
+        assert [p.response for p in found[3 * k : 3 * k + 3]] == pytest.approx(wanted, rel=1e-9)
+
+
+def test_an_estimate_is_that_of_its_band_less_what_a_pole_takes_off():
+    lines = one_stretch()
+    fitted = local_polynomials._fit(lines, 20.0, 8.0)
+    omega, correction = np.array([14.0, 21.0]), np.array([0.3j, -0.1])
+    band = local_polynomials.Band(fitted, omega, correction, np.array([0.04, 0.01]), (2.0, 5.0))
+    widths = local_polynomials._Widths(8.0, 6.0, 1)
+    found = local_polynomials._estimates(lines, band, [band], widths)
+    rows, solution, _ = solution_of(lines, 20.0, 8.0, 2, 1)
+    weights = np.vander((omega - 20.0) / 8.0, 3, increasing=True) @ solution
+    wanted = 0.4 * np.sum(np.abs(weights) ** 2, axis=1) + [0.04, 0.01]
+    assert [p.response for p in found] == pytest.approx(weights @ lines.values[1, rows] - correction)
+    assert [p.variance for p in found] == pytest.approx(wanted)
+    assert [p.dof for p in found] == [10.0, 10.0]
+    assert not any(p.weak for p in found)
+    exact = band._replace(squared_error=np.zeros(2), pole_noise=(0.0, 5.0))
+    for point in local_polynomials._estimates(lines, exact, [exact], widths):
+        assert point.variance == pytest.approx((4 * np.finfo(float).eps * abs(point.response)) ** 2)
+
+
+def test_an_instrument_is_weak_where_the_input_it_explains_is_below_ten_times_its_noise(monkeypatch):
+    """At the middle and the edge of a band, where the polynomials know least; on both sides of it."""
+    lines = random_lines(joint=True)
+    omega = np.array([20.0, 31.0])
+    fitted = local_polynomials._fit(lines, 20.0, 12.0)
+    band = local_polynomials.Band(fitted, omega, np.zeros(2, complex), np.zeros(2), None)
+    rows, _, solution, _ = by_matrices(lines, 20.0, 12.0)
+    weights = np.vander((omega - 20.0) / 12.0, 3, increasing=True) @ solution[:3]
+    transients = fitted.transients @ fitted.transients.T
+    spread = np.sum(np.abs(weights @ (np.eye(rows.size) - transients)) ** 2, axis=1)
+    assert spread[1] > 1.2 * spread[0]
+    for noise, weak in (
+        (0.098 / spread[1], [False, False]),
+        (0.102 / spread[1], [False, True]),
+        (0.102 / spread[0], [True, True]),
+    ):
+        monkeypatch.setattr(local_polynomials, "_noise", lambda *_, noise=noise: (0.1, noise, 8.0))
+        found = local_polynomials._estimates(lines, band, [band], None)
+        assert [p.weak for p in found] == weak
+        assert [np.isnan(p.variance) for p in found] == weak

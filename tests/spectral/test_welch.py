@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
+from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.spectral import welch
 from greybox.spectral.uniform_stretches import UniformStretch
 
@@ -141,3 +142,123 @@ def test_windows_some_hops_apart_share_what_their_product_holds(hop, count):
     for k in range(count):
         placed[k, hop * k : hop * k + 12] = window
     assert welch._correlation(window, hop, count).toarray() == pytest.approx(placed @ placed.T)
+
+
+@pytest.mark.parametrize(
+    ("overlap", "samples", "begins"), [(0.8, 101, range(0, 57, 7)), (0.0, 139, (0, 33, 66, 99)), (0.5, 40, (0,))]
+)
+def test_windows_hop_through_the_whole_stretch(overlap, samples, begins):
+    """Of 40 samples, as many as the overlap asks for at least; the last one begins less than a hop before the end."""
+    values = np.zeros((3, samples))
+    count, omega = 40, np.array([2.0])
+    found = welch.transforms([UniformStretch(values + 1.0, 0.1, "")], 4.0, overlap, omega, taper=False)
+    at = np.arange(count) * 0.1
+    wanted = [0.1 * np.sum(np.exp(-2j * (at + 0.1 * begin))) for begin in begins]
+    np.testing.assert_allclose(found.u[:, 0], wanted)
+
+
+def test_tapers_are_derivatives_of_the_hann_window_by_its_phase():
+    one, first, second = welch._hann_tapers(4000, 2)
+    step = 2 * np.pi / 4000
+    np.testing.assert_allclose(np.gradient(one, step)[1:-1], first[1:-1], atol=1e-5)
+    np.testing.assert_allclose(np.gradient(first, step)[1:-1], second[1:-1], atol=1e-5)
+    assert one.max() == pytest.approx(1, abs=1e-5)
+    assert one[0] == pytest.approx(0, abs=1e-5)
+    assert welch._hann_tapers(10, 0).shape == (1, 10)
+
+
+def spectra_of(x, y, z=None, inputs=1, c=None):
+    """One frequency, of uncorrelated windows."""
+    z = x if z is None else z
+    columns = [[column[:, None] for column in side.T] for side in (x, z)]
+    c = np.eye(len(x)) if c is None else c
+    return welch.Transforms(x[:, :1], y[:, None], z[:, :1], *columns, csr_array(c), inputs)
+
+
+@pytest.mark.parametrize(("factor", "weak"), [(0.98, False), (1.02, True)])
+def test_an_instrument_is_weak_where_it_explains_less_than_ten_times_the_noise_of_the_input(factor, weak):
+    """One instrument r of n windows: |r·u|²/|r|² is what it explains, and the rest over n - 1 the noise."""
+    rng = np.random.default_rng(6)
+    n = 12
+    r, noise = complexes(rng, n), complexes(rng, n)
+    noise -= r * np.vdot(r, noise) / np.vdot(r, r)
+    size = np.linalg.norm(noise) ** 2 / (n - 1)
+    u = noise + r / np.linalg.norm(r) * np.sqrt(10 * size / factor)
+    found = welch.estimate(spectra_of(u[:, None], 2 * u + 0.1 * complexes(rng, n), r[:, None]), 0)
+    assert found.weak == weak
+    assert np.isnan(found.variance) == weak
+    # As an input of its own it cannot be weak.
+    assert not welch.estimate(spectra_of(u[:, None], complexes(rng, n)), 0).weak
+
+
+def test_a_variance_takes_three_degrees_of_freedom_and_none_is_below_rounding():
+    rng = np.random.default_rng(7)
+    for windows, known in ((2, False), (3, True)):
+        x = complexes(rng, windows, 1)
+        found = welch.estimate(spectra_of(x, complexes(rng, windows)), 0)
+        assert np.isfinite(found.variance) == known
+    exact = welch.estimate(spectra_of(x, (3 - 4j) * x[:, 0]), 0)
+    assert exact.variance == pytest.approx((4 * np.finfo(float).eps * 5) ** 2)
+    assert exact.coherence == pytest.approx(1)
+    nothing = welch.estimate(spectra_of(x, np.array([1.0, -x[0, 0].conj() / x[1, 0].conj(), 0.0])), 0)
+    assert nothing.coherence == np.finfo(float).eps
+    # As many unknowns as windows; leakage that says nothing new is left out.
+    assert np.isnan(welch.estimate(spectra_of(complexes(rng, 3, 3), complexes(rng, 3), inputs=3), 0).variance)
+    x, y = complexes(rng, 8, 1), complexes(rng, 8)
+    doubled = np.hstack([x, 2 * x])
+    assert welch.estimate(spectra_of(doubled, y), 0).response == pytest.approx(
+        welch.estimate(spectra_of(x, y), 0).response
+    )
+    assert np.isnan(welch.estimate(spectra_of(doubled, y, inputs=2), 0).variance)
+
+
+# --- what is told of all frequencies
+
+
+def points(*kinds):
+    known = [welch.WindowedPoint(2.0 + k * 1j, 0.1 * (k + 1), 8.0 + k, 0.5 + 0.1 * k) for k in range(len(kinds))]
+    other = {"weak": welch.WindowedPoint(weak=True), "lost": welch.WindowedPoint()}
+    return [other.get(kind, point) for kind, point in zip(kinds, known, strict=True)]
+
+
+def test_what_could_be_estimated_is_collected_with_where_it_comes_from():
+    omega = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+    origin = Stretch("x", 1.0, 2.0)
+    stretches = [
+        UniformStretch(np.zeros((2, 2)), 0.1, "a.bin", origin, {"u": "N", "y": "", "z": "m"}),
+        UniformStretch(np.zeros((2, 2)), 0.1, "b.bin", None, {"y": "m"}),
+        UniformStretch(np.zeros((2, 2)), 0.1, "a.bin", origin),
+    ]
+    found = welch.response_at(omega, points("", "weak", "", "lost", "weak"), ("u", "y", "name"), stretches)
+    np.testing.assert_allclose(found.omega, [1, 3])
+    np.testing.assert_allclose(found.response, [2, 2 + 2j])
+    np.testing.assert_allclose(found.variance, [0.1, 0.3])
+    np.testing.assert_allclose(found.dof, [8, 10])
+    np.testing.assert_allclose(found.coherence, [0.5, 0.7])
+    assert (found.input, found.output, found.name, found.source) == ("u", "y", "name", "a.bin, b.bin")
+    assert list(found.stretches) == [origin, origin]
+    assert dict(found.units) == {"u": "N"}
+    assert found.about == {"dropped": "2 of 5 points, where the instrument hardly moves u, at 2 to 5 rad/s"}
+    one = welch.response_at(omega[:2], points("", "weak"), ("u", "y", ""), [])
+    assert one.about == {"dropped": "1 of 2 points, where the instrument hardly moves u, at 2 rad/s"}
+    assert welch.response_at(omega[:2], points("", "lost"), ("u", "y", ""), []).about == {}
+    with pytest.raises(ValueError, match="the instrument hardly moves u: at no frequency is its part 10 times as"):
+        welch.response_at(omega[:2], points("weak", "lost"), ("u", "y", ""), [])
+    with pytest.raises(ValueError, match="no frequency has enough windows for a variance: record longer"):
+        welch.response_at(omega[:2], points("lost", "lost"), ("u", "y", ""), [])
+
+
+def test_points_of_a_coherence_below_six_tenths_are_left_out_unless_all_are():
+    omega = np.arange(1.0, 5.0)
+
+    def response(coherence, **about):
+        return FrequencyResponse(omega, np.ones(4), coherence=np.array(coherence), about=about)
+
+    left = welch.without_incoherent(response([0.59, 0.6, 0.9, 0.2]))
+    assert left.omega.tolist() == [2, 3]
+    assert left.about["dropped"] == "2 of 4 points, of a coherence below 0.6, at 1 to 4 rad/s"
+    left = welch.without_incoherent(response([0.9, 0.3, 0.9, 0.9], dropped="a", test="b"))
+    assert left.about == {"dropped": "a; 1 of 4 points, of a coherence below 0.6, at 2 rad/s", "test": "b"}
+    for same in ([0.1, 0.2, 0.3, 0.4], [0.6, 0.7, 0.8, 0.9]):
+        whole = response(same)
+        assert welch.without_incoherent(whole) is whole
