@@ -1,10 +1,19 @@
 """Planted directions that the data do not determine: named with all that takes part, and nothing else harmed."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.estimate.identifiability import Identifiability, KnownDirections, identifiability
+from greybox.estimate.identifiability import (
+    Identifiability,
+    KnownDirections,
+    _condition,
+    _products,
+    _sums,
+    identifiability,
+)
 
 N, STEP = 1000, 0.02
 RANDOM = np.random.default_rng(7)
@@ -298,3 +307,105 @@ def test_a_sum_of_one_unit_that_is_determined_is_named(sign, formula):
     assert one.standard_error == pytest.approx(0.01)
     assert str(one).startswith(f"{formula} = {3.7 + sign:.3f} ± 0.01")
     assert not identifiability(tuple("abc"), ("s", "m", "1"), known, ()).combinations
+
+
+@pytest.mark.parametrize("members", [(0, 2, 3), (0, 1, 2, 4), tuple(range(9))])
+def test_products_that_are_tried_are_all_of_small_powers(members):
+    """Of two members all powers up to three without a common divisor; of three and four, and of few, first powers."""
+    p = max(members) + 2
+    found = [tuple(row) for row in _products(members, p).astype(int)]
+    wanted = set()
+    for count in (2, 3, 4) if len(members) <= 8 else (2,):
+        for group in itertools.combinations(members, count):
+            for powers in itertools.product(range(-3, 4), repeat=count):
+                small = np.gcd.reduce(powers) == 1 if count == 2 else max(np.abs(powers)) == 1
+                if all(powers) and powers[0] > 0 and small:
+                    row = np.zeros(p, dtype=int)
+                    row[list(group)] = powers
+                    wanted.add(tuple(row.tolist()))
+    assert len(found) == len(set(found))
+    assert set(found) == wanted
+
+
+def test_sums_that_are_tried_are_of_two_members_of_one_unit():
+    found = _sums((0, 1, 3), ("s", "m", "s", "s"), 5)
+    assert found.tolist() == [[1, 0, 0, 1, 0], [1, 0, 0, -1, 0]]
+    assert _sums((1,), ("s", "m"), 2).shape == (0, 2)
+
+
+def told(logs, value, open_=None, elsewhere=None):
+    """Errors of a and b whose logarithms have a covariance, and c, which is exact; `open_` directions are not seen."""
+    value = np.array(value)
+    covariance = np.zeros((3, 3))
+    covariance[:2, :2] = np.array(logs) * np.outer(value[:2], value[:2])
+    covariance[2, 2] = 1e-8
+    return KnownDirections(covariance, np.zeros((3, 0)) if open_ is None else open_, np.ones(3), value, elsewhere)
+
+
+def formulas(known, units=("s", "m", "1")):
+    return [one.formula for one in identifiability(tuple("abc"), units, known, ()).combinations]
+
+
+@pytest.mark.parametrize(
+    ("member", "product", "is_told"), [(0.3, 0.059, True), (0.3, 0.061, False), (0.19, 0.01, False)]
+)
+def test_a_product_is_news_where_its_error_is_a_fifth_of_those_of_members_that_are_beyond_the_guideline(
+    member, product, is_told
+):
+    apart = member**2 - product**2 / 2  # var of log a + log b
+    known = told([[member**2, -apart], [-apart, member**2]], (2.0, 5.0, 1.0))
+    assert formulas(known) == (["a b"] if is_told else [])
+
+
+@pytest.mark.parametrize(("error", "is_told"), [(0.19, True), (0.21, False)])
+def test_a_product_of_members_without_an_error_is_within_the_guideline_itself(error, is_told):
+    value = np.array([2.0, 5.0, 1.0])
+    gradient = np.array([0.5, 0.2, 0.0])
+    direction = gradient / np.linalg.norm(gradient)
+    covariance = (error / np.linalg.norm(gradient)) ** 2 * np.outer(direction, direction) + np.diag([0, 0, 1e-8])
+    rest = np.array([[direction[1]], [-direction[0]], [0.0]])
+    assert formulas(KnownDirections(covariance, rest, np.ones(3), value)) == (["a b"] if is_told else [])
+    # What is seen elsewhere too stays; an unseen product there is none.
+    for unseen, stays in ((np.array([[0.0], [0.0], [1.0]]), True), (np.array([[1.0], [0.0], [0.0]]), False)):
+        beside = KnownDirections(covariance, unseen, np.ones(3), 1.1 * value)
+        both = KnownDirections(covariance, rest, np.ones(3), value, beside)
+        assert formulas(both) == (["a b"] if is_told and stays else [])
+
+
+@pytest.mark.parametrize(
+    ("sign", "error", "is_told"), [(1, 0.93, True), (1, 0.95, False), (-1, 0.73, True), (-1, 0.75, False)]
+)
+def test_a_sum_has_a_fifth_of_the_larger_of_itself_and_its_members(sign, error, is_told):
+    value = np.array([3.7, 1.0, 0.0])
+    gradient = np.array([1.0, sign, 0.0]) / np.sqrt(2)
+    covariance = error**2 / 2 * np.outer(gradient, gradient) + np.diag([0, 0, 1e-8])
+    rest = np.array([[1.0], [-sign], [0.0]]) / np.sqrt(2)
+    known = KnownDirections(covariance, rest, np.ones(3), value)
+    assert formulas(known, ("s", "s", "1")) == ([f"a {'+' if sign > 0 else '-'} b"] if is_told else [])
+
+
+def test_correlations_above_nine_tenths_are_named_the_largest_first():
+    matrix = np.array([[1.0, 0.91, -0.95], [0.91, 1.0, -0.89], [-0.95, -0.89, 1.0]])
+    found = judged(np.linalg.inv(np.linalg.cholesky(matrix)), np.array([9.0, 9.0, 9.0]))
+    assert [(one, other) for one, other, _ in found.correlated] == [("a", "c"), ("a", "b")]
+    np.testing.assert_allclose([r for *_, r in found.correlated], [-0.95, 0.91])
+
+
+def test_conditions_of_matrices_that_lack_a_direction():
+    assert np.isnan(_condition(np.zeros((0, 0))))
+    assert _condition(np.diag([4.0, 0.0])) == np.inf
+    assert _condition(np.diag([4.0, 1e-6])) == pytest.approx(1)  # in columns of unit length
+    assert _condition(np.array([[1.0, 0.28], [0.28, 1.0]])) == pytest.approx(4 / 3)
+    assert _condition(np.ones((2, 2))) == np.inf
+
+
+def test_a_parameter_without_effect_is_infinitely_insensitive():
+    known = KnownDirections(
+        np.diag([0.04, 0.0, 0.01]), np.array([[0.0], [1.0], [0.0]]), np.ones(3), np.array([2.0, 1.0, -1.0])
+    )
+    found = identifiability(tuple("abc"), ("s", "m", "1"), known, ())
+    np.testing.assert_allclose(found.error, [0.1, np.nan, 0.1])
+    np.testing.assert_allclose(found.insensitivity, [0.1, np.inf, 0.1])
+    assert found.condition == np.inf
+    assert found.beyond == ("b",)
+    assert str(found).splitlines()[3].split() == ["b", "-", "no", "effect", "beyond", "the", "guideline"]

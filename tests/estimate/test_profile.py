@@ -14,8 +14,9 @@ from scipy.stats import t as student
 
 import greybox as gb
 from greybox.compiled.response_part import ResponsePart
+from greybox.data.text_table import number
 from greybox.estimate import profile as profile_module
-from greybox.estimate.profiles import ProfileOf, Profiles
+from greybox.estimate.profiles import Contour, ProfileOf, Profiles
 from greybox.problems import pitch_hover, yaw_hover
 from greybox.solve.ipopt import Ipopt
 
@@ -458,3 +459,91 @@ def test_an_interval_in_words(interval, ends, at_bound, connected, said):
     }
     with pytest.raises(KeyError, match="'k' was not profiled"):
         found["k"]
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "interval", "misleads"),
+    [
+        (-2.0, 0.99, (-4.0, -0.1), False),
+        (-2.0, 1.01, (-4.0, -0.1), True),
+        (2.0, 0.5, (-0.01, 3.0), True),
+        (2.0, 0.5, (0.01, 5.01), True),
+        (2.0, 0.5, (0.01, 4.99), False),
+    ],
+)
+def test_an_error_beyond_half_the_value_or_an_interval_beyond_a_bound_misleads(value, error, interval, misleads):
+    bounds = (-9.0, 5.0) if value < 0 else (0.0, 5.0)
+    line = SimpleNamespace(value=value, standard_error=error, bounds=bounds)
+    assert profile_module._misleads(line, interval) == misleads
+
+
+def test_the_factor_of_the_cost_is_that_of_both_variances_along_the_gradient():
+    white, covariance = np.array([[4.0, 1.0], [1.0, 9.0]]), np.array([[2.0, -0.5, 8.0], [-0.5, 3.0, 8.0], [8.0] * 3])
+    accuracy = SimpleNamespace(white=white, covariance=covariance, size=np.array([1.0, 10.0, 7.0]))
+    gradient = np.array([2.0, -1.0])
+    assert profile_module._factor(accuracy, gradient) == pytest.approx((16 - 4 + 9) / (8 + 2 + 3))
+    # Along what has no variance, what holds on average, in multiples of the sizes.
+    accuracy.covariance = np.diag([2.0, 0.0, 8.0])
+    assert profile_module._factor(accuracy, np.array([0.0, 3.0])) == pytest.approx((4 + 0.09) / 2)
+    assert profile_module._factor(accuracy, np.array([3.0, 0.0])) == pytest.approx(2)
+
+
+@pytest.fixture(scope="module")
+def lag():
+    return fitted(Lag(), noisy(Lag(), {"K": 2.0, "T": 0.3}, 0.02, 0), gb.SquaredRelativeError())
+
+
+def test_a_region_needs_two_parameters_and_eight_directions(lag):
+    with pytest.raises(ValueError, match=r"^a contour of 'K' needs another parameter: there are K, T\.$"):
+        gb.contour(lag, "K", "K")
+    with pytest.raises(ValueError, match=r"^directions is 7: give at least 8\.$"):
+        gb.contour(lag, "K", "T", directions=7)
+    found = gb.contour(lag, "T", "K", directions=8, level=0.5)
+    assert found.names == ("T", "K")
+    assert found.limit == pytest.approx(np.sqrt(2 * fisher.ppf(0.5, 2, lag.dof)))
+    assert_allclose(found.estimate, [lag.estimate["T"], lag.estimate["K"]])
+    assert_allclose(found.covariance, lag.covariance_of(["T", "K"]))
+    assert str(found).startswith("50 % region of T and K, closed: T ")
+
+
+def test_an_ellipse_is_where_the_quadratic_form_is_the_square_of_the_limit():
+    covariance = np.array([[4.0, -1.5], [-1.5, 1.0]])
+    region = Contour(
+        ("a", "b"),
+        ("s", ""),
+        0.9,
+        np.array([3.0, -7.0]),
+        covariance,
+        2.5,
+        np.array([[1.0, -9.0], [5.0, np.nan]]),
+        ("crossed", "flat"),
+    )
+    away = region.ellipse(50) - [3.0, -7.0]
+    assert away.shape == (50, 2)
+    assert_allclose(np.einsum("ni,ij,nj->n", away, np.linalg.inv(covariance), away), 2.5**2)
+    assert_allclose(away[0], away[-1])
+    assert np.ptp(away[:, 0]) == pytest.approx(2 * 2.5 * 2, rel=0.01)
+    assert str(region) == "90 % region of a and b, open in 1 of 2 directions: a 1 to 5 s, b -9 to -9"
+
+
+def test_a_fit_without_an_estimate_and_one_with_a_prior_have_no_profile(lag):
+    with pytest.raises(ValueError, match=r"^the fit 'run' has no estimate to profile around: no start converged"):
+        gb.profile(replace(lag, name="run", minima=()))
+    with pytest.raises(
+        ValueError, match=r"^the fit 'run' has a-priori knowledge, with which its cost is no likelihood: use"
+    ):
+        gb.profile(replace(lag, name="run", priors={"K": (2.0, 0.1)}))
+    with pytest.raises(ValueError, match=r"^the fit 'run' has manoeuvres, of which no profiles are made: use"):
+        gb.profile(replace(lag, name="run", parts=(*lag.parts, SimpleNamespace())))
+
+
+def test_a_lower_cost_than_the_fits_is_told(lag):
+    assert gb.profile(lag, "K", fresh_starts=0).warnings == ()
+    off = tuple(replace(q, value=1.2 * q.value) if q.name == "T" else q for q in lag.quantities)
+    found = gb.profile(replace(lag, quantities=off), "K", fresh_starts=0)
+    (said,) = found.warnings
+    p = {q.name: q.value for q in off}
+    data = lag.parts[0].data
+    cost = np.sum(np.abs(p["K"] / (1j * data.omega * p["T"] + 1) / data.response - 1) ** 2)
+    lowest = number(float(found["K"].costs.min()))
+    assert said == f"a profile found the cost {lowest} below the fit's {number(cost)}: fit from more starts."
