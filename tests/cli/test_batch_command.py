@@ -2,11 +2,16 @@
 
 import json
 import sys
+from argparse import Namespace
 
 import pytest
 
+from greybox.cli.batch_command import ORIGIN, _stated
 from greybox.cli.main import main
+from greybox.cli.options import UsageError
+from greybox.solve.executors import ExecutorLostError
 from greybox.study.run_files import RunFiles
+from greybox.study.study_folder import write_index, write_json
 
 STUDY = """
 starts = 12
@@ -185,3 +190,57 @@ def test_a_start_of_a_study_has_its_time_limit(study, capsys):
     assert found["members"][0]["status"] == "failed"
     assert "5 × time limit of a start" in found["members"][0]["error"]
     assert answer(capsys, "batch", "--resume", "out")[0] == 0  # with more time they are made again
+
+
+def options(**stated):
+    return Namespace(**{"study": None, "out": None, "resume": None, "starts": None} | stated)
+
+
+def test_where_a_study_is_and_what_it_was_begun_with(tmp_path):
+    file, begun = tmp_path / "file", tmp_path / "begun"
+    file.write_text("")
+    begun.mkdir()
+    write_index(begun, ["one"])
+    stated = options(study="paper", out=tmp_path / "new", starts=7)
+    assert _stated(stated) == ("paper", tmp_path / "new", 7)
+    goes_on = options(resume=begun)
+    for origin, said in ((None, "does not say which study"), ({"study": 3}, "does not say which study file it is of")):
+        if origin is not None:
+            write_json(begun / ORIGIN, origin)
+        with pytest.raises(UsageError, match=said):
+            _stated(goes_on)
+    write_json(begun / ORIGIN, {"study": "paper", "starts": "5"})
+    with pytest.raises(UsageError, match=r"does not say which study file it is of: call gb.batch as it was begun"):
+        _stated(goes_on)
+    write_json(begun / ORIGIN, {"study": "paper", "starts": 5})
+    assert _stated(goes_on) == ("paper", begun, 5)
+    assert _stated(options(resume=begun, starts=9)) == ("paper", begun, 9)
+    for wrong, said in (
+        (options(study="paper", out=file), "file is a file: give a folder"),
+        (options(study="paper", out=begun), "has a study: go on with it by --resume"),
+        (options(study="paper"), "give a study file and --out DIR, or --resume DIR"),
+        (options(out=begun), "give a study file and --out DIR, or --resume DIR"),
+        (options(resume=begun, study="paper"), "--resume DIR knows its study file and its folder"),
+        (options(resume=begun, out=begun), "--resume DIR knows its study file and its folder"),
+        (options(resume=tmp_path), "is no study: begin one with greybox batch STUDY --out"),
+    ):
+        with pytest.raises(UsageError, match=said):
+            _stated(wrong)
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "said"),
+    [
+        (BlockingIOError("another process is at work in out: wait."), 2, "another process is at work in out: wait."),
+        (OSError("the disk is full."), 1, "the disk is full; `greybox batch --resume out` goes on."),
+        (ExecutorLostError("the workers are gone."), 1, "the workers are gone; `greybox batch --resume out` goes on."),
+    ],
+)
+def test_a_batch_that_ends_says_how_it_goes_on(study, capsys, monkeypatch, error, status, said):
+    def ends(*arguments, **more):
+        raise error
+
+    monkeypatch.setattr("greybox.cli.batch_command.batch", ends)
+    study.write_text('[[member]]\nproblem = "rotors"\n')
+    got, found, _ = answer(capsys, "batch", study, "--out", "out")
+    assert (got, found["error"]) == (status, said)

@@ -7,6 +7,7 @@ import pytest
 from command_line import refused, run
 
 import greybox.cli.bootstrap_command as command
+from greybox.solve.executors import ExecutorLostError
 
 
 @pytest.mark.parametrize(("failed", "status"), [(3, 0), (4, 1)])
@@ -40,3 +41,26 @@ def test_fewer_than_two_replicates_are_no_answer(capsys, monkeypatch, failed, st
 @pytest.mark.parametrize("level", ["0", "1", "95"])
 def test_a_level_lies_between_zero_and_one(capsys, level):
     assert "must lie between 0 and 1, e.g. 0.95" in refused(capsys, "bootstrap", "x.h5", "--level", level)
+
+
+@pytest.mark.parametrize(("folder", "more"), [("replicates", "; the same command goes on in replicates"), (None, "")])
+def test_what_was_interrupted_goes_on_where_it_was_kept(capsys, monkeypatch, folder, more):
+    def interrupted(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "stated_fit", lambda options: ("fit", "problem"))
+    monkeypatch.setattr(command, "bootstrap", interrupted)
+    out = [] if folder is None else ["--out", folder]
+    assert run(capsys, "bootstrap", "x.h5", *out) == (130, f"interrupted{more}\n", f"greybox: interrupted{more}.\n")
+
+
+def test_replicates_are_kept_in_a_folder_and_a_lost_executor_is_told(capsys, monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    assert "file is a file: give a folder" in refused(capsys, "bootstrap", "x.h5", "--out", tmp_path / "file")
+
+    def lost(*arguments, **options):
+        raise ExecutorLostError("the workers are gone.")
+
+    monkeypatch.setattr(command, "stated_fit", lambda options: ("fit", "problem"))
+    monkeypatch.setattr(command, "bootstrap", lost)
+    assert run(capsys, "bootstrap", "x.h5", "--out", tmp_path) == (1, "", "greybox: the workers are gone.\n")

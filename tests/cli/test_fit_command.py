@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,10 @@ from command_line import OWN, QUICK, RECORD, refused, run
 
 import greybox as gb
 from greybox.cli.catalog import find_problem
+from greybox.cli.fit_command import _stated_fit
+from greybox.estimate.fit import Interrupted
+from greybox.formulation.starts import UntilFoundAgain
+from greybox.solve.executors import ExecutorLostError
 from greybox.study.run_files import RunFiles, count_runs
 
 
@@ -293,3 +298,56 @@ def test_a_start_has_its_time_limit(capsys, own, clock):
 def test_what_is_no_time_is_refused(capsys, flag, text):
     said = refused(capsys, "fit", "pitch_hover", f"{flag}={text}")
     assert f"argument {flag}: '{text}' is not a number of seconds above 0" in said
+
+
+def fit_options(**stated):
+    known = {"starts": None, "seed": None, "until_found_again": None, "search": "batched", "no_profiles": False}
+    return Namespace(**known | stated)
+
+
+def test_starts_and_seed_of_the_command_come_before_those_of_the_problem(monkeypatch):
+    def stated(**options):
+        settings = {"starts": 5, "seed": 3, "method": gb.SingleShooting()}
+        monkeypatch.setattr("greybox.cli.fit_command.stated_problem", lambda options: ("problem", settings))
+        return _stated_fit(fit_options(**options)).keywords
+
+    made = stated()
+    assert (made["starts"], made["seed"], made["profiles"]) == (5, 3, True)
+    assert (type(made["by"].method), made["by"].search) == (gb.SingleShooting, "batched")
+    made = stated(starts=9, seed=0, no_profiles=True, search="multistart")
+    assert (made["starts"], made["seed"], made["profiles"], made["by"].search) == (9, 0, False, "multistart")
+    for seed, taken in ((None, 3), (0, 0), (8, 8)):
+        made = stated(until_found_again=0.01, seed=seed)
+        assert made["starts"] == UntilFoundAgain(error=0.01, seed=taken)
+        assert "seed" not in made
+
+
+@pytest.mark.parametrize(
+    ("out", "more"), [("own.h5", "; the same command goes on with the runs that were kept"), (None, "")]
+)
+def test_workers_that_are_lost_are_told(capsys, own, monkeypatch, out, more):
+    def lost(*arguments, **options):
+        raise ExecutorLostError("the workers are gone.")
+
+    monkeypatch.setattr("greybox.cli.fit_command.fit_keeping", lost)
+    words = [] if out is None else ["--out", out]
+    assert run(capsys, "fit", own(), *words) == (1, "", f"greybox: the workers are gone{more}.\n")
+
+
+def test_ctrl_c_before_any_run_has_no_answer_and_while_drawing_no_figure(capsys, own, monkeypatch, tmp_path):
+    name = own()
+
+    def stopped(*arguments, **options):
+        raise Interrupted(None)
+
+    with monkeypatch.context() as before:
+        before.setattr("greybox.cli.fit_command.fit_keeping", stopped)
+        assert run(capsys, "fit", name) == (130, "", "greybox: interrupted.\n")
+
+    def drawing(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("greybox.cli.fit_command.save_figure", drawing)
+    status, out, err = run(capsys, "fit", name, "--starts", "1", "--plot", tmp_path / "own.png")
+    assert (status, err) == (130, "greybox: interrupted.\n")
+    assert out.splitlines()[-1] == f"{tmp_path / 'own.png'} is not drawn"

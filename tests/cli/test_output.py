@@ -1,10 +1,12 @@
 """Files that may be written."""
 
+from pathlib import Path
+
 import pytest
 from matplotlib.figure import Figure
 
 from greybox.cli.options import UsageError
-from greybox.cli.output import require_figure, require_writable, save_figure
+from greybox.cli.output import has_working_directory, require_figure, require_writable, save_figure
 
 
 def test_files_that_exist_are_kept_unless_forced(tmp_path):
@@ -44,3 +46,15 @@ def test_a_folder_that_cannot_be_written_is_said_before_the_work(tmp_path, monke
     monkeypatch.setattr("greybox.cli.output.os.access", lambda path, mode: path != tmp_path)
     with pytest.raises(UsageError, match=r"the folder of .*fit\.h5 cannot be written: give another one"):
         require_writable(tmp_path / "fit.h5", force=False)
+
+
+def test_a_working_directory_that_was_removed_is_said(tmp_path, monkeypatch):
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    assert has_working_directory()
+    gone.rmdir()
+    assert not has_working_directory()
+    with pytest.raises(UsageError, match="the working directory was removed: change to one that exists"):
+        require_writable(Path("fit.h5"), force=False)
+    require_writable(tmp_path / "fit.h5", force=False)

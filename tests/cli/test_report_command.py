@@ -9,6 +9,9 @@ import pytest
 from command_line import OWN, RECORD, refused, run
 
 import greybox as gb
+from greybox.cli.batch_command import ORIGIN
+from greybox.cli.report_command import _batch_command
+from greybox.study.study_folder import write_json
 
 QUICK = "--starts", "4"
 
@@ -129,3 +132,26 @@ def test_held_out_records_are_predicted(capsys, own, tmp_path):
     assert "Time history, flight" in page
     alone = refused(capsys, "report", "slow.h5", "--model", file, "--held-out", "flight.csv", "--out", "x.html")
     assert "give two or more results" in alone
+
+
+@pytest.mark.parametrize(
+    ("origin", "command"),
+    [
+        (None, ()),
+        ({"starts": 3}, ()),
+        ({"study": "paper", "starts": 30}, ("batch", "paper", "--out", "{}", "--starts", "30")),
+        ({"study": "paper", "starts": None}, ("batch", "paper", "--out", "{}")),
+    ],
+)
+def test_the_command_of_a_study_is_what_its_folder_knows(tmp_path, origin, command):
+    if origin is not None:
+        write_json(tmp_path / ORIGIN, origin)
+    assert _batch_command(tmp_path) == tuple(word.format(tmp_path) for word in command)
+
+
+def test_responses_are_not_held_out(capsys, results, tmp_path):
+    (tmp_path / "bode.csv").write_text("omega_rad_s,alpha,beta\n1,0.5,-0.1\n2,0.4,-0.3\n")
+    both = ("report", results / "roll.h5", results / "roll.h5", "--out", tmp_path / "x.html", "--held-out")
+    assert "takes records, columns of time and signals: compare responses in Python" in refused(
+        capsys, *both, tmp_path / "bode.csv"
+    )

@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from greybox.cli.terminal import colored, has_all_characters, make_writable, write
+from greybox.cli.terminal import _spelled, colored, has_all_characters, make_writable, write
 
 
 def stream(encoding, monkeypatch):
@@ -58,3 +58,9 @@ def test_colors_are_for_terminals_that_say_what_they_are(monkeypatch, term, colo
     out = io.StringIO()
     monkeypatch.setattr(out, "isatty", lambda: True)
     assert (colored("FAILED: why", out) != "FAILED: why") == colors
+
+
+def test_what_cannot_be_read_is_not_spelled():
+    error = UnicodeDecodeError("ascii", b"\xff", 0, 1, "ordinal not in range")
+    with pytest.raises(UnicodeDecodeError):
+        _spelled(error)

@@ -54,3 +54,13 @@ def test_sines_have_a_hundred_samples_a_second_unless_stated():
     assert sine_schedule([1.0], 0.1).rate == 100.0
     made = sine_schedule([1.0], 0.1, rate=40.0)
     assert (made.rate, np.diff(made.time)[0]) == (40.0, pytest.approx(1 / 40))
+
+
+def test_amplitudes_and_periods_are_one_or_one_for_each_frequency():
+    with pytest.raises(ValueError, match="there are 3 frequencies but 2 numbers of periods"):
+        sine_schedule([1.0, 2.0, 3.0], 0.1, periods=[4, 5])
+    with pytest.raises(ValueError, match="there are 3 frequencies but 2 amplitudes: give one for each"):
+        sine_schedule([1.0, 2.0, 3.0], [0.1, 0.2])
+    made = sine_schedule([1.0, 2.0, 3.0], [0.3, 0.2, 0.1], periods=[4, 5, 6], least=0.0)
+    assert [s.amplitude for s in made.schedule] == [0.3, 0.2, 0.1]
+    assert [(s.end - s.settled) * s.low / (2 * math.pi) for s in made.schedule] == pytest.approx([4, 5, 6])

@@ -145,3 +145,30 @@ def test_a_response_and_a_fit_for_matlab(tmp_path):
     gb.interop.write_mat(in_time, tmp_path / "time.mat")
     part = loadmat(tmp_path / "time.mat", simplify_cells=True)["fit"]["part"]
     np.testing.assert_array_equal(part["data"]["theta"], flown["theta"])
+
+
+class Integrator(gb.StateSpace):
+    """Without a parameter."""
+
+    states, inputs, outputs = ("x",), ("u",), ("x",)
+
+    def derivative(self, x, u, p):
+        return (u.u,)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+def test_the_header_names_the_parameters_or_that_there_are_none(tmp_path):
+    _, header = gb.interop.write_c(Integrator(), tmp_path / "integrator.c", {})
+    assert "It has no parameters." in header.read_text()
+    _, header = gb.interop.write_c(NonlinearTilt(), tmp_path / "tilt.c", VALUES)
+    said = header.read_text()
+    assert f"a1 = {VALUES['a1']:.6g}, a2 = {VALUES['a2']:.6g}" in said
+    assert "It has no parameters." not in said
+
+
+def test_what_is_no_data_is_not_written_for_matlab(tmp_path):
+    with pytest.raises(TypeError, match="3 cannot be written for MATLAB: give a Fit, a Record or a FrequencyResponse"):
+        gb.interop.write_mat(3, tmp_path / "three.mat")
+    assert not [*tmp_path.iterdir()]

@@ -111,3 +111,26 @@ def test_of_tests_that_tell_the_same_the_longest_are_left_out():
     once, durations = np.ones((3, 1, 1)), np.array([30.0, 60.0, 20.0])
     fewer = _without_surplus(np.array([1, 2, 3]), once, durations, np.full(1, 0.5))  # an error of a half: four tests
     assert [*fewer] == [1, 0, 3]
+
+
+def test_there_are_tests_and_each_takes_its_time():
+    with pytest.raises(ValueError, match=r"^there are no tests\.$"):
+        choose_tests({}, TWO_LAGS, seconds=100)
+    for seconds in (0.0, -3.0):
+        wrong = {**TESTS, "fast": (TESTS["fast"][0], seconds)}
+        with pytest.raises(ValueError, match=r"^the test 'fast' takes no time: give seconds\.$"):
+            choose_tests(wrong, TWO_LAGS, seconds=100)
+
+
+def test_tests_for_a_short_time_say_what_is_missing():
+    """The slow test alone fits into 60 s; two of the fast ones, which say little of the slow lag, into 40."""
+    fast = {"fast": (response(3, 30), 20.0)}
+    found = choose_tests(fast, TWO_LAGS, seconds=40.0)
+    assert (found.repeats, found.flight_time) == ({"fast": 2}, 40.0)
+    assert found.wanted == {}
+    assert "times as long" not in str(found)
+    with pytest.raises(ValueError, match="39 s are too short"):
+        choose_tests({"slow": TESTS["slow"]}, TWO_LAGS, seconds=39.0)
+    # Of all parameters the errors count, each relative to its value: the mean of two tests of equal information.
+    once, twice = (choose_tests(fast, TWO_LAGS, seconds=seconds).standard_error for seconds in (20.0, 40.0))
+    assert twice == pytest.approx({name: error / np.sqrt(2) for name, error in once.items()})

@@ -1,0 +1,27 @@
+"""Names of other languages are different and allowed there."""
+
+import pytest
+
+from greybox.interop.source_names import identifier, identifiers
+
+
+@pytest.mark.parametrize(
+    ("name", "plain"),
+    [
+        ("roll rate, 5°", "roll_rate_5"),
+        ("__v__", "v"),
+        ("2nd", "m_2nd"),
+        ("°", "m"),
+        ("", "m"),
+        ("double", "double_"),
+        ("lambda", "lambda_"),
+        ("Double", "Double"),
+    ],
+)
+def test_a_name_has_letters_digits_and_single_underscores(name, plain):
+    assert identifier(name) == plain
+
+
+def test_names_that_would_be_the_same_are_numbered_from_two():
+    found = identifiers(["a b", "a-b", "a_b_2", "a.b", "c"])
+    assert found == {"a b": "a_b", "a-b": "a_b_2", "a_b_2": "a_b_2_2", "a.b": "a_b_3", "c": "c"}
