@@ -1,5 +1,8 @@
 """Model and values brought together, by hand and by a fit."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hardening_spring import Spring, driven
@@ -74,3 +77,23 @@ def test_a_model_with_a_parameter_that_the_fit_does_not_have_is_refused():
 def test_what_does_not_fit_together_is_refused(model, values, error, sentence):
     with pytest.raises(error, match=sentence):
         model_at(model, values)
+
+
+def test_the_noise_of_outputs_is_in_their_order():
+    noise = np.array([[1.0, 0.2, 0.3], [0.2, 4.0, 0.6], [0.3, 0.6, 9.0]])
+    part = SimpleNamespace(outputs=("a", "b", "c"), noise=noise)
+    model = replace(model_at(Spring(), {}), part=part)
+    assert_allclose(model.noise(("c", "a")), [[9.0, 0.3], [0.3, 1.0]])
+    assert model.noise(("a", "d")) is None
+    covariance = np.diag([0.0, 0.1, np.nan, 0.0])
+    assert replace(model, covariance=covariance).uncertain.tolist() == [1, 2]
+
+
+def test_inputs_that_act_later_than_they_are_logged_delay_the_model():
+    """By half of the time for which each value lasted."""
+    model = model_at(Spring(), {"delay": 0.05})
+    for hold, held, late in ((0.0, False, 0.0), (0.008, False, 0.004), (np.inf, True, 0.0)):
+        record = gb.Record(0.02 * np.arange(10), {"force": np.ones(10)}, hold={"force": hold})
+        driven_by = model.driven_by(record)
+        assert driven_by.held == (held,)
+        assert_allclose(driven_by.delays, [0.05 + late])

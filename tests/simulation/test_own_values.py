@@ -12,6 +12,7 @@ import greybox as gb
 from greybox.formulation.time_criteria import WIDEST_BIAS
 from greybox.simulation import own_values
 from greybox.simulation.model_at_estimate import model_at
+from greybox.simulation.windows import cut
 
 TRUTH = {"a5": 0.2, "C_x": 0.05}
 BIASES = gb.OutputError(biases=("v", "theta"))
@@ -331,3 +332,105 @@ def test_states_and_their_mean_are_eliminated_as_by_least_squares():
     assert_allclose(found.gradient, of_values.T @ q @ b, atol=1e-9)
     assert found.squares == pytest.approx(b @ q @ b)
     assert (found.numbers, found.overlap) == (used.sum(), 1.5)
+
+
+# --- steps to the best values, and windows that become longer
+
+
+def parabola(q):
+    """Squares (q - 3)² of four numbers; beyond 10 fewer of them are finite."""
+    numbers = 4 if q[1] < 10 else 3
+    return own_values._Information(np.eye(1), np.zeros(1), float((q[1] - 3) ** 2), numbers, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("step", "limits", "taken"),
+    [
+        (2.0, (-50, 50), 2.0),
+        (4.1, (-50, 50), 2.05),  # would end farther off than it began
+        (3.9, (-50, 50), 3.9),
+        (36.0, (-50, 50), 2.25),
+        (9.5, (-50, 50), 2.375),  # to where fewer numbers are finite
+        (-1.0, (-50, 50), 0.0),
+        (8.0, (-50, 2.5), 1.5),
+        (500.0, (-50, 50), 3.90625),
+        (550.0, (-50, 50), 0.0),  # not within eight of them
+    ],
+)
+def test_a_step_of_the_values_is_halved_until_it_predicts_no_worse(step, limits, taken):
+    q = np.array([7.0, 1.0])
+    low, high = (np.array([limit]) for limit in limits)
+    moved, after, change = own_values._searched(parabola, q, parabola(q), np.array([1]), np.array([step]), (low, high))
+    assert_allclose(change, [taken])
+    assert_allclose(moved, [7.0, 1.0 + taken])
+    assert after.squares == pytest.approx((1.0 + taken - 3) ** 2)
+
+
+def linear_windows(measured, slopes):
+    """A stand-in for windows without states, whose outputs are slopes · q[1:] of three values."""
+
+    def at(q):
+        residuals = measured - slopes @ q[1:]
+        noise = np.array([[0.25]])
+        initial = SimpleNamespace(
+            states=np.zeros((len(measured), 0)), mean=np.zeros(0), precision=np.zeros(0), noise=noise
+        )
+        made = SimpleNamespace(slopes=slopes, residuals=residuals, used=np.isfinite(residuals), initial=initial)
+        return SimpleNamespace(linearize_windows=lambda windows, places: made)
+
+    return SimpleNamespace(at=at)
+
+
+@pytest.mark.parametrize("bound", [np.inf, 1.2])
+def test_the_best_values_are_those_of_least_squares_within_their_limits(bound):
+    random = np.random.default_rng(5)
+    slopes = random.normal(size=(6, 4, 1, 2))
+    measured = slopes @ [2.0, -0.5] + 0.1 * random.normal(size=(6, 4, 1))
+    wanted = np.linalg.lstsq(slopes.reshape(-1, 2), measured.ravel(), rcond=None)[0]
+    model = replace(model_at(Gain(), {"K": 7.0}), q=np.array([7.0, 20.0, 0.0]))
+    limits = [(-bound, bound), (-10.0, 10.0)]
+    simulator, windows = linear_windows(measured, slopes), SimpleNamespace(horizon=6, lead=2)
+    solved, found = own_values._minimized(simulator, model, windows, np.array([1, 2]), limits)
+    assert found.numbers == 24
+    assert found.overlap == pytest.approx(8 / 6)
+    assert solved.q[0] == 7.0
+    if np.isinf(bound):
+        assert_allclose(solved.q[1:], wanted)
+        rest = measured.ravel() - slopes.reshape(-1, 2) @ wanted
+        assert found.squares == pytest.approx(4 * rest @ rest)
+        assert_allclose(found.matrix, 4 * slopes.reshape(-1, 2).T @ slopes.reshape(-1, 2))
+    else:
+        assert solved.q[1] == 1.2
+    unseen = linear_windows(np.full((6, 4, 1), np.nan), slopes)
+    assert own_values._minimized(unseen, model, windows, np.array([1, 2]), limits) is None
+
+
+def test_windows_become_four_times_as_long_up_to_the_longest_stretch():
+    time = 0.1 * np.arange(130)
+    time[30:] += 5
+    record = gb.Record(time, {"u": np.sin(time), "y": np.cos(time)})
+    model = model_at(Gain(), {})
+    windows = cut(record, ["u"], ["y"], lead=0.5, horizon=0.4)
+    assert (windows.lead, windows.horizon) == (5, 4)
+    found = list(own_values._longer(model, windows, ("y",)))
+    assert [(w.lead, w.horizon, len(w)) for w in found] == [(5, 16, 6), (5, 64, 1), (5, 95, 1)]
+    assert list(own_values._longer(model, found[-1], ("y",))) == []
+    rows = cut(
+        gb.Record(np.arange(4.0), {"u": np.ones(4), "y": np.ones(4)}, has_time=False), ["u"], ["y"], lead=1, horizon=1
+    )
+    assert list(own_values._longer(model, rows, ("y",))) == []
+
+
+def test_own_values_are_told_with_errors_and_units():
+    of = own_values.OwnValues
+    found = of(("a", "b"), np.array([0.5, -2.0]), np.array([0.1, 0.25]), ("m", "1"), ("c", "d"), 1)
+    assert found.by_name == {"a": (0.5, 0.1), "b": (-2.0, 0.25)}
+    first, second = found.notes("r")
+    assert first == (
+        "a = 0.50 ± 0.10 m and b = -2.00 ± 0.25 were estimated from r itself: 2 values from 1 number, in which it is "
+        "not held out."
+    )
+    assert second == "c and d: not determined by r, the value of the fit is kept."
+    alone = of(("a",), np.array([0.5]), np.array([0.1]), ("m",), (), 40)
+    (said,) = alone.notes("r")
+    assert "m was estimated from r itself: 1 value from 40 numbers, in which" in said

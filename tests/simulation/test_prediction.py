@@ -105,7 +105,7 @@ def test_an_output_that_was_not_predicted_is_refused(prediction):
 
 
 def test_shares_of_a_horizon():
-    assert [samples_ahead(share, 10) for share in (1e-6, 0.1, 0.11, 0.5, 1.0)] == [1, 1, 2, 5, 10]
+    assert [samples_ahead(share, 10) for share in (1e-12, 1e-6, 0.1, 0.11, 0.5, 1.0)] == [1, 1, 1, 2, 5, 10]
     assert samples_ahead(0.3, 10) == 3  # 3.0000000000000004 - rounding is no sample
     assert reported_shares([20]) == [0.1, 0.25, 0.5, 1.0]
     assert reported_shares([2]) == [0.5, 1.0]

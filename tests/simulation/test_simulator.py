@@ -13,11 +13,16 @@ from greybox.simulation.model_at_estimate import model_at
 from greybox.simulation.simulator import (
     DIVERGED,
     MOST_AT_FIRST,
+    Simulator,
     _depends,
     _first_substeps,
     _free_run_sensitivities,
+    _initial_guesses,
+    _spread,
+    _standard_errors,
     diverged,
 )
+from greybox.simulation.windows import cut
 
 
 class Growth(gb.StateSpace):
@@ -54,6 +59,19 @@ def test_a_model_without_states_needs_no_substeps():
             return (p.k * u.u,)
 
     assert _first_substeps(model_at(Static(), {}), 0.1) == 1
+
+    class Rooted(Growth):
+        """x' = rate √(x - 1): without a slope near zero."""
+
+        def derivative(self, x, u, p):
+            return (p.rate * gb.sqrt(x.x - 1),)
+
+    assert _first_substeps(model_at(Rooted(), {"rate": -80.0}), 0.1) == 1
+
+
+def test_the_spread_of_a_signal_that_does_not_change_is_one():
+    assert _spread(np.array([1.0, np.nan, 5.0])) == 2.0
+    assert _spread(np.array([3.0, 3.0, np.nan])) == 1.0
 
 
 @pytest.mark.parametrize("integrator", [gb.RungeKutta(), gb.Rosenbrock()], ids=repr)
@@ -104,6 +122,7 @@ def test_errors_of_predictions_follow_the_parameters_through_the_state_that_they
     u = 1 + np.sin(1.3 * time)
     x = gb.simulate(Growth(), {"rate": -0.8}, gb.Record(time, {"u": u}), initial={"x": 1.0})["x"]
     x = x + 0.05 * np.random.default_rng(0).normal(size=time.size)
+    x[::7] = np.nan
     options = {"record": gb.Record(time, {"u": u, "x": x}), "lead": 1.0, "horizon": 2.0}
     alone = gb.predict(Growth(), {"rate": -0.8}, **options)
     up, down = (gb.predict(Growth(), {"rate": rate}, **options) for rate in (-0.799, -0.801))
@@ -136,6 +155,9 @@ def test_a_free_simulation_takes_its_fitted_initial_states_along():
     covariance = np.linalg.inv(X.T @ X)
     assert_allclose(variance, np.einsum("tkn,nm,tkm->tk", slopes[..., :n], covariance, slopes[..., :n]))
 
+    one = SimpleNamespace(rows=np.arange(2, 3))  # two numbers tell two states
+    assert np.isfinite(_free_run_sensitivities(model, one, slopes[:1], outputs, True)[1]).all()
+
     given, nothing = _free_run_sensitivities(model, stretch, slopes, outputs, False)
     assert_allclose(given, slopes[..., n:])
     assert np.all(nothing == 0)
@@ -145,3 +167,67 @@ def test_a_free_simulation_takes_its_fitted_initial_states_along():
     assert np.isnan(unknown).all()
     unseen[3, 0, 4] = np.inf
     assert np.isnan(_free_run_sensitivities(model, stretch, unseen, outputs, True)[0]).all()
+
+
+def test_guesses_begin_with_what_was_measured():
+    """A state of an output's name at its first sample; others at zero, as fitted, or of the outputs' size."""
+    nan = np.nan
+    past = np.array([[[nan, nan], [4.0, 7.0], [1.0, -2.0]], [[2.0, nan], [nan, nan], [-6.0, nan]]])
+    model = SimpleNamespace(system=SimpleNamespace(states=("p", "y")), part=None)
+    size = (4 + 7 + 1 + 2 + 2 + 6) / 6
+    for part, fitted in ((None, 0.0), (SimpleNamespace(initial={"p": np.array([1.0, 4.0])}), 2.5)):
+        guesses = _initial_guesses(SimpleNamespace(**{**vars(model), "part": part}), ("z", "y"), past)
+        others = [0.0, fitted, size, 0.1 * size, 10 * size, -size]
+        assert_allclose(guesses, [[[value, 7.0], [value, 0.0]] for value in others])
+    nothing = _initial_guesses(model, ("z", "q"), np.zeros((1, 2, 2)))
+    assert_allclose(np.ravel(nothing), [0, 0, 0, 0, 1, 1, 0.1, 0.1, 10, 10, -1, -1])
+
+
+def test_windows_are_linearized_along_their_simulations():
+    """x' = r x + u, of which x = x0 exp(rt) for no input: slopes exp(rt) and t x0 exp(rt)."""
+    rate, step = -0.6, 0.1
+    time = step * np.arange(40)
+    random = np.random.default_rng(2)
+    measured = 3 * np.exp(rate * time) + 0.05 * random.normal(size=40)
+    measured[[3, 17]] = np.nan
+    record = gb.Record(time, {"u": np.zeros(40), "x": measured})
+    model = model_at(Growth(), {"rate": rate}).driven_by(record)
+    windows = cut(record, ["u"], ["x"], lead=0.8, horizon=1.2)
+    simulator = Simulator(model, model.criterion, ("x",), gb.RungeKutta())
+    found = simulator.linearize_windows(windows, np.array([0]))
+    start = found.initial.states[:, :, None]
+    t = step * np.arange(20)
+    grown = np.exp(rate * t)
+    there = np.isfinite(measured[windows.rows])
+    assert there.sum() < there.size
+    np.testing.assert_array_equal(found.used[..., 0], there)
+    wanted = np.where(there, measured[windows.rows] - start[:, 0] * grown, 0.0)
+    assert_allclose(found.residuals[..., 0], wanted, atol=1e-6)
+    slopes = np.stack([np.broadcast_to(grown, there.shape), t * start[:, 0] * grown], axis=-1)
+    assert_allclose(found.slopes[:, :, 0], np.where(there[..., None], slopes, 0.0), atol=1e-5)
+    # The same from other values, of which each window's first state is estimated anew.
+    other = simulator.at(np.array([-0.3])).linearize_windows(windows, np.array([0]))
+    assert_allclose(other.slopes[:, -1, 0, 0], np.exp(-0.3 * t[-1]), rtol=1e-5)
+
+
+def test_errors_that_are_not_known_are_those_of_outputs_that_depend_on_them():
+    """Of three values, one with a variance, one known, one not determined."""
+    nan = np.nan
+    covariance = np.array([[0.04, 0.0, 0.01, nan], [0.0, 0.0, 0.0, 0.0], [0.01, 0.0, 0.09, nan], [nan, 0, nan, nan]])
+    model = SimpleNamespace(
+        covariance=covariance, uncertain=np.array([0, 2, 3]), q=np.array([1.0, 2.0, 3.0, 4.0]), names=tuple("abcd")
+    )
+    slopes = np.array([[[1.0, -2.0, 0.0]], [[3.0, 0.5, 1e-12]], [[1.0, 1.0, -0.2]]])  # (samples, outputs, values)
+    variance = np.array([[0.5], [0.0], [0.1]])
+    error, unknown = _standard_errors(slopes, variance, model)
+    wanted = [0.5 + 0.04 + 4 * 0.09 - 4 * 0.01, 9 * 0.04 + 0.25 * 0.09 + 3 * 0.01, nan]
+    assert_allclose(error[:, 0], np.sqrt(wanted))
+    assert unknown == ("d",)
+    none, nothing = _standard_errors(slopes, variance, SimpleNamespace(covariance=None))
+    assert_allclose(none, np.sqrt(variance))
+    assert nothing == ()
+    _, independent = _standard_errors(slopes[:2], variance[:2], model)
+    assert independent == ()
+    assert (
+        _standard_errors(slopes[..., :0], -variance, SimpleNamespace(covariance=np.eye(1), uncertain=[]))[0].max() == 0
+    )

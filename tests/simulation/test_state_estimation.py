@@ -235,3 +235,66 @@ def test_a_step_is_halved_in_the_windows_where_it_costs_more():
     # The prior has its part: from the mean at zero, half of the way costs least.
     held = state_estimation._Posterior(np.eye(1), np.zeros(1), np.array([1.0]))
     assert held.cost(np.array([[[3.0]]]), np.array([[2.0]])) == pytest.approx([13.0])
+
+
+def test_a_window_begins_with_the_first_guess_that_is_finite_or_where_the_others_are():
+    """Of an output that is the root of its one state, in five windows."""
+    measured = np.array([[[1.0], [2.0]], [[3.0], [np.nan]], [[1.0], [1.0]], [[2.0], [2.0]], [[0.5], [0.5]]])
+
+    def root(x, offset=0.0):
+        with np.errstate(invalid="ignore"):
+            return np.sqrt(x - offset)[:, None] * np.ones((1, 2, 1))
+
+    def slope(x, offset=0.0):
+        with np.errstate(invalid="ignore"):
+            return (0.5 / np.sqrt(x - offset))[:, None, :, None] * np.ones((1, 2, 1, 1))
+
+    guesses = [np.array([[4.0], [-1.0], [-1.0], [9.0], [-1.0]]), np.array([[1.0], [16.0], [-1.0], [1.0], [-2.0]])]
+    guesses.append(np.array([[2.0], [2.0], [25.0], [2.0], [-3.0]]))
+    lead_ins = state_estimation._LeadIns(root, slope, measured)
+    x, e, S, finite = lead_ins.begin(guesses)
+    begun = np.array([4.0, 16.0, 25.0, 9.0, (4 + 16 + 25 + 9) / 4])
+    assert_allclose(x[:, 0], begun)
+    assert finite.all()
+    assert_allclose(e[..., 0], np.where(np.isfinite(measured[..., 0]), measured[..., 0] - np.sqrt(begun)[:, None], 0.0))
+    assert_allclose(S[:, 0, 0, 0], 0.5 / np.sqrt(begun))
+    # Where the mean of the others is no place either, the window does not count.
+    far = np.array([[0.0], [0], [0], [0], [50]])
+    lost = state_estimation._LeadIns(lambda x: root(x, far), lambda x: slope(x, far), measured)
+    x, e, S, finite = lost.begin(guesses)
+    assert finite.tolist() == [True] * 4 + [False]
+    assert not e[4].any()
+    assert not S[4].any()
+    assert np.isinf(lost.residual(np.array([[4.0], [-1.0], [1.0], [1.0], [60.0]]))[1, 0, 0])
+    assert lost.residual(np.array([[4.0], [-1.0], [1.0], [1.0], [60.0]]))[1, 1, 0] == 0
+
+
+def test_the_prior_of_many_windows_is_that_of_their_states():
+    """Where each window tells its state well, mean and variance of these; a state that nothing shows has none."""
+    random = np.random.default_rng(3)
+    w = 60
+    x = np.array([3.0, -1.0]) + random.normal(size=(w, 2)) * [2.0, 0.5]
+    H = np.broadcast_to(np.diag([1e6, 1e6]), (w, 2, 2))
+    measured = np.ones((w, 4, 1))
+    information = np.einsum("wij,wj->wi", H, x)
+    mean, precision = state_estimation._prior(H, information, np.zeros(2), measured, np.eye(1), np.array([100.0]))
+    assert_allclose(mean, x.mean(axis=0), rtol=1e-4)
+    assert_allclose(precision, (w - 1) / ((x - x.mean(axis=0)) ** 2).sum(axis=0), rtol=1e-3)
+
+
+def test_information_is_weighted_by_correlated_noise():
+    random = np.random.default_rng(4)
+    e, S = random.normal(size=(2, 3, 2)), random.normal(size=(2, 3, 2, 4))
+    R = np.array([[0.5, 0.3], [0.3, 0.7]])
+    H, b = state_estimation._information(e, S, R)
+    weight = np.linalg.inv(R)
+    for w in range(2):
+        assert_allclose(H[w], sum(S[w, t].T @ weight @ S[w, t] for t in range(3)))
+        assert_allclose(b[w], sum(S[w, t].T @ weight @ e[w, t] for t in range(3)))
+    x = random.normal(size=(2, 4))
+    precision, mean = np.array([1.0, 2.0, 0.5, 4.0]), random.normal(size=4)
+    cost = state_estimation._Posterior(R, mean, precision).cost(e, x)
+    prior = ((x - mean) ** 2 * precision).sum(axis=1)
+    assert_allclose(cost, [sum(e[w, t] @ weight @ e[w, t] for t in range(3)) + prior[w] for w in range(2)])
+    e[1, 2, 0] = np.inf
+    assert np.isinf(state_estimation._Posterior(R, mean, precision).cost(e, x)[1])

@@ -248,3 +248,17 @@ def test_a_control_at_its_limit_outside_of_the_tests_does_not_count():
     segments = [Segment(0.0, 29.9, "sweep", band=(1.0, 9.0))]
     assert "saturation" not in found(check(made, None, segments))
     assert found(check(made, None, GOOD))["saturation"] == "refusal"
+
+
+def test_two_values_are_few_and_one_is_a_constant():
+    two, one = check(record(y=levels(2)), None, GOOD), check(record(u=lambda t: np.full(t.size, 2.5)), None, GOOD)
+    (few,) = two.findings
+    text = "theta takes 2 values only: its amplitude is close to its resolution; excite more."
+    assert (few.severity, few.value, few.text) == ("refusal", 2, text)
+    (constant,) = [f for f in one.findings if f.about == "amplitude"]
+    assert constant.text == "u is constant (2.5 throughout): nothing can be identified from it."
+    assert (constant.severity, constant.value) == ("refusal", 0)
+    refused = check(record(), None, [sine(3.0, usable=False, findings=("aborted.",))])
+    assert refused.refusals == ("none of the excited segments is usable: fly the test again.",)
+    (told,) = [f for f in refused.findings if f.severity == "warning"]
+    assert (told.text, told.value) == ("the sine from 0.0 s is not usable: aborted.", 0)

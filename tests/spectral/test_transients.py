@@ -68,6 +68,7 @@ def test_errors_of_white_noise_are_independent_and_of_known_size():
     [
         ((0.1, 0.5), r"holds no multiple of 0\.7854 rad/s"),
         ((1, 200), r"end it at 125\.7 rad/s at most"),
+        ((1, 126), r"ends at 126 rad/s and the signals are sampled at 50 Hz: end it at 125\.7 rad/s at most, 0\.4 of"),
         ((5, 1), "the lower one first"),
     ],
 )
@@ -103,3 +104,16 @@ def test_a_band_from_line_to_line_holds_both(duration):
         tight = (first * spacing * (1 + 1e-12), last * spacing * (1 - 1e-12))
         assert transients._grid(tight, duration, 1e-3).size == last - first + 1
     assert transients._grid((0.0, 2.5 * spacing), duration, 1e-3) / spacing == pytest.approx([1, 2])
+
+
+def test_a_manoeuvre_may_begin_at_any_time_and_reach_to_the_highest_frequency():
+    made = record(lambda t: np.exp(-t), np.sin)
+    late = gb.Record(made.time + 50, dict(made.signals), {"u": "N"}, name="late", source="a.bin")
+    early, found = (transient_spectrum(r, "u", ["y"], (1, 125)) for r in (made, late))
+    np.testing.assert_allclose(found.omega, early.omega)
+    assert found.omega[-1] == pytest.approx(2 * np.pi / T * 159)
+    np.testing.assert_allclose(found.inputs["u"], early.inputs["u"])
+    np.testing.assert_allclose(found.outputs["y"], early.outputs["y"])
+    assert (found.duration, found.step) == (pytest.approx(T), pytest.approx(STEP))
+    assert (found.name, found.source, dict(found.units)) == ("late", "a.bin", {"u": "N"})
+    assert (found.stretch.start, found.stretch.end) == (50, 58)
