@@ -84,7 +84,7 @@ class Ends:
 class _Searches:
     """The searches that are under way, a column for each, and some that fill up to a width."""
 
-    owner: NDArray[np.int_]  # of the column; -1 where it only fills up
+    owner: NDArray[np.int_]  # of the column, where it is live
     path: NDArray[np.int_]  # row of the barriers
     numbers: Array  # see `newton_iteration`
     live: Flags
@@ -94,8 +94,9 @@ class _Searches:
         """Return those in some columns, and one of them as often as a width takes."""
         live = np.arange(_width(len(columns))) < len(columns)
         columns = _filled(columns)
-        owner = np.where(live, self.owner[columns], -1)
-        return _Searches(owner, self.path[columns], self.numbers[:, columns], live, self.given[:, columns])
+        return _Searches(
+            self.owner[columns], self.path[columns], self.numbers[:, columns], live, self.given[:, columns]
+        )
 
 
 class _Iterations(threading.local):

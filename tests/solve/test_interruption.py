@@ -90,3 +90,13 @@ def test_an_error_without_it_stays_what_it_is():
     with pytest.raises(ZeroDivisionError), listening():
         raise ZeroDivisionError
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_what_arrives_half_a_second_later_is_pressed_again(monkeypatch, press_ctrl_c):
+    times = iter([100.0, 100.49, 100.51])
+    monkeypatch.setattr(interruption.time, "monotonic", lambda: next(times))
+    with listening(), responding(Response.FINISH):
+        press_ctrl_c()
+        press_ctrl_c()
+        with pytest.raises(KeyboardInterrupt):
+            press_ctrl_c()

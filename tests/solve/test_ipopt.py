@@ -3,13 +3,14 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, Oscillator, measured
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.solve.ipopt import IpoptSolver
+from greybox.solve.ipopt import IpoptSolver, StopCheck
 from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.outcome import Outcome
 
@@ -110,3 +111,37 @@ def test_a_minimum_is_polished_as_long_as_runs_are_solutions_and_no_worse(monkey
     solver = IpoptSolver(nlp, {})
     solver._nlp = SimpleNamespace(costs=lambda _: np.array([reached[-1]]))
     assert solver._polish(Minimum(1.0, np.zeros(2), (0,), 1)).cost == kept
+
+
+def check(equations=0):
+    """What stops a run on a problem of two variables."""
+    sizes = {"x": 2, "p": 1, "f": 1, "g": equations}
+    return StopCheck({name: ca.SX.sym(name, size) for name, size in sizes.items()})
+
+
+@pytest.mark.parametrize(("fall", "waits"), [(0.9e-6, True), (1.1e-6, False), (-1.0, True), (0.0, True)])
+@pytest.mark.parametrize("size", [3.0, -3.0])
+def test_a_run_is_stagnant_after_eighty_iterations_without_a_millionth_less(fall, waits, size):
+    stop, x = check(), np.array([1.0, 2.0])
+    assert not stop._is_stagnant(x, np.inf)
+    assert not stop._is_stagnant(x, size)
+    told = [stop._is_stagnant(x, size - fall * abs(size)) for _ in range(80)]
+    assert told == [False] * 79 + [waits]
+    assert stop._is_stagnant(x, size - fall * abs(size))
+
+
+def test_the_lowest_point_is_kept_and_a_run_begins_anew():
+    stop = check()
+    for x, cost in ((1.0, 5.0), (2.0, 4.0), (3.0, 4.5), (4.0, 4.0)):
+        stop._is_stagnant(np.array([x, -x]), cost)
+    assert stop.best.tolist() == [2.0, -2.0]
+    stop.begin()
+    assert (stop.best, stop.reason) == (None, "")
+    assert not stop._is_stagnant(np.array([9.0, 9.0]), 6.0)
+    assert stop.best.tolist() == [9.0, 9.0]
+
+
+def test_with_equations_nothing_is_stagnant():
+    stop = check(equations=3)
+    assert not any(stop._is_stagnant(np.zeros(2), 1.0) for _ in range(200))
+    assert stop.best is None

@@ -1,5 +1,7 @@
 """One iteration of many searches, number by number: what is taken, how far the next step may go, when it ends."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -20,11 +22,14 @@ from greybox.solve.newton_iteration import (
 
 P, LAST, LOOSE = 2, 3, 1e-3
 ROWS = Vectors(P)
-ADVANCED = advanced(P, LAST, LOOSE)
-BOUNDED = bounded(P, LAST)
 HESSIAN = np.array([[4.0, 1.0], [1.0, 3.0]])
 BEST = np.array([0.5, -0.25])
 INF = np.full(P, np.inf)
+
+
+@cache
+def iteration():
+    return advanced(P, LAST, LOOSE), bounded(P, LAST)
 
 
 def cost_of(z):
@@ -55,7 +60,7 @@ def after(numbers, cost=None, gradient=None, hessian=HESSIAN, barrier=0.0, toler
     cost = found if cost is None else cost
     gradient = slope if gradient is None else gradient
     # Of the Hessian the upper triangle counts.
-    numbers, of_free = ADVANCED(numbers, barrier, tolerance, cost, gradient, np.triu(hessian).ravel(order="F"))
+    numbers, of_free = iteration()[0](numbers, barrier, tolerance, cost, gradient, np.triu(hessian).ravel(order="F"))
     return numbers.full().ravel(), of_free.full().reshape(P, P)
 
 
@@ -225,11 +230,11 @@ def test_the_step_down_a_saddle_takes_both_curvatures_as_positive():
     hessian = np.array([[1.0, 2.0], [2.0, 1.0]])
     numbers, of_free = after(begun(z, RADIUS=10.0), hessian=hessian)
     values, vectors = np.linalg.eigh(of_free)
-    trial = BOUNDED(numbers, values, vectors.ravel()).full().ravel()
+    trial = iteration()[1](numbers, values, vectors.ravel()).full().ravel()
     gradient = cost_of(z)[1]
     assert_allclose(trial, -vectors @ (vectors.T @ gradient / np.abs(values)))
     near, _ = after(begun(z, RADIUS=0.1), hessian=hessian)
-    short = BOUNDED(near, values, vectors.ravel()).full().ravel()
+    short = iteration()[1](near, values, vectors.ravel()).full().ravel()
     # Of the model with positive curvatures the least within the radius: its gradient and the step are in line.
     assert np.linalg.norm(short) == pytest.approx(0.1, rel=0.05)
     left = gradient + vectors @ (np.abs(values) * (vectors.T @ short))
@@ -258,3 +263,57 @@ def test_steps_of_three_variables(seed):
         assert np.linalg.norm(step) == pytest.approx(radius, rel=0.051)
         left = gradient + hessian @ step
         assert left @ step == pytest.approx(-np.linalg.norm(left) * np.linalg.norm(step), rel=1e-6)
+
+
+@pytest.mark.parametrize(("flat", "is_newton"), [(2e-10, True), (0.9e-10, False)])
+def test_a_curvature_of_rounding_is_none(flat, is_newton):
+    """A part in 1e12 of the largest pivot, which is 100 here."""
+    hessian = np.diag([100.0, flat])
+    numbers, of_free = after(begun(np.zeros(2), RADIUS=10.0), gradient=np.array([3.0, 0.0]), hessian=hessian)
+    assert numbers[IS_NEWTON] == is_newton
+    trial = numbers[ROWS.trial]
+    if not is_newton:
+        values, vectors = np.linalg.eigh(of_free)
+        trial = iteration()[1](numbers, values, vectors.ravel()).full().ravel()
+    assert_allclose(trial, [-0.03, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize(("length", "is_newton"), [(1.04, True), (1.06, False)])
+def test_newtons_step_may_be_a_twentieth_longer_than_the_radius(length, is_newton):
+    gradient = -length * 0.7 * HESSIAN @ [0.6, 0.8]
+    numbers, _ = after(begun(np.zeros(2), RADIUS=0.7), gradient=gradient)
+    assert numbers[IS_NEWTON] == is_newton
+
+
+@pytest.mark.parametrize(("share", "taken"), [(1.1e-4, True), (0.9e-4, False)])
+def test_a_step_is_taken_for_a_ten_thousandth_of_what_the_gradient_promises(share, taken):
+    z, trial = np.zeros(2), np.array([0.2, -0.1])
+    before, gradient = cost_of(z)
+    numbers, _ = after(search(z, trial), cost=before - share * -gradient @ trial)
+    assert_allclose(numbers[ROWS.z], trial if taken else z)
+
+
+@pytest.mark.parametrize(("promised", "taken"), [(0.9e-12, True), (1.1e-12, False)])
+def test_what_promises_less_than_rounding_of_the_cost_is_taken(promised, taken):
+    """Of a cost of 500, although it rose."""
+    z, slope = BEST, np.array([0.01, 0.0])
+    numbers = search(z, z - np.array([promised * 500 / 0.01, 0.0]), COST=500.0)
+    numbers[ROWS.gradient] = slope
+    found, _ = after(numbers, cost=500.001)
+    assert (found[ROWS.z][0] < z[0]) == taken
+
+
+@pytest.mark.parametrize("has_barrier", [True, False])
+def test_a_step_that_eigenvalues_tell_stops_at_the_bounds_too(has_barrier):
+    """Of the way to a bound 99 hundredths where there is a barrier."""
+    lower, upper = np.array([-0.3, -5.0]), np.array([5.0, 0.2])
+    hessian = np.array([[-2.0, 0.5], [0.5, 1.0]])
+    numbers, of_free = after(
+        begun(np.zeros(2), LAST - 2 if has_barrier else LAST, RADIUS=4.0, lower=lower, upper=upper),
+        gradient=np.array([3.0, -2.0]),
+        hessian=hessian,
+    )
+    assert numbers[IS_NEWTON] == 0
+    values, vectors = np.linalg.eigh(of_free)
+    trial = iteration()[1](numbers, values, vectors.ravel()).full().ravel()
+    assert_allclose(trial, np.array([-0.3, 0.2]) * (0.99 if has_barrier else 1.0))
