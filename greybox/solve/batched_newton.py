@@ -228,8 +228,8 @@ def _filled(columns: NDArray[np.int_]) -> NDArray[np.int_]:
 
 
 def _width(m: int) -> int:
-    """Return the number of columns that are evaluated for m points."""
-    return 1 << max(m - 1, 0).bit_length()
+    """Return the number of columns that are evaluated for m points, at least one."""
+    return 1 << (m - 1).bit_length()
 
 
 def _narrowed(searches: _Searches) -> _Searches:

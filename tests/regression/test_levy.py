@@ -197,6 +197,9 @@ def test_a_fit_prints_itself():
         ["pole", "-1.228"],
         ["pole", "-12.83"],
     ]
+    # Damping ratios: the real part over the size, negative on the right; none of a pole at zero.
+    assert [line.split()[-2:] for line in lines[4:7]] == [["11.7", "1"], ["0", "-"], ["1.228", "1"]]
+    assert lines[7].split()[-2:] == ["31.57", f"{25.66 / 2 / np.sqrt(996.6):.3g}"]
     assert lines[8] == "cost (4.26) 2.1065, AIC -44.21"
     assert "reweighted 2 times" in str(levy(table("roll"), 4, 1, iterations=2))
     assert "nearly cancel: unstable zero" in str(levy(table("roll"), 6, 3))
@@ -243,3 +246,12 @@ def test_an_exact_model_has_the_least_aic_that_there_is():
     assert _aic(data.response, data, 2) == -np.inf
     one_percent = _aic(1.01 * data.response, data, 2)
     assert one_percent == pytest.approx(6 * np.log(1e-4) + 4)
+
+
+def test_the_condition_is_that_of_normalized_columns():
+    data = table("roll")
+    s, P = 1j * data.omega, data.response
+    columns = np.column_stack([s, s**0, -P * s**3, -P * s**2, -P * s, -P])
+    real = np.vstack([columns.real, columns.imag])
+    singular = np.linalg.svd(real / np.linalg.norm(real, axis=0), compute_uv=False)
+    assert levy(data, 4, 1).condition == pytest.approx(singular[0] / singular[-1], rel=1e-6)

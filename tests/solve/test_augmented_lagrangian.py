@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import minimize
 
 from greybox.solve.augmented_lagrangian import FEASIBLE, ConstrainedNewton
+from greybox.solve.batched_newton import INSIDE
 
 
 def constrained(cost, limits, lower=(-4.0, -4.0), upper=(4.0, 4.0), origin=(0.1, 0.2)):
@@ -99,3 +100,47 @@ def test_a_constraint_may_be_missed_by_a_hundred_millionth(level):
     gradient = np.array([2 * x + 0.5 * y, 4 * y + 0.5 * x])
     assert_allclose(gradient[0] * 4, gradient[1] * 3, atol=1e-6)
     assert np.all(gradient[0] < 0)
+
+
+def test_the_function_that_is_minimized_is_the_augmented_lagrangian_or_has_a_barrier():
+    """(z0 - 3)² + z1² where 5 (1 - z0) >= 0, whose slope of five is put to one: minima by hand."""
+    solver = constrained(lambda z: (z[0] - 3) ** 2 + z[1] ** 2, lambda z: (5 * (1 - z[0]),))
+
+    def least(barrier, penalty, multiplier):
+        given = np.array([[barrier], [penalty], [multiplier]])
+        begin = np.array([[0.5], [0.3]])
+        found = solver._newton.minimize(begin, max_iterations=99, tolerance=1e-12, from_near=True, given=given)
+        assert found.at_minimum.all()
+        return found.z[:, 0]
+
+    # 2 (z - 3) + λ - ρ (1 - z) = 0 where the multiplier is not exhausted.
+    assert_allclose(least(0, 10, 2), [(6 - 2 + 10) / 12, 0], atol=1e-9)
+    assert_allclose(least(0, 7, 0.3), [(6 - 0.3 + 7) / 9, 0], atol=1e-9)
+    # 2 (z - 3) + b / (1 - z) = 0, on the side of the constraint, with a multiplier of zero that adds nothing there.
+    assert_allclose(least(0.5, 10, 0), [2 - np.sqrt(1 + 0.25), 0], atol=1e-9)
+
+
+def test_after_the_barrier_multipliers_are_those_that_it_stands_for(monkeypatch):
+    """Of a search that began where constraints are met; elsewhere it begins without."""
+    solver = constrained(lambda z: (z[0] - 3) ** 2 + z[1] ** 2, lambda z: (5 * (1 - z[0]), 2 * (z[1] + 3)))
+    met = []
+    monkeypatch.setattr(solver, "_meet", lambda ends, multipliers, *limits: met.append((ends, multipliers)))
+    searched(solver, [(0.2, 0.5), (0.8, -0.1)])
+    ((ends, multipliers),) = met
+    inside = 1 - ends.z[0]
+    assert np.all((inside > 0) & (inside < 1e-4))  # where the barrier of 1e-4 pulls as much as the slope of 4 pushes
+    assert_allclose(multipliers, [1e-4 / inside, 1e-4 / (ends.z[1] + 3)])
+    assert_allclose(multipliers[0], 4, rtol=0.05)
+    assert np.all(ends.iterations > 2)
+
+
+def test_points_where_constraints_are_missed_move_to_the_nearest_ones_inside():
+    solver = constrained(target, lambda z: (5 * (1 - z[0]), z[0] + z[1] + 3))
+    points = np.array([[1.3, 2.0], [1.0, -0.5], [0.5, 0.3], [3.5, -1.0], [-2.5, -2.5]]).T
+    moved = solver._moved_inside(points, 50)
+    # By a hundredth, in units of the slopes, which are 5 and the root of two.
+    assert_allclose(moved[:, 0], [1 - INSIDE, 2.0], atol=1e-6)
+    assert_allclose(moved[:, 1], [1 - INSIDE, -0.5], atol=1e-6)
+    assert moved[:, 2].tolist() == [0.5, 0.3]
+    assert_allclose(moved[:, 3], [1 - INSIDE, -1.0], atol=1e-6)
+    assert_allclose(moved[:, 4], np.full(2, (INSIDE * np.sqrt(2) - 3) / 2), atol=1e-6)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from greybox.compiled.response_part import SMOOTHING
-from greybox.solve.batched_newton import BatchedNewton
+from greybox.solve.batched_newton import SMOOTHINGS, BatchedNewton
+from greybox.solve.time_limits import TimeLimits, limited
 
 FAR = np.full(2, 9.0)
 
@@ -98,4 +98,28 @@ def test_the_smoothing_of_the_last_level_is_that_of_every_solver():
     solver = newton(lambda z, smoothing: ca.sqrt((z[0] - 1) ** 2 + smoothing) + 0.6 * z[0] + (z[1] - z[0]) ** 2)
     ends = solver.minimize(np.array([[3.0, -2.0], [0.0, 0.0]]), max_iterations=200, tolerance=1e-10)
     # The slope u / sqrt(u² + s) is -0.6 where u = -0.75 sqrt(s).
-    assert_allclose(ends.z[0] - 1, -0.75 * np.sqrt(SMOOTHING), rtol=1e-3)
+    assert_allclose(ends.z[0] - 1, -0.75 * np.sqrt(1e-8), rtol=1e-3)
+
+
+def test_a_search_passes_through_the_levels_one_after_the_other():
+    """Of a quadratic whose minimum tells the smoothing: a step leads there, and the next one takes the next level."""
+    solver = newton(
+        lambda z, smoothing: 100 * (z[0] - 0.5 * smoothing) ** 2 + 90 * (z[1] - smoothing) ** 2,
+        np.full(2, -np.inf),
+        np.full(2, np.inf),
+    )
+    reached = [
+        solver.minimize(np.array([[0.9], [0.3]]), max_iterations=most, tolerance=1e-10).z[:, 0] for most in range(1, 8)
+    ]
+    wanted = [SMOOTHINGS[level] * np.array([0.5, 1.0]) for level in (0, 0, 1, 1, 2, 2, 3)]
+    assert_allclose(reached, wanted, atol=1e-12)
+    last = solver.minimize(np.array([[0.9], [0.3]]), max_iterations=1, tolerance=1e-10, from_near=True)
+    assert_allclose(last.z[:, 0], SMOOTHINGS[3] * np.array([0.5, 1.0]), atol=1e-12)
+
+
+def test_when_time_is_up_searches_stay_where_they_are():
+    begin = LOWEST[:, None] + np.array([[0.2], [0.2]])
+    with limited(TimeLimits(end=0.0)):
+        ends = newton(bowl).minimize(begin, max_iterations=50, tolerance=1e-9, from_near=True)
+    assert_array_equal(ends.z, begin)
+    assert (ends.at_minimum.tolist(), ends.iterations.tolist()) == ([False], [0])

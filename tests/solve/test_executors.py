@@ -431,3 +431,48 @@ def test_calls_come_back_in_their_order_and_what_was_lost_is_said():
     ):
         with pytest.raises(ExecutorLostError, match=words):
             call_all(divmod, [(7, 2)], lost(error))
+
+
+def test_what_a_task_left_is_kept_and_counts_for_the_size_of_the_next():
+    """Four starts took ten times the work of a task each; what workers bring takes a twentieth of one."""
+    kept = []
+    memory = Memory()
+    memory.keep = lambda number, start, outcome: kept.append((number, float(start[0]), float(outcome.estimate[0])))
+    tasks, handed = tasks_of(Fragile(-1.0), 1000, seconds=TASK_SECONDS / 20, memory=memory)
+    tasks._seconds = 4 * 10 * TASK_SECONDS
+    tasks.hand_out()
+    assert [len(task) for task in handed] == [1] * MOST_WAITING
+    for _ in range(MOST_WAITING):
+        assert tasks.is_next_done()
+        list(tasks.next())
+    assert kept == [(k, k, 2 * k) for k in range(1, MOST_WAITING + 1)]
+    tasks.hand_out()
+    # 132 starts in 40 + 6.4 times the work of a task.
+    assert len(handed[MOST_WAITING]) == int(132 / 46.4)
+
+
+def test_tasks_whose_worker_was_lost_are_tried_one_by_one_in_their_order():
+    solver = Fragile(-1.0)
+    tasks, handed = tasks_of(solver, 40, seconds=TASK_SECONDS / 2.5)
+    submit = tasks._executor.submit
+
+    def lost(function, key, payload, starts, *more):
+        future = submit(function, key, payload, starts, *more)
+        if len(starts) > 1 or starts[0] == 2.0:
+            future = Future()
+            future.set_exception(WorkerLostError("lost"))
+        return future
+
+    tasks._executor = SimpleNamespace(submit=lost)
+    tasks.hand_out()
+    assert handed[0] == [1, 2]
+    found = []
+    while len(found) < 4:
+        assert tasks.is_next_done()
+        found += list(tasks.next())
+    assert [(number, outcome.status) for number, _, outcome in found[:3]] == [
+        (1, "solved"),
+        (2, "worker lost"),
+        (3, "solved"),
+    ]
+    assert (found[1][2].cost, found[1][2].converged) == (np.inf, False)

@@ -11,7 +11,7 @@ from sampled_lag import lag_problem
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.gauss_newton.driver import GaussNewton
-from greybox.solve.gauss_newton.screening import Screening, distinct
+from greybox.solve.gauss_newton.screening import Points, Screening, ShortSegments, _evaluated, _lower, distinct
 from greybox.solve.multistart import multistart
 from greybox.solve.waves import AllAtOnce, PromisingFirst
 
@@ -153,3 +153,155 @@ def test_the_declared_start_is_the_fourth_as_it_is_and_the_promising_ones_begin_
     promising = [6, 1, 3, 7]
     assert_allclose(screened.begins[promising], found[promising], rtol=1e-12)
     assert_array_equal(screened.begins[[0, 2, 4, 5]], starts[[0, 2, 4, 5]])
+
+
+# --- quadratic models of points and the states of their segments ------------------------------------------------------
+
+
+def positive(random, *shape):
+    half = random.normal(size=(*shape, shape[-1]))
+    return half @ np.swapaxes(half, -1, -2) + 0.3 * np.eye(shape[-1])
+
+
+def model_points(r=3, p=2, sizes=((4, 3), (2, 5))):
+    """Random points of p variables, and records of so many segments of so many states."""
+    random = np.random.default_rng(7)
+    by_states = [
+        (positive(random, r, m, n), random.normal(size=(r, m, n, p)), random.normal(size=(r, m, n))) for m, n in sizes
+    ]
+    states = [random.normal(size=(r, m, n)) for m, n in sizes]
+    hessian = 50 * positive(random, r, p)
+    return Points(
+        random.normal(size=(r, p)), states, random.uniform(1, 2, r), random.normal(size=(r, p)), hessian, by_states
+    )
+
+
+def test_states_are_eliminated_as_from_the_whole_system():
+    """Of each point the damped system of all states and parameters, written out."""
+    points, damping = model_points(), np.array([0.0, 0.1, 3.0])
+    gradient, hessian, follow = points.reduced(damping)
+    for k in range(3):
+        cross, slopes, blocks = [], [], []
+        for own, by_z, slope in points.by_states:
+            for segment in range(own.shape[1]):
+                H = own[k, segment]
+                blocks.append(H + damping[k] * np.diag(np.diag(H)))
+                cross.append(by_z[k, segment])
+                slopes.append(slope[k, segment])
+        sizes = np.cumsum([0, *(len(b) for b in blocks)])
+        whole = np.zeros((sizes[-1], sizes[-1]))
+        for begin, block in zip(sizes, blocks, strict=False):
+            whole[begin : begin + len(block), begin : begin + len(block)] = block
+        C, g = np.vstack(cross), np.concatenate(slopes)
+        assert_allclose(hessian[k], points.hessian[k] - C.T @ np.linalg.solve(whole, C), rtol=1e-9)
+        assert_allclose(gradient[k], points.gradient[k] - C.T @ np.linalg.solve(whole, g), rtol=1e-9)
+        moves = -np.linalg.solve(whole, np.column_stack([g, C]))
+        assert_allclose(np.concatenate([f[k].reshape(-1, 3) for f in follow]), moves, rtol=1e-9)
+
+
+def test_what_the_segments_do_not_show_stays_where_it_is():
+    points = model_points(sizes=((1, 2),))
+    points.by_states[0][0][:] = np.diag([4.0, 0.0])
+    points.by_states[0][1][..., 1, :], points.by_states[0][2][..., 1] = 0.0, 0.0
+    _, _, (follow,) = points.reduced(np.array([0.5, 0.5, 0.5]))
+    assert_allclose(follow[:, 0, 0, 0], -points.by_states[0][2][:, 0, 0] / 6)
+    assert_allclose(follow[:, 0, 1], 0)
+
+
+def test_points_closer_than_a_unit_of_cost_to_a_better_one_are_that_one():
+    """Half the square of the distance in the Hessian of the better one, whose states follow."""
+    points = model_points(r=2)
+    _, hessian, _ = points.reduced(np.zeros(2))
+    H = hessian[0]
+    direction = np.array([0.6, -0.8])
+    unit = direction / np.sqrt(direction @ H @ direction / 2)
+    far = np.array([3.0, 2.0]) * 100
+    shifts = [0 * unit, 0.99 * unit, 1.01 * unit, -0.99 * unit, far, far + 1.5 * unit]
+    costs = [1.0, 2.0, 3.0, 4.0, 0.5, np.inf]
+    six = Points(
+        np.array(shifts) + points.z[0],
+        [],
+        np.array(costs),
+        np.repeat(points.gradient[:1], 6, axis=0),
+        np.repeat(points.hessian[:1], 6, axis=0),
+        [tuple(np.repeat(a[:1], 6, axis=0) for a in three) for three in points.by_states],
+    )
+    assert distinct(six) == [4, 0, 2]
+
+
+def test_of_two_points_the_lower_one_is_taken_with_all_it_has():
+    one = model_points()
+    other = model_points()
+    other = Points(
+        other.z + 1,
+        [s + 1 for s in other.states],
+        one.cost + np.array([0.1, -0.1, 0.0]),
+        *[2 * a for a in (other.gradient, other.hessian)],
+        [tuple(3 * a for a in t) for t in other.by_states],
+    )
+    found = _lower(one, other)
+    assert_allclose(found.cost, one.cost + np.array([0, -0.1, 0]))
+    for got, first, second in (
+        (found.z, one.z, other.z),
+        (found.gradient, one.gradient, other.gradient),
+        (found.hessian, one.hessian, other.hessian),
+        *zip(found.states, one.states, other.states, strict=True),
+        *(
+            (a, b, c)
+            for x, y, z in zip(found.by_states, one.by_states, other.by_states, strict=True)
+            for a, b, c in zip(x, y, z, strict=True)
+        ),
+    ):
+        assert_allclose(got[[0, 2]], first[[0, 2]])
+        assert_allclose(got[1], second[1])
+
+
+def test_records_add_up_and_what_is_not_finite_anywhere_promises_nothing():
+    first, second = model_points(sizes=((4, 3),)), model_points(sizes=((2, 5),))
+    second.by_states[0][1][1, 0, 2, 1] = np.nan
+    second.cost[2] = np.inf
+    records = [SimpleNamespace(evaluated=lambda z, states, own=own: own) for own in (first, second)]
+    states = [first.states[0], second.states[0]]
+    found = _evaluated(first.z, states, records)
+    assert_allclose(found.cost, [first.cost[0] + second.cost[0], np.inf, np.inf])
+    assert_allclose(found.gradient[0], first.gradient[0] + second.gradient[0])
+    assert_allclose(found.hessian[0], first.hessian[0] + second.hessian[0])
+    assert_allclose(found.by_states[1][0][0], second.by_states[0][0][0])
+    for array in (found.gradient, found.hessian, *(a for three in found.by_states for a in three)):
+        assert np.all(array[1:] == 0)
+    assert_array_equal(found.states[1], second.states[0])
+
+
+def test_steps_are_damped_more_after_a_failure_and_less_after_a_success(solver):
+    """Of a cost whose Hessian is stated ten times too small, every undamped step fails."""
+    scale, asked = 10.0, []
+
+    def evaluated(z, states):
+        asked.append(z[0].copy())
+        r = len(z)
+        none = (np.ones((r, 1, 1, 1)), np.zeros((r, 1, 1, 2)), np.zeros((r, 1, 1)))
+        cost = 0.5 * (z**2).sum(axis=1)
+        return Points(z, [states], cost, z, np.tile(np.eye(2) / scale, (r, 1, 1)), [none])
+
+    screening = Screening(solver._nlp, solver._limits)
+    screening._limits = SimpleNamespace(clipped=lambda z: np.clip(z, -5.0, 100.0))
+    records = [SimpleNamespace(evaluated=evaluated)]
+    begun = _evaluated(np.array([[1.0, 0.5]]), [np.zeros((1, 1, 1))], records)
+    asked.clear()
+    end = screening._descended(begun, records, 6)
+    # Damping 1e-3 ... 1 fails: the step is 10 / (1 + d) times the way; 10 succeeds, and 1 after it fails again.
+    ways = [np.clip(np.array([1.0, 0.5]) * (1 - 10 / (1 + d)), -5, 100) for d in (1e-3, 1e-2, 1e-1, 1.0, 10.0)]
+    assert_allclose(asked[:5], ways, rtol=1e-9)
+    assert_allclose(asked[5], ways[4] * (1 - 10 / 2), rtol=1e-9)
+    assert_allclose(end.z[0], ways[4], rtol=1e-9)
+
+
+def test_segments_are_chosen_evenly_and_no_longer_than_they_are(solver):
+    (part,) = solver._nlp.parts
+    count, length = part.data.segments, part.data.segment_length
+    few = ShortSegments(part, 3, length + 7)
+    assert few._chosen.tolist() == [0, round((count - 1) / 2), count - 1]
+    assert few._length == length
+    every = ShortSegments(part, count + 5, 2)
+    assert every._chosen.tolist() == list(range(count))
+    assert every._length == 2

@@ -210,3 +210,20 @@ def test_a_search_runs_its_first_start_alone_and_starts_of_ones_own_as_they_are(
     by.clear()
     multistart(solver.nlp, solver, starts[:2], movable=False)
     assert by == [GaussNewton] * 2
+
+
+def test_a_run_counts_the_iterations_of_its_whole_way(solver, starts, monkeypatch):
+    shared, spent = SharedRuns.of(solver), []
+    for level in shared._levels:
+
+        def counting(z, iterations=None, run_from=level.run_from, **near):
+            outcome, hessian = run_from(z, iterations, **near)
+            spent.append(outcome.iterations)
+            return outcome, hessian
+
+        monkeypatch.setattr(level, "run_from", counting)
+    outcome = shared.run(starts[1])
+    assert len(spent) == len(shared._levels) == 2
+    assert min(spent) > 0
+    assert outcome.iterations == sum(spent)
+    assert shared.run(starts[1]).iterations == sum(spent[:2])
