@@ -186,7 +186,7 @@ def _eliminated(hessian: ca.SX, gradient: ca.SX) -> tuple[ca.SX, ca.SX]:
         step[k + 1 :] -= factor * step[k]
     pivots = ca.diag(left)
     for k in range(p - 1, -1, -1):
-        step[k] = (step[k] - left[k, k + 1 :] @ step[k + 1 :]) / pivots[k]
+        step[k] = (step[k] - left[k, k + 1 :] @ step[k + 1 :]) / pivots[k] if k < p - 1 else step[k] / pivots[k]
     return step, pivots
 
 

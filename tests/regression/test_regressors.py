@@ -1,6 +1,7 @@
 """Signals as the equations need them, against closed forms."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -292,3 +293,26 @@ def test_the_slope_of_a_state_is_known_over_four_rows_and_more():
     assert_allclose(found[5:35], 0.6 * np.cos(0.3 * np.arange(5, 35)), atol=1e-4)
     assert_allclose(found[50:54], 6.0)
     assert np.flatnonzero(np.isfinite(found)).tolist() == [*range(40), *range(50, 54)]
+
+
+def test_a_short_stretch_behind_a_long_one_gives_no_block():
+    record, band = driven(), 8.0
+    edge, late = math.ceil(reach(band) / 0.05), math.ceil((0.3 + 0.4 * math.log(100)) / 0.05)
+    for rows in (FEWEST - 1, FEWEST):
+        count = 2 * edge + late + rows
+        v = record["v"].copy()
+        v[600 - count - 3 : 600 - count] = np.nan
+        cut = record.with_signals(v=v)
+        data = two_inputs(cut, CONTINUOUS, cutoffs=dict.fromkeys(("v", "y"), 2 * band), band=band)
+        of_v = [block.target.size for block in data.blocks(POINT) if block.equation == 0]
+        assert of_v == [600 - count - 3 - 2 * edge - late, FEWEST][: 1 + (rows == FEWEST)]
+
+
+@pytest.mark.parametrize(("value", "stable"), [(-1e-9, True), (0.0, False), (math.nan, False)])
+def test_what_integrates_is_not_simulated(value, stable):
+    record = driven(50)
+    fixed = SimpleNamespace(
+        simulated_names=("w",), simulated=lambda x, u, p: (np.ones((1, 50)), np.full((1, 50), value))
+    )
+    data = replace(two_inputs(record, CONTINUOUS), equations=fixed)
+    assert data._simulate(np.zeros((2, 50)), np.zeros((2, 50)), POINT) is stable

@@ -12,7 +12,10 @@ from sampled_lag import lag_problem
 
 import greybox as gb
 from greybox.problems import pitch_hover
-from greybox.solve.global_search import _Filters, _ScatterSearch
+from greybox.solve import global_search as module
+from greybox.solve.global_search import _Filters, _ScatterSearch, global_search
+from greybox.solve.outcome import SCREENED, Outcome
+from greybox.solve.screened_ipopt import merits
 
 DATA = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)
 
@@ -129,3 +132,62 @@ def test_when_all_drawn_points_are_used_it_goes_on_around_the_best():
     assert np.median(around, axis=0) == pytest.approx(4.0, abs=1.0)  # a tenth of the box is one
     assert np.std(around) == pytest.approx(1.0, abs=0.3)
     assert len(search._references) == 10
+
+
+@pytest.mark.parametrize(("count", "first"), [(50, 10), (4, 1)])
+def test_of_the_first_fifth_the_best_is_run_and_later_what_the_filters_let_pass(monkeypatch, count, first):
+    """Of two wells, whose ends are known; the merit is the cost at the start, and 7 more."""
+    wells = np.array([[2.0, 2.0], [-3.0, -1.0]])
+    monkeypatch.setattr(module, "packed", None)
+    monkeypatch.setattr(module, "merits", lambda nlp, z: 7 + ((z.T[:, None] - wells) ** 2).sum(axis=2).min(axis=1))
+    same = SimpleNamespace(to_solver=np.asarray, to_parameters=np.asarray)
+    nlp = SimpleNamespace(
+        scaling=same,
+        lower=np.full(2, -5.0),
+        upper=np.full(2, 5.0),
+        parts=[SimpleNamespace(is_likelihood=False, numbers=9)],
+    )
+    ran = []
+
+    class Solver:
+        def run(self, start):
+            ran.append(start)
+            well = int(np.argmin(((wells - start) ** 2).sum(axis=1)))
+            return Outcome(wells[well], "there", 5, 0.1, True, 7.0 + well, np.array([float(well)]))
+
+        def judged_run(self, outcome):
+            return outcome
+
+    drawn, seen = np.random.default_rng(3).uniform(-5, 5, (count, 2)), []
+    found = global_search(nlp, Solver(), drawn, seed=2, progress=lambda *now: seen.append(now))
+    assert seen == [(k + 1, count) for k in range(count)]
+    np.testing.assert_array_equal(found.runs.start[:first], drawn[:first])
+    turned_down = found.runs.stage == SCREENED
+    assert (~turned_down).sum() == len(ran)
+    at_start = 7 + ((found.runs.start[:, None] - wells) ** 2).sum(axis=2).min(axis=1)
+    assert found.runs.cost[turned_down] == pytest.approx(at_start[turned_down])
+    np.testing.assert_array_equal(found.runs.estimate[turned_down], found.runs.start[turned_down])
+    assert np.flatnonzero(~turned_down[:first]).tolist() == [np.argmin(at_start[:first])]
+    assert not found.runs.converged[turned_down].any()
+    if count == 50:
+        assert [m.cost for m in found.minima] == [7.0, 8.0]
+        # As the filters say, told of the same runs.
+        filters = _Filters(threshold=at_start[:first].min())
+        filters.reached(ran[0], found.runs.estimate[~turned_down][0], 0.0)
+        for k in range(first, count):
+            passes = filters.let_pass(found.runs.start[k], at_start[k])
+            assert passes == (not turned_down[k]), k
+            if passes:
+                filters.reached(found.runs.start[k], found.runs.estimate[k], 0.0)
+
+
+def test_merits_are_costs_with_what_constraints_are_missed_by():
+    z = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+
+    def program(points, smoothing):
+        assert smoothing == 1e-8
+        costs, limits = np.array([[1.0, np.nan, 3.0]]), np.array([[0.5, 1.0, -0.25], [-0.125, 0.0, -1.0]])
+        return [SimpleNamespace(full=lambda v=v: v) for v in (costs + points[:1], limits)]
+
+    for nlp in (SimpleNamespace(locating=None, program=program), SimpleNamespace(locating=program, program=None)):
+        assert merits(nlp, z).tolist() == [2 + 125.0, np.inf, 6 + 1250.0]

@@ -317,3 +317,17 @@ def test_a_step_that_eigenvalues_tell_stops_at_the_bounds_too(has_barrier):
     values, vectors = np.linalg.eigh(of_free)
     trial = iteration()[1](numbers, values, vectors.ravel()).full().ravel()
     assert_allclose(trial, np.array([-0.3, 0.2]) * (0.99 if has_barrier else 1.0))
+
+
+def test_a_step_of_one_variable():
+    rows = Vectors(1)
+    numbers = np.zeros(rows.size)
+    numbers[[RADIUS, LEVEL, SWITCHED]] = 5, LAST - 1, 1
+    numbers[rows.z] = numbers[rows.trial] = 0.7
+    numbers[rows.lower], numbers[rows.upper] = -9, 9
+    found, of_free = advanced(1, LAST, LOOSE)(numbers, 0, 1e-9, 3.0, 2.5, 4.0)
+    assert float(found[rows.trial]) == pytest.approx(0.7 - 2.5 / 4)
+    assert float(of_free) == 4
+    numbers = found.full().ravel()
+    numbers[RADIUS] = 0.2
+    assert float(bounded(1, LAST)(numbers, 4.0, 1.0)) == pytest.approx(0.5, abs=0.01)

@@ -1,0 +1,65 @@
+"""What a search remembers of an earlier one, and what it hands on."""
+
+from contextlib import nullcontext
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from greybox.solve.kept_runs import KeptRuns, KeptRunsError, Memory
+from greybox.solve.outcome import INTERRUPTED, RUN_OVER, SEARCH_OVER, Outcome
+from greybox.solve.time_limits import TimeLimits, limited
+
+START = np.array([1.0, 2.0])
+DONE = Outcome(START + 1, "done", 3, 10.0, converged=True)
+
+
+class Listed(KeptRuns):
+    def __init__(self, before):
+        self.before, self.added, self.looked, self.names = before, [], 0, []
+
+    def known(self, fingerprint):
+        self.names.append(fingerprint)
+        return self.before
+
+    def add(self, number, start, outcome):
+        self.added.append((number, start, outcome))
+
+    def look(self):
+        self.looked += 1
+
+
+def test_a_run_is_recalled_by_its_number_and_start():
+    kept = Listed({4: (START, DONE), -2: (START, DONE)})
+    memory = Memory(kept, "of this problem")
+    assert kept.names == ["of this problem"]
+    assert memory.recall(4, START.copy()) is DONE
+    assert memory.recall(5, START) is None
+    assert memory.recall(-2, START) is DONE
+    assert memory.recall(-2, START + 1e-9) is None  # elsewhere than a start: a neighborhood that has changed
+    with pytest.raises(KeptRunsError, match="began at other starts, from number 4 on: give the same rule and seed"):
+        memory.recall(4, START + 1e-9)
+    number_zero = Memory(Listed({0: (START, DONE)}))
+    with pytest.raises(KeptRunsError, match="from number 0 on"):
+        number_zero.recall(0, START + 1)
+    memory.look()
+    assert kept.looked == 1
+
+
+@pytest.mark.parametrize(("limit", "again"), [(9.0, False), (10.0, False), (11.0, True), (None, True)])
+def test_what_a_shorter_time_limit_cut_is_made_again(limit, again):
+    memory = Memory(Listed({4: (START, replace(DONE, status=RUN_OVER, converged=False))}))
+    with nullcontext() if limit is None else limited(TimeLimits(start=limit)):
+        assert (memory.recall(4, START) is None) is again
+
+
+def test_what_is_new_and_finished_is_kept():
+    kept = Listed({4: (START, DONE)})
+    memory = Memory(kept)
+    for number, status in ((4, "done"), (5, "done"), (6, INTERRUPTED), (7, SEARCH_OVER), (8, RUN_OVER)):
+        memory.keep(number, START, replace(DONE, status=status))
+    assert [number for number, _, _ in kept.added] == [5, 8]
+    nothing = Memory()
+    nothing.keep(1, START, DONE)
+    nothing.look()
+    assert nothing.recall(1, START) is None
