@@ -87,13 +87,11 @@ class Columns:
     """
 
     def __init__(self, function: ca.Function, shared: tuple[int, ...] = (), fewest: int = 1) -> None:
+        function = _dense(function)
         self._function, self._shared, self._fewest = function, shared, fewest
         self._sizes = [function.numel_out(k) for k in range(function.n_out())]
-        self._operations = function.n_instructions() if function.is_a("SXFunction") else 0
         self._bound: dict[int, _Bound] = {}
         self._mapped: dict[int, _Mapped] = {}
-        self._is_dense = all(function.nnz_out(k) == size for k, size in enumerate(self._sizes))
-        self._is_dense &= all(function.nnz_in(k) == function.numel_in(k) for k in range(function.n_in()))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what builds the same: memory that CasADi writes to does not travel."""
@@ -101,7 +99,7 @@ class Columns:
 
     @cached_property
     def _program(self) -> list[tuple[int, list[int], list[int], float]] | None:
-        return _read(self._function) if self._operations else None
+        return _read(self._function) if self._function.is_a("SXFunction") else None
 
     def __call__(self, *inputs: Array) -> list[Array]:
         """Return the outputs, (numel, m) each, for inputs (numel, m), shared ones (numel,)."""
@@ -112,43 +110,36 @@ class Columns:
             some = slice(at, min(at + size, m))
             part = [v if k in self._shared else v[:, some] for k, v in enumerate(inputs)]
             count = some.stop - at
-            if count < self._fewest or self._is_quicker(count) or self._program is None:
-                for out, value in zip(outputs, self._evaluated(part, some.stop - at), strict=True):
+            if count < self._fewest or count <= FEW or self._program is None:
+                for out, value in zip(outputs, self._evaluated(part, count), strict=True):
                     out[:, some] = value
             else:
-                bound = self._bound.get(some.stop - at) or self._bind(some.stop - at)
+                bound = self._bound.get(count) or self._bind(count)
                 bound.run(part, [out[:, some] for out in outputs])
         return outputs
 
-    def _is_quicker(self, m: int) -> bool:
-        """Tell whether CasADi's interpreter takes less time for m columns."""
-        if self._is_dense:
-            return m <= FEW
-        # As it does for few columns of long programs, where it takes and gives matrices of its own; in microseconds.
-        return 50 + m * (1.4 + 0.0042 * self._operations) < 0.4 * self._operations * (1 + m / 500)
-
     def _evaluated(self, inputs: list[Array], m: int) -> list[Array]:
-        if self._is_dense:
-            if m not in self._mapped:
-                if len(self._mapped) > 12:
-                    self._mapped.clear()
-                self._mapped[m] = _Mapped(self._function, self._shared, m)
-            return self._mapped[m].run(inputs)
-        function = self._function if m == 1 else self._function.map(m)
-        shaped = [np.tile(np.reshape(v, (-1, 1)), m) if k in self._shared else v for k, v in enumerate(inputs)]
-        found = function(*shaped)
-        results = []
-        for k, value in enumerate(found if isinstance(found, tuple) else (found,)):
-            rows, columns = self._function.size_out(k)  # side by side for all m, and column by column in the result
-            both = ca.DM(value).full().reshape(rows, m, columns)
-            results.append(both.transpose(2, 0, 1).reshape(rows * columns, m))
-        return results
+        if m not in self._mapped:
+            if len(self._mapped) > 12:
+                self._mapped.clear()
+            self._mapped[m] = _Mapped(self._function, self._shared, m)
+        return self._mapped[m].run(inputs)
 
     def _bind(self, m: int) -> "_Bound":
         if len(self._bound) > 12:
             self._bound.clear()
         self._bound[m] = _Bound(self._program or [], self._function, self._shared, m)
         return self._bound[m]
+
+
+def _dense(function: ca.Function) -> ca.Function:
+    """Return the function with zeros in place of what inputs and outputs leave out."""
+    is_dense = all(function.nnz_in(k) == function.numel_in(k) for k in range(function.n_in()))
+    if is_dense and all(function.nnz_out(k) == function.numel_out(k) for k in range(function.n_out())):
+        return function
+    kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
+    inputs = [kind.sym("v", *function.size_in(k)) for k in range(function.n_in())]
+    return ca.Function(function.name(), inputs, [ca.densify(value) for value in function.call(inputs)])
 
 
 class _Mapped:

@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from greybox.compiled.alike_terms import SecondOrder, _alike
+from greybox.compiled.alike_terms import SecondOrder, _alike, _terms
 
 OMEGA = np.array([0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0])  # at one a product is simplified: a term of another form
 MEASURED = np.array([0.9, 0.8, -0.4, 0.3, 0.1, -0.2, 0.05])
@@ -52,3 +52,14 @@ def test_a_cost_without_alike_terms_and_a_constant_one(monkeypatch):
     assert (*value, *gradient[:, 0]) == (2, 4, 1)
     assert hessian[:, 0].tolist() == [4, 2, 2, 0]
     assert [v.tolist() for v in SecondOrder([z], ca.SX(3))(point)] == [[3], [[0], [0]], [[0]] * 4]
+
+
+def test_terms_and_factors_of_sums_differences_multiples_and_shares():
+    x = ca.SX.sym("x", 5)
+    a, b, c, d, e = (ca.sin(x[k]) for k in range(5))
+    whole = -(a - (b / 4 + 2 * (c - 3 * d))) / 5 + e / b
+    found = [(factor, ca.Function("term", [x], [term])) for factor, term in _terms(whole)]
+    point = np.array([0.3, 0.7, 1.1, 1.9, 2.3])
+    s = np.sin(point)
+    wanted = {s[0]: -1 / 5, s[1]: 1 / 20, s[2]: 2 / 5, s[3]: -6 / 5, s[4] / s[1]: 1.0}
+    assert {float(term(point)): factor for factor, term in found} == pytest.approx(wanted)

@@ -131,6 +131,37 @@ def test_records_of_equal_models_share_the_compiled_sample():
     assert other[0].step is not other[1].step
 
 
+def test_models_with_arguments_are_alike_where_their_equations_are():
+    class Pushed(Spring):
+        def __init__(self, force=1.0, sensors=("x", "v")):
+            self.force, self.sensors = force, sensors
+
+        def derivative(self, x, u, p):
+            return (-p.a * x.v - p.b * x.x + self.force * p.c * u.u, x.v)
+
+        def output(self, x, u, p):
+            return (x.x, x.v if self.sensors == ("x", "v") else 2 * x.v)
+
+    each = records()[:2]
+    given = each[0].time, {name: each[0][name] for name in ("u", "x", "v")}
+    held, unseen = gb.Record(*given, hold={"u": 0.02}), gb.Record(given[0], {"u": given[1]["u"], "x": given[1]["x"]})
+    method = gb.MultipleShooting(segment=10, integrator=gb.RungeKutta(1))
+
+    def shared(first, second, record=each[1], **options):
+        one, other = compile_problem(gb.Problem(first, each[0]) + gb.Problem(second, record, **options), method).parts
+        return one.step is other.step
+
+    assert shared(Pushed(2.0), Pushed(force=2.0))
+    assert not shared(Pushed(2.0), Pushed(3.0))
+    assert not shared(Pushed(2.0), Pushed(2.0, ("x", "w")))
+    assert not shared(Pushed(), Spring())
+    model = Pushed()
+    assert shared(model, model)
+    assert not shared(model, model, held)
+    assert not shared(model, model, criterion=gb.OutputError(biases=("x",)))
+    assert not shared(model, model, unseen)
+
+
 def test_records_compiled_to_c_have_the_same_linearization(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     nlp = compile_problem(problem_of("own parameter"), gb.MultipleShooting(segment=10, compile=True))

@@ -1,6 +1,7 @@
 """A record's part against brute force: sensitivities by finite differences, condensing by one dense system."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,10 +14,14 @@ import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 
 
-def part_of(record, criterion=HELD, **options):
+def compiled(record, criterion=HELD, **options):
     nlp = compile_problem(gb.Problem(Spring(), record, criterion, **options))
     z = nlp.scaling.to_solver(np.array([SPRING.get(name, 0.035) for name in nlp.free]))
-    return nlp.parts[0], z
+    return nlp.parts[0], z, nlp
+
+
+def part_of(record, criterion=HELD, **options):
+    return compiled(record, criterion, **options)[:2]
 
 
 @pytest.fixture(scope="module")
@@ -301,3 +306,148 @@ def test_process_noise_of_an_unstable_model_has_no_spectrum():
     unstable[list(SPRING).index("c")] *= -3
     trajectory = part.trajectory(unstable, part.initial_trajectory(unstable).nodes)
     assert part._jacobian(trajectory, part.initial_weight(0.1)).shocks().shape[1] == 0
+
+
+STATED = {"x": 0.05, "v": 0.11}
+INFORMED = {
+    "stated noise": {"noise": STATED},
+    "full covariance": {"noise": "full"},
+    "known state": {"noise": STATED, "initial": {"x": lambda p: p.b / p.k}},
+}
+
+
+@pytest.fixture(scope="module", params=INFORMED)
+def informed(request):
+    """What a record says, and the regression that says so: one simulation by differences of parameters and states."""
+    options = INFORMED[request.param]
+    record = spring(120)
+    record = record.with_signals(x=np.where(np.arange(120) % 7 == 3, np.nan, record["x"]))
+    record = record.with_signals(F=np.where(np.arange(120) == 71, np.nan, record["F"]))
+    if options["noise"] == "full":
+        record = record.with_signals(v=np.where(np.isfinite(record["x"]), record["v"], np.nan))
+    part, z, nlp = compiled(record, gb.OutputError(inputs="held", biases=("x",), **options), free=("d",))
+    begins = part.data.begins_stretch
+    trajectory = part.trajectory(z, part.initial_trajectory(z).nodes, simulated=True)
+    weight = part.residual_weight(trajectory)
+
+    def moved(v, first):
+        nodes = trajectory.nodes.copy()
+        nodes[begins] = first.reshape(2, 2)
+        return part.trajectory(v, nodes, simulated=True)
+
+    def rows(of):
+        return (weight @ part.residuals(of)).ravel()
+
+    first = trajectory.nodes[begins].ravel()
+    by_first = numeric_jacobian(lambda v: rows(moved(z, v)), first)
+    by_z = numeric_jacobian(lambda v: rows(moved(v, first)), z)
+    follow = -np.linalg.lstsq(by_first, by_z, rcond=1e-10)[0]
+    nodes = numeric_jacobian(lambda v: moved(v, first).nodes.ravel(), z)
+    nodes = nodes + numeric_jacobian(lambda v: moved(z, v).nodes.ravel(), first) @ follow
+    alone, direct = dense(
+        part, z, trajectory.nodes, lambda *at: (weight @ residuals(*at).reshape(len(weight), -1)).ravel()
+    )
+    x = nlp.scaling.to_parameters(z)
+    scale = nlp.scaling.slope(x)
+    values = nlp.all_values(x)
+    return SimpleNamespace(
+        part=part,
+        trajectory=trajectory,
+        found=part.information(nlp.names, values, (), trajectory, scale),
+        is_full=options["noise"] == "full",
+        is_known="initial" in options,
+        weight=weight,
+        measured=np.isfinite(part.data.measured),
+        J=(by_z + by_first @ follow) * scale,
+        by_first=by_first,
+        nodes=nodes * scale,
+        through=alone @ nodes * scale,
+        direct=direct * scale,
+        noticed=np.sqrt((alone**2).reshape(-1, part.data.segments, 2).sum(axis=(0, 1))),
+        size=len(values),
+    )
+
+
+def test_information_is_that_of_a_regression_on_parameters_and_initial_states(informed):
+    """Of stated deviations, the residuals show how large they are."""
+    part, found, J, weight, measured = informed.part, informed.found, informed.J, informed.weight, informed.measured
+    p = J.shape[1]
+    close = {"rtol": 1e-4, "atol": 1e-6 * np.abs(J).max() ** 2}
+    assert_allclose((found.jacobian.T @ found.jacobian)[:p, :p], J.T @ J, **close)
+    assert found.jacobian.shape[1] == informed.size
+    assert not found.jacobian[:, p:].any()
+    initial = 3 if informed.is_known else 4
+    assert part.unknown_initial_states == initial
+    assert found.numbers == measured.sum() - initial
+    assert np.isnan(found.relative_noise)
+
+    white = ((weight @ part.residuals(informed.trajectory)) ** 2).sum(axis=1) / measured.sum(axis=1)
+    share = np.ones(2) if informed.is_full else white
+    each = J.reshape(2, -1, p)
+    meat = sum(v * own.T @ own for v, own in zip(share, each, strict=True)) * measured.sum() / found.numbers
+    one, spread = found.spread(1.3)
+    assert one == 1
+    assert_allclose(spread[:p, :p], 1.69 * meat, **close)
+
+
+def test_initial_states_follow_the_parameters_that_are_told_apart_by_what_is_left(informed):
+    found, p = informed.found, informed.J.shape[1]
+    if not informed.is_known:  # whose own change counts as the parameters'
+        lengths = np.sqrt((informed.through**2).sum(axis=0) + (informed.direct**2).sum(axis=0))
+        assert_allclose(found.reach[:p], lengths, rtol=1e-4)
+    begins = informed.part.data.begins_stretch
+    changes = informed.nodes.reshape(len(begins), 2, p)[begins] * informed.noticed[:, None]
+    assert list(found.initial) == (["v"] if informed.is_known else ["x", "v"])
+    for name, rows in found.initial.items():
+        assert_allclose(rows[:, :p], changes[:, "xv".index(name)], rtol=1e-3, atol=1e-4 * np.abs(changes).max())
+
+
+def test_what_is_told_stands_in_its_part_of_the_record(informed):
+    """In bins of equal length, for each output; of a full covariance for all of them together."""
+    part, J = informed.part, informed.J
+    directions = np.random.default_rng(3).normal(size=(J.shape[1], 2))
+    told = informed.found.told(directions).reshape(2, 2, -1)
+    along = np.stack([np.hstack(part.data.unpadded(v.reshape(2, -1))) for v in (J @ directions).T])
+    bins = np.zeros_like(told)
+    for sample, row in enumerate(np.concatenate([stretch.rows for stretch in part.data.stretches])):
+        bins[:, :, int(row * told.shape[2] / 120)] += along[:, :, sample] ** 2
+    if informed.is_full:
+        told, bins = told.sum(axis=1), bins.sum(axis=1)
+    assert_allclose(told, bins, rtol=1e-3, atol=1e-6 * bins.max())
+
+
+def test_errors_of_outputs_are_those_of_parameters_and_of_initial_states_at_these(informed):
+    part, by_first = informed.part, informed.by_first
+    p, k = informed.J.shape[1], 2
+    root = np.random.default_rng(4).normal(size=(informed.size, informed.size))
+    covariance = root @ root.T
+    plain = np.linalg.inv(informed.weight)
+    slopes = np.einsum("ka,anp->knp", plain, informed.J.reshape(k, -1, p))
+    apart = np.einsum("ka,anp->knp", plain, by_first.reshape(k, -1, 4))
+    variance = np.einsum("knp,pq,knq->kn", slopes, covariance[:p, :p], slopes)
+    variance += np.einsum("knp,pq,knq->kn", apart, np.linalg.pinv(by_first.T @ by_first, rcond=1e-10), apart)
+    wanted = np.full((k, 120), np.nan)
+    at = np.concatenate([stretch.rows for stretch in part.data.stretches])
+    wanted[:, at] = np.hstack(part.data.unpadded(np.where(informed.measured, np.sqrt(variance), np.nan)))
+    assert_allclose(informed.found.output_errors(covariance, None), wanted, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("delay", "free", "masked"),
+    [
+        (gb.Parameter(0.03, bounds=(0, 0.12)), True, 3),
+        (gb.Parameter(0.03, bounds=(0, 0.12)), False, 1),
+        (gb.Parameter(0.03, bounds=(0, np.inf), starts=(0, 0.18)), True, 4),
+        (gb.Parameter(0.23, bounds=(0, np.inf), starts=(0, 0.18)), True, 5),
+        (gb.Parameter(0.23, bounds=(0, np.inf)), True, 5),
+    ],
+    ids=["bound", "fixed", "start box", "start", "unbounded"],
+)
+def test_samples_that_the_longest_delay_reaches_are_not_compared(delay, free, masked):
+    """At 0.05 s a sample, of the times at which an input moves from the first sample on."""
+    model = type("Late", (Spring,), {"d": replace(delay, fixed=not free)})()
+    record = spring(120, force=np.random.default_rng(0).normal(size=120))
+    (part,) = compile_problem(gb.Problem(model, record, HELD)).parts
+    assert part.data.stretches[0].masked == masked
+    assert np.isnan(part.data.measured[:, :masked]).all()
+    assert np.isfinite(part.data.measured[:, masked:120]).all()

@@ -330,7 +330,7 @@ def test_of_a_static_model_every_sample_counts():
         static(record(7, u=u, y=np.where(np.isfinite(u), np.nan, 1.0)))
 
 
-@pytest.mark.parametrize(("off", "is_uniform"), [(0.24, True), (0.26, False)])
+@pytest.mark.parametrize(("off", "is_uniform"), [(0.24, True), (0.26, False), (-0.24, True), (-0.26, False)])
 def test_samples_lie_within_a_quarter_of_a_step(off, is_uniform):
     time = STEP * np.arange(60)
     time[30] += off * STEP

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from greybox.compiled.vectorized import CHUNK, Columns
+from greybox.compiled.vectorized import CHUNK, FEW, Columns
 
 UNARY = {
     "minus": lambda a: -a,
@@ -40,7 +40,8 @@ BINARY = {
     },
 }
 GRID = np.array([-2.5, -1.0, -0.4, 0.0, 0.3, 1.0, 1.7])
-FIRST, SECOND = (v.ravel() for v in np.meshgrid(GRID, GRID))
+MANY = np.tile(GRID, FEW)  # of few columns CasADi takes care
+FIRST, SECOND = (v.ravel() for v in np.meshgrid(np.tile(GRID, 4), GRID))
 
 
 def function(expression, *symbols):
@@ -55,8 +56,8 @@ def by_casadi(f, *columns):
 def test_every_operation_of_one_number(name):
     x = ca.SX.sym("x")
     f = function(UNARY[name](x), x)
-    found = Columns(f)(GRID[None])[0]
-    assert_allclose(found, by_casadi(f, GRID), rtol=1e-14, equal_nan=True)
+    found = Columns(f)(MANY[None])[0]
+    assert_allclose(found, np.tile(by_casadi(f, GRID), FEW), rtol=1e-14, equal_nan=True)
 
 
 @pytest.mark.parametrize("name", BINARY)
@@ -99,7 +100,7 @@ def test_calls_do_not_disturb_one_another():
         y = ca.sin(y * x[0] + q) + x[1] * y
     evaluate, random = Columns(function(y, x, q), shared=(1,)), np.random.default_rng(0)
     kept = []
-    for m in (5, 3, 5, 8, 13, 21, 34, 55, 5):
+    for m in (5, 3, 5, 8, 300, 500, 200, 300, 5):
         columns, shared = random.normal(size=(2, m)), random.normal(size=1)
         kept.append((columns, shared, evaluate(columns, shared)[0]))
     for columns, shared, found in kept:
@@ -111,7 +112,7 @@ def test_calls_do_not_disturb_one_another():
 
 def test_what_is_not_finite_gives_no_warning():
     x = ca.SX.sym("x")
-    found = Columns(function(ca.vertcat(ca.log(x), 1 / x, ca.exp(1e4 * x)), x))(np.array([[0.0, 1.0]]))[0]
+    found = Columns(function(ca.vertcat(ca.log(x), 1 / x, ca.exp(1e4 * x)), x))(np.tile([[0.0, 1.0]], FEW))[0]
     assert_allclose(found[:, 0], [-np.inf, np.inf, 1])
     assert np.isinf(found[2, 1])
 
@@ -119,9 +120,9 @@ def test_what_is_not_finite_gives_no_warning():
 def test_constants_and_structural_zeros():
     x = ca.SX.sym("x")
     f = ca.Function("f", [x], [ca.densify(ca.vertcat(ca.SX(0), x, ca.SX(3.5))), ca.densify(ca.SX(2, 2))])
-    found = Columns(f)(GRID[None])
-    assert_allclose(found[0], [np.zeros(7), GRID, np.full(7, 3.5)])
-    assert_allclose(found[1], np.zeros((4, 7)))
+    found = Columns(f)(MANY[None])
+    assert_allclose(found[0], [0 * MANY, MANY, np.full(MANY.size, 3.5)])
+    assert_allclose(found[1], np.zeros((4, MANY.size)))
 
 
 def test_comparisons_count_as_numbers_where_they_are_calculated_with():
@@ -133,3 +134,20 @@ def test_comparisons_count_as_numbers_where_they_are_calculated_with():
     points = np.random.default_rng(0).integers(-2, 3, (3, 500)).astype(float)
     [found] = Columns(function)(points)
     assert_allclose(found, function(points).full(), equal_nan=True)
+
+
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+@pytest.mark.parametrize("m", [1, 7, 500])
+def test_entries_that_a_function_leaves_out_are_zeros(kind, m):
+    """Of the outputs, and of an input of which half is not read."""
+    x, given = kind.sym("x", 2), kind.sym("given", ca.Sparsity.lower(2))
+    f = ca.Function("f", [x, given], [ca.diag(x * x[0]), given @ x, kind(3, 1)])
+    random = np.random.default_rng(m)
+    columns, others = random.normal(size=(2, m)), random.normal(size=(4, m))
+    squares, product, nothing = Columns(f)(columns, others)
+    zeros = np.zeros(m)
+    assert_allclose(squares, [columns[0] ** 2, zeros, zeros, columns[0] * columns[1]], rtol=1e-13)
+    assert_allclose(product, [others[0] * columns[0], others[1] * columns[0] + others[3] * columns[1]], rtol=1e-13)
+    assert_allclose(nothing, np.zeros((3, m)))
+    (shared, *_) = Columns(f, shared=(0,))(columns[:, 0], others)
+    assert_allclose(shared, np.tile(squares[:, :1], m))
