@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.signal import lfilter
 
 from greybox.compiled.record_information import colored_errors, independent_numbers
+from greybox.statistics.residual_spectrum import colored_information
 
 
 def regression(n, seed):
@@ -69,3 +70,65 @@ def test_white_errors_of_any_size_leave_no_fewer_degrees_of_freedom(size):
     J, e, inverse = regression(n, 1)
     found = colored_errors([J], [size * e], inverse, np.eye(1), 1, 1.0)
     assert n / 4 < found.dof < n  # how well their spectrum is known takes the rest
+
+
+@pytest.mark.parametrize("longest", [50_000, 100])
+def test_an_estimate_pays_for_what_it_takes_from_correlated_errors(longest, monkeypatch):
+    """Two stretches of two outputs whose covariance is not diagonal, with what other data tell of the parameters.
+
+    Parameters that take more of these errors than of white ones leave as many times fewer independent numbers; of a
+    long record, whose spectrum does not allow for what the fit took, the variance is larger by it instead.
+    """
+    monkeypatch.setattr("greybox.statistics.residual_spectrum.LONGEST_CORRECTED", longest)
+    random, initial_states = np.random.default_rng(4), 3
+    weight = np.array([[2.0, 0.0], [-0.7, 1.5]])
+    residuals = [0.9 * lfilter([1], [1, -0.8], random.normal(size=(2, n))) for n in (150, 90)]
+    residuals[0][1, 20:40] = 0.0
+    J = [random.normal(size=(2, 3, n)).cumsum(axis=2) / np.sqrt(n) for n in (150, 90)]
+    weighted = [np.einsum("ka,apn->kpn", weight.T @ weight, each) for each in J]
+    bread = sum(np.einsum("kpn,ka,aqn->pq", each, weight.T @ weight, each) for each in J)
+    inverse = np.linalg.inv(bread + np.diag([0.5, 1.0, 2.0]) * np.diag(bread))
+    found = colored_errors(weighted, residuals, inverse, weight, initial_states, 0.02)
+
+    told = colored_information(weighted, residuals, inverse, np.linalg.inv(weight.T @ weight))
+    assert told.corrected is (longest > 100)
+    numbers = 2 * 240 - 20
+    paid = np.trace(inverse @ bread)
+    white = sum(((weight @ e) ** 2).sum() for e in residuals) / numbers
+    times = told.taken / (paid * white)
+    assert 1 < times < numbers / (initial_states + np.ceil(paid) + 4)
+    independent = numbers / times
+    larger = independent / (independent - initial_states)
+    left = independent - initial_states - paid
+    if longest == 100:
+        larger *= 1 + paid / left
+    assert_allclose(found.meat, larger * told.meat)
+    assert_allclose(1 / found.dof, 1 / left + told.uncertainty / 2)
+    assert_allclose(found.correlation_times, 0.02 * told.correlation_times)
+    assert found.duration == pytest.approx(150 * 0.02)
+    assert found.hidden == told.hidden
+    assert_allclose(found.spectrum.deviation, np.sqrt(larger) * told.spectrum.deviation)
+
+
+def test_twelve_correlation_times_are_long_enough():
+    """Below, a quarter of them are the degrees of freedom that are left."""
+    n, e = 300, np.random.default_rng(7).normal(size=300)
+    J, found_times = np.ones((1, 1, n)), []
+    for pole in np.arange(0.86, 0.9, 0.004):
+        errors = lfilter([1], [1, -pole], e)[None]
+        found = colored_errors([J], [errors], np.eye(1) / n, np.eye(1) / np.std(errors), 1, 1.0)
+        times = n / found.correlation_times[0]
+        found_times.append(times)
+        assert found.is_long_enough == (times >= 12)
+        if times < 12:
+            assert found.dof <= max(times / 4, 1) + 1e-9
+    assert any(10 < times < 12 for times in found_times)
+    assert any(12 <= times < 14 for times in found_times)
+
+
+def test_independent_numbers_are_no_fewer_than_a_variance_needs():
+    """Four more than the initial states and the parameters, if there are as many; half a one more than the former."""
+    assert independent_numbers(100, 3, 5, 7.0) == pytest.approx(100 / 7)
+    assert independent_numbers(100, 3, 5, 9.0) == pytest.approx(3 + 5 + 4)
+    assert independent_numbers(11, 3, 5, 9.0) == 11
+    assert independent_numbers(3, 8, 2, 5.0) == 8.5
