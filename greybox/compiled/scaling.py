@@ -45,7 +45,7 @@ class Scaling:
 def scaling_of(parameters: Sequence[Parameter]) -> Scaling:
     """Return the scaling of the unknowns."""
     return Scaling(
-        factor=np.array([_size(p) for p in parameters]),
+        factor=np.array([_size(p) for p in parameters], dtype=float),
         logarithmic=np.array([p.scale == "log" for p in parameters]),
     )
 

@@ -6,7 +6,7 @@ from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
 from numpy.testing import assert_allclose
 
 import greybox as gb
-from greybox.estimate.equivalent_minima import relation
+from greybox.estimate.equivalent_minima import relation, said
 
 DATA = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=6)
 OMEGA = np.geomspace(0.5, 50, 20)
@@ -118,3 +118,34 @@ def test_nothing_is_said_where_there_is_one():
 )
 def test_words_and_conditions_for_vectors_of_one_response(best, other, words, keeps):
     assert relation(("a", "b", "c", "d"), np.array(best), np.array(other)) == (words, keeps)
+
+
+class Square(gb.TransferFunction):
+    """The square of a gain."""
+
+    a = gb.Parameter(1.5, bounds=(-5, 5))
+
+    def response(self, s, p):
+        return p.a**2 / (0.3 * s + 1)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "count"), [((-5, 5), 2), ((-1, 5), 1), ((0.1, 5), 1), ((-5, -0.1), 1), ((-5, 1), 1)]
+)
+def test_what_lies_beyond_a_bound_is_no_equivalent(bounds, count):
+    data = gb.FrequencyResponse(OMEGA, 2.25 / (0.3j * OMEGA + 1))
+    start = 1.4 if bounds[1] > 1.5 else -1.4
+    fit = gb.fit(gb.Problem(Square(), data, bounds={"a": bounds}), starts=[{"a": start}], progress=False)
+    assert_allclose(fit.equivalents[:, 0], [np.copysign(1.5, start), -np.copysign(1.5, start)][:count], rtol=1e-4)
+
+
+def test_of_many_vectors_four_are_shown():
+    vectors = np.array([[1.0, 5.0], [2.0, 5.1], [3.0, 5.0], [4.0, 5.0], [6.0, 5.0]])
+    text, *table = said(("a", "b"), vectors).splitlines()
+    assert text == (
+        "at least 5 clearly different parameter vectors give this same response: add an ordering constraint or fix a "
+        "parameter to choose one of them."
+    )
+    assert table[0].split() == ["given", "here", "also", "1", "also", "2", "also", "3"]
+    assert table[-1].split() == ["a", "1", "2", "3", "4"]  # b is nearly the same in all
+    assert len(table) == 3

@@ -1,5 +1,7 @@
 """The answer: errors of derived quantities, intervals, earlier fits, and what it prints."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from declared_models import (
@@ -18,8 +20,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 import greybox as gb
+from greybox.estimate.fit import _curve, _cut_short
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
+from greybox.solve.outcome import RUN_OVER, SEARCH_OVER
+from greybox.solve.time_limits import TimeLimits, limited
 
 ORDERED = [lambda p: p.T1 - p.T2]
 LAG = gb.fit(gb.Problem(Lag(), measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0, "T": 0.3}, noise=0.05, seed=3)), starts=6)
@@ -237,3 +242,74 @@ def test_criteria_agree_within_their_errors():
 def test_solver_options_of_another_kind_are_refused(options):
     with pytest.raises(TypeError, match="give IPOPT's options as"):
         gb.fit(gb.Problem(Lag(), LAGS.parts[0].data), starts=2, solver_options=options)
+
+
+@pytest.mark.parametrize("damping", [0.5, 0.02, 1e-9])
+def test_a_curve_for_figures_is_refined_where_it_turns(damping):
+    """Steps of a fiftieth of its largest magnitude and of five degrees; of a needle there are none such."""
+    asked = []
+
+    def response(omega):
+        asked.append(omega.size)
+        return gb.FrequencyResponse(omega, 1 / (1.0003 - omega**2 + 1j * damping * omega))
+
+    curve = _curve(response, np.array([5.0, 0.2, 1.0]))
+    assert asked[0] == 200
+    assert (curve.omega[0], curve.omega[-1]) == pytest.approx((0.2, 5.0))
+    assert np.all(np.diff(curve.omega) > 0)
+    if damping == 0.5:
+        assert len(curve) < 320
+    steps = np.abs(np.diff(curve.response)).max() / np.abs(curve.response).max()
+    turns = np.degrees(np.abs(np.angle(curve.response[1:] / curve.response[:-1])))
+    if damping > 1e-3:
+        assert steps <= 0.02
+        assert turns.max() <= 5
+        assert len(curve) < 600
+    assert _curve(response, np.array([3.0])).omega.tolist() == [3.0]
+
+
+def test_a_curve_that_hardly_turns_is_evaluated_once():
+    asked = []
+
+    def response(omega):
+        asked.append(omega)
+        return gb.FrequencyResponse(omega, 1 / (0.001j * omega + 1))
+
+    assert_allclose(_curve(response, np.array([1.0, 4.0])).omega, np.geomspace(1, 4, 200))
+    assert len(asked) == 1
+
+
+def test_a_curve_of_a_jump_stops_at_two_thousand_points():
+    """Every step is too coarse: 200, 399, 797, 1593, 3185 points."""
+    asked = []
+
+    def response(omega):
+        asked.append(omega.size)
+        return gb.FrequencyResponse(omega, np.exp(1j * np.arange(omega.size)))
+
+    _curve(response, np.array([1.0, 4.0]))
+    assert asked == [200, 399, 797, 1593, 3185]
+
+
+def test_what_ctrl_c_and_time_limits_left_out_is_said():
+    def said(statuses, count, interrupted=False):
+        search = SimpleNamespace(brought=statuses, runs=SimpleNamespace(status=np.array(statuses)))
+        return [*_cut_short(search, count, interrupted=interrupted)]
+
+    assert said(["done"] * 3, 5) == []
+    assert said(["done"] * 5, 5, interrupted=True) == []
+    assert said(["done"] * 3, 5, interrupted=True) == [
+        "interrupted after 3 of 5 starts: another one may end at a lower cost."
+    ]
+    assert said(["done", SEARCH_OVER], 2) == ["interrupted after 2 of 2 starts: another one may end at a lower cost."]
+    with limited(TimeLimits(start=2.5, end=0.0)):
+        assert said(["done", SEARCH_OVER], 9) == [
+            "the time limit ended the search after 2 of 9 starts: another one may end at a lower cost, and a faster "
+            "machine may answer otherwise."
+        ]
+    with limited(TimeLimits(start=2.5)):
+        for cut, verb in ((1, "was"), (2, "were")):
+            assert said([RUN_OVER] * cut + ["done"], 5) == [
+                f"{cut} of 5 starts {verb} cut at 2.5 s, the time limit of a start: on a faster machine it may end "
+                "at a lower cost."
+            ]

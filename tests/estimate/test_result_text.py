@@ -6,17 +6,22 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import greybox as gb
 from greybox.estimate.result import (
     Quantity,
+    _best_effort_table,
     _biased,
     _data_text,
     _inputs_texts,
     _output_texts,
+    _part_index,
+    _prior_texts,
     _range,
     _response_texts,
     _rows,
     _spectrum_texts,
     _through,
+    error_condition,
 )
 
 
@@ -150,3 +155,72 @@ def test_what_depends_on_the_unknown_is_unknown():
     assert_allclose(found[:2, :2], slope[:2, :2] @ covariance[:2, :2] @ slope[:2, :2].T)
     assert np.isnan(found[2]).all()
     assert np.isnan(found[:, 2]).all()
+
+
+def test_of_a_failed_fit_the_values_of_the_best_run_are_a_table_without_errors():
+    lines = [quantity("k"), quantity("mass", 3.0, 0.0, "fixed"), quantity("d", 4.0, np.nan, "derived")]
+    table = _best_effort_table(SimpleNamespace(quantities=lines), {"k": 2.5, "mass": 3.0})
+    assert [line.rstrip() for line in table] == [
+        "  parameter  value  unit  bounds         meaning",
+        "  ---------  -----  ----  ------  -----  -------",
+        "  k            2.5  s     [0, 9]         of k",
+        "  mass           3  s             fixed  of mass",
+    ]
+
+
+def test_for_what_errors_the_standard_errors_hold():
+    def said(dof, independent=None, conditions=("white", "even", "white")):
+        parts = [SimpleNamespace(condition=each) for each in conditions]
+        return error_condition(SimpleNamespace(parts=parts, independent=independent, dof=dof, quantities=()))
+
+    assert said(np.inf) == "white; even"
+    assert said(1.2) == "white; even; Student's t with 1 degree of freedom"
+    assert said(7.6, (np.eye(1), 9.0), ("white",)) == (
+        "white; correlated along frequency as far as the residuals are; Student's t with 8 degrees of freedom"
+    )
+
+
+def test_what_was_known_before_is_told_with_its_share():
+    fit = SimpleNamespace(priors={"k": (2.0, 0.1), "c": (5.0, 2.0)}, prior_share={"k": 0.25})
+    assert [*_prior_texts(fit)] == [
+        "k = 2.00 ± 0.10 (25 %) and c = 5.0 ± 2.0 (- %): maximum a posteriori, with the share that the prior has in "
+        "what is known of each"
+    ]
+    assert [*_prior_texts(SimpleNamespace(priors={}))] == []
+
+
+def test_the_part_that_is_meant_is_the_one_asked_for_or_the_record_or_the_first_of_the_model():
+    class Model(gb.StateSpace):
+        inputs, outputs = ("u",), ("y",)
+        k = gb.Parameter(1.0)
+
+        def output(self, x, u, p):
+            return (p.k * u.u,)
+
+    class Other(Model):
+        pass
+
+    def part(data, model=None, is_prior=False):
+        name = type(model or Other()).__qualname__
+        return SimpleNamespace(data=data, is_prior=is_prior, model={"class": f"elsewhere:{name}"})
+
+    flights = [gb.Record(np.arange(4.0), {"u": np.arange(4.0) + k, "y": np.ones(4) * k}) for k in (0, 1, 2)]
+    response = gb.FrequencyResponse([1.0], [2.0])
+    parts = [
+        part(flights[2], is_prior=True),
+        part(response),
+        part(flights[0]),
+        part(flights[1], Model()),
+        part(response),
+    ]
+    fit = SimpleNamespace(parts=parts)
+    assert [_part_index(fit, None, k, None) for k in (0, 4, -1, -5)] == [0, 4, 4, 0]
+    for wrong in (5, -6, True, 1.0):
+        with pytest.raises(ValueError, match=rf"^part is {wrong!r}: the fit has 5 parts, counted from 0\.$"):
+            _part_index(fit, None, wrong, None)
+    assert _part_index(fit, None, None, None) == 2  # records before responses
+    assert _part_index(fit, None, None, flights[1]) == 3
+    assert _part_index(fit, Model(), None, flights[0]) == 3
+    assert _part_index(fit, Other(), None, flights[1]) == 2
+    assert _part_index(SimpleNamespace(parts=parts[:2]), None, None, None) == 1  # what is known before is no data
+    assert _part_index(SimpleNamespace(parts=parts[:2]), Model(), None, flights[0]) == 1

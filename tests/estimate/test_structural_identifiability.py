@@ -1,8 +1,11 @@
 """Structures whose identifiability is known from theory, and shipped ones."""
 
+import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.estimate.covariance import Combination
+from greybox.estimate.structural_identifiability import StructuralIdentifiability, _times
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
 
 
@@ -112,3 +115,80 @@ def test_tied_parameters_and_single_outputs_are_asked_for():
 @pytest.mark.parametrize("model", [Tilt(), LinearTilt(), NonlinearTilt()])
 def test_shipped_structures_can_be_told(model):
     assert not gb.structural_identifiability(model, points=1).groups
+
+
+def pole_of(rate, slow=0.0):
+    """A state with this pole, and one with another."""
+
+    class Poles(gb.StateSpace):
+        states, inputs, outputs = ("x", "z"), ("u",), ("x",)
+        a = gb.Parameter(1.0)
+
+        def derivative(self, x, u, p):
+            return p.a * rate * x.x + u.u, slow * x.z
+
+        def output(self, x, u, p):
+            return (x.x,)
+
+    return Poles()
+
+
+@pytest.mark.parametrize(
+    ("rate", "slow", "step", "length"),
+    [
+        (-2.0, -0.5, 0.3 / 8, 60),  # a = 4: the fastest pole is at -8
+        (0.5, -8.0, 0.3 / 8, 60),  # growing by 2 1/s, e⁵ would last 2.5 s: 66 samples
+        (1.0, -8.0, 0.3 / 8, 33),  # by 4 1/s: 1.25 s
+        (1.0, 0.0, 0.3 / 4, 16),
+        (0.0, 0.0, 0.3 / 1e-3, 60),  # an integrator has no time of its own
+    ],
+)
+def test_times_follow_the_poles(rate, slow, step, length):
+    time, gaps = _times(pole_of(rate, slow), {"a": 4.0}, np.random.default_rng(0))
+    np.testing.assert_allclose(np.diff(time), step)
+    assert time[0] == 0
+    assert np.flatnonzero(gaps).tolist() == [(k + 1) * (length + 1) - 1 for k in range(4)]
+    assert gaps.size == 4 * (length + 1)
+
+
+def test_rows_of_a_static_model_are_one_apart():
+    class Static(gb.StateSpace):
+        inputs, outputs = ("u",), ("y",)
+        k = gb.Parameter(1.0)
+
+        def output(self, x, u, p):
+            return (p.k * u.u,)
+
+    time, gaps = _times(Static(), {"k": 4.0}, np.random.default_rng(0))
+    np.testing.assert_allclose(time, np.arange(244))
+    assert gaps.sum() == 4
+
+
+def test_what_cannot_be_told_apart_in_words():
+    groups = (
+        Combination(("k", "m"), np.inf),
+        Combination(("idle",), np.inf),
+        Combination(("a", "b", "c"), np.inf, 2, ("x",)),
+    )
+    found = StructuralIdentifiability(
+        "Plant", ("k", "m", "idle", "a", "b", "c", "T"), groups, ("k m",), "the course of y"
+    )
+    assert str(found) == (
+        "Plant, structural identifiability from the course of y:\n"
+        "  k and m cannot be told apart: fix one of them.\n"
+        "  idle has no effect: fix it or remove it.\n"
+        "  a, b, c and the initial state of x cannot be told apart: fix 2 of them.\n"
+        "  determined are k m.\n"
+        "  T can be told."
+    )
+    assert repr(found) == "<StructuralIdentifiability Plant, 1 of 7 parameters>"
+    alone = StructuralIdentifiability("Plant", ("k", "m"), (), (), "the course of y")
+    assert str(alone).splitlines()[1:] == ["  all of k and m can be told apart."]
+
+
+@pytest.mark.parametrize("points", [0, True, 1.0])
+def test_points_are_a_whole_number(points):
+    with pytest.raises(ValueError, match=rf"^points is {points!r}: give a whole number of at least 1\.$"):
+        gb.structural_identifiability(Redundant(), points=points)
+    with pytest.raises(TypeError, match="give an instance such as Tilt"):
+        gb.structural_identifiability(Redundant)
