@@ -11,6 +11,7 @@ from scipy.signal import freqz, lfilter
 from greybox.data.record import Record
 from greybox.spectral import composite_windows
 from greybox.spectral.composite_windows import spectral_response
+from greybox.spectral.uniform_stretches import UniformStretch
 
 
 @pytest.mark.parametrize(("kind", "windows"), [("noise", [12.0]), ("noise", None), ("sweep", None)])
@@ -315,3 +316,78 @@ def test_estimates_of_several_windows_are_weighted_by_their_errors():
     assert (found.dof, found.coherence) == (pytest.approx(weight @ [10, 20]), pytest.approx(weight @ [0.9, 0.8]))
     assert composite_windows._combined([point(weak=True), point()]).weak
     assert not composite_windows._combined([point(), point()]).weak
+
+
+# --- which frequencies, and which windows
+
+
+def excited_between(*bands, rest):
+    """Lines from 1 to 1000 rad/s whose power falls with the frequency, and between bands is a `rest` of that."""
+    omega = np.arange(1.0, 1001.0)
+    inside = np.any([(omega >= low) & (omega <= high) for low, high in bands], axis=0)
+    values = np.sqrt(np.where(inside, 1.0, rest) / omega)
+    return composite_windows.Lines(omega, np.array([values, values, -1j * values]), np.zeros(1000, int), 1.0, True)
+
+
+@pytest.mark.parametrize(
+    ("bands", "rest", "ends"),
+    [
+        (((50, 300),), 0.005, (50 / 1.15, 300 / 0.85)),
+        (((50, 300),), 0.02, (10, 800)),  # 20 dB below the excitation ends
+        (((50, 100), (115, 300)), 0.005, (50 / 1.15, 300 / 0.85)),  # a gap no wider than what is averaged
+        (((50, 100), (190, 300)), 0.005, (190 / 1.15, 300 / 0.85)),
+        (((30, 100), (250, 300)), 0.005, (30 / 1.15, 100 / 0.85)),
+    ],
+)
+def test_a_sweep_is_excited_up_to_the_first_gap_around_its_strongest_part(bands, rest, ends):
+    lines = excited_between(*bands, rest=rest)
+    if len(bands) == 2:
+        strong = slice(bands[0][0] - 1, bands[0][1]) if ends[0] < 100 else slice(bands[1][0] - 1, bands[1][1])
+        lines.values[2, strong] *= 1.5
+    found = composite_windows._excited_band(lines, 10.0, 800.0)
+    assert found == pytest.approx(ends, rel=(800 / 10) ** (1 / 199) - 1 + 0.01)
+
+
+def test_noise_is_averaged_over_two_lines_on_either_side_at_least():
+    """Where lines are few, a hole of three of them is none, and one of six is."""
+    for hole, low in ((3, 3.0), (6, 12.2)):
+        lines = excited_between((1, 1000), rest=1.0)
+        lines.values[2, 7 : 7 + hole] = 0.0
+        lines.values[2, 100:200] *= 2
+        assert composite_windows._excited_band(lines, 3.0, 400.0)[0] == pytest.approx(low, abs=0.4)
+    with pytest.raises(ValueError, match=r"their lowest frequency, 5 rad/s, is above the highest .* allows, 5 rad/s"):
+        composite_windows._excited_band(lines, 5.0, 5.0)
+
+
+def test_windows_have_eight_samples_at_least_and_fit_into_the_longest_stretch():
+    stretches = [UniformStretch(np.zeros((3, n)), step, "") for n, step in ((50, 0.1), (60, 0.05))]
+    assert composite_windows._window_lengths(stretches, [0.8, 5.0, 2.0]) == [5.0, 2.0, 0.8]
+    for windows, said in (([0.79, 2.0], "0.79, 2"), ([2.0, 5.01], "2, 5.01"), ([], "no")):
+        sentence = (
+            f"windows of {said} s do not fit: give lengths from 0.8 to 5 s, from 8 samples to the longest stretch"
+        )
+        with pytest.raises(ValueError, match=sentence):
+            composite_windows._window_lengths(stretches, windows)
+
+
+def test_frequencies_have_as_many_periods_as_an_estimate_needs():
+    composite_windows._check_periods(np.array([2.0, 1.0 - 1e-10]), 1.0, 6 * HZ)
+    for wrong in (1.0 - 1e-8, np.nan):
+        with pytest.raises(
+            ValueError, match=r"rad/s has fewer than 6 periods in the longest .* window, 37\.7 s: leave"
+        ):
+            composite_windows._check_periods(np.array([2.0, wrong]), 1.0, 6 * HZ)
+
+
+def test_the_grid_reaches_from_two_periods_of_the_longest_window_to_four_tenths_of_the_sampling_rate():
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal(20 * RATE)
+    flown = record(u=u, theta=u + 0.01 * rng.standard_normal(u.size))
+    got = spectral_response(flown, windows=[4.0, 10.0], band=(1e-3, 1e4), points=7)
+    np.testing.assert_allclose(got.omega, np.geomspace(2 * HZ / 10, 0.4 * HZ * RATE, 7))
+    got = spectral_response(flown, band=(1e-3, 1e4), points=12)
+    assert 6 * HZ / 20 < got.omega[0] < 9 * HZ / 20
+    assert 0.34 * HZ * RATE < got.omega[-1] < 0.4 * HZ * RATE
+    with pytest.raises(ValueError, match=r"overlap is -0\.1: it must be at least 0 and below 1"):
+        spectral_response(flown, overlap=-0.1)
+    assert len(spectral_response(flown, omega=5.0, windows=[4.0], overlap=0.0)) == 1

@@ -2,6 +2,7 @@
 
 import functools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from scipy import signal, stats
 from greybox.data.record import Record
 from greybox.data.test_segment import Segment
 from greybox.spectral import single_sine
+from greybox.spectral.pooled_noise import pooled_levels
 from greybox.spectral.single_sine import _frequency_error, _saturation, finite_frequency
 
 STEP = 1 / 400  # s
@@ -449,3 +451,90 @@ def test_a_control_of_few_values_does_not_show_its_limits():
         u = np.round(np.sin(np.linspace(0, 9, 40_000)) / (2 * step)) * 2 * step
         assert math.isnan(_saturation(u, None)) != known
         assert not math.isnan(_saturation(u, (-1.0, 1.0)))
+
+
+def test_one_period_has_a_response_and_white_noise_of_its_control():
+    """Amplitudes over one another, and 4 σ²/N of the residual's variance; nothing of a control that does not move."""
+    t = 2 + np.arange(50) * 0.02
+    residual = np.array([0.3, -0.1] * 25), np.zeros(50)
+    found = single_sine._by_lines(t, np.array([2 - 1j, 3j]), np.array(residual), 2 * math.pi, 1.3, 1)
+    assert found.response == pytest.approx(3j / (2 - 1j))
+    assert found.control_noise == pytest.approx(math.sqrt(4 * 0.05 / 50))
+    assert math.isnan(found.variance)
+    assert found.dof == 0
+    still = single_sine._by_lines(t, np.array([0j, 3j]), np.array(residual), 2 * math.pi, 1.3, 4)
+    assert (still.response, still.dof, still.control_noise) == (0, 0, found.control_noise)
+
+
+@pytest.mark.parametrize(("size", "used"), [(1.15, False), (1.3, True)])
+def test_a_control_is_excited_where_it_is_three_times_its_noise(size, used):
+    """Noise at one of six lines, of size one: their mean square is a sixth."""
+    omega, q = 2 * math.pi, 12
+    t = np.arange(100 * q) / 100
+    u = size * np.sin(omega * t) + np.cos(omega * (1 + 2 / q) * t)
+    if used:
+        (point,) = one_test(u, 2 * u, t, omega, settle=0.0).points
+        assert abs(point.u) == pytest.approx(size, rel=0.02)
+    else:
+        with pytest.raises(ValueError, match=r"barely excited: the control's amplitude is 1\.\d, its noise 0\.41"):
+            one_test(u, 2 * u, t, omega, settle=0.0)
+
+
+@pytest.mark.parametrize(("drift", "used"), [(0.048, False), (0.052, True)])
+def test_the_frequency_of_the_setpoint_is_used_where_its_phase_drifts_by_a_twentieth(drift, used):
+    """Over ten periods of one second."""
+    omega = 2 * math.pi
+    actual = omega + drift / 10
+    t = np.arange(1000) / 100
+    found = one_test(
+        np.sin(actual * t), np.cos(actual * t), t, omega, settle=0.0, setpoint="r", signals={"r": np.sin(actual * t)}
+    )
+    assert found.points[0].omega == (pytest.approx(actual, abs=1e-5) if used else omega)
+    assert found.notes == (
+        (f"{actual:g} rad/s: the setpoint runs at {actual:.5g} rad/s, which was used",) if used else ()
+    )
+
+
+def test_several_tests_of_one_flight_pool_the_power_of_their_noise():
+    """Of six, of other amplitudes and durations: the square of the error of the output, times the duration."""
+    omega = np.array([1.0, 2.0, 4.0, 7.0, 11.0, 16.0])
+    error, dof = np.array([0.02, 0.05, 0.01, 0.03, 0.06, 0.02]), np.array([8.0, 20, 8, 8, 20, 12])
+    u, lasts = np.array([1, 0.5j, 2, -1, 0.3, 1 + 1j]), np.array([30.0, 20, 15, 40, 10, 12])
+    nothing = {"periods": 9, "y": 1j, "r": 1j, "distortion": (0.0, 0.0), "drift": (0.0, 0.0), "saturation": 0.0}
+    points = [
+        single_sine.FrequencyPoint(w, 1 + 1j, e, d, u=a, start=3.0, end=3.0 + s, **nothing)
+        for w, e, d, a, s in zip(omega, error, dof, u, lasts, strict=True)
+    ]
+    level, freedom = pooled_levels(omega, (error * np.abs(u)) ** 2 * lasts, dof)
+    found = single_sine._with_pooled_noise(points)
+    wanted = np.sqrt(level / lasts) / np.abs(u)
+    assert np.abs(wanted / error - 1).max() > 0.1
+    assert_allclose([p.standard_error for p in found], wanted)
+    assert_allclose([p.dof for p in found], freedom)
+    exact = single_sine._with_pooled_noise([replace(p, standard_error=0.0) for p in points])
+    assert [p.standard_error for p in exact] == [0.0] * 6
+
+
+def test_a_response_is_that_of_the_points_with_no_error_below_rounding():
+    t = np.arange(0.0, 50.0, 0.01)
+    u = np.sin(2 * math.pi * t)
+    record = Record(t, {"u": u, "theta": (3 - 4j).real * u}, {"u": "N", "theta": ""}, name="r", source="r.csv")
+    found = finite_frequency(record, [Segment(0.0, 49.99, omega=2 * math.pi)])
+    (point,) = found.points
+    assert 2.0 <= point.start < 2.02  # settled for two seconds
+    assert point.periods == 48
+    assert (found.response.name, found.response.source, dict(found.response.units)) == ("r", "r.csv", {"u": "N"})
+    exact = replace(point, response=3 - 4j, standard_error=1e-15, dof=7.0)
+    response = single_sine._response((exact, replace(exact, omega=9.0, standard_error=0.1)), record, "u", "theta")
+    assert_allclose(response.variance, [25e-24, 0.01])
+    assert_allclose(response.dof, [7, 7])
+    (stretch,) = found.response.stretches
+    assert (stretch.checksum, stretch.start, stretch.end) == (record.checksum, point.start, point.end)
+
+
+def test_three_harmonics_are_fitted_unless_said():
+    omega = 2 * math.pi
+    t = np.arange(2000) / 100
+    u = np.sin(omega * t) + 0.3 * np.sin(2 * omega * t) + 0.04 * np.cos(3 * omega * t) + 0.2 * np.sin(4 * omega * t)
+    for options, share in (({}, math.hypot(0.3, 0.04)), ({"harmonics": 4}, math.hypot(0.3, 0.04, 0.2))):
+        assert one_test(u, u, t, omega, **options).points[0].distortion == pytest.approx((share, share), rel=1e-3)
