@@ -8,7 +8,6 @@ first rest by more than half of the largest deviation, and their signs and durat
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -190,10 +189,10 @@ def _pulses(time: Array, deviation: Array, threshold: float) -> list[tuple[int, 
 
 
 def _pattern(pulses: Sequence[tuple[int, float]]) -> str:
-    """Name pulses by their durations; they must follow one another with alternating signs."""
+    """Name pulses by their durations; between them there must be no pause."""
     signs = [sign for sign, _ in pulses]
     durations = tuple(duration for _, duration in pulses)
-    if 0 in signs or any(a == b for a, b in pairwise(signs)):
+    if 0 in signs:
         return OTHER
     for pattern, name in PATTERNS.items():
         unit = sum(durations) / sum(pattern)
@@ -222,7 +221,7 @@ def _band(time: Array, values: Array, before: _Rest, after: _Rest, kind: str) ->
     From one period over the manoeuvre and the second of rest on both sides.
     """
     first, last = np.searchsorted(time, [time[before.last] - REST, time[after.first] + REST])
-    rows = slice(int(first), min(int(last) + 1, time.size))
+    rows = slice(int(first), int(last) + 1)
     t, x = time[rows], values[rows] - before.ends
     uniform = np.linspace(t[0], t[-1], t.size)
     step = float(uniform[1] - uniform[0])

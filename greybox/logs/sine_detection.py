@@ -136,10 +136,9 @@ def _crossings(time: Array, values: Array, corners: NDArray[np.intp]) -> tuple[A
     times = []
     for a, b in pairwise(corners):
         part = (values[a : b + 1] - (values[a] + values[b]) / 2) * np.sign(values[b] - values[a])
-        last_below = a + np.flatnonzero(part <= 0)[-1:]
-        first_above = a + np.flatnonzero(part >= 0)[:1]
-        known = last_below.size and first_above.size
-        times.append((time[last_below[0]] + time[first_above[0]]) / 2 if known else time[a])
+        last_below = a + np.flatnonzero(part <= 0)[-1]
+        first_above = a + np.flatnonzero(part >= 0)[0]
+        times.append((time[last_below] + time[first_above]) / 2)
     return np.array(times), np.abs(np.diff(values[corners]))
 
 

@@ -174,3 +174,102 @@ def test_switches_beside_the_four_sticks_are_not_searched(channel, found):
     sticks = {name: pulse if name == channel else np.full(time.size, 1500.0) for name in ("C1", "C4", "C5", "C8")}
     log = Recording({"RCIN": gb.Record(time, sticks)})
     assert [segment.axis for segment in gb.logs.find_manoeuvres(log)] == [f"RCIN.{channel}"] * found
+
+
+@pytest.mark.parametrize(("durations", "kind"), [
+    ((3.3, 1.9, 0.74, 1.06), "3-2-1-1"), ((3.3, 2.0, 0.67, 1.03), "stick input"),  # one of them too short
+    ((2.6, 2.1, 1.15, 1.15), "3-2-1-1"), ((2.0, 2.4, 1.3, 1.3), "stick input"),
+])  # fmt: skip
+def test_each_pulse_is_within_thirty_percent_of_its_own_duration(durations, kind):
+    signs = (1.0, -1.0, 1.0, -1.0)
+    assert kinds(*zip(signs, durations, strict=True)) == [kind]
+
+
+@pytest.mark.parametrize(("clock", "size", "level"), [(1000.0, -3.0, 1500.0), (-50.0, 0.01, -1500.0)])
+def test_neither_clock_nor_sign_nor_unit_nor_trim_matter(clock, size, level):
+    values = flight()[::2]
+    plain, other = manoeuvres_in(TIME[::2], values), manoeuvres_in(TIME[::2] + clock, level + size * values)
+    assert [s.kind for s in other] == [s.kind for s in plain]
+    assert [s.start for s in other] == pytest.approx([s.start + clock for s in plain])
+    assert [s.end for s in other] == pytest.approx([s.end + clock for s in plain])
+    assert [s.amplitude for s in other] == pytest.approx([abs(size) * s.amplitude for s in plain])
+    assert np.array([s.band for s in other]) == pytest.approx(np.array([s.band for s in plain]), rel=1e-3)
+    assert [s.offset for s in other] == pytest.approx([level + size * s.offset for s in plain], abs=1e-6)
+
+
+@pytest.mark.parametrize(("pattern", "unit"), [((1, 1), 1.5), ((2, 1, 1), 1.0)])
+def test_the_band_of_a_short_input_is_that_of_its_transform(pattern, unit):
+    """Down to a tenth of its largest magnitude, beyond which there is nothing for an octave; times of whole samples."""
+    time = np.arange(0, 40, 1 / 64)
+    values, at, sign = np.zeros(time.size), 16.0, 2.0
+    for count in pattern:
+        values[(time >= at) & (time < at + count * unit)] = sign
+        at, sign = at + count * unit, -sign
+    (found,) = manoeuvres_in(time, values)
+    assert (found.start, found.end) == (16 - 1 / 64, at)
+    low = 2 * np.pi / (found.duration + 2)
+    assert found.band[0] == pytest.approx(low, rel=1e-9)
+    omega = np.geomspace(low, 0.8 * np.pi * 64, 1000)
+    here = np.abs(values) > 0
+    size = np.abs(np.exp(-1j * np.outer(omega, time[here])) @ values[here])
+    strong = omega[size >= 0.1 * size.max()]
+    ends = strong[np.append(np.diff(np.log(strong)) > np.log(2), True)]
+    assert found.band[1] == pytest.approx(ends[0], rel=0.05)
+
+
+def test_the_band_of_a_step_is_that_of_its_derivative():
+    """A way up as (1 - cos)/2 in 0.8 s, of whose derivative, a half sine, the transform is cos(x)/(1 - (2 x/π)²)."""
+    time = np.arange(0, 20, 1 / 64)
+    (found,) = manoeuvres_in(time, (1 - np.cos(np.pi * np.clip((time - 8) / 0.8, 0, 1))) / 2)
+    assert found.kind == "step"
+    x = np.linspace(2, 4.7, 10_000)  # up to its first zero; the other lobes are below a tenth
+    expected = x[np.cos(x) / (1 - (2 * x / np.pi) ** 2) >= 0.1].max() / 0.4
+    assert found.band[1] == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize(("size", "found"), [(1e-101, 0), (1e-99, 1), (1e99, 1), (1e101, 0)])
+def test_numbers_whose_squares_vanish_or_overflow_are_left_alone(size, found):
+    values = size * pulses(10.0, 1.2, (1,), 1.0)[TIME < 30]
+    assert len(manoeuvres_in(TIME[TIME < 30], values)) == found
+
+
+@pytest.mark.parametrize("level", [1e6, -1e6])
+def test_what_rounding_leaves_of_a_large_level_is_no_manoeuvre(level):
+    """A part in 10¹²; a hundred times that is one."""
+    pulse = pulses(10.0, 1.2, (1,), 1.0)[TIME < 30]
+    assert manoeuvres_in(TIME[TIME < 30], level + 5e-7 * pulse) == []
+    assert [s.kind for s in manoeuvres_in(TIME[TIME < 30], level + 1e-4 * pulse)] == ["pulse"]
+
+
+def test_a_manoeuvre_that_is_not_there_is_said():
+    found = manoeuvres_in(TIME, flight())
+    assert chosen_manoeuvre(found, "1") is found[0]
+    assert chosen_manoeuvre(found, "7") is found[6]
+    for wanted, words in (
+        ("0", "there is no manoeuvre 0; the log has 7."),
+        ("8", "there is no manoeuvre 8; the log has 7."),
+        ("sweep", "the log has no manoeuvre of the kind 'sweep'; it has "),
+    ):
+        with pytest.raises(ValueError, match=words):
+            chosen_manoeuvre(found, wanted)
+    with pytest.raises(ValueError, match=r"the log has no manoeuvre of the kind 'step'\.$"):
+        chosen_manoeuvre([], "step")
+
+
+def test_the_usual_inputs_are_sticks_then_setpoints_and_controls():
+    time = np.arange(0, 30, 0.05)
+    pulse = 1.0 * ((time > 15) & (time < 16))
+
+    def axes(**records):
+        made = {name: gb.Record(time, signals) for name, signals in records.items()}
+        return [s.axis for s in gb.logs.find_manoeuvres(Recording(made))]
+
+    controls = {"DesPitch": pulse}
+    assert axes(RCIN={"C1": pulse, "C2": 0 * pulse}, ATT=controls) == ["RCIN.C1"]
+    assert axes(RCIN={"C7": pulse}, ATT=controls) == ["ATT.DesPitch"]
+    assert axes(flown={"de": pulse, "q": pulse}) == ["de"]
+    assert axes(one={"de": pulse}, two={"da": pulse}) == []  # names without a message, of two
+    for stick in ("roll", "pitch", "yaw", "throttle"):
+        assert axes(manual_control_setpoint={stick: pulse}) == [f"manual_control_setpoint.{stick}"]
+    rows = gb.Record(None, {"de": pulse})
+    assert gb.logs.find_manoeuvres(Recording({"table": rows})) == ()

@@ -279,3 +279,34 @@ def test_one_lost_sample_of_a_slow_log_is_no_pause(lost, pieces):
     record = Record(time[kept], {"r": np.where((time > 30) & (time < 330), np.sin(0.2 * time), 0)[kept]})
     found = [s for s in find_segments(record) if s.kind == "sine"]
     assert len(found) == pieces
+
+
+@pytest.mark.parametrize(
+    ("setpoint", "stick", "others"),
+    [
+        ("ATT.DesRoll", "RCIN.C1", ("RCIN.C2", "RCIN.C3", "RCIN.C4")),
+        ("ATT.DesPitch", "RCIN.C2", ("RCIN.C1", "RCIN.C3", "RCIN.C4")),
+        ("ATT.DesYaw", "RCIN.C4", ("RCIN.C1", "RCIN.C2", "RCIN.C3", "RCIN.C5")),
+        *(
+            (f"vehicle_attitude_setpoint.{axis}", f"manual_control_setpoint.{stick}", others)
+            for axis, letter, rest in (("roll", "y", "xrz"), ("pitch", "x", "yrz"), ("yaw", "r", "xyz"))
+            for stick, others in (
+                (axis, ("manual_control_setpoint.throttle",)),
+                (letter, tuple(f"manual_control_setpoint.{other}" for other in rest)),
+            )
+        ),
+    ],
+)
+def test_the_stick_of_an_axis_flies_it(setpoint, stick, others):
+    """Channels of ArduPilot as RCMAP_* have them by default; sticks of PX4 from -1 to 1, by old names and new."""
+    time = np.arange(0, 30, 0.05)
+    sine = np.where((time > 5) & (time < 25), np.sin(3 * time), 0)
+    size, center = (300.0, 1500.0) if stick.startswith("RCIN") else (0.5, 0.0)
+    for moving in ((stick,), others):
+        values = {name: center + size * sine * (name in moving) for name in (stick, *others)} | {setpoint: 0.1 * sine}
+        records = {}
+        for name, one in values.items():
+            message, _, field = name.partition(".")
+            records.setdefault(message, {})[field] = one
+        (found,) = find_segments(Recording({name: Record(time, signals) for name, signals in records.items()}))
+        assert found.usable is (moving == others)

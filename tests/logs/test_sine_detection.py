@@ -15,8 +15,11 @@ from greybox.logs.sine_detection import (
     _crossings,
     _end_frequency,
     _first_half_wave,
+    _follows,
     _part_of,
     _phase_bend,
+    _refined_frequency,
+    _runs,
     _sweeps,
     _turning_points,
     _waves,
@@ -169,6 +172,166 @@ def test_turning_points_are_where_the_signal_turned_by_the_height():
     for offset in (0.0, 1000.0, -1000.0):  # a constant turns nothing
         corners = _turning_points(values + offset, np.arange(10), 2.0)
         assert [*corners] == [0, 2, 7, 9]
+
+
+@pytest.mark.parametrize(
+    ("values", "turns"),
+    [
+        ([5.0, 4.5, 5.5, 6.5, 4.5, 4.6, 2.0, 3.9, 1.0, 3.0], [3, 8]),  # 6.5 is higher by two than the lowest before it
+        ([5.0, 4.5, 5.5, 6.4, 4.5, 4.6, 2.0, 3.9, 1.0, 3.0], [8]),  # 6.4 is not: it turns nothing
+        ([9.0, 8.0, 4.0, 6.0, 3.0, 8.0], [2, 3, 4]),
+        ([4.0, 4.0, 5.0, 5.0, 4.5, 4.5], []),
+    ],
+)
+def test_a_turn_is_of_the_height_that_is_asked_for(values, turns):
+    """Upside down as well; and of points chosen before, whose indices are kept."""
+    values = np.array(values)
+    expected = [0, *turns, *([] if turns == [] else [len(values) - 1])]
+    spread = np.zeros(3 * values.size)
+    spread[1::3] = values
+    for sign in (1, -1):
+        if turns:
+            assert [*_turning_points(sign * values, np.arange(values.size), 2.0)] == expected
+            at = _turning_points(sign * spread, 1 + 3 * np.arange(values.size), 2.0)
+            assert [*at] == [1 + 3 * k for k in expected]
+        else:
+            assert _turning_points(sign * values, np.arange(values.size), 2.0)[0] == 0
+            assert _turning_points(sign * values, np.arange(values.size), 2.0).size == 2
+
+
+@pytest.mark.parametrize(
+    ("values", "crossing"),
+    [
+        ([0.0, 1.0, 2.0], 4.0),  # at the sample that is the middle
+        ([0.0, 0.5, 1.6, 2.0], 6.0),  # halfway between those below and above it
+        ([0.0, 1.5, 0.5, 2.0], 6.0),  # and between the last one below and the first above
+        ([0.0, 1.2, 1.4, 2.0], 2.5),
+    ],
+)
+def test_a_crossing_is_where_the_middle_is_left_and_reached(values, crossing):
+    """Of turning points 0 and 2, on the way up and down."""
+    time = np.array([1.0, 4.0, 8.0, 9.5])[: len(values)]
+    for sign, offset in ((1, 0.0), (-1, 0.0), (1, 7.0), (-3, -5.0)):
+        crossings, swings = _crossings(time, offset + sign * np.array(values), np.array([0, len(values) - 1]))
+        assert crossings.tolist() == [crossing]
+        assert swings == pytest.approx([2 * abs(sign)])
+
+
+@pytest.mark.parametrize(
+    ("counts", "runs"),
+    [
+        ((8, 8), [(0, 9), (8, 17)]),  # a crossing ends one run and begins the next
+        ((4, 4), [(0, 5), (4, 9)]),
+        ((8, 3, 8), [(0, 9), (11, 20)]),
+        ((3,), []),
+    ],
+)
+def test_runs_are_of_evenly_spaced_crossings_five_at_least(counts, runs):
+    """Half periods of 1 s, 0.5 s and 0.25 s one after the other, so many of each."""
+    steps = np.repeat(0.5 ** np.arange(len(counts)), counts)
+    crossings = np.append(3.0, 3.0 + np.cumsum(steps))
+    assert _runs(crossings, np.ones(crossings.size)) == runs
+
+
+def test_a_swing_of_another_height_ends_a_run():
+    crossings = np.arange(20.0)
+    assert _runs(crossings, np.where(crossings < 12, 1.0, 2.0)) == [(0, 12), (11, 20)]
+    assert _runs(crossings, np.where(crossings < 12, 1.0, 1.4)) == [(0, 20)]
+
+
+def test_the_frequency_of_a_sine_is_refined_by_least_squares():
+    """From 3 % off, with offset and trend beside it; a step is a tenth at most."""
+    t = np.linspace(-4, 5, 700)
+    for truth in (3.1, 6.7):
+        x = 1.3 * np.sin(truth * t + 0.7) + 2.0 - 0.4 * t
+        for start in (0.97, 1.0, 1.03):
+            assert _refined_frequency(t, x, start * truth) == pytest.approx(truth, rel=1e-6)
+    t = np.linspace(-0.4, 0.5, 300)
+    assert _refined_frequency(t, np.sin(6 * t + 0.3), 12.0) == pytest.approx(12 * 0.9**4)  # four steps from far off
+
+
+@pytest.mark.parametrize(("omega", "begin", "half_waves"), [(7.0, 10.0, 27), (2.3, 8.0, 17), (13.0, 5.0, 60)])
+@pytest.mark.parametrize(("offset", "trend"), [(0.0, 0.0), (5.0, 0.03), (-40.0, -0.05)])
+def test_a_clean_sine_is_found_to_its_numbers(omega, begin, half_waves, offset, trend):
+    """It ends where the rest beside it is off the sine by a twentieth of its amplitude, so late by 0.05 rad."""
+    t = np.arange(0, 40, STEP)
+    end = begin + half_waves * math.pi / omega
+    r = offset + trend * t + np.where((t > begin) & (t < end), 3 * np.sin(omega * (t - begin)), 0.0)
+    (run,) = sines_and_sweeps(t, r)
+    assert run.omega == pytest.approx(omega, rel=1e-9)
+    assert run.amplitude == pytest.approx(3.0, rel=1e-9)
+    assert run.offset == pytest.approx(offset + trend * (begin + end) / 2, abs=1e-3)
+    late = math.asin(0.05) / omega
+    assert begin - late - STEP <= run.start <= begin + 1e-9
+    assert end - 1e-9 <= run.end <= end + late + STEP
+
+
+@pytest.mark.parametrize(("third", "found"), [(0.40, 1), (0.44, 0)])
+def test_a_sine_explains_85_percent_of_the_variance(third, found):
+    """Of a sine with a third harmonic h, a share of h²/(1 + h²) is none of it; up to h = 1/2 that crosses as often."""
+    t = np.arange(0, 20, STEP)
+    r = np.where((t > 3) & (t < 17), np.sin(4 * (t - 3)) + third * np.sin(12 * (t - 3)), 0.0)
+    assert (third**2 / (1 + third**2) < 0.15) == found
+    assert len([run for run in sines_and_sweeps(t, r) if run.duration > 10]) == found
+
+
+def sweeping(law, low, high, duration=60.0, rest=20.0):
+    """A sweep between two rests, its frequency at every time, and the times."""
+    t = np.arange(0, duration + 2 * rest, STEP)
+    since = np.clip(t - rest, 0, duration)
+    if law == "logarithmic":
+        rate = math.log(high / low) / duration
+        phase, omega = low * np.expm1(rate * since) / rate, low * np.exp(rate * since)
+    else:
+        phase, omega = low * since + (high - low) * since**2 / (2 * duration), low + (high - low) * since / duration
+    return t, np.where((t > rest) & (t < rest + duration), 2 * np.sin(phase), 0.0), omega, phase
+
+
+@pytest.mark.parametrize("law", ["logarithmic", "linear"])
+@pytest.mark.parametrize(("low", "high"), [(0.8, 12.0), (1.0, 6.0)])
+@pytest.mark.parametrize("way", [1, -1], ids=["rising", "falling"])
+def test_a_clean_sweep_is_found_from_its_first_half_wave_to_its_last(law, low, high, way):
+    """To half a wave at its slow end, whose half wave may be cut, and to 0.3 s at the fast one; amplitude to 5 %."""
+    t, r, omega, _ = sweeping(law, low, high)
+    (run,) = sines_and_sweeps(t, r[::way])
+    start, end = (run.start, run.end) if way > 0 else (t[-1] - run.end, t[-1] - run.start)
+    assert run.kind == "sweep"
+    assert -0.02 < start - 20 < math.pi / low / 2
+    assert 80 - end == pytest.approx(0.1, abs=0.2)
+    assert run.amplitude == pytest.approx(2, rel=0.05)
+    slowest = omega[np.searchsorted(t, 20 + 2 * math.pi / low)]  # after its first wave or so
+    assert 0.95 * low < run.band[0] < slowest
+    assert run.band[1] == pytest.approx(high, rel=0.06)
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_sweep_is_followed_by_its_frequency_on_a_line_and_by_its_square(way):
+    """Half periods before: 1/1.0, 1/1.1, 1/1.2, 1/1.3 s, of which the next is 1/1.4 s or 1/1.38 s."""
+    frequency = np.array([1.0, 1.1, 1.2, 1.3])
+    square = math.sqrt(np.polyval(np.polyfit(np.arange(4), frequency**2, 1), 4))
+    assert square == pytest.approx(1.382, abs=1e-3)
+    shortest, longest = sorted((1 / 1.4, 1 / square))
+    step = 0.01
+    for period, follows in (
+        (0.75 * shortest - step - 1e-6, False), (0.75 * shortest - step + 1e-6, True),
+        (1.25 * longest + step - 1e-6, True), (1.25 * longest + step + 1e-6, False),
+    ):  # fmt: skip
+        crossings = np.cumsum([2.0, *(1 / frequency), period])
+        swings = np.ones(6)
+        k = 4 if way > 0 else 1
+        along = crossings if way > 0 else -crossings[::-1]
+        assert _follows(along, swings, k, way, step) is follows
+    along = np.cumsum([2.0, *(1 / frequency), shortest])[::way] * way
+    for swing, follows in ((0.59, False), (0.61, True), (1.59, True), (1.61, False)):
+        swings = np.array([9.0, 9.0, 9.0, 9.0, 2.0, 2.0 * swing])[::way]
+        assert _follows(along, swings, 4 if way > 0 else 1, way, step) is follows
+
+
+def test_a_frequency_is_expected_to_fall_to_a_half_at_most():
+    """On the way to a rest: of 4, 3, 2, 1 Hz the line leads to zero; the next half period is two at most."""
+    crossings = np.cumsum([0.0, 1 / 4, 1 / 3, 1 / 2, 1.0])
+    for period, follows in ((2.49, True), (2.52, False)):
+        assert _follows(np.append(crossings, crossings[-1] + period), np.ones(6), 4, 1, 0.01) is follows
 
 
 def test_crossings_are_halfway_between_turning_points_and_swings_their_distance():

@@ -97,11 +97,11 @@ def _quality(center: float, width: float) -> float:
 
 
 def _logged_center(recording: Recording, number: int) -> float:
-    """Return the median of the logged centers, Hz; 0 where they were not logged."""
-    for name, field in ((f"FTNS[{number}]", "NF"), ("FTNS", "NF"), (f"FTN[{number}]", "NF1"), ("FTN", "NF1")):
-        exact = name in recording.records or (number == 0 and "[" not in name and name in recording)
-        if exact and field in recording[name].signals:
-            values = recording[name][field]
+    """Return the median of the logged centers, Hz; 0 where they were not logged. Without a number, it is the first."""
+    for message, field in (("FTNS", "NF"), ("FTN", "NF1")):
+        record = recording.records.get(f"{message}[{number}]", None if number else recording.records.get(message))
+        if record is not None and field in record.signals:
+            values = record[field]
             values = values[np.isfinite(values) & (values > 0)]
             return float(np.median(values)) if values.size else 0.0
     return 0.0

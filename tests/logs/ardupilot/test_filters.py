@@ -113,7 +113,7 @@ def test_files_name_filters_and_nothing_else():
     known = named_filters(log(INS_GYRO_FILTER=20, INS_NOTCH_ENABLE=1, INS_NOTCH_FREQ=80, INS_NOTCH_BW=40))
     for filters in known.values():
         assert from_text(in_series(filters)) == filters
-    for text in ("os:system('x')", "my.py:Class(1)", "LowPass(a)", "LowPass()", "", "LowPass(1, 2, 3, 4)"):
+    for text in ("os:system('x')", "my.py:Class(1)", "LowPass(a)", "LowPass()", "", "LowPass(1, 2, 3, 4)", "Pass(1)"):
         with pytest.raises(ValueError, match="is not known: it must be one of LowPass"):
             from_text(text)
 
@@ -128,3 +128,91 @@ def test_double_and_triple_notches_are_spread_over_the_width(options, parts):
     half = 40 / len(parts) / 2
     octave = (80 / (80 - half)) ** 2
     assert found[0].quality == pytest.approx(math.sqrt(octave) / (octave - 1))
+
+
+HARMONIC = {
+    "INS_GYRO_FILTER": 20,
+    "INS_HNTCH_ENABLE": 1,
+    "INS_HNTCH_FREQ": 60,
+    "INS_HNTCH_BW": 30,
+    "INS_HNTCH_ATT": 40,
+}
+
+
+def centers(records=None, **changes):
+    return [notch.center for notch in named_filters(log(records, **HARMONIC | changes)).get("gyro-notch", ())]
+
+
+def quality(center, width):
+    """NotchFilter.cpp: from the octaves between both edges."""
+    octaves = 2 * math.log2(center / (center - width / 2))
+    return math.sqrt(2**octaves) / (2**octaves - 1)
+
+
+def test_the_static_notch_of_old_firmware():
+    setting = {"INS_GYRO_FILTER": 20, "INS_NOTCH_ENABLE": 1, "INS_NOTCH_FREQ": 70, "INS_NOTCH_BW": 30}
+    (notch,) = named_filters(log(**setting, INS_NOTCH_ATT=15))["gyro-notch"]
+    assert (notch.center, notch.quality, notch.attenuation) == (70, pytest.approx(quality(70, 30)), 15)
+    for without in ({"INS_NOTCH_ENABLE": 0}, {"INS_NOTCH_BW": 0}, {"INS_NOTCH_BW": 140}, {"INS_GYRO_FILTER": 0}):
+        assert "gyro-notch" not in named_filters(log(**setting | without))
+
+
+def test_harmonics_are_the_bits_of_their_parameter():
+    assert centers() == [60]  # none stated: the first
+    assert centers(INS_HNTCH_HMNCS=0b1010) == [120, 240]
+    assert centers(INS_HNTCH_HMNCS=0x18001) == [60, 960]  # sixteen bits
+    assert centers(INS_HNTCH_BW=119)
+    assert centers(INS_HNTCH_BW=120) == centers(INS_HNTCH_BW=0) == centers(INS_HNTCH_ENABLE=0) == []
+    (notch,) = named_filters(log(**HARMONIC))["gyro-notch"]
+    assert (notch.quality, notch.attenuation) == (pytest.approx(quality(60, 30)), 40)
+
+
+def test_each_notch_has_its_own_logged_center():
+    """The median of what is above zero and a number; of the names without a number, the first notch alone."""
+    second = {name.replace("HNTCH", "HNTC2"): value for name, value in HARMONIC.items()} | {"INS_HNTC2_FREQ": 75}
+
+    def logged(name, field="NF", values=(90.0, 0.0, math.nan, 97.0, 91.0, -5.0)):
+        return {name: Record(np.arange(6.0), {field: values})}
+
+    both = logged("FTNS[0]") | logged("FTNS[1]", values=(130.0,) * 6)
+    assert centers(both, **second) == [91, 130]
+    assert centers(logged("FTNS"), **second) == [91, 75]
+    assert centers(logged("FTN", "NF1"), **second) == [91, 75]
+    assert centers(logged("FTN[1]", "NF1"), **second) == [60, 91]
+    assert centers(logged("FTN[0]", "other"), **second) == [60, 75]
+    assert centers(logged("FTNS[0]", values=(0.0,) * 6), **second) == [60, 75]
+
+
+@pytest.mark.parametrize(
+    ("mode", "reference", "throttle", "center"),
+    [
+        (0, 0.25, (0.0, 0.36, 0.36), 60),  # fixed
+        (1, 0.0, (0.0, 0.36, 0.36), 60),  # without a reference it stays
+        (1, 0.25, (0.0, 0.0, 0.36, 0.49), 60 * math.sqrt(0.425 / 0.25)),  # the median of the flight
+        (1, 0.5, (0.36, 0.36), 60),  # never below the frequency of the parameter
+        (1, 0.25, (0.0, 0.0), 60),
+        (2, 0.25, (0.36, 0.36), None),
+    ],
+)
+def test_a_notch_that_follows_the_throttle_rises_with_its_root(mode, reference, throttle, center):
+    rate = Record(np.arange(len(throttle)), {"AOut": throttle})
+    found = centers({"RATE": rate}, INS_HNTCH_MODE=mode, INS_HNTCH_REF=reference)
+    assert found == ([] if center is None else [pytest.approx(center)])
+
+
+@pytest.mark.parametrize("signal", ["vehicle_angular_velocity.xyz[0]", "vehicle_angular_velocity[0].xyz[2]"])
+def test_px4_has_two_notches_and_a_filter_of_the_d_term(signal):
+    flown = log(
+        IMU_GYRO_CUTOFF=30,
+        IMU_DGYRO_CUTOFF=25,
+        IMU_GYRO_NF0_FRQ=120,
+        IMU_GYRO_NF0_BW=20,
+        IMU_GYRO_NF1_FRQ=210,
+        IMU_GYRO_NF1_BW=30,
+    )
+    passed = passed_filters(flown, signal)
+    assert [(k.center, k.quality, k.attenuation) for k in passed[:2]] == [(120, 6, 200), (210, 7, 200)]
+    assert passed[2:] == (LowPass(30.0),)
+    assert named_filters(flown)["d-term-filter"] == (LowPass(25.0),)
+    assert passed_filters(log(IMU_GYRO_NF0_FRQ=0, IMU_GYRO_NF0_BW=20, IMU_GYRO_CUTOFF=0), signal) == ()
+    assert passed_filters(log(IMU_GYRO_NF0_FRQ=120, IMU_GYRO_NF0_BW=0), signal) == ()

@@ -144,3 +144,41 @@ def test_filters_of_first_and_second_order_are_butterworths():
     poles = 2 * math.pi * cutoff * np.exp(1j * math.pi * np.array([0.75, 1.25]))
     assert _second_order(cutoff, s) == pytest.approx(np.prod(poles) / ((s - poles[0]) * (s - poles[1])))
     assert _first_order([FirstOrderLowPass(cutoff)], s) == pytest.approx(1 / (1 + s / (2 * math.pi * cutoff)))
+
+
+@pytest.mark.parametrize("doubled", [0, 1, 2, 3])
+def test_every_third_pass_of_a_gyro_that_does_not_fit_by_thirds(doubled):
+    """INS_GYRO_RATE doubles 1 kHz. At 300 Hz, of three passes one has a sample more or less than the two others.
+
+    Kept ones of a random phase: their number is off by 2/3 in a third of the cases, by 1/3 in the others; their age by
+    a third of an interval more or less in two thirds of them.
+    """
+    found = thinning(log(100, SCHED_LOOP_RATE=300.0, INS_GYRO_RATE=doubled), "RATE.POut", 0, 20)
+    gyro = 1000 * 2**doubled
+    assert (found.kept, found.loop, found.logged) == (3, 300.0, pytest.approx(100))
+    assert found.count == pytest.approx(math.sqrt((4 / 9 + 2 / 9) / 3) / (gyro / 300), rel=0.05)
+    assert found.age == pytest.approx(math.sqrt(2 / 27) / gyro, rel=0.05)
+
+
+def test_the_newest_sample_is_a_quarter_of_an_interval_older_or_younger_in_every_second_pass():
+    """1 kHz at 400 Hz: passes come at the sample and half an interval after it, in turn."""
+    assert thinning(log(200), "RATE.POut", 0, 20).age == pytest.approx(0.25e-3, rel=1e-6)
+    assert thinning(log(200, INS_GYRO_RATE=1), "RATE.POut", 0, 20).age == pytest.approx(0, abs=1e-12)
+
+
+def test_the_error_of_a_response_to_a_rate_is_its_own_d_term_and_a_delay():
+    """A rate has passed the filters of the gyro already; half of the square of either error remains as clocks drift."""
+    omega = np.array([3.0, 7.0, 19.0])
+    s = 1j * omega
+    plant = 40 / (s + 3.0) * np.exp(-0.02 * s)
+    flown = log(200)
+    found = thinning(flown, "RATE.POut", 0, 20)
+    response = FrequencyResponse(omega, plant, "u", "q", units={"q": "rad/s"})
+    count, age = thinning_error(found, flown, "pitch", response)
+    corner = 2 * math.pi * 20.0
+    passed = 1 / (1 + LOOP / corner)
+    passed /= 2 - passed
+    assert count == pytest.approx(0.01 * s * plant / (1 + s / corner) * 0.2 * passed / math.sqrt(2))
+    assert age == pytest.approx(s * 0.25e-3 / math.sqrt(2), rel=1e-6)
+    of_roll, _ = thinning_error(found, flown, "roll", response)  # whose controller has no D gain here
+    assert np.all(of_roll == 0)

@@ -64,3 +64,48 @@ def test_motors_are_those_of_ardupilots_list_of_functions():
     outputs = Record([0.0, 1.0], {f"C{k}": [1500.0, 1600.0] for k in range(1, 9)}, name="RCOU")
     motors = motor_outputs(Recording({"RCOU": outputs}, metadata={"parameters": parameters}), 0.0, 1.0)
     assert [*motors.signals] == ["C2", "C3", "C6", "C7"]
+
+
+@pytest.mark.parametrize(
+    ("stated", "curve", "ends"),
+    [
+        ({"MOT_PWM_MIN": 1100, "MOT_PWM_MAX": 1940}, (0.65, 0.39, 0.15, 0.95), (1226, 1898)),
+        ({"MOT_SPIN_MIN": 0.1, "MOT_SPIN_MAX": 0.9, "MOT_THST_EXPO": 0.4}, (0.4, 0.39, 0.1, 0.9), (1100, 1900)),
+        ({"MOT_PWM_MIN": 0, "MOT_PWM_MAX": 1900}, (0.65, 0.39, 0.15, 0.95), (1150, 1950)),  # 0: those of the radio
+        ({"MOT_PWM_MIN": 1900, "MOT_PWM_MAX": 1100}, (0.65, 0.39, 0.15, 0.95), (1150, 1950)),
+        ({"MOT_THST_HOVER": 0.2, "MOT_THST_EXPO": 0.0}, (0.0, 0.2, 0.15, 0.95), (1150, 1950)),
+    ],
+)
+def test_the_range_of_a_motor_is_that_of_its_parameters(stated, curve, ends):
+    """The slope of thrust (1 - e) a + e a² at the hover by its inverse function, a half of a control's 1 in thrust."""
+    expo, hover, spin_min, spin_max = curve
+    parameters = QUAD | stated
+    assert limits(parameters) == ends
+    a = np.linspace(0, 1, 200_001)
+    at_hover = np.interp([hover - 1e-4, hover + 1e-4], (1 - expo) * a + expo * a**2, a)
+    width = (ends[1] - ends[0]) / (spin_max - spin_min)
+    expected = np.diff(at_hover)[0] / 2e-4 * 0.5 * (spin_max - spin_min) * width
+    assert pwm_of_control(parameters) == pytest.approx(expected, rel=1e-4)
+
+
+def test_what_a_log_does_not_say_of_its_motors_is_ardupilots_default():
+    stated = {"MOT_SPIN_MIN": 0.15, "MOT_SPIN_MAX": 0.95, "MOT_THST_HOVER": 0.35, "MOT_THST_EXPO": 0.5}
+    assert pwm_of_control({"MOT_THST_EXPO": 0.5}) == pwm_of_control(stated)
+    assert limits({}) == (1150, 1950)
+
+
+def test_the_share_of_saturation_is_weighted_by_the_samples_of_each_stretch():
+    """30 of 100 samples at the upper limit, 40 of 50 at the lower one; a step away there is no limit."""
+    time = np.arange(0, 20, 0.1)
+    outputs = np.full(200, 1500.0)
+    outputs[20:50], outputs[50:60] = 1950, 1948
+    outputs[110:150], outputs[150:155] = 1150, 1151
+    log = Recording({"RCOU": Record(time, {"C1": outputs, "Cx": outputs})}, metadata={"parameters": QUAD})
+    spans = [(0.0, 9.95), (11.0, 15.95), (50.0, 60.0)]
+    assert saturation(log, spans[:1]) == pytest.approx(0.3)
+    assert saturation(log, spans) == pytest.approx(70 / 150)
+    inside = motor_outputs(log, time[3], time[7])
+    assert inside.time.tolist() == time[3:8].tolist()
+    assert (inside.units, inside.name) == ({"C1": "µs"}, "RCOU")
+    assert motor_outputs(log, 30.0, 40.0) is None
+    assert motor_outputs(Recording(log.records), 0.0, 9.0) is None  # no servo is known to be a motor

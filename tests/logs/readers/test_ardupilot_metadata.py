@@ -82,3 +82,68 @@ def test_vehicle_frame_and_board_of_old_logs_too(texts, parameters, expected):
 
 def test_units_are_written_as_greybox_writes_them():
     assert [unit(u) for u in ("deg/s/s", "degheading", "UNKNOWN", "us", "m")] == ["deg/s²", "deg", "", "µs", "m"]
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "modes"),
+    [
+        ("ArduCopter", {4: "GUIDED", 25: "SYSTEMID"}),
+        ("ArduPlane", {4: "ACRO", 19: "QLOITER"}),
+        ("ArduRover", {4: "HOLD", 10: "AUTO"}),
+        ("APMrover2", {4: "HOLD", 10: "AUTO"}),
+        ("ArduSub", {9: "SURFACE", 19: "MANUAL"}),
+        ("AntennaTracker", {1: "STOP", 2: "SCAN"}),
+        ("Blimp", {2: "VELOCITY", 6: "HOLD"}),
+    ],
+)
+def test_modes_are_those_of_each_firmware(vehicle, modes):
+    """Of the enumerations in the mode.h of each."""
+    assert {number: mode_name(vehicle, number) for number in modes} == modes
+
+
+@pytest.mark.parametrize(
+    ("parameters", "frame"),
+    [
+        *(
+            ({"FRAME_CLASS": float(number)}, name)
+            for number, name in enumerate(("QUAD", "HEXA", "OCTA", "OCTAQUAD", "Y6", "HELI", "TRI"), start=1)
+        ),
+        *(({"FRAME": float(number)}, name) for number, name in enumerate(("PLUS", "X", "V", "H"))),
+        ({"FRAME_CLASS": 3.0, "FRAME_TYPE": 2.0, "FRAME": 1.0}, "OCTA/V"),
+        ({"FRAME_CLASS": 0.0, "FRAME_TYPE": 3.0}, "H"),
+        ({"FRAME_CLASS": 2.0, "FRAME_TYPE": 99.0}, "HEXA"),
+        ({"FRAME": 17.0}, None),
+    ],
+)
+def test_frames_are_those_of_ardupilots_parameters(parameters, frame):
+    values = np.array(list(parameters.values()))
+    log = [messages("PARM", [0] * len(parameters), {"Value": values}, {"Name": list(parameters)})]
+    assert metadata(log, (0.0, 9.0)).get("frame") == frame
+
+
+def test_the_first_text_that_tells_counts():
+    texts = ["hello", "Frame: HEXA", "Frame: QUAD", "Pixhawk4 0036002A 30325105 37383433", "fmuv3 0 1 2"]
+    texts += ["Cube 0036002A 30325105 37383433", "ArduSub V4.1 (ab)", "ArduCopter V4.5 (cd)"]
+    about = metadata([messages("MSG", range(8), texts={"Message": texts})], (0.0, 9.0))
+    assert (about["frame"], about["board"], about["firmware"]) == ("HEXA", "Pixhawk4", "ArduSub V4.1 (ab)")
+    version = messages("VER", [0], texts={"FWS": ["Blimp V4.6"]})
+    about = metadata([messages("MSG", range(8), texts={"Message": texts}), version], (0.0, 9.0))
+    assert (about["vehicle"], about["firmware"]) == ("Blimp", "Blimp V4.6")
+
+
+def test_arming_is_that_of_both_messages():
+    """ARM by its state, EV by 10 and 11; times that are not known and other events count for nothing."""
+    arm = messages("ARM", [2, 5, np.nan], {"ArmState": np.array([1.0, 0.0, 1.0])})
+    event = messages("EV", [2.5, 5.5, 7, 8, 8.5], {"Id": np.array([10.0, 11.0, 10.0, 12.0, 9.0])})
+    assert metadata([arm, event], (0.0, 9.0)) == {"armed": ((2.0, 5.0), (7.0, 9.0))}
+    assert metadata([arm], (0.0, 9.0)) == {"armed": ((2.0, 5.0),)}
+
+
+def test_modes_by_number_and_by_name():
+    """ModeNum goes before Mode; a text is a name already."""
+    said = messages("MSG", [0], texts={"Message": ["ArduCopter V4.5.1 (abc)"]})
+    numbered = messages("MODE", [1, 2], {"Mode": np.array([9.0, 9.0]), "ModeNum": np.array([5.0, 6.0])})
+    assert metadata([said, numbered], (0.0, 9.0))["modes"] == ((1.0, "LOITER"), (2.0, "RTL"))
+    named = messages("MODE", [1, 2], {"ModeNum": np.array([5.0, 6.0])}, {"Mode": ["Stabilize", "Guided"]})
+    assert metadata([said, named], (0.0, 9.0))["modes"] == ((1.0, "STABILIZE"), (2.0, "GUIDED"))
+    assert "modes" not in metadata([said, messages("MODE", [1], {"Rsn": np.array([5.0])})], (0.0, 9.0))

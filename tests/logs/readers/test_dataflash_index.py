@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from synthetic_logs import Log
 
+from greybox.logs.readers import dataflash_index
 from greybox.logs.readers.dataflash_index import index, sound, text
 
 
@@ -67,3 +68,92 @@ def test_what_is_no_layout():
 def test_texts_end_at_the_first_zero():
     assert text(b"Roll\0\0x") == "Roll"
     assert text("°".encode("iso-8859-1")) == "°"
+
+
+@pytest.mark.parametrize(("piece", "stride"), [(50, 1), (64, 3), (1000, 2), (2**22, 1), (2**22, 256)])
+def test_damage_of_every_kind_is_found_by_pieces_as_at_once(monkeypatch, piece, stride):
+    """Messages of two lengths, a description in between, junk, a torn message, and a header at the very end."""
+    monkeypatch.setattr(dataflash_index, "PIECE", piece)
+    monkeypatch.setattr(dataflash_index, "STRIDE", stride)
+    made = Log(units=False).fmt("ATT", "Qf", "TimeUS,Roll").fmt("GPS", "QLLf", "TimeUS,Lat,Lng,Alt")
+    rng = np.random.default_rng(0)
+    for k in range(200):
+        made.add("ATT", k * 1000, k / 10)
+        if rng.random() < 0.3:
+            made.add("GPS", k * 1000, 1.0, 2.0, 3.0)
+        if k == 120:
+            made.fmt("IMU", "Qff", "TimeUS,X,Y")
+        if k > 120:
+            made.add("IMU", k * 1000, 1.0, 2.0)
+    parts = list(made.parts)
+    starts, at, data, skipped = [], 0, [], 0
+    for k, part in enumerate(parts):
+        if k in (20, 21, 90):
+            data.append(b"\xa3\x95\x00junk")
+            at += 7
+            skipped += 7
+        if k == 60:  # torn after its header
+            data.append(part[:9])
+            at += 9
+            skipped += 9
+            continue
+        starts.append(at)
+        data.append(part)
+        at += len(part)
+    scanned = index(b"".join([*data, b"\xa3"]))
+    assert scanned.offsets.tolist() == starts
+    names = [scanned.layouts[k].name for k in scanned.which]
+    assert names.count("IMU") == 79
+    assert names == [
+        next(n for n, (kind, *_) in made.kinds.items() if kind == part[2]) for k, part in enumerate(parts) if k != 60
+    ]
+    assert (scanned.skipped, scanned.places, scanned.cut) == (skipped, 4, "")
+    assert scanned.first == sum(map(len, parts[:20]))
+    for layout, name in enumerate(made.kinds):
+        rows = [k for k, n in enumerate(names) if n == name]
+        assert scanned.of([one.name for one in scanned.layouts].index(name)).tolist() == rows, layout
+
+
+@pytest.mark.parametrize(("end", "offsets", "skipped"), [
+    (b"", 1, 5), (b"\xa3", 1, 5), (b"\xa3\x95", 1, 5), (b"\x00", 0, None), (b"\x95", 0, None),
+])  # fmt: skip
+def test_after_junk_a_message_counts_that_another_one_or_the_end_follows(end, offsets, skipped):
+    made = Log(units=False).fmt("ATT", "Qf", "TimeUS,Roll")
+    head, made.parts = made.binary, []
+    message = made.add("ATT", 1000, 0.5).binary
+    scanned, found_ = found(head + b"junk!" + message + end)
+    assert found_.size == offsets
+    assert scanned.skipped == (skipped if skipped is not None else len(b"junk!" + message + end))
+
+
+@pytest.mark.parametrize(("length", "damage"), [(4096, False), (4097, False)])
+def test_padding_is_told_by_a_page_of_it(length, damage):
+    """Of zeros or of erased flash alone; one other byte in it is damage."""
+    data = b"".join(log(3).parts)
+    for pad in (b"\x00", b"\xff"):
+        assert bool(index(data + pad * length).skipped) is damage
+    mixed = index(data + b"\x00" * 100 + b"\x01" + b"\x00" * 100)
+    assert (mixed.skipped, mixed.places, mixed.first) == (201, 1, len(data))
+    assert index(data + b"\x00\xff" * 50).skipped == 100
+
+
+@pytest.mark.parametrize(
+    ("letter", "divisor"), [("c", 100), ("C", 100), ("e", 100), ("E", 100), ("L", 1e7), ("f", None)]
+)
+def test_letters_of_scaled_integers_imply_a_divisor(letter, divisor):
+    """ArduPilot's list of format characters: hundredths, and degrees times ten million."""
+    layout = dataflash_index.Layout(1, "X", 3, letter, ("x",))
+    assert layout.scale(0) == (None if divisor is None else pytest.approx(divisor))
+
+
+@pytest.mark.parametrize(
+    ("letters", "size"),
+    [("bB", 2), ("hHcC", 8), ("iIeEL", 20), ("fd", 12), ("qQ", 16), ("nNZ", 84), ("a", 64), ("g", 2), ("M", 1)],
+)
+def test_letters_are_as_long_as_their_numbers(letters, size):
+    columns = tuple(f"x{k}" for k in range(len(letters)))
+    layout = dataflash_index.Layout(1, "X", size + 3, letters, columns)
+    assert layout.dtype.itemsize == size
+    assert sound(1, "X_1", size + 3, letters, columns) == dataflash_index.Layout(1, "X_1", size + 3, letters, columns)
+    assert sound(1, "X", size + 2, letters, columns) is None
+    assert sound(1, "°", size + 3, letters, columns) is None

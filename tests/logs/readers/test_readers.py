@@ -93,3 +93,47 @@ def test_hdf5_is_known_behind_a_block_of_the_user(tmp_path, block):
     with h5py.File(tmp_path / "log.dat", "w", userblock_size=block) as file:
         file["time"], file["x"] = np.arange(4) / 10, np.arange(4.0)
     assert len(read(tmp_path / "log.dat")) == 1
+
+
+STAMP = 1_700_000_000_000_000  # µs since 1970
+
+
+@pytest.mark.parametrize(
+    ("head", "module"),
+    [
+        (b"time,x\n0,1\n", "csv_table"),
+        (b"# a, comment\ntime;x\n0;1\n", "csv_table"),
+        (b"% a, comment\n\n time\tx\n0\t1\n", "csv_table"),
+        (b"x,y" * 1365 + b"z", "csv_table"),  # a header as long as what is looked at
+        (b"x,y" * 1365, ""),
+        (b"time,x\n", ""),  # no line below it
+        (b"dear all\nI came, I saw\n", ""),  # no separator in the first line
+        (b"# a, comment\nI came\nI saw\n", ""),
+        (b"time,x\n0,\x001\n", ""),
+        (b"time,x\n0,\x0e1\n", ""),
+        (b"time,x\n0,\x1f1\n", ""),
+        (b"time,x\n0,\x081\n", ""),
+        (b"time,x\n\x0c0,1\x0b\r\n", "csv_table"),
+        (STAMP.to_bytes(8, "big") + b"\xfd", "telemetry"),
+        (STAMP.to_bytes(8, "big") + b"\xfe", "telemetry"),
+        (STAMP.to_bytes(8, "big") + b"\xfc", ""),
+        (STAMP.to_bytes(8, "big"), ""),
+        ((946_684_800_000_001).to_bytes(8, "big") + b"\xfd", "telemetry"),  # 2000-01-01 00:00 UTC
+        ((946_684_800_000_000).to_bytes(8, "big") + b"\xfd", ""),
+        ((4_102_444_799_999_999).to_bytes(8, "big") + b"\xfd", "telemetry"),  # 2100-01-01
+        ((4_102_444_800_000_000).to_bytes(8, "big") + b"\xfd", ""),
+        (b"FMT, 128, 89, FMT\n", "dataflash_text"),
+        (b"FMT, 128,\x00 89, FMT\n", ""),
+        (b"ULog\x01\x12\x35\x01", "ulog"),
+        (b"MATLAB 5.0 MAT-file, Platform: GLNXA64", "matlab"),
+    ],
+)
+def test_the_first_bytes_tell_the_format(head, module):
+    assert next((known.module for known in FORMATS if known.recognizes(head)), "") == module
+
+
+@pytest.mark.parametrize("head", [b"PK\3\4", b"\x1f\x8b\x08", b"%PDF-1.7", b"\x89PNG\r"])
+def test_files_of_other_programs_are_named(tmp_path, head):
+    (tmp_path / "x").write_bytes(head)
+    with pytest.raises(ValueError, match=r"looks like a (zip archive|gzip archive|PDF|PNG image), which"):
+        read(tmp_path / "x")

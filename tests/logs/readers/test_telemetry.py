@@ -8,7 +8,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from synthetic_logs import radio, tlog
 
 from greybox.logs.readers import read, telemetry_frames
-from greybox.logs.readers.telemetry_metadata import HULLS
 
 BOOT = 1_700_000_000_000_000  # µs since 1970
 
@@ -172,17 +171,80 @@ def test_what_is_not_asked_for_is_not_in_memory(tmp_path, monkeypatch, message):
     assert peak < 65 * 20_000  # bytes a packet: 19 of frames, its time by the sender, and where these are
 
 
-def test_the_firmware_of_a_vehicle_is_that_of_its_type_in_mavlink():
+def beat(at, system=1, component=1, kind=2, autopilot=3, base=81, mode=5):
+    heartbeat = mavlink.MAVLink_heartbeat_message(kind, autopilot, base, mode, 4, 3)
+    return BOOT + round(at * 1e6), system, component, heartbeat
+
+
+def test_the_firmware_of_a_vehicle_is_that_of_its_type_in_mavlink(saved):
     """By the names that pymavlink gives to the numbers."""
     firmware = {
         "ArduCopter": "QUADROTOR COAXIAL HELICOPTER HEXAROTOR OCTOROTOR TRICOPTER DODECAROTOR DECAROTOR",
-        "ArduPlane": "FIXED_WING FLAPPING_WING VTOL_DUOROTOR VTOL_QUADROTOR VTOL_TILTROTOR PARAFOIL",
+        "ArduPlane": "FIXED_WING FLAPPING_WING VTOL_DUOROTOR VTOL_QUADROTOR VTOL_TILTROTOR 22 23 24 VTOL_RESERVED5 "
+        "PARAFOIL",  # the numbers have had several names
         "ArduRover": "GROUND_ROVER SURFACE_BOAT",
         "ArduSub": "SUBMARINE",
         "Blimp": "AIRSHIP",
+        "ArduPilot": "GENERIC GIMBAL ROCKET BATTERY CAMERA KITE",
     }
     for vehicle, names in firmware.items():
         for name in names.split():
-            assert HULLS[getattr(mavlink, f"MAV_TYPE_{name}")] == vehicle, name
-    for name in "GENERIC GCS GIMBAL ROCKET BATTERY CAMERA".split():
-        assert getattr(mavlink, f"MAV_TYPE_{name}") not in HULLS, name
+            kind = int(name) if name.isdigit() else getattr(mavlink, f"MAV_TYPE_{name}")
+            assert saved(tlog([beat(0.0, kind=kind)])).metadata["vehicle"] == vehicle, name
+
+
+def test_the_vehicle_is_the_first_sender_that_is_an_autopilot(saved):
+    """A ground station, a gimbal without one and a second vehicle neither name it, nor change its modes or arming."""
+    packets = [
+        beat(0.0, 255, 190, kind=6, autopilot=8, mode=9),
+        beat(0.1, 255, 191, kind=6, autopilot=3, mode=9),
+        beat(0.2, 1, 154, kind=26, autopilot=8, mode=9),
+        *(beat(1.0 + k, mode=(5, 5, 25, 5)[k], base=81 | 128 * (k in (1, 2))) for k in range(4)),
+        beat(1.5, 2, 1, kind=1, mode=10, base=81 | 128),
+    ]
+    about = saved(tlog(sorted(packets, key=lambda p: p[0]))).metadata
+    assert about["vehicle"] == "ArduCopter"
+    assert about["modes"] == ((1.0, "LOITER"), (3.0, "SYSTEMID"), (4.0, "LOITER"))
+    assert about["armed"] == ((2.0, 4.0),)
+
+
+def test_a_vehicle_that_stays_armed_is_so_until_its_last_heartbeat(saved):
+    packets = [beat(0.5 * k, base=81 | 128 * (k in (0, 1, 4, 5))) for k in range(6)]
+    assert saved(tlog(packets)).metadata["armed"] == ((0.0, 1.0), (2.0, 2.5))
+    assert "armed" not in saved(tlog([beat(0.5 * k) for k in range(3)])).metadata
+
+
+def test_packets_without_a_time_of_their_own_lie_by_their_reception(saved):
+    """Zero is the sender's start: it says 7 s when it is received at 3 s of the log; 0 and UTC are no such times."""
+    packets = [beat(0.0)]
+    for k in range(11):
+        t = 3 + 0.1 * k
+        packets += [
+            (BOOT + t * 1e6, 1, 1, mavlink.MAVLink_attitude_message(7000 + 100 * k, 0.1, 0.2, 0.3, 0, 0, 0)),
+            (BOOT + (t + 0.05) * 1e6, 1, 1, mavlink.MAVLink_vfr_hud_message(1.0, 1.5, 90, 30, 12.0, 0.5)),
+        ]
+    stamps = (0, 10_000_000, BOOT)
+    packets += [
+        (BOOT + (5 + k) * 1e6, 1, 1, mavlink.MAVLink_raw_imu_message(stamp, *range(9)))
+        for k, stamp in enumerate(stamps)
+    ]
+    recording = saved(tlog(packets))
+    assert recording["ATTITUDE"].time == pytest.approx(7 + 0.1 * np.arange(11))
+    assert recording["VFR_HUD"].time == pytest.approx(7.05 + 0.1 * np.arange(11))
+    assert recording["RAW_IMU"].time == pytest.approx([9.0, 10.0, 11.0])
+    assert recording["RAW_IMU"]["zgyro"].tolist() == [5, 5, 5]
+    assert recording.findings == (
+        "these carry no time stamp and are given their time of reception: HEARTBEAT, VFR_HUD.",
+    )
+
+
+def test_the_clock_of_a_long_log_is_that_of_a_short_one(saved, monkeypatch):
+    """Times are set by blocks, and starts are medians of samples of the packets."""
+    whole = saved(tlog(radio(2.0)))
+    monkeypatch.setattr("greybox.logs.readers.telemetry.BLOCK", 7)
+    monkeypatch.setattr("greybox.logs.readers.telemetry.SAMPLED", 50)
+    parts = saved(tlog(radio(2.0)))
+    assert [*parts] == [*whole]
+    for name, record in parts.items():
+        assert record.time == pytest.approx(whole[name].time, abs=0.016)  # the jitter of the link
+        assert record.signals.keys() == whole[name].signals.keys()

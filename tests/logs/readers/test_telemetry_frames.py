@@ -97,3 +97,70 @@ def test_a_packet_ends_with_the_file_or_is_not_there(mapped):
         frames = find_packets(mapped(whole[: len(whole) - cut]))
         assert frames.kinds.size == (3 if not cut else 2)
         assert frames.skipped == (0 if not cut else len(made[2]) - cut)
+
+
+def test_reception_counts_from_the_median_packet(mapped, monkeypatch):
+    """In µs since 1970, whose highest bit is a flag; of a long log the median of a sample of them."""
+    made = packets(21)
+    made[4] = (0x80 | made[4][0]).to_bytes(1, "big") + made[4][1:]
+    data = mapped(b"".join(made))
+    assert find_packets(data).received == pytest.approx(0.05 * (np.arange(21) - 10), abs=1e-12)
+    monkeypatch.setattr("greybox.logs.readers.telemetry_frames.SAMPLED", 4)
+    monkeypatch.setattr("greybox.logs.readers.telemetry_frames.PIECE", 40)
+    assert find_packets(data).received == pytest.approx(0.05 * (np.arange(21) - 10), abs=1e-12)  # of 0, 5, 10, 15, 20
+
+
+def test_senders_and_numbers_are_those_of_the_header(mapped):
+    """Systems and components up to 255, a kind beyond 255, signed and not."""
+    link = mavlink.MAVLink(None, srcSystem=254, srcComponent=3)
+    message = mavlink.MAVLink_rc_channels_scaled_message(1000, 1, *range(8), 200)
+    wide = mavlink.MAVLink_esc_telemetry_1_to_4_message(*[[k, k + 1, k + 2, k + 3] for k in range(6)])
+    plain = [one.pack(link, force_mavlink1=first) for one, first in ((message, True), (message, False), (wide, False))]
+    link.signing.secret_key, link.signing.sign_outgoing = bytes(32), True
+    signed = message.pack(link)
+    assert len(signed) == len(plain[1]) + 13
+    stamp = struct.pack(">Q", START)
+    every = [*plain, signed]
+    frames = find_packets(mapped(b"".join(stamp + one for one in every)))
+    assert frames.kinds.tolist() == [34, 34, 11030, 34]
+    assert frames.senders.tolist() == [254 * 256 + 3] * 4
+    assert frames.lengths.tolist() == [one[1] for one in every]
+    ends = np.cumsum([8 + len(one) for one in every])
+    assert frames.starts.tolist() == [
+        end - len(one) + head for end, one, head in zip(ends, every, (6, 10, 10, 10), strict=True)
+    ]
+    assert (frames.skipped, frames.places, frames.unknown) == (0, 0, 0)
+    values = payloads(mapped(b"".join(stamp + one for one in every)), frames, 11030)
+    assert values["temperature"].tolist() == [[0, 1, 2, 3]]
+    assert values["count"].tolist() == [[5, 6, 7, 8]]
+
+
+@pytest.mark.parametrize("window", [30, 64, 101])
+def test_packets_across_windows_are_decoded_as_in_one(mapped, monkeypatch, window):
+    """Of two lengths and two kinds; a window may begin and end within a packet, or hold none."""
+    rng = np.random.default_rng(window)
+    sender = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    made, angles = [], []
+    for k in range(30):
+        roll, last = rng.normal(), rng.normal() * (k % 3 == 0)  # zeros at the end are not sent
+        angles.append((roll, last))
+        made.append(mavlink.MAVLink_attitude_message(k, roll, 0, 0, 0, 0, last).pack(sender))
+        made += [mavlink.MAVLink_vfr_hud_message(k, 1.5, 90, 30, 12.0, 0.5).pack(sender)] * int(rng.integers(0, 4))
+    data = mapped(b"".join(struct.pack(">Q", START) + one for one in made))
+    frames = find_packets(data)
+    monkeypatch.setattr("greybox.logs.readers.telemetry_frames.WINDOW", window)
+    values = payloads(data, frames, mavlink.MAVLINK_MSG_ID_ATTITUDE)
+    assert values["time_boot_ms"].tolist() == list(range(30))
+    np.testing.assert_array_equal(np.stack([values["roll"], values["yawspeed"]], axis=1), np.float32(angles))
+    one = payloads(data, frames, mavlink.MAVLINK_MSG_ID_ATTITUDE, "roll")
+    np.testing.assert_array_equal(one, values["roll"])
+
+
+def test_after_damage_a_packet_of_a_known_kind_is_searched(mapped):
+    """An unknown one is no place to go on: its checksum says nothing."""
+    made, stamp = packets(6), struct.pack(">Q", START)
+    other = stamp + unknown(2)
+    broken = made[2][:12] + bytes([made[2][12] ^ 1]) + made[2][13:]
+    frames = find_packets(mapped(b"".join([*made[:2], broken, other, *made[3:]])))
+    assert (frames.kinds.size, frames.unknown) == (5, 0)
+    assert (frames.skipped, frames.places) == (len(broken) + len(other), 1)

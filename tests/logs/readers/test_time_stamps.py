@@ -21,6 +21,60 @@ def test_three_boots_follow_each_other():
     assert np.diff(shifted).max() == pytest.approx(time_stamps.PAUSE)
 
 
+@pytest.mark.parametrize("block", [7, 100, 2**16])
+def test_each_boot_goes_on_ten_seconds_after_the_last_stamp_before_it(monkeypatch, block):
+    """Whatever is looked at together; the first boot is as it was."""
+    monkeypatch.setattr(time_stamps, "BLOCK", block)
+    boots = [np.arange(100, 200, 0.25), np.arange(5, 60, 0.25), np.arange(-3, 30, 0.25)]
+    stamps = np.concatenate(boots)
+    assert time_stamps.restarts(stamps) == (400, 620)
+    shifted, findings = time_stamps.one_clock(stamps)
+    expected = np.concatenate([boots[0], boots[1] + 204.75, boots[2] + 277.5])
+    np.testing.assert_array_equal(shifted, expected)
+    assert findings == tuple(
+        f"the clock restarted at {end} s (another boot): later times were shifted by {shift} s, to 10 s after it; the "
+        "real pause is not known."
+        for end, shift in ((199.8, "+204.8"), (264.5, "+277.5"))
+    )
+    missing = np.insert(stamps, [3, 500], np.nan)
+    again, said = time_stamps.one_clock(missing)
+    np.testing.assert_array_equal(again, np.insert(expected, [3, 500], np.nan))
+    assert said == findings
+
+
+@pytest.mark.parametrize(("back", "found"), [(1.1, True), (0.9, False)])
+def test_a_clock_that_restarts_falls_by_more_than_a_second(back, found):
+    """After hours as well: the stamps just before it count, not those since the start."""
+    before = np.arange(0, 2000, 0.01 if back < 1 else 10.0)
+    step = before[1]
+    after = before[-1] - back - (0 if back < 1 else 600) + step * np.arange(300)
+    assert time_stamps.restarts(np.concatenate([before, after])) == ((before.size,) if found else ())
+
+
+@pytest.mark.parametrize(("damaged", "found"), [(23, ()), (27, (1000,))])
+def test_a_restart_is_told_by_the_median_of_fifty_stamps_after(damaged, found):
+    """Fewer than half of them from before are damage."""
+    stamps = 1000 + np.arange(2000) / 10
+    stamps[1000 : 1000 + damaged] -= 500
+    assert time_stamps.restarts(stamps) == found
+
+
+@pytest.mark.parametrize(("uneven", "beyond", "plausible"), [
+    (False, 599.7, True), (False, 600.3, False), (True, 597.0, True), (True, 603.0, False),
+])  # fmt: skip
+def test_a_stamp_is_plausible_up_to_ten_minutes_beyond_the_ends(uneven, beyond, plausible):
+    """The ends by half of the fifty stamps beside them: slower at the far side, where these are uneven."""
+    steps = np.ones(400)
+    if uneven:
+        steps[:25], steps[-24:] = 3.0, 3.0
+    stamps = np.cumsum(steps) - steps[0]
+    for stamp, at in ((-beyond, 200), (stamps[-1] + beyond, 200)):
+        damaged = stamps.copy()
+        damaged[at] = stamp
+        expected = [] if plausible else [at]
+        assert np.flatnonzero(np.isnan(time_stamps.one_clock(damaged)[0])).tolist() == expected
+
+
 def test_jitter_and_single_outliers_are_no_restart():
     stamps = np.arange(1000) / 10
     stamps[500], stamps[700], stamps[800] = 0.0, 1e12, stamps[800] - 0.9
@@ -86,3 +140,33 @@ def test_twenty_intervals_are_needed_to_know_the_usual_one(samples, known):
     time = np.arange(float(samples))
     time[samples // 2 :] += 9
     assert (time_stamps.gaps(time) is not None) == known
+
+
+@pytest.mark.parametrize(("length", "found"), [(2.45, False), (2.55, True)])
+def test_a_gap_is_longer_than_two_and_a_half_intervals(length, found):
+    time = np.arange(100) * 0.5
+    time[40:] += 0.5 * (length - 1)
+    said = time_stamps.gaps(time)
+    assert (said == time_stamps.Gaps(1, pytest.approx(0.5 * length), 19.5, 0.5)) == found
+    assert (said is None) != found
+
+
+@pytest.mark.parametrize(("number", "found"), [(5, True), (6, False)])
+def test_a_twentieth_of_the_intervals_may_be_gaps(number, found):
+    """Of a hundred; the longest is told."""
+    steps = np.ones(100)
+    steps[8 * np.arange(1, number + 1)] = 5.0
+    steps[16] = 7.0
+    said = time_stamps.gaps(np.append(3.0, 3.0 + np.cumsum(steps)))
+    assert said == (time_stamps.Gaps(number, 7.0, 3.0 + 15 + 5.0, 1.0) if found else None)
+    if found:
+        assert str(said) == "5 gaps, the longest 7 s at 23.0 s (its usual interval is 1 s)."
+
+
+@pytest.mark.parametrize(("slow", "found"), [(3, True), (4, False)])
+def test_a_gap_is_held_against_three_intervals_on_either_side(slow, found):
+    """Among more slow ones than fast it is none; at an end the last one counts for those beyond."""
+    steps = np.ones(200)
+    steps[100 : 100 + slow] = 4.0
+    said = time_stamps.gaps(np.append(0.0, np.cumsum(steps)))
+    assert (said is not None) == found

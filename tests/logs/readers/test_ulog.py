@@ -7,7 +7,7 @@ from synthetic_logs import ulog
 
 from greybox.data.record import Record
 from greybox.logs.readers import read
-from greybox.logs.readers.ulog import _with_angles
+from greybox.logs.readers.ulog import _firmware, _states, _with_angles
 
 installed = pytest.mark.skipif(importlib.util.find_spec("pyulog") is None, reason="the extra px4 is not installed")
 
@@ -74,3 +74,56 @@ def test_the_angles_of_a_quaternion_are_those_of_scipys_rotation():
         assert made.hold[name] == 0.0
     known = Record(np.arange(20.0), quaternion | {"roll": np.ones(20)})
     assert np.all(_with_angles("vehicle_attitude", known)["roll"] == 1)
+
+
+def test_modes_are_those_of_px4s_status():
+    """NAVIGATION_STATE_* of vehicle_status.msg."""
+    names = "MANUAL ALTCTL POSCTL AUTO_MISSION AUTO_LOITER AUTO_RTL . . . . ACRO . DESCEND TERMINATION OFFBOARD STAB . "
+    names += "AUTO_TAKEOFF AUTO_LAND AUTO_FOLLOW_TARGET AUTO_PRECLAND ORBIT AUTO_VTOL_TAKEOFF ."
+    expected = [f"mode {k}" if name == "." else name for k, name in enumerate(names.split())]
+    status = Record(np.arange(48) / 2, {"nav_state": np.repeat(np.arange(24.0), 2)})
+    assert _states(status) == {"modes": tuple(zip(np.arange(24.0), expected, strict=True))}
+
+
+@pytest.mark.parametrize(
+    ("states", "armed"),
+    [
+        ([1, 2, 2, 1, 1, 2], ((1.0, 3.0), (5.0, 5.0))),
+        ([2, 2, 1, 3, 2, 1], ((0.0, 2.0), (4.0, 5.0))),
+        ([1, 1, 3, 4, 1, 1], ()),
+        ([2, 2, 2, 2, 2, 2], ((0.0, 5.0),)),
+    ],
+)
+def test_armed_is_the_second_state_of_arming(states, armed):
+    """ARMING_STATE_ARMED of vehicle_status.msg; a log may begin and end in it."""
+    assert _states(Record(np.arange(6.0), {"arming_state": states})) == {"armed": armed}
+
+
+@pytest.mark.parametrize(
+    ("info", "said"),
+    [
+        ({"ver_sw": "abc", "ver_sw_release": 0x010F02C0}, "v1.15.2 (abc)"),
+        ({"ver_sw_release": 0x020A0180}, "v2.10.1"),
+        ({"ver_sw": "abc", "ver_sw_release": 0}, "abc"),
+        ({"ver_sw": "abc", "ver_sw_release": "1.2"}, "abc"),
+        ({}, None),
+    ],
+)
+def test_the_release_is_three_bytes(info, said):
+    assert _firmware(info) == said
+
+
+@pytest.mark.parametrize(
+    ("topic", "field", "unit"),
+    [
+        ("vehicle_angular_velocity", "xyz[2]", "rad/s"),
+        ("vehicle_angular_velocity", "xyz_derivative[2]", ""),
+        ("vehicle_rates_setpoint", "yaw", "rad/s"),
+        ("vehicle_rates_setpoint", "yaw_body", ""),
+        ("vehicle_attitude", "pitchspeed", "rad/s"),
+        ("vehicle_attitude", "pitch", ""),
+        ("sensor_accel", "x", ""),
+    ],
+)
+def test_rates_have_their_unit(topic, field, unit):
+    assert _with_angles(topic, Record([0.0, 1.0], {field: [1.0, 2.0]})).units.get(field, "") == unit
