@@ -24,8 +24,11 @@ from greybox.estimate.covariance import (
     _undetermined,
     assess,
     degrees,
+    known_directions,
     known_of,
     propagate,
+    steepness,
+    told_by,
 )
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import Tilt
@@ -727,3 +730,82 @@ def test_a_combination_is_loose_from_half_of_a_value(error, loose):
     nlp = SimpleNamespace(free=("a", "b", "c"))
     covariance = np.diag([1e9, (2 * error) ** 2, 1e-4])
     assert _is_loose(Combination(("c", "b"), 30.0), nlp, covariance, np.array([1.0, -2.0, 1.0])) is loose
+
+
+class Plane(gb.StateSpace):
+    """A plane over two regressors."""
+
+    inputs, outputs = ("u", "w"), ("y",)
+    a = gb.Parameter(1.0, bounds=(-10.0, 10.0))
+    b = gb.Parameter(1.0, bounds=(-10.0, 10.0))
+
+    def output(self, x, u, p):
+        return (p.a * u.u + p.b * u.w,)
+
+
+def test_steepness_is_how_many_standard_errors_each_parameter_alone_would_go():
+    random = np.random.default_rng(0)
+    regressors, sigma = random.normal(size=(30, 2)) * [1.0, 4.0], 0.3
+    y = regressors @ [2.0, -0.5] + sigma * random.normal(size=30)
+    record = gb.Record(np.arange(30.0), {"u": regressors[:, 0], "w": regressors[:, 1], "y": y}, has_time=False)
+    nlp = compile_problem(gb.Problem(Plane(), record, gb.OutputError(noise={"y": sigma}), weight=2.0))
+    x = np.array([1.7, -0.4])
+    trajectories = [part.initial_trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts]
+    left = y - regressors @ x
+    alone = regressors.T @ left / np.sum(regressors**2, axis=0)  # the step of each
+    errors = sigma / np.linalg.norm(regressors, axis=0)
+    assert_allclose(steepness(nlp, x, trajectories), np.sqrt(2.0) * np.abs(alone) / errors)
+
+
+def test_what_each_row_tells_is_its_share_of_the_information():
+    """Of a regression: row i has (xᵢ cⱼ)² over the sum of these, cⱼ a column of the inverse; of each alone, xᵢⱼ²."""
+    random = np.random.default_rng(1)
+    regressors = random.normal(size=(400, 2)) @ [[1.0, 0.5], [0.0, 3.0]]
+    y = regressors @ [2.0, -0.5] + 0.3 * random.normal(size=400)
+    record = gb.Record(np.arange(400.0), {"u": regressors[:, 0], "w": regressors[:, 1], "y": y}, has_time=False)
+    nlp = compile_problem(gb.Problem(Plane(), record, gb.OutputError()))
+    x = np.linalg.lstsq(regressors, y, rcond=None)[0]
+    accuracy = assess(nlp, x, [part.initial_trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts])
+    ((along, alone),) = told_by(nlp, accuracy)
+    columns = regressors @ np.linalg.inv(regressors.T @ regressors)
+    count = along.shape[1]
+    for found, squares in ((along, columns**2), (alone, regressors**2)):
+        wanted = np.add.reduceat(squares / squares.sum(axis=0), np.linspace(0, 400, count + 1)[:-1].astype(int), axis=0)
+        assert_allclose(found, wanted.T)
+    held = told_by(nlp, replace(accuracy, at_bound=("a",)))[0]
+    assert np.isnan(held[0][0]).all()
+    assert_allclose(held[0][1], along[1])
+    assert [each.shape for each in told_by(nlp, replace(accuracy, white=None))[0]] == [(2, 0), (2, 0)]
+
+
+def test_an_unseen_direction_is_looked_at_again_beside_the_estimate():
+    """Each value a tenth to a fifth of itself away, each by another share, to where its bounds leave more room."""
+    problem = gb.Problem(Product(), measured(Lags(), OMEGA, LAGS, 0.02), fixed={"idle": 0.5})
+    nlp = compile_problem(problem)
+    for delay, moved in ((0.15, 0.15 * (1 - 0.18)), (0.0, 0.2 * 0.1 * 0.18)):
+        x = np.array([{"K1": 1.0, "K2": 2.0, "T1": 0.4, "T2": 0.05, "T": delay}[name] for name in nlp.free])
+        accuracy = assess(nlp, x)
+        found = known_directions(nlp, x, replace(accuracy, at_bound=()), lambda _: ())
+        assert_allclose(found.at, x)
+        share = 1 + 0.1 * (1 + np.arange(5) / 5)
+        wanted = np.where(np.array(nlp.free) == "T", moved, x * share)
+        assert nlp.free[-1] == "T"
+        assert_allclose(found.elsewhere.at, wanted)
+        assert found.elsewhere.unseen.shape[1] == 1
+        # The product stays seen there too: its unseen direction is that of both logarithms apart.
+        direction = found.elsewhere.unseen[:, 0] * found.elsewhere.size / wanted
+        first, second = (direction[nlp.free.index(name)] for name in ("K1", "K2"))
+        assert first == pytest.approx(-second, rel=1e-3)
+    held = known_directions(nlp, x, replace(accuracy, at_bound=("T",)), lambda _: ())
+    assert held.elsewhere.at[-1] == x[-1]
+    assert known_directions(nlp, x, replace(accuracy, at_bound=()), lambda _: (None,)).elsewhere is None
+    plain = compile_problem(gb.Problem(Lags(), measured(Lags(), OMEGA, LAGS, 0.02)))
+    at = np.array(list(LAGS.values()))
+    assert known_directions(plain, at, assess(plain, at), lambda _: ()).elsewhere is None
+
+
+@pytest.mark.parametrize(("error", "is_loose"), [((0.99, 0.4), False), ((1.01, 0.4), True), ((0.9, np.nan), True)])
+def test_a_suspect_combination_is_loose_from_half_of_a_value_on(error, is_loose):
+    nlp = SimpleNamespace(free=("a", "b", "c"))
+    covariance = np.diag(np.square([error[0], 9.0, error[1]]))
+    assert _is_loose(Combination(("c", "a"), 30.0), nlp, covariance, np.array([-2.0, 1.0, 0.9])) == is_loose

@@ -15,9 +15,12 @@ from greybox.estimate.diagnostics.records import (
     _fed_back,
     _Residuals,
     _successive,
+    _unexplained,
     _weights,
     hidden_errors,
 )
+from greybox.statistics.metrics import feedback_correlation, whiteness
+from greybox.statistics.noise_ratio import noise_ratio
 
 TRUTH = {"K": 2.0, "T": 0.1, "d": 0.023}
 STEP = 0.01
@@ -515,3 +518,74 @@ def test_feedback_is_told_where_errors_are_colored_and_an_input_responds_to_them
     (text,) = _fed_back([fed_back(), fed_back(seed=1, name="two")])
     assert "u to y in 'one'" in text
     assert "u to y in 'two'" in text
+
+
+def test_feedback_is_tested_at_a_level_that_all_inputs_and_outputs_share():
+    """Of one output and two inputs each response at half a per cent, of two outputs at a quarter."""
+    seen = set()
+    for gain in np.linspace(0.113, 0.134, 10):
+        one = fed_back(600, gain=gain, seed=3)
+        p = _response(one)
+        told = [*_fed_back([one])]
+        assert len(told) == (p < 0.01 / 2)
+        both = [*_fed_back([one, fed_back(600, gain=0.0, seed=4, name="two")])]
+        assert len(both) == (p < 0.01 / 4)
+        seen.add(int(np.searchsorted([0.01 / 8, 0.01 / 4, 0.01 / 2, 0.01], p)))
+    assert seen >= {1, 2, 3}
+
+
+def _response(pair):
+    _, fitted = pair
+    halves = np.split(fitted.residual("y"), 2)
+    return feedback_correlation(halves, np.split(fitted.data["u"], 2)).p_value
+
+
+def test_color_is_tested_at_a_level_that_all_outputs_share():
+    seen = set()
+    for color in np.linspace(0.09, 0.21, 13):
+        one = fed_back(600, gain=0.9, color=color, seed=5)
+        p = whiteness(np.split(one[1].residual("y"), 2)).p_value
+        assert len([*_fed_back([one])]) == (p < 0.01)
+        both = [*_fed_back([one, fed_back(600, color=0.0, seed=6, name="two")])]
+        assert len(both) == (p < 0.01 / 2)
+        seen.add(int(np.searchsorted([0.01 / 4, 0.01 / 2, 0.01, 0.02], p)))
+    assert seen >= {1, 2, 3}
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_an_output_is_not_explained_below_a_tenth_and_half_of_what_its_noise_allows(alone):
+    random = np.random.default_rng(0)
+    slow = np.sin(np.arange(4000) / 200)
+
+    def told(y, percent, has_time=True, **more):
+        stretches = [SimpleNamespace(outputs=[0 * y, y])]
+        criterion = SimpleNamespace(corrects_states=more.pop("corrects", False))
+        data = SimpleNamespace(stretches=stretches, constant_inputs=more.pop("constant", False))
+        system = SimpleNamespace(inputs=("u",))
+        part = SimpleNamespace(
+            model=SimpleNamespace(criterion=criterion), is_static=more.pop("static", False), data=data, system=system
+        )
+        kept = SimpleNamespace(name="run", has_time=has_time)
+        percents = {"z": 50.0, "y": percent}
+        fitted = SimpleNamespace(outputs=("z", "y"), fit_percent=percents.__getitem__, data=kept, name="part")
+        return [text for *_, text in _unexplained(part, fitted, alone=alone)]
+
+    name = "y" if alone else "y in 'run'"
+    y = 0.77 * slow + random.normal(size=4000)
+    allowed = noise_ratio([y]).attainable_fit_percent
+    assert 9 < allowed < 16
+    assert told(y, allowed / 2 + 0.1) == []
+    assert told(y, allowed / 2 - 0.1) == [
+        f"the model reproduces almost none of the variation of {name} (fit {allowed / 2 - 0.1:.1f} %), where its noise "
+        f"from sample to sample would allow about {allowed:.0f} %: try other starts, narrower start boxes, or another "
+        "model structure."
+    ]
+    assert told(slow, 9.9)
+    assert told(slow, 10.0) == []
+    (text,) = told(random.normal(size=4000), 9.9)
+    assert text.startswith(f"{name} is indistinguishable from noise, and the model reproduces almost none")
+    (text,) = told(y, 3.0, has_time=False)
+    assert text.endswith("or another model structure, unless that variation is noise.")
+    assert told(slow, 3.0, corrects=True) == []
+    assert told(slow, 3.0, static=True, constant=True) == []
+    assert told(slow, 3.0, static=True)

@@ -135,3 +135,46 @@ def test_too_few_numbers_an_exact_fit_and_alternating_errors_count_as_independen
     assert neighbor_correlation(1e-9 * e, np.zeros((24, 1))) is None
     assert neighbor_correlation(e[:3], stacked(design(3))) is None
     assert neighbor_correlation(np.abs(e) * (-1) ** np.arange(12), np.zeros((24, 1))) is None
+
+
+def test_meat_and_scale_do_not_depend_on_units_and_without_scores_there_is_none():
+    n = 11
+    scores = np.random.default_rng(2).standard_normal((n, 2, 3)) @ [1, 1j, 0]
+    known = NeighborCorrelation(n, np.array([0.0, 0.6]), np.array([0.3, 0.7]), np.array([1.0, 1.7]))
+    root = np.eye(2) * 0.01
+    scores = np.column_stack([scores[:, 0], 3 * scores[:, 1]])
+    meat, dof, scale = averaged_meat(scores, root, known, lambda c: c, 18.0)
+    again = averaged_meat(scores, 1e4 * root, known, lambda c: c, 18.0)
+    assert_allclose(again[0], meat)
+    assert again[1:] == pytest.approx((dof, scale))
+    assert scale > 1
+    nothing = averaged_meat(0 * scores, root, known, lambda c: c, 18.0)
+    assert not nothing[0].any()
+    assert nothing[1:] == (18.0, 1.0)
+
+
+def test_the_mean_of_weighted_correlations_and_the_lengths_that_it_makes():
+    known = NeighborCorrelation(10, np.array([0.0, 0.5, 0.9]), np.array([0.2, 0.3, 0.5]), np.ones(3))
+    assert known.mean == pytest.approx(0.6)
+    assert known.lengths == pytest.approx(-10 * np.log(0.6))
+    assert_allclose(known.powers[2], 0.9 ** np.arange(10))
+    assert NeighborCorrelation(10, np.zeros(1), np.ones(1), np.ones(1)).lengths == np.inf
+
+
+def test_one_variance_or_none_is_its_own_average():
+    assert student_of_average(np.ones(1), np.array([3.0]), 7.0) == (3.0, 7.0)
+    assert student_of_average(np.array([0.25, 0.75]), np.array([0.0, 4.0]), 7.0) == (3.0, 7.0)
+    variance, dof = student_of_average(np.array([0.25, 0.75]), np.array([4.0, 4.0]), 7.0)
+    assert (variance, dof) == pytest.approx((4.0, 7.0), rel=1e-6)
+
+
+def test_two_points_that_are_alike_are_enough_and_what_is_not_finite_tells_nothing():
+    e = np.array([1.0 + 1j, 1.01 + 0.99j])
+    assert neighbor_correlation(e, np.zeros((4, 0))) is not None
+    assert neighbor_correlation(e[:1], np.zeros((2, 0))) is None
+    long = autoregression(np.random.default_rng(0), 0.9, 12)
+    for spoiled in (np.nan, np.inf):
+        design_ = np.zeros((24, 1))
+        design_[3] = spoiled
+        assert neighbor_correlation(long, design_) is None
+        assert neighbor_correlation(np.where(np.arange(12) == 5, spoiled, long), np.zeros((24, 1))) is None

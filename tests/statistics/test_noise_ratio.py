@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from greybox.statistics.noise_ratio import noise_ratio
+from greybox.statistics.noise_ratio import NoiseRatio, noise_ratio
 
 
 @pytest.mark.parametrize("samples", [10, 40, 400])
@@ -59,3 +59,16 @@ def test_the_ratio_of_stretches_is_that_of_their_squares():
     assert np.isnan(noise_ratio([np.arange(3.0)]).ratio)
     assert (noise_ratio([[1.0, 2.0]]).samples, noise_ratio([[1.0, 2.0]]).spread) == (2, np.inf)
     assert noise_ratio([np.resize([-1.0, 1.0], 9)]).attainable_fit_percent == 0
+
+
+def test_the_spread_of_few_samples():
+    """Of three it is 2 √(1/8); of two there is none, so that nothing is called smooth."""
+    assert_allclose(NoiseRatio(0.1, 3).spread, 2 * np.sqrt(1 / 8))
+    assert NoiseRatio(0.0, 2).spread == np.inf
+    for samples, limit in ((50, 1.0), (20, 2 - 6 * np.sqrt(18 / 399))):
+        assert NoiseRatio(limit - 1e-6, samples).smooth
+        assert not NoiseRatio(limit + 1e-6, samples).smooth
+    limit = 2 - 6 * np.sqrt(48 / 2499)
+    assert NoiseRatio(limit + 1e-6, 50).noisy
+    assert not NoiseRatio(limit - 1e-6, 50).noisy
+    assert NoiseRatio(np.nan, 50).noisy

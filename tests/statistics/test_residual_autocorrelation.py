@@ -75,3 +75,18 @@ def test_the_order_is_that_of_least_bic_and_leaves_twenty_samples_a_coefficient(
 def test_a_series_that_alternates_has_a_positive_coefficient():
     assert_allclose(autoregression([colored([1.0, 0.8], 5000, seed=4)]), [1, 0.8], atol=0.05)
     assert_allclose(autoregression([1e-3 * colored([1.0, 0.8], 5000, seed=4)]), [1, 0.8], atol=0.05)
+
+
+def test_more_lags_than_samples_have_no_products():
+    e = np.array([2.0, -1.0, 3.0])
+    assert_allclose(autocovariance([e], 6), [14 / 3, -5 / 3, 2, 0, 0, 0, 0], atol=1e-12)
+    assert_allclose(
+        autocovariance([e, np.array([0.0, 4.0, 1.0, 1.0])], 2), [32 / 6, 0, 10 / 6], atol=1e-12
+    )  # 0: no data
+
+
+def test_units_do_not_change_what_is_predictable():
+    for unit in (1e-12, 1e12):
+        steps = levinson(unit * np.cos(0.3 * np.arange(9)))
+        assert [len(a) for a, _ in steps] == [1, 2]
+        assert len(levinson(unit * 0.5 ** np.arange(5))) == 5
