@@ -82,7 +82,7 @@ def with_error(value: float, error: float) -> tuple[str, str]:
         return number(value), number(error, 2)
     decimals = 1 - math.floor(math.log10(float(f"{error:.1e}")))
     if not -4 <= decimals <= 7 or abs(value) >= 1e7:
-        return f"{value:.{max(2, 2 + math.floor(math.log10(max(abs(value) / error, 1))))}g}", f"{error:.2g}"
+        return f"{value:.{max(2, math.floor(math.log10(abs(value))) + decimals + 1)}g}", f"{error:.2g}"
     places = max(decimals, 0)
     return f"{round(value, decimals):.{places}f}", f"{round(error, decimals):.{places}f}"
 

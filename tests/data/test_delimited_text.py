@@ -110,3 +110,46 @@ def test_utf_16_is_refused_with_the_cure(tmp_path):
     for read in (gb.read, gb.read_response):
         with pytest.raises(ValueError, match=r"is not a CSV text file .* UTF-16 .*: save it as UTF-8"):
             read(saved(tmp_path, "t,x\n0,1\n1,2\n", "utf-16"))
+
+
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        ('t, x\n0, "1.5"\n1, "2.5"\n', [1.5, 2.5]),  # blanks before quotes
+        ('"t", "x"\n0,1.5\n1,2.5\n', [1.5, 2.5]),
+        ("t,x,\n0,1.5,\n1,2.5, , \n", [1.5, 2.5]),  # separators at the end of lines
+        ("sep=;\nt;x\n0;1.5\n1;2.5\n", [1.5, 2.5]),
+        ("sep=,\nt,x\n0,1.5\n1,2.5\n", [1.5, 2.5]),
+        ("SEP=;\nt;x, y\n0;1.5\n1;2.5\n", [1.5, 2.5]),
+        ("# t,x\n0,1.5\n1,2.5\n", [1.5, 2.5]),
+        ("% t;x\n\n0;1.5\n1;2.5\n", [1.5, 2.5]),
+        ("t;x\n0;1,5\n1;2\n", [1.5, 2]),
+        ("t;x\n0;1,5000\n1;2,125\n", [1.5, 2.125]),  # four digits are no thousands
+        ("t;x\n0;0,125\n1;2,125\n", [0.125, 2.125]),  # nor is a zero
+        ("t;x\n0;+1,5e1\n1;-,5\n", [15, -0.5]),
+        ("t;x\n0;1,\n1;2,\n", [1, 2]),
+        ("t;x\n0;1.\n1;.5\n", [1, 0.5]),
+    ],
+)
+def test_the_second_column_is_read_in_each_spelling(tmp_path, text, values):
+    (record,) = gb.read(saved(tmp_path, text)).values()
+    assert_array_equal(next(iter(record.signals.values())), values)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("t;x\n0;1,234\n1;12,345\n", "line 2: '1,234' may have a decimal comma or a thousands separator"),
+        ("t;x\n0;1,5\n1;2.5\n", r"line 2, has '1,5' where line 3 has '2\.5'"),
+        ("t;x\n0;2.5\n1;1,5\n2;7,5\n3;2.6\n", r"line 3, has '1,5' where line 2 has '2\.5'"),
+        ("t;x\n0;1,234,567\n", "line 2: '1,234,567' has a thousands separator: leave it out"),
+        (
+            "t,x\n0,1,2\n",
+            "line 2, has 3 cells where the header has 2: name all columns, or, if its numbers have",
+        ),
+        ("t;x\n\n# wind\n0;1\n1;2;3\n", "line 5, has 3 cells where the header has 2: name all columns\\."),
+    ],
+)
+def test_the_line_of_a_mistake_is_named(tmp_path, text, words):
+    with pytest.raises(ValueError, match=words):
+        gb.read(saved(tmp_path, text))

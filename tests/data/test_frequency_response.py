@@ -146,3 +146,58 @@ def test_some_points_are_kept_with_all_that_belongs_to_them():
 def test_magnitudes_are_in_decibels():
     found = gb.FrequencyResponse([1.0, 2.0, 3.0, 4.0], [10.0, -1.0, 0.1j, 0.0]).decibels
     assert found.tolist() == pytest.approx([20.0, 0.0, -20.0, -np.inf])
+
+
+def test_columns_are_real_numbers_by_name():
+    known = gb.FrequencyResponse(
+        [2.0, 5.0], [1 + 2j, 3 - 4j], variance=[9.0, 8.0], common_errors=[[0.1 + 0.2j, 0.3j], [0.5, 0.6 - 0.7j]]
+    )
+    assert {name: values.tolist() for name, values in known.columns.items()} == {
+        "alpha": [1, 3], "beta": [2, -4], "variance": [9, 8], "alpha_common1": [0.1, 0], "beta_common1": [0.2, 0.3],
+        "alpha_common2": [0.5, 0.6], "beta_common2": [0, -0.7],
+    }  # fmt: skip
+    assert known.independent_share == pytest.approx([1 - (0.05 + 0.25) / 9, 1 - (0.09 + 0.36 + 0.49) / 8])
+    assert gb.FrequencyResponse([2.0, 5.0], [1, 2]).independent_share.tolist() == [1, 1]
+    assert (
+        str(known)
+        == "frequency response: input -> output, 2 frequencies from 2 to 5 rad/s, with variance, common errors"
+    )
+
+
+@pytest.mark.parametrize("share", [1.0, 1.001])
+def test_common_errors_are_a_part_of_the_variance(share):
+    """All of it at most: then nothing is independent."""
+    errors = np.sqrt(share) * np.array([[3.0, 0.8j], [0.0, 0.6]])
+    words = {"variance": [9.0, 1.0], "common_errors": errors}
+    if share > 1:
+        with pytest.raises(ValueError, match="common_errors exceed the variance at omega = 2 rad/s"):
+            gb.FrequencyResponse([2.0, 5.0], [1, 2], **words)
+    else:
+        assert gb.FrequencyResponse([2.0, 5.0], [1, 2], **words).independent_share == pytest.approx([0, 0], abs=1e-9)
+
+
+def test_phases_are_unwrapped_from_the_lowest_frequency_whatever_their_order():
+    omega = np.array([4.0, 0.5, 8.0, 2.0])
+    data = gb.FrequencyResponse(omega, 3 * np.exp(-1j * omega * 0.7))
+    assert data.degrees == pytest.approx(np.degrees(-0.7 * omega))
+    steps = gb.FrequencyResponse(np.arange(1, 9.0), np.exp(-0.7j * np.arange(1, 9.0)))
+    assert steps.degrees == pytest.approx(np.degrees(-0.7 * np.arange(1, 9.0)))
+
+
+@pytest.mark.parametrize(
+    ("unit", "rate", "angle"),
+    [("rad", "rad/s", "rad·s"), ("m/s", "m/s²", "m"), ("bottles", None, None), ("", None, None)],
+)
+def test_units_of_rates_and_angles_follow(unit, rate, angle):
+    data = gb.FrequencyResponse([1.0, 2.0], [1, 2], "u", "x", units={"u": "N", "x": unit})
+    assert data.times_s("y").units == {"u": "N"} | ({"y": rate} if rate else {})
+    assert data.over_s("y").units == {"u": "N"} | ({"y": angle} if angle else {})
+
+
+@pytest.mark.parametrize(("column", "high"), [("coherence", 1.0), ("variance", np.inf), ("dof", np.inf)])
+def test_columns_are_above_zero(column, high):
+    assert gb.FrequencyResponse([1.0, 2.0], [1, 2], **{column: [1e-9, min(high, 1e9)]}).columns[column][0] == 1e-9
+    said = "above 0 and at most 1" if high == 1 else "above 0"
+    for bad in (0.0, -1.0, *([1.001] if high == 1 else [])):
+        with pytest.raises(ValueError, match=rf"^{column} is {bad:g} at index 1: it must be {said}\.$"):
+            gb.FrequencyResponse([1.0, 2.0], [1, 2], **{column: [0.5, bad]})

@@ -3,9 +3,12 @@ import math
 import pytest
 
 from greybox.data.text_table import (
+    alternatives,
     counted,
+    in_greek,
     is_number,
     listed,
+    nearest,
     number,
     one_line,
     printable,
@@ -54,7 +57,7 @@ def test_very_large_and_small_values_keep_their_digits():
     assert float(error) == 4.5e5
     for sign in (1, -1):
         assert float(with_error(sign * 1.234567e7, 2.0)[0]) == sign * 1.234567e7
-        assert with_error(sign * 1.234567e7, 2e3)[0] == f"{sign * 1.2346e7:.5g}"
+        assert with_error(sign * 1.234567e7, 2e3)[0] == f"{sign * 1.23457e7:.6g}"
         assert with_error(sign * 9.876543e6, 2e3)[0] == str(sign * 9876500)
 
 
@@ -106,3 +109,52 @@ def test_control_characters_are_written_out_and_nothing_else(text, expected):
 def test_lines_are_kept_where_a_text_has_some():
     assert printable("a\n\tb\x1b", keep="\n\t") == "a\n\tb\\x1b"
     assert text_table(["a"], [["x\x1b[2J"]]).splitlines()[-1] == r"x\x1b[2J"
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "shown"),
+    [
+        (0.002, 2.0, ("0.0", "2.0")),  # a thousand times the value: its digits are noise
+        (0.00199, 2.0, ("0.00199", "2")),
+        (-0.00199, 2.0, ("-0.00199", "2")),
+        (2.5, 2.4e-9, ("2.5", "2.4e-09")),  # fewer than a billionth is rounding
+        (-2.5, 2.4e-9, ("-2.5", "2.4e-09")),
+        (12.345678901, 1.26e-6, ("12.3456789", "0.0000013")),
+        (12.345678901, 1.26e-7, ("12.3456789", "1.3e-07")),
+        (23456789.0, 9.1e3, ("2.34568e+07", "9.1e+03")),
+        (0.12345678, 2.6e-6, ("0.1234568", "0.0000026")),
+        (0.12345678, 2.6e-8, ("0.12345678", "2.6e-08")),
+        (0.12345678, 2.6e-7, ("0.12345678", "2.6e-07")),
+        (123456.0, 6200.0, ("123500", "6200")),
+        (1234567.0, 210000.0, ("1230000", "210000")),
+        (5.0, 3.0, ("5.0", "3.0")),
+        (3.7, 9.96, ("4", "10")),
+    ],
+)
+def test_errors_far_larger_and_far_smaller_than_their_value(value, error, shown):
+    assert with_error(value, error) == shown
+
+
+def test_a_misspelled_name_is_recognized():
+    known = ["roll", "Pitch", "yaw"]
+    assert [nearest(name, known) for name in ("pich", "ROL", "thrust")] == ["Pitch", "roll", None]
+    assert alternatives("yew", known) == "roll, Pitch, yaw: did you mean 'yaw'?"
+    assert alternatives("thrust", known) == "roll, Pitch, yaw."
+    assert alternatives("thrust", []) == "none."
+
+
+def test_names_of_greek_letters():
+    assert [in_greek(name) for name in ("theta", "u_phi", "Omega_x", "PI", "thetas")] == [
+        "θ", "u_φ", "Ω_x", "PI", "thetas",
+    ]  # fmt: skip
+
+
+def test_the_longest_representation_is_119_characters():
+    assert one_line(1.0, "x" * 111) == f"<float {'x' * 111}>"
+    assert one_line(1.0, "x" * 112) == f"<float {'x' * 108}...>"
+
+
+def test_counts_may_be_numbers_of_any_kind():
+    assert [counted(1.0, "s"), counted(0, "row"), counted(1e6, "row"), counted(10**6, "row")] == [
+        "1 s", "0 rows", "1e+06 rows", "1000000 rows",
+    ]  # fmt: skip

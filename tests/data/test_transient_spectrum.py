@@ -1,0 +1,95 @@
+"""Fourier integrals of one manoeuvre: the delay against an integral, and what is no such spectrum."""
+
+import re
+
+import numpy as np
+import pytest
+
+from greybox.data.transient_spectrum import TransientSpectrum
+
+T = 3.7
+OMEGA = 2 * np.pi / T * np.array([1, 2, 5, 9])
+KNOWN = {
+    "omega": OMEGA,
+    "inputs": {"u": [1 + 2j, 2 - 1j, 3j, 0.5]},
+    "outputs": {"y": [4 + 2j, 1 - 1j, 0.3j, 0.1]},
+    "duration": T,
+    "step": 0.02,
+}
+
+
+def spectrum(**changes):
+    return TransientSpectrum(**KNOWN | changes)
+
+
+def integral(t, x):
+    """∫ x exp(-jωt) dt by the trapezoidal rule, (n,)."""
+    return np.trapezoid(x * np.exp(-1j * np.outer(OMEGA, t)), t, axis=1)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.3, 1.1])
+def test_a_delayed_input_is_the_integral_of_the_delayed_signal(delay):
+    """From its first value before the manoeuvre; its last one is kept for the delay at the end."""
+    t = np.linspace(0, T, 40_001)
+    last = T - 1.1
+
+    def u(at):
+        return 0.7 + 1.3 * np.sin(2.1 * np.clip(at, 0, last)) + 0.4 * np.clip(at, 0, last)
+
+    made = spectrum(inputs={"u": integral(t, u(t)), "v": OMEGA}, input_change={"u": u(T) - u(0)})
+    assert made.delayed_input("u", delay) == pytest.approx(integral(t, u(t - delay)), abs=1e-6)
+    assert (made.change("u"), made.change("v")) == (u(T) - u(0), 0.0)
+    assert made.delayed_input("v", delay) == pytest.approx(OMEGA * np.exp(-1j * OMEGA * delay))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"duration": np.inf}, "duration inf s and step 0.02 s must be finite, and the step the shorter one."),
+        ({"step": 0.0}, "and the step the shorter one."),
+        ({"step": -0.1}, "and the step the shorter one."),
+        ({"step": T}, "and the step the shorter one."),
+        ({"omega": []}, "omega must be increasing multiples of 1.69816 rad/s, 2π over the duration"),
+        ({"omega": OMEGA[::-1]}, "omega must be increasing multiples"),
+        ({"omega": OMEGA[[0, 1, 1, 2]]}, "omega must be increasing multiples"),
+        ({"omega": OMEGA - OMEGA[0]}, "omega must be increasing multiples"),  # begins with zero
+        ({"omega": -OMEGA[::-1]}, "omega must be increasing multiples"),
+        ({"omega": OMEGA * (1 + 1.1e-6)}, "omega must be increasing multiples"),
+        ({"omega": OMEGA[:, None]}, "omega must be a one-dimensional array of finite numbers"),
+        ({"omega": [*OMEGA[:3], np.nan]}, "omega must be a one-dimensional array of finite numbers"),
+        ({"inputs": {}}, "the spectrum has no inputs: give at least one signal."),
+        ({"outputs": {}}, "the spectrum has no outputs: give at least one signal."),
+        ({"inputs": {"u": [1, 2]}}, "omega has 4 frequencies but u has 2: they must match."),
+        ({"outputs": {"y": [1, 2, 3, np.inf]}}, "y must be a one-dimensional array of finite numbers"),
+        ({"outputs": {"y": [1, 2, 3, 1e80]}}, "y has numbers whose squares are beyond floating-point arithmetic"),
+        ({"input_change": {"u": np.nan}}, "input_change is {'u': nan}: give finite numbers."),
+    ],
+)
+def test_what_is_no_spectrum_is_refused(changes, words):
+    with pytest.raises(ValueError, match=re.escape(words)):
+        spectrum(**changes)
+
+
+def test_rounding_of_frequencies_is_allowed():
+    """A millionth of a line of the first, and of the frequency for the others."""
+    assert len(spectrum(omega=OMEGA * (1 + 0.9e-6))) == 4
+    assert len(spectrum(omega=OMEGA * (1 - 0.9e-6))) == 4
+
+
+def test_numbers_and_names_make_the_checksum():
+    known = spectrum(input_change={"u": 0.5})
+    assert known.checksum == spectrum(input_change={"u": 0.5}, name="another", source="file").checksum
+    others = [
+        {"input_change": {}},
+        {"input_change": {"u": 0.6}},
+        {"step": 0.01},
+        {"inputs": {"v": KNOWN["inputs"]["u"]}},
+        {"outputs": {"z": KNOWN["outputs"]["y"]}},
+        {"outputs": {"y": [4 + 2j, 1 - 1j, 0.3j, 0.2]}},
+    ]
+    sums = {spectrum(**{"input_change": {"u": 0.5}} | each).checksum for each in others}
+    assert len(sums | {known.checksum}) == 7
+    assert [*known.signals] == ["u", "y"]
+    assert not known.omega.flags.writeable
+    assert not known.inputs["u"].flags.writeable
+    assert repr(known) == "<TransientSpectrum '', 4 frequencies, 1.698 to 15.28 rad/s, 3.7 s, u to y>"
