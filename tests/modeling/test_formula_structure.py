@@ -60,6 +60,7 @@ def test_a_term_is_linear_or_left_over_even_where_its_derivative_is_zero(name, l
         (ca.copysign(z[0], z[1]), True, True),
         (1e-3 * gb.sign(z[0] ** 3 + z[0] - 20), True, True),
         (1e9 + 1e-3 * gb.sign(z[0]), False, False),  # a part in 1e12 is rounding
+        (-1e9 + 1e-3 * gb.sign(z[0]), False, False),
         (gb.sign(z[0]) * (abs(z[0]) + 1), True, True),
         (gb.where(z[0] > 0, gb.sign(z[1]), 0.0), True, True),
         (abs(z[0]), True, False),
@@ -148,3 +149,80 @@ def test_the_instant_of_a_switch_has_a_derivative():
     means = [integral(gb.sign(z[0] - p), lambda x: 1.0, 65, threshold) for threshold in c]
     assert_allclose(means, 2 * np.arccos(c / 1.6) / np.pi - 1, atol=1e-4)
     assert (means[1] - means[0]) / 0.001 == pytest.approx(-2 / np.pi / np.sqrt(1.6**2 - 0.3**2), rel=0.02)
+
+
+def test_coefficients_are_those_of_an_affine_formula_whatever_it_is_written_with():
+    """Sums, differences, signs, doublings, products and quotients by constants, and terms that cancel."""
+    formula = (
+        -(z[0] + z[0]) + (z[1] * p) / (1 + p) - (z[2] - z[2] + 3) * (z[0] - 2 * p) + ca.if_else(p > 0, 7 * z[2], 0)
+    )
+    formula = formula - (p - z[1]) / -4
+    linear, rest = separated(ca.vertcat(formula, p * p - 5), z)
+    value = ca.Function("both", [p], [linear, rest])
+    for at, gate in ((2.0, 1.0), (-3.0, 0.0)):
+        found, left = (np.asarray(ca.DM(v)) for v in value(at))
+        assert_allclose(found, [[-5, at / (1 + at) - 0.25, 7 * gate], [0, 0, 0]])
+        assert_allclose(left.ravel(), [6 * at + at / 4, at**2 - 5])
+
+
+@pytest.mark.parametrize(
+    ("formula", "linear_in"),
+    [
+        ((z[0] - z[0] + p) * z[1], [1]),
+        (p / (1 + z[0]) + z[2], [2]),
+        ((z[0] + 2) ** 2 + z[1], [1]),
+        (ca.if_else(z[0] > p, 0, 1) * 2 - z[1], [1]),
+        ((z[0] * z[1] + z[2]) * 3 - z[1], [1, 2]),
+        ((ca.sin(z[0]) + p) * z[1], []),
+        (z[1] / (p + z[0] ** 2) + z[2] * (p - p * z[0]), []),
+    ],
+    ids=str,
+)
+def test_what_is_multiplied_by_a_signal_is_not_linear(formula, linear_in):
+    linear, rest = separated(ca.SX(formula), z)
+    assert [j for j in range(3) if not linear[0, j].is_zero()] == linear_in
+    both = ca.Function("both", [z, p], [formula, linear @ z + rest])
+    whole, parts = both([0.3, -1.7, 2.2], 0.6)
+    assert float(whole) == pytest.approx(float(parts))
+
+
+def test_jumps_of_nested_switches_are_those_of_the_signals_that_decide_the_inner_ones():
+    """The outer sign turns where the inner one does."""
+    formula = gb.sign(gb.sign(z[0]) + 0.5 * gb.sign(z[1]))
+    assert has_jumps(formula, z, z[0])
+    assert not has_jumps(formula, z, z[2])
+    assert has_jumps(gb.sign(z[0] - gb.sign(z[1])), z, z[1])
+
+
+def interval(formula, at, slopes, sizes, length=0.5):
+    symbols = ca.SX.sym("slopes", 3), ca.SX.sym("sizes", 3)
+    function = ca.Function("mean", [z, *symbols, p], list(interval_mean(formula, z, *symbols, length)))
+    return [float(v) for v in function(at, slopes, sizes, 0.0)]
+
+
+@pytest.mark.parametrize(
+    ("formula", "z0", "slope", "size", "turn"),
+    [
+        (gb.sign(z[0]), 0.1, 0.0, 2.0, -0.1),  # 0.1 / 2 of half a second
+        (gb.sign(z[0]), 0.1, 3.0, 4.0, -0.04),
+        (gb.sign(z[0]), 0.1, -3.0, 4.0, 0.04),
+        (gb.sign(z[0]), -0.1, 3.0, 4.0, 0.04),
+        (gb.sign(2 * z[0]), 0.1, 3.0, 4.0, -0.04),
+        (gb.sign(z[0]), 0.1, 3.0, 0.0, -0.2 / 3),
+        (gb.sign(z[0] + 2 * z[1]), 0.1, 0.0, 3.0, -0.1 / (0.5 * np.hypot(3, 2 * 3))),
+    ],
+    ids=str,
+)
+def test_a_switch_turns_as_fast_as_its_argument_moves_and_its_signals_usually_do(formula, z0, slope, size, turn):
+    """So many intervals from the middle; integrals of ±1 and of the time before and after, less a 24th at both ends."""
+    mean, moment = interval(formula, [z0, 0, 0], [slope, 0, 0], [size, size, 0])
+    after = 1 if slope >= 0 else -1
+    assert mean == pytest.approx(after * ((0.5 - turn) - (0.5 + turn)))
+    integral = 0.5 * after * ((0.25 - turn**2) / 2 - (turn**2 - 0.25) / 2)
+    assert moment == pytest.approx(integral - after * 2 * 0.5 / 24)
+
+
+def test_an_interval_without_a_turn_has_the_value_in_its_middle():
+    mean, moment = interval(gb.sign(z[0]) * z[1] ** 2, [1.0, 3.0, 0], [0.5, 0.2, 0], [0, 0, 0])
+    assert mean == pytest.approx(9)
+    assert moment == pytest.approx(0)

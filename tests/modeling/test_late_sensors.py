@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose
 from spring_lag_tilt import SPRING, Spring, assert_true, fit
 
 import greybox as gb
+from greybox.modeling.late_sensors import LateSensors
 from greybox.modeling.model import Names
 from greybox.modeling.model_reference import reference, resolve
 
@@ -100,3 +101,34 @@ def test_what_is_no_late_sensor_is_refused():
     ):
         with pytest.raises(ValueError, match=reason):
             gb.modeling.late_sensors(Lateral(), **options)
+
+
+def test_late_sensors_have_states_and_a_parameter_between_their_bounds():
+    assert LATE.label == f"{Lateral().label}, late beta, a_y"
+    added = ("beta_delay_0", "beta_delay_1", "a_y_lag_0")
+    assert LATE.states == (*Lateral().states, *added)
+    assert (LATE.inputs, LATE.outputs) == (tuple(Lateral().inputs), tuple(Lateral().outputs))
+    for name, kind, sensor in (("beta_delay", "delay", "beta"), ("a_y_lag", "lag", "a_y")):
+        parameter = LATE.parameters[name]
+        assert parameter.start == pytest.approx(np.sqrt(0.01 * 0.3))
+        assert (parameter.bounds, parameter.unit) == ((0.01, 0.3), "s")
+        assert parameter.about == f"{kind} of the sensor of {sensor}"
+    for bounds in ((0.2, 0.2), (0.3, 0.2), (0.1, np.inf)):
+        with pytest.raises(ValueError, match=r"the lag of 'p' has the bounds .*: give 0 < low < high, in s"):
+            gb.modeling.late_sensors(Lateral(), lags={"p": bounds})
+
+    class Taken(Decay):
+        y_lag_0 = gb.Parameter(1.0)
+
+    with pytest.raises(ValueError, match="Taken has 'y_lag_0' already, which names the lag of 'y'"):
+        gb.modeling.late_sensors(Taken(), lags={"y": (0.1, 0.2)})
+
+
+def test_what_a_sensor_shows_follows_the_output_through_its_states():
+    """A lag by its time constant; a delay as the quotient of 1 ∓ sT/2 + (sT)²/12."""
+    shown, rates = LateSensors._sensor(5.0, [2.0], 0.4)
+    assert (shown, rates) == (2.0, pytest.approx([7.5]))
+    late = gb.modeling.late_sensors(Decay(), delays={"y": (0.01, 0.5)})
+    s = 1j * np.array([0.7, 4.0, 20.0])
+    found = gb.frequency_response(late, {"a": 3.0, "y_delay": 0.3}, s.imag).response
+    assert_allclose(found, (1 - 0.15 * s + 0.09 * s**2 / 12) / (1 + 0.15 * s + 0.09 * s**2 / 12) / (s + 3))

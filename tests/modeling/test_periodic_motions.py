@@ -277,3 +277,41 @@ def test_a_motion_of_a_symmetric_model_has_its_twin(monkeypatch):
     assert len(found) == 2
     assert found[0] is x
     assert_allclose(found[1], twin)
+
+
+def test_motions_are_distinct_by_a_thousandth_of_their_size():
+    x = np.array([3.0, 4.0])
+    near, far, rest = np.array([3.0, 4.0049]), np.array([3.0, 4.0051]), np.zeros(2)
+    assert [m is x for m in periodic._distinct([x, near])] == [True]
+    assert [id(m) for m in periodic._distinct([x, near, far, rest, rest])] == [id(m) for m in (x, far, rest)]
+
+
+def test_equations_without_a_solution_of_any_use_have_none():
+    matrix, right = np.array([[2.0, 1.0], [0.0, 4.0]]), np.array([5.0, 8.0])
+    assert_allclose(periodic._solution(matrix, right), [1.5, 2.0])
+    assert periodic._solution(np.ones((2, 2)), right) is None
+    assert periodic._solution(np.where(matrix == 4, np.nan, matrix), right) is None
+    assert periodic._solution(matrix, np.array([5.0, np.inf])) is None
+    assert periodic._solution(np.eye(2), np.array([-0.99e6, 0.0])) is not None
+    assert periodic._solution(np.eye(2), np.array([-1.01e6, 0.0])) is None
+
+
+def test_all_motions_are_said_with_gain_phase_and_stability():
+    motions = [periodic._Motion(np.zeros(1), r, s) for r, s in ((1.5j, True), (-0.25, False), (2 + 0j, None))]
+    omega, sine = np.array([1.0, 2.0]), gb.modeling.Sine("u", [0.1, 0.5])
+    said = periodic._said(Spring(), sine, omega, 1, [*motions, motions[0]], motions[2])
+    assert said == (
+        "Spring has 4 periodic motions at omega = 2 rad/s in which u is a sine of amplitude 0.5, with the responses "
+        "1.5 at 90.0°, stable; 0.25 at 180.0°, unstable; 2 at 0.0°: that of 2 is used, but a test may show another, "
+        "depending on how it began."
+    )
+
+
+def test_the_first_frequency_without_a_motion_is_named():
+    sine = gb.modeling.Sine("u", [0.1, 0.5, 0.7])
+    omega, response = np.array([1.0, 2.0, 3.0]), np.array([1.0, np.nan, np.nan + 0j])
+    with pytest.raises(
+        ValueError, match=r"no periodic motion at omega = 2 rad/s in which u is a sine of amplitude 0.5:"
+    ):
+        periodic._require_finite(Spring(), omega, sine, response)
+    periodic._require_finite(Spring(), omega[:1], gb.modeling.Sine("u", 0.1), response[:1])

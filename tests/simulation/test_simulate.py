@@ -403,3 +403,22 @@ def test_a_simulation_diverges_where_it_grew_before(q, sentence):
         return
     with pytest.raises(ValueError, match=re.escape(sentence)):
         _require_bounded(simulated, np.array([0, 0.1, 0.2]), SAID)
+
+
+def test_two_samples_are_enough_and_one_of_a_static_model():
+    record = driven(1.0)
+    found = gb.simulate(Spring(), {}, record.rows(np.arange(2)), initial={"position": 1.0, "velocity": -2.0})
+    assert found["position"][1] == pytest.approx(1 - 2 * 0.02, abs=2e-3)
+    assert found["velocity"].tolist()[0] == -2.0
+
+    class Gain(gb.StateSpace):
+        inputs, outputs = ("force",), ("position",)
+        K = gb.Parameter(3.0)
+
+        def output(self, x, u, p):
+            return (p.K * u.force,)
+
+    one = record.rows(np.arange(5, 6))
+    assert gb.simulate(Gain(), {}, one)["position"] == pytest.approx(3 * one["force"])
+    with pytest.raises(ValueError, match="has no sample with all inputs"):
+        gb.simulate(Gain(), {}, one.with_signals(force=np.full(1, np.nan)))

@@ -182,7 +182,7 @@ def test_a_model_without_states_has_the_mean_square_of_each_output_as_noise():
     known = state_estimation.without_states(errors, np.diag([0.5, 0.25]), np.ones(2))
     assert_allclose(known.noise, np.diag([0.5, 0.25]), rtol=1e-9)
     nothing = state_estimation.without_states(np.full((1, 3, 1), np.nan), None, np.array([2.0]))
-    assert 0 < nothing.noise[0, 0] < 1e-6
+    assert nothing.noise[0, 0] == pytest.approx((2e-9) ** 2)
 
 
 def test_the_prior_of_few_windows_is_as_weak_as_the_spread_of_the_outputs():
@@ -215,6 +215,12 @@ def test_the_noise_is_that_of_the_residuals_less_what_the_states_have_fitted_awa
     )
     assert 0.05 < fitted < 0.9
     assert_allclose(found, np.diag((e**2).sum(axis=(0, 1)) / [15, 12] / (1 - fitted)), rtol=1e-6)
+    e[..., 1], S[..., 1, :], present[..., 1] = 0.0, 0.0, False  # an output that was not measured
+    found = state_estimation._noise_of(e, S, present, posterior, R, np.array([1.0, 50.0]))
+    assert found[1, 1] == pytest.approx((50e-9) ** 2)
+    # What many states fit away leaves a tenth of the freedom at least.
+    found = state_estimation._noise_of(e, S, present, 1e3 * posterior, R, np.ones(2))
+    assert found[0, 0] == pytest.approx((e[..., 0] ** 2).sum() / (15 * 0.1))
 
 
 def test_a_step_is_halved_in_the_windows_where_it_costs_more():

@@ -155,3 +155,10 @@ def test_harmonics_are_fitted_up_to_four_fifths_of_half_the_sampling_rate(per_pe
     t = samples(200)
     amplitudes, _, _ = least_squares(t, np.sin(t)[None], 2 * math.pi / (0.1 * per_period), 3.0, 4)
     assert amplitudes.shape == (1, expected)
+
+
+def test_one_harmonic_is_fitted_unless_more_are_asked_for():
+    t = irregular(3, 12.0)
+    values = sine(t - t[0], 4.0, 1 - 2j) + 0.5 * np.sin(8.0 * (t - t[0]))
+    assert abs(demodulate(t, values, 4.0) - (1 - 2j)) > 1e-5
+    assert abs(demodulate(t, values, 4.0, harmonics=2) - (1 - 2j)) < 1e-9

@@ -6,7 +6,7 @@ import pytest
 import greybox as gb
 from greybox.data.record import Record
 from greybox.data.test_segment import Segment
-from greybox.spectral.test_quality import check
+from greybox.spectral.test_quality import Finding, check
 
 RANDOM = np.random.default_rng(3)
 
@@ -262,3 +262,38 @@ def test_two_values_are_few_and_one_is_a_constant():
     assert refused.refusals == ("none of the excited segments is usable: fly the test again.",)
     (told,) = [f for f in refused.findings if f.severity == "warning"]
     assert (told.text, told.value) == ("the sine from 0.0 s is not usable: aborted.", 0)
+
+
+def test_findings_hold_their_numbers_and_print_the_most_serious_first():
+    """Two gaps of 1 and 3 s in 48 s, a control at its limits for half of the time, one octave measured."""
+    time = np.arange(4800) / 100
+    kept = (np.abs(time - 10.5) > 0.499) & (np.abs(time - 30.5) > 1.499)
+    u = np.sign(np.sin(3 * time)) * np.minimum(1, np.abs(2 * np.sin(3 * time)) ** 0.5)
+    noisy = gb.FrequencyResponse(
+        [1.0, 1.5, 1.9], [2, 2, 2], variance=[0.02, 0.18, 0.5], coherence=[0.9, 0.55, 0.4], input="u", output="theta"
+    )
+    quality = check(Record(time[kept], {"u": u[kept], "theta": np.sin(time[kept])}), noisy)
+    told = {f.about: (f.severity, f.value, f.text) for f in quality.findings}
+    share = 4.0 / 47.99
+    assert told["gaps"][0] == "warning"
+    assert told["gaps"][1] == pytest.approx(share)
+    assert told["gaps"][2] == "2 gaps, the longest 3 s, 8.3 % of the time: nothing is interpolated across them."
+    limited = np.mean(np.abs(np.sin(3 * time[kept])) > 0.5)
+    assert told["saturation"][0] == "refusal"
+    assert told["saturation"][1] == pytest.approx(limited, abs=0.01)
+    assert told["saturation"][2].startswith(f"the control u is at a limit for {100 * told['saturation'][1]:.0f} % of")
+    assert told["noise"][:2] == ("warning", pytest.approx(np.sqrt(0.18 / 2) / 2))
+    assert told["noise"][2].startswith("half of the points have a standard deviation above 15 %")
+    assert told["length"][:2] == ("warning", pytest.approx(18 / (2 * np.pi), rel=2e-3))
+    assert told["spread"][:2] == ("warning", pytest.approx(1.9))
+    assert [f.value for f in quality.findings if f.about == "coherence"] == [2, 0.55]
+    assert [f.severity for f in quality.findings] == ["refusal", *["warning"] * 6]
+    assert quality.refusals == (told["saturation"][2],)
+    lines = str(quality).splitlines()
+    assert lines[0] == f"refusal: {told['saturation'][2]}"
+    assert lines[8].split() == "band rad/s points coherence error % samples per period".split()
+    assert lines[10].split() == ["1", "to", "2", "3", "0.55", "15", f"{2 * np.pi * 100 / 1.9:.3g}"]
+    assert repr(quality) == "<Quality not usable, 7 findings>"
+    worse = quality.with_findings(Finding("test", "note", 1.0, "a"), Finding("test", "refusal", 2.0, "b"))
+    assert [f.text for f in worse.findings][1] == "b"
+    assert [f.text for f in worse.findings][-1] == "a"
