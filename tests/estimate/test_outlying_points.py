@@ -7,7 +7,7 @@ from scipy.stats import f as fisher
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.estimate.diagnostics.outlying_points import SIZE, largest_deviation
+from greybox.estimate.diagnostics.outlying_points import SIZE, _ratios, _share, largest_deviation
 from greybox.problems import pitch_hover
 
 TRUTH = {"K": 5.0, "T": 0.3}
@@ -184,3 +184,29 @@ def test_what_the_criterion_does_not_use_is_mentioned(criterion, columns, said, 
     assert [text[: len(said)] for text in found] == ([said] if said else [])
     gb.save(fit, tmp_path / "fit.h5")
     assert gb.load(tmp_path / "fit.h5").notes == fit.notes
+
+
+@pytest.mark.parametrize(
+    ("probability", "said"),
+    [(0.0099, 100), (0.5, 2), (0.51, 1), (1.0, 1), (1 / 1290.5, 1300), (0.0, 1e12)],
+)
+def test_a_probability_is_one_in_so_many(probability, said):
+    assert float(_share(probability).removeprefix("one in ")) == said
+
+
+def test_a_point_that_a_parameter_of_its_own_fits_is_not_judged():
+    random = np.random.default_rng(2)
+    residual = 0.1 * (random.normal(size=6) + 1j * random.normal(size=6))
+    own = np.zeros((6, 2), complex)
+    own[3] = 1, 1j
+    ratio, left = _ratios(residual, own, least=0.0)
+    assert left == 12 - 2 - 2
+    assert np.isnan(ratio).tolist() == [False, False, False, True, False, False]
+    squares = np.abs(residual) ** 2
+    for k in (0, 1, 2, 4, 5):  # nothing else is fitted: its own square over the mean of the others
+        rest = squares.sum() - squares[3] - squares[k]
+        assert ratio[k] == pytest.approx(squares[k] / 2 / (rest / 8))
+    for least in (0.5, 1e-9):
+        ratio, _ = _ratios(residual, own, least=least)
+        mean = max((squares.sum() - squares[3] - squares[0]) / 8, least)
+        assert ratio[0] == pytest.approx(squares[0] / 2 / mean)

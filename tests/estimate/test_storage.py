@@ -20,6 +20,7 @@ import greybox as gb
 from greybox.data.record_file import read_record, write_record
 from greybox.data.sealed_files import seal
 from greybox.estimate import storage
+from greybox.estimate.fitted_part import FittedPart, FittedRecord
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.models.polynomial import Polynomial
 from greybox.models.rotor import Rotor
@@ -456,3 +457,103 @@ def test_nothing_in_greybox_pickles_or_evaluates_text():
         text = file.read_text(encoding="utf-8")
         assert not re.search(r"^\s*(import|from)\s+(pickle|dill|cloudpickle|joblib|shelve|marshal)\b", text, re.M), file
         assert not re.search(r"allow_pickle\s*=\s*True|(?<![\w.])eval\(|(?<![\w.])exec\(", text), file
+
+
+FLOWN = gb.Record(np.arange(6.0), {"u": np.arange(6.0) ** 2 / 9, "y": np.ones(6)})
+
+
+def flown(**changes):
+    """A record as an answer keeps it, beside the response of the fit."""
+    simulated = FLOWN.with_signals(y=np.zeros(6))
+    given = {name: getattr(LAG.parts[0], name) for name in (f.name for f in dataclasses.fields(FittedPart))}
+    given |= {"data": FLOWN, "simulated": simulated, "outputs": ("y",), "noise": np.eye(1), "initial": {}, "method": ""}
+    given |= {"inputs": "held", "biases": (), "gains": (), "driven": (), "nuisances": 1}
+    given |= {"information": None, "information_alone": None}
+    return FittedRecord(**(given | changes))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda fit: {"quantities": (*fit.quantities, fit.quantities[0])}, "two quantities have the same name"),
+        (lambda fit: {"free": (*fit.free, "lost")}, "a parameter has no value"),
+        (lambda fit: {"names": (*fit.names, "lost")}, "a parameter has no value"),
+        (lambda fit: {"names": (*fit.names, fit.names[0])}, "a parameter appears twice in the covariance"),
+        (lambda fit: {"parts": ()}, "it has no data or no runs"),
+        (lambda fit: {"runs": fit.runs[fit.runs.cost < 0]}, "it has no data or no runs"),
+        (lambda fit: part(fit, information=np.zeros(2)), "what its data tell is incomplete"),
+        (lambda fit: part(fit, information=np.zeros((3, 4))), "what its data tell is incomplete"),
+        (lambda fit: part(fit, information_alone=np.zeros((1, 4))), "what its data tell is incomplete"),
+        (lambda fit: part(fit, response=np.zeros(2, complex)), "the fitted response and the data differ in length"),
+        (lambda fit: part(fit, sine=gb.modeling.Sine("u", [1.0, 2.0])), "an amplitude is missing"),
+        (lambda fit: {"parts": (flown(outputs=("z",)),)}, "an output is not in the record"),
+        (lambda fit: {"parts": (flown(inputs="guessed"),)}, "how its inputs run between samples is not known"),
+        (
+            lambda fit: {"parts": (flown(simulated=gb.Record(np.arange(6.0) + 1, {"y": np.ones(6)})),)},
+            "the simulated record has other times than its data",
+        ),
+        (
+            lambda fit: {"parts": (flown(simulated=gb.Record(np.arange(6.0), {"u": np.arange(6.0)})),)},
+            "an output is not in the record",
+        ),
+        (lambda fit: {"parts": (flown(),)}, ""),
+        (lambda fit: part(fit, sine=gb.modeling.Sine("u", 1.0)), ""),
+        (lambda fit: part(fit, information=None, information_alone=np.zeros((2, 4))), ""),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(change, said):
+    assert LAG.free == ("K", "T")
+    changed = dataclasses.replace(LAG, **change(LAG))
+    if said:
+        with pytest.raises(ValueError, match=f"^{said}$"):
+            storage._checked(changed)
+    else:
+        assert storage._checked(changed) is changed
+
+
+def part(fit, **changes):
+    return {"parts": (dataclasses.replace(fit.parts[0], **changes),)}
+
+
+def test_minima_are_those_of_their_runs_the_best_run_first():
+    runs = LAG.runs[np.zeros(5, int)]
+    runs = dataclasses.replace(runs, cost=np.array([3.0, 1.0, 2.0, 9.0, 1.5]))
+    estimate = np.array([[1.0, 2.0], [3.0, 4.0]])
+    file = {
+        "minima": {"cost": np.array([1.0, 1.5]), "variants": np.array([2, 1]), "estimate": estimate},
+        "runs/minimum": np.array([0, 0, 1, -1, 1]),
+    }
+    first, second = storage._read_minima(file, runs, 2)
+    assert (first.cost, first.runs, first.variants) == (1.0, (1, 0), 2)
+    assert (second.cost, second.runs, second.variants) == (1.5, (4, 2), 1)
+    assert second.estimate.tolist() == [3.0, 4.0]
+    file["runs/minimum"] = np.array([0, 0, 2, -1, 1])
+    with pytest.raises(ValueError, match=r"^a run ended at a minimum that it does not have$"):
+        storage._read_minima(file, runs, 2)
+    file["runs/minimum"] = np.array([0, 0, 0, -1, -1])
+    with pytest.raises(ValueError, match=r"^no run ended at one of its minima$"):
+        storage._read_minima(file, runs, 2)
+
+
+@pytest.mark.parametrize(
+    ("read", "value", "said"),
+    [
+        (storage._text, 3, "3 is not text"),
+        (storage._json_object, "[1]", r"\[1\] has no names"),
+        (storage._json_names, '{"a": 1}', r"\{'a': 1\} is not a list"),
+        (storage._json_names, "[1]", "1 is not text"),
+        (storage._json_texts, '{"a": 1}', "1 is not text"),
+        (lambda v: storage._array(v, (2,)), np.zeros(3), r"its shape is not \(2,\)"),
+        (lambda v: storage._read_equivalents(v, 2), np.zeros((1, 3)), "the parameter vectors of one response are not"),
+        (lambda v: storage._read_equivalents(v, 2), np.zeros((0, 2)), "the parameter vectors of one response are not"),
+        (lambda v: storage._read_equivalents(v, 2), np.zeros(2), "the parameter vectors of one response are not"),
+        (
+            lambda v: storage._read_priors(v, ("a",)),
+            {"priors": '{"b": [1, 2]}'},
+            "a parameter with a prior was not free",
+        ),
+    ],
+)
+def test_values_of_another_kind_are_refused(read, value, said):
+    with pytest.raises(ValueError, match=f"^{said}"):
+        read(value)
