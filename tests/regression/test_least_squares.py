@@ -156,3 +156,35 @@ def test_the_autocovariance_is_that_of_the_samples_under_the_window_of_parzen():
 def test_exact_residuals_have_no_color():
     parts = blocks()
     assert autocovariances(parts, [0 * b.base for b in parts])[0].lags.tolist() == [0.0]
+
+
+@pytest.mark.parametrize(("angle", "is_undetermined"), [(1.8e-7, True), (2.2e-7, False)])
+def test_columns_nearer_than_the_root_of_the_rounding_are_one(angle, is_undetermined):
+    """Of two unit columns at an angle, the singular values are the roots of 1 ± cos: their ratio is half of it."""
+    first = np.array([3.0, 4.0, 0.0])
+    second = 70 * (np.cos(angle) * first + np.sin(angle) * np.array([-4.0, 3.0, 0.0]))
+    slopes = np.column_stack([first, [0.0, 0.0, 1e-3], second])
+    made = [Block(0, np.ones(3), np.zeros(3), slopes)]
+    assert undetermined(made) == ([(0, 2)] if is_undetermined else [])
+
+
+def test_few_residuals_have_two_lags_and_any_unit():
+    """Of six, of which a fifth would be one."""
+    errors = 1e-3 * np.array([1.0, 0.9, -0.2, 0.4, 0.5, -1.1])
+    (found,) = autocovariances([Block(0, errors, 0 * errors, errors[:, None])], [errors])
+    raw = np.array([errors @ errors, errors[1:] @ errors[:-1]]) / 6
+    length = max(1.0, 2 * (1 + (raw[1] / raw[0]) ** 2) - 1 - 2 * 2 / 6)
+    assert_allclose(found.lags, raw * [1, 2 * 0.5**3])
+    assert found.independent == pytest.approx(6 / length)
+    (larger,) = autocovariances([Block(0, errors, 0 * errors, errors[:, None])], [1e5 * errors])
+    assert_allclose(larger.lags, 1e10 * found.lags)
+
+
+def test_white_residuals_are_worth_no_more_than_they_are():
+    worth = []
+    for seed in range(10):
+        errors = np.random.default_rng(seed).normal(size=300)
+        (found,) = autocovariances([Block(0, errors, 0 * errors, errors[:, None])], [errors])
+        worth.append(found.independent)
+    assert max(worth) == 300
+    assert min(worth) > 150

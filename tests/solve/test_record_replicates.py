@@ -131,3 +131,59 @@ def test_each_record_is_left_out_once():
         fit = gb.fit(gb.several(Ramp(), others), starts=[{}], progress=False)
         assert_allclose(found.estimate, fit.estimate["K"], rtol=1e-6)
         assert found.converged
+
+
+class Pair(gb.StateSpace):
+    """A constant that two sensors see."""
+
+    states, inputs, outputs = (), ("u",), ("y", "z")
+    K = gb.Parameter(1.0, bounds=(-10, 10))
+
+    def output(self, x, u, p):
+        return (p.K * u.u, 3 * p.K * u.u)
+
+
+def pair_draws(drawn, block=1, missing=(), noise="full"):
+    random = np.random.default_rng(4)
+    errors = np.linalg.cholesky([[0.04, -0.03], [-0.03, 0.09]]) @ random.normal(size=(2, 30))
+    u = 1 + 0.1 * np.arange(30)
+    y, z = 2 * u + errors[0], 6 * u + errors[1]
+    y[list(missing)] = np.nan
+    nlp = compile_problem(
+        gb.Problem(Pair(), gb.Record(np.arange(30) / 10, {"u": u, "y": y, "z": z}), gb.OutputError(noise=noise))
+    )
+    trajectory = nlp.parts[0].initial_trajectory(nlp.scaling.to_solver(np.array([2.0])))
+    return record_draws(nlp, (trajectory,), (None,), drawn, 5, block), np.array([y - 2 * u, z - 6 * u])
+
+
+def test_errors_of_two_outputs_are_drawn_together():
+    """With their covariance, enlarged for one parameter of sixty numbers."""
+    draws, errors = pair_draws("parametric")
+    covariance = errors @ errors.T / 30 * 60 / 59
+    assert_allclose(draws.roots[0] @ draws.roots[0].T, covariance, rtol=1e-9)
+    assert_allclose(draws.residuals[0], np.sqrt(60 / 59) * (errors - errors.mean(axis=1, keepdims=True)), rtol=1e-9)
+    drawn = np.array([draws.outputs(k)[0][0] - draws.stretches[0][0].fitted for k in range(150)])
+    found = np.einsum("rkn,rln->kl", drawn, drawn) / (150 * 30)
+    assert_allclose(found, covariance, rtol=0.1)
+
+
+def test_blocks_of_residuals_are_drawn_of_both_outputs_at_once_and_what_is_missing_from_the_others():
+    draws, _ = pair_draws("blocks", block=5, missing=(3, 4, 17), noise="diagonal")
+    residuals = draws.residuals[0]
+    known = residuals[0][np.isfinite(residuals[0])]
+    replaced = 0
+    for number in range(4):
+        drawn = draws.outputs(number)[0][0] - draws.stretches[0][0].fitted
+        assert np.flatnonzero(np.isnan(drawn[0])).tolist() == [3, 4, 17]
+        places = [int(np.argmin(np.abs(residuals[1] - value))) for value in drawn[1]]
+        assert_allclose(residuals[1][places], drawn[1], atol=1e-12)
+        in_blocks = [(places[k + 1] - places[k]) % 30 == 1 for k in range(29) if k % 5 != 4]
+        assert all(in_blocks)
+        for k in np.flatnonzero(np.isfinite(drawn[0])):
+            own = residuals[0][places[k]]
+            if np.isnan(own):
+                replaced += 1
+                assert np.abs(known - drawn[0][k]).min() < 1e-12
+            else:
+                assert drawn[0][k] == pytest.approx(own, abs=1e-12)
+    assert replaced > 0

@@ -8,7 +8,9 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
+from greybox.solve.outcome import SEARCH_OVER
 from greybox.solve.response_replicates import ResponseDraws, response_draws, response_replicates
+from greybox.solve.time_limits import TimeLimits, limited
 
 
 def draws(drawn, *, parts=1, points=3, unknowns=4):
@@ -135,6 +137,22 @@ def leverage(slopes, size):
     return np.diag(rows @ np.linalg.pinv(rows)).reshape(2, -1).mean(axis=0)
 
 
+def test_residuals_of_several_parts_have_leverages_in_one_fit():
+    sets = two_parts()
+    _, made, (gain, lag) = runner_of("residuals", sets)
+    slopes, left = [], []
+    for data in sets:
+        model = gain / (lag * 1j * data.omega + 1)
+        rows = np.transpose([model / gain, -1j * data.omega * model**2 / gain]) / np.abs(model)[:, None]
+        left.append((data.response - model) / np.abs(model))
+        slopes.append(rows / np.sqrt(np.mean(np.abs(left[-1]) ** 2)))  # each in units of its own residuals
+    stacked = np.vstack([np.vstack([rows.real, rows.imag]) for rows in slopes])
+    each = np.diag(stacked @ np.linalg.pinv(stacked))
+    found = each[:10].reshape(2, 5).mean(axis=0), each[10:].reshape(2, 4).mean(axis=0)
+    for errors, own, h in zip(made.errors, left, found, strict=True):
+        assert_allclose(errors, own / np.sqrt(1 - h), rtol=1e-6)
+
+
 @pytest.mark.parametrize(("at_bound", "free"), [((False, False), [0, 1]), ((True, False), [1])])
 def test_residuals_are_enlarged_by_their_leverage(at_bound, free):
     made, model, left, slopes = lag_draws(0.05, gb.SquaredRelativeError(), at_bound=at_bound)
@@ -197,3 +215,120 @@ def test_a_replicate_is_refitted_as_its_data_would_be():
         fit = gb.fit(gb.Problem(Lag(), data, gb.SquaredRelativeError()), starts=[{}], progress=False, profiles=False)
         assert outcome.converged
         assert outcome.estimate == pytest.approx([fit.estimate["K"], fit.estimate["T"]], rel=1e-5)
+
+
+def test_errors_of_neighbors_in_frequency_are_correlated_along_and_across_the_response():
+    """Of points that are not in order, by the autocorrelation of an AR(1); variances are enlarged in all of them."""
+    made = draws("parametric", points=4)
+    table = made.tables[0].copy()
+    table[0] = [3.0, 1.0, 4.0, 2.0]
+    response = np.array([1.0, 2j, -3.0, 2 - 1j])
+    made = replace(
+        made,
+        tables=(table,),
+        responses=(response,),
+        sizes=(np.array([1.0, 0.5, 2.0, 1.5]),),
+        deviations=(0.3,),
+        neighbors=((0.8, 2.5),),
+    )
+    errors = (measured_points([made.replicate(k) for k in range(2000)], 4) - response) / made.sizes[0]
+    turned = errors * np.exp(-1j * np.angle(response))
+    wanted = 2.5 * 0.09 * 0.8 ** np.abs(table[0] - table[0][:, None])
+    for component in (turned.real, turned.imag):
+        assert component.T @ component / 2000 == pytest.approx(wanted, abs=0.025)
+    assert turned.real.T @ turned.imag / 2000 == pytest.approx(np.zeros((4, 4)), abs=0.025)
+    plain = replace(made, neighbors=(None,))
+    errors = (measured_points([plain.replicate(k) for k in range(2000)], 4) - response) / made.sizes[0]
+    assert errors.real.T @ errors.real / 2000 == pytest.approx(0.09 * np.eye(4), abs=0.012)
+
+
+def two_parts():
+    """Two records of responses of one lag, of five and four points."""
+    random, model = np.random.default_rng(6), 2 / (0.5j * OMEGA + 1)
+    sets = []
+    for points in (slice(0, 5), slice(1, 5)):
+        noise = 0.05 * (random.normal(size=5) + 1j * random.normal(size=5))
+        sets.append(gb.FrequencyResponse(OMEGA[points], (model * (1 + noise))[points], "u", "y", name=f"of {points}"))
+    return sets
+
+
+def joint(sets):
+    criterion = gb.SquaredRelativeError()
+    return gb.Problem(Lag(), sets[0], criterion) + gb.Problem(Lag(), sets[1], criterion)
+
+
+def refitted(problem):
+    fit = gb.fit(problem, starts=[{}], progress=False, profiles=False)
+    return [fit.estimate["K"], fit.estimate["T"]]
+
+
+def runner_of(drawn, sets):
+    nlp = compile_problem(joint(sets))
+    x = np.array(refitted(joint(sets)))
+    made = response_draws(nlp, x, np.zeros(2, bool), np.zeros((0, 0)), drawn, 4)
+    return response_replicates(nlp, made, x), made, x
+
+
+@pytest.mark.parametrize("by_ipopt", [False, True])
+def test_each_point_of_each_part_is_left_out_once(monkeypatch, by_ipopt):
+    """In one batch with replicates, whose points are as many as were measured; and so where IPOPT solves them."""
+    if by_ipopt:
+        monkeypatch.setattr("greybox.solve.response_replicates.MOST_UNKNOWNS", 1)
+    sets = two_parts()
+    runner, made, _ = runner_of("points", sets)
+    assert runner.left_out == 9
+    outcomes = runner.run_together(np.array([[-1.0 - 6], [3.0], [-1.0 - 2]]))
+    keep = np.arange(5)
+    first = gb.FrequencyResponse(OMEGA[keep != 2], sets[0].response[keep != 2], "u", "y")
+    second = gb.FrequencyResponse(sets[1].omega[keep[:4] != 1], sets[1].response[keep[:4] != 1], "u", "y")
+    values = made.replicate(3)
+    tables = values[2:32].reshape(6, 5), values[32:].reshape(6, 4)
+    # Points that are drawn twice lie beside one another, which changes nothing.
+    apart = [t[0] * (1 + 1e-9 * np.arange(t.shape[1])) for t in tables]
+    drawn = [gb.FrequencyResponse(w, t[1] + 1j * t[2], "u", "y") for w, t in zip(apart, tables, strict=True)]
+    for outcome, wanted in zip(outcomes, ([sets[0], second], drawn, [first, sets[1]]), strict=True):
+        assert outcome.converged
+        assert outcome.iterations > 0
+        assert (outcome.stage == "improved") is not by_ipopt
+        assert outcome.estimate == pytest.approx(refitted(joint(wanted)), rel=1e-5)
+    assert runner.run(np.array([3.0])).estimate == pytest.approx(outcomes[1].estimate, rel=1e-7)
+
+
+def test_parts_are_left_out_and_drawn_as_often_as_they_are():
+    sets = two_parts()
+    runner, made, _ = runner_of("parts", sets)
+    assert runner.left_out == 2
+    number = next(k for k in range(50) if made.replicate(k)[:2].tolist() == [0, 2])
+    outcomes = runner.run_together(np.array([[-1.0], [-2.0], [float(number)]]))
+    alone = [refitted(gb.Problem(Lag(), data, gb.SquaredRelativeError())) for data in sets]
+    for outcome, wanted in zip(outcomes, (alone[1], alone[0], alone[1]), strict=True):
+        assert outcome.converged
+        assert outcome.estimate == pytest.approx(wanted, rel=1e-5)
+    assert all(outcome.seconds > 0 for outcome in outcomes)
+
+
+def test_when_time_is_up_what_newtons_method_left_has_no_estimate(monkeypatch):
+    monkeypatch.setattr("greybox.solve.response_replicates.MOST_UNKNOWNS", 1)
+    runner, _, _ = runner_of("residuals", two_parts())
+    with limited(TimeLimits(end=0.0)):
+        (outcome,) = runner.run_together(np.array([[5.0]]))
+    assert (outcome.status, outcome.converged, outcome.iterations) == (SEARCH_OVER, False, 0)
+    assert np.isnan(outcome.estimate).all()
+
+
+def test_of_a_part_of_one_point_none_can_be_left_out():
+    sets = two_parts()
+    one = gb.FrequencyResponse(sets[1].omega[:1], sets[1].response[:1], "u", "y")
+    runner, _, _ = runner_of("residuals", [sets[0], one])
+    assert runner.left_out == 0
+    two = gb.FrequencyResponse(sets[1].omega[:2], sets[1].response[:2], "u", "y")
+    assert runner_of("residuals", [sets[0], two])[0].left_out == 7
+
+
+def test_a_replicate_of_too_few_points_has_no_estimate():
+    """Nine points are at most eighteen numbers."""
+    runner, made, _ = runner_of("points", two_parts())
+    runner._draws = replace(made, unknowns=18)
+    (outcome,) = runner.run_together(np.array([[5.0]]))
+    assert (outcome.status, outcome.converged, outcome.iterations) == ("too few distinct points", False, 0)
+    assert np.isnan(outcome.estimate).all()

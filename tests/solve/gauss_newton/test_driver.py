@@ -5,6 +5,7 @@ import time
 from dataclasses import replace
 from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
 from hard_models import direct_delay
@@ -578,3 +579,94 @@ def test_delays_of_inputs_that_reach_an_output_directly_may_be_held():
     assert dict(zip(solver._nlp.free, solver._is_discontinuous.tolist(), strict=True)) == {
         name: name == "d" for name in solver._nlp.free
     }
+
+
+class Gain(gb.StateSpace):
+    """A lag and a gain, whose product an equation may hold."""
+
+    states, inputs, outputs = ("x",), ("u",), ("x",)
+    a = gb.Parameter(1.0, bounds=(0.01, 50))
+    b = gb.Parameter(1.0, bounds=(0.1, 30))
+
+    def derivative(self, x, u, p):
+        return (p.b * u.u - p.a * x.x,)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+def test_within_other_bounds_and_an_equation_runs_keep_to_them():
+    """Also those on excerpts; the solver that they were asked of keeps its own."""
+    nlp = compile_problem(gb.Problem(Gain(), record(0), HELD))
+    for settings in (nlp.strategies, replace(nlp.strategies, long_record=200)):
+        solver = GaussNewton(nlp, settings=settings)
+        free = solver.run(np.array([1.0, 1.0]))
+        low, high = solver.limits.low.copy(), solver.limits.high.copy()
+        here = nlp.scaling.to_solver(free.estimate)
+        high[0] = here[0] - 0.02
+        bounded = solver.within(low, high)
+        end = bounded.run(np.array([1.0, 1.0]))
+        assert end.converged
+        assert nlp.scaling.to_solver(end.estimate)[0] == pytest.approx(high[0], abs=1e-9)
+        assert end.cost > free.cost
+        z = ca.SX.sym("z", 2)
+        sum_of = ca.Function("sum", [z], [z[0] + 2 * z[1] - (here[0] + 2 * here[1] + 0.03)])
+        held = solver.within(solver.limits.low, solver.limits.high, sum_of)
+        end = held.run(np.array([1.0, 1.0]))
+        assert end.converged
+        assert float(sum_of(nlp.scaling.to_solver(end.estimate))) == pytest.approx(0, abs=1e-7)
+        assert solver.limits.high[0] > here[0]
+        if solver._coarse is None:
+            assert bounded._coarse is None
+        else:
+            assert bounded._coarse.limits.high[0] == high[0]
+            assert held._coarse.limits.constraints.numel_out(0) == 2
+            assert solver._coarse.limits.constraints.numel_out(0) == 0
+        again = solver.run(np.array([1.0, 1.0]))
+        assert_allclose(again.estimate, free.estimate, rtol=1e-12)
+
+
+def test_an_iteration_without_nodes_is_exact_from_its_beginning():
+    response = gb.FrequencyResponse(np.array([0.5, 2.0]), np.array([1.0, 0.5 - 0.5j]), "u", "x")
+    assert not GaussNewton(compile_problem(gb.Problem(Lag(), record(0), HELD)))._progress().is_exact
+    assert GaussNewton(compile_problem(gb.Problem(Lag(), response)))._progress().is_exact
+
+
+def test_states_are_smoothed_at_given_parameters_where_the_model_is_finite():
+    """Of a lag that is twice too slow the nodes stay at the outputs; of the true one they are nearly continuous."""
+    nlp = compile_problem(gb.Problem(Lag(), record(0), HELD))
+    solver = GaussNewton(nlp)
+    z = nlp.scaling.to_solver(np.array([1.0]))
+    (smoothed,) = solver.smoothed(z)
+    assert smoothed.finite
+    (true,) = solver.smoothed(nlp.scaling.to_solver(np.array([2.0])))
+    assert np.abs(true.gaps).max() < 0.15 < 0.5 * np.abs(smoothed.gaps).max()
+    measured, _ = nlp.parts[0].at_nodes
+    assert np.sqrt(np.mean((smoothed.nodes.ravel() - measured.ravel()) ** 2)) < 0.2 < 0.5 * np.std(measured)
+    assert solver.smoothed(z * np.nan) is None
+
+
+def test_other_minima_are_kept_when_the_best_is_polished():
+    nlp = compile_problem(gb.Problem(Lag(), record(0), HELD))
+    solver = GaussNewton(nlp)
+    outcome = solver.run(np.array([1.0]))
+    others = tuple(Minimum(outcome.cost + k, outcome.estimate + k, (k,), 1) for k in (1, 2))
+    best = Minimum(outcome.cost, outcome.estimate * (1 + 1e-6), (0,), 1)
+    polished = solver.polished(Multistart((), (best, *others), 0.0, nodes=outcome.nodes))
+    assert polished.minima[1:] == others
+    assert polished.minima[0] is not best
+    # The iterate of the polished minimum is known, with its own nodes alone.
+    (minimum, *_), nodes = polished.minima, polished.nodes
+    assert solver._at(minimum.estimate, nodes) is solver._polished[2]
+    assert solver._at(minimum.estimate, outcome.nodes) is not solver._polished[2]
+    assert solver._at(minimum.estimate * (1 + 1e-12), nodes) is not solver._polished[2]
+    nothing = Multistart((), (), 0.0, nodes=outcome.nodes)
+    assert solver.polished(nothing) is nothing
+
+
+def test_another_value_of_what_is_fixed_is_refused():
+    nlp = compile_problem(gb.Problem(Gain(), record(0), HELD, fixed={"b": 2.0}))
+    solver = GaussNewton(nlp)
+    assert np.isfinite(solver.cost(np.array([2.0, 2.0])))
+    with pytest.raises(ValueError, match=r"b is fixed at 2 here: give 2\.5 to the problem, fixed=\{'b': \.\.\.\}\."):
+        solver.cost(np.array([2.0, 2.5]))
