@@ -838,9 +838,10 @@ class RecordPart(Part):
         if m:
             meat = np.eye(m)
             if colored is not None:
-                # Of directions of unit variance, the mean over the stretches.
+                # Of directions of unit variance, the mean over the stretches that have them: known states take some.
                 pieces = self.data.unpadded(told.by_initial)
-                meat = score_covariance(pieces, colored.spectrum) / len(pieces)
+                scale = 1 / np.sqrt(np.maximum(sum(piece.any(axis=(0, 2)).astype(int) for piece in pieces), 1))
+                meat = score_covariance(pieces, colored.spectrum) * scale * scale[:, None]
             variance += _variances(told.by_initial, noise, meat)
 
         error = np.full((len(self.outputs), len(self.model.record)), np.nan)

@@ -143,3 +143,46 @@ def test_samples_at_which_states_begin():
     assert inputs.tolist() == [[0, 3, 6, 100, 103]]
     begins = at_samples(data, 3, spread=True)[1]
     assert begins.tolist() == [[0, 3, 6, 101]]  # the second stretch begins 0.618 of three samples later
+
+
+class Gauge(Jet):
+    """The tank behind gauges of unlike sizes, one of which counts downward."""
+
+    outputs = ("v", "log")
+    sign = gb.Parameter(1.0)
+
+    def output(self, x, u, p):
+        return (p.sign * 1e4 * gb.sqrt(x.h), gb.log(x.h))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_is_missed_counts_in_units_of_the_output_on_either_side_of_zero(sign):
+    """A level of 4 by one gauge and of 100 by the other: in units of what was measured, ten misses least."""
+    measured = np.array([[sign * 2e4] * 3, [np.log(100)] * 3])
+    missed = {h: (np.sqrt(h) / 2 - 1) ** 2 + (np.log(h) / np.log(100) - 1) ** 2 for h in (1, 10, 100)}
+    assert min(missed, key=missed.get) == 10
+    found = InitialStates(dynamics(Gauge()), ("v", "log"), Strategies()).at(
+        measured, np.zeros((1, 3)), np.array([1.0, sign]), UNKNOWN[:1]
+    )
+    assert found.tolist() == [[10.0] * 3]
+
+
+def test_a_hidden_state_that_is_best_at_zero_returns_there():
+    class Offset(Levels):
+        def output(self, x, u, p):
+            return (gb.log(x.h), gb.log(x.h) + x.g)
+
+        def derivative(self, x, u, p):
+            return (u.u - gb.sqrt(x.h), -x.g)
+
+    measured = np.full((2, 3), np.log(10.0))
+    found = InitialStates(dynamics(Offset()), ("v", "w"), Strategies()).at(
+        measured, np.zeros((1, 3)), np.ones(1), UNKNOWN[:2]
+    )
+    assert found.tolist() == [[10.0] * 3, [0.0] * 3]
+
+
+def test_an_output_that_was_never_measured_begins_at_zero():
+    stretch = Stretch(np.arange(4.0)[None], np.array([[np.nan] * 4, [1.0, 2.0, 3.0, 4.0]]), np.arange(4), 0.1)
+    outputs, _ = at_samples(SampledData((stretch,), ("y", "z"), 5), 2)
+    assert outputs.tolist() == [[0.0, 0.0], [1.0, 3.0]]

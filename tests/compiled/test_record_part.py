@@ -12,6 +12,7 @@ from spring_lag_tilt import HELD, SPRING, Spring, spring
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
+from greybox.statistics.error_spectrum import ErrorSpectrum
 
 
 def compiled(record, criterion=HELD, **options):
@@ -55,6 +56,8 @@ def test_a_continuous_trajectory_is_one_simulation(made):
     part, z, trajectory = made
     simulated = part.trajectory(z, trajectory.nodes, simulated=True)
     again = part.trajectory(z, simulated.nodes)
+    assert (simulated.simulated, again.simulated) == (True, False)
+    assert not simulated.gaps.any()
     assert np.abs(again.gaps).max() < 1e-12
     assert_allclose(again.products, simulated.products, rtol=1e-10)
 
@@ -162,9 +165,17 @@ def test_condensing_leaves_out_what_an_estimated_covariance_follows(noise):
     H = slopes.T @ slopes - followed @ followed.T
     n = trajectory.nodes.size
     kkt = np.block([[H[:n, :n], A.T], [A, np.zeros((len(A), len(A)))]])
-    solution = np.linalg.lstsq(kkt, -np.vstack([H[:n, n:], B]), rcond=None)[0]
-    hessian = H[n:, n:] + H[n:, :n] @ solution[:n] + B.T @ solution[n:]
+    g = slopes.T @ e.ravel()
+    right = np.block([[g[:n, None], H[:n, n:]], [np.zeros((len(A), 1)), B]])
+    solution = np.linalg.lstsq(kkt, -right, rcond=None)[0]
+    step, follow = solution[:, 0], solution[:, 1:]
+    hessian = H[n:, n:] + H[n:, :n] @ follow[:n] + B.T @ follow[n:]
+    gradient = g[n:] + H[n:, :n] @ step[:n] + B.T @ step[n:]
     assert_allclose(condensed.hessian, hessian, atol=1e-3 * np.abs(hessian).max())
+    assert_allclose(condensed.gradient, gradient, atol=1e-3 * np.abs(gradient).max())
+    assert_allclose(condensed.node_step.ravel(), step[:n], atol=1e-3 * np.abs(step[:n]).max())
+    follow = follow[:n].reshape(condensed.node_sensitivity.shape)
+    assert_allclose(condensed.node_sensitivity, follow, atol=1e-3 * np.abs(follow).max())
     plain = part.condense(part.linearize(trajectory, weight), trajectory, np.zeros(2)).hessian
     assert np.abs(plain - hessian).max() > 5e-3 * np.abs(hessian).max()
 
@@ -280,6 +291,8 @@ def test_facts_of_a_part(made):
     assert part.numbers == np.isfinite(measured).sum()
     assert part.unknown_initial_states == 4  # two states of two stretches
     assert not part.is_static
+    assert part.has_nodes
+    assert part.has_states
     assert part.discontinuous_delays == {}
     assert part.with_weight(3.0).weight == 3 * part.weight
     assert part.samples == part.data.segments * part.data.segment_length
@@ -431,6 +444,14 @@ def test_errors_of_outputs_are_those_of_parameters_and_of_initial_states_at_thes
     wanted[:, at] = np.hstack(part.data.unpadded(np.where(informed.measured, np.sqrt(variance), np.nan)))
     assert_allclose(informed.found.output_errors(covariance, None), wanted, rtol=1e-3)
 
+    # With errors three times as large as the noise that weighs them, and of parameters that are known.
+    size, colored = np.sqrt(np.diag(plain @ plain.T)), informed.found.colored(np.eye(p))
+    omega = colored.spectrum.omega
+    density = (plain @ plain.T / size / size[:, None])[:, :, None] * np.ones(len(omega))
+    larger = replace(colored, spectrum=ErrorSpectrum(omega, density, 3 * size))
+    alone, thrice = (informed.found.output_errors(0 * covariance, errors) for errors in (None, larger))
+    assert_allclose(thrice, 3 * alone, rtol=1e-6)
+
 
 @pytest.mark.parametrize(
     ("delay", "free", "masked"),
@@ -451,3 +472,51 @@ def test_samples_that_the_longest_delay_reaches_are_not_compared(delay, free, ma
     assert part.data.stretches[0].masked == masked
     assert np.isnan(part.data.measured[:, :masked]).all()
     assert np.isfinite(part.data.measured[:, masked:120]).all()
+
+
+def test_a_delay_is_discontinuous_where_a_held_input_reaches_what_is_compared_at_once():
+    class Direct(Spring):
+        outputs = ("x", "pull")
+
+        def output(self, x, u, p):
+            return (x.x, x.v + p.b * u.F)
+
+    record = spring(60)
+    both = record.with_signals(pull=record["v"])
+
+    def found(data, **options):
+        criterion = gb.OutputError(inputs=options.pop("inputs", "held"))
+        method = gb.MultipleShooting(segment=10, integrator=gb.RungeKutta(1))
+        problem = gb.Problem(Direct(), data, criterion, free=("d",), rename={"d": "late"}, **options)
+        return compile_problem(problem, method).parts[0].discontinuous_delays
+
+    assert found(both) == {"late": ("F", "pull")}
+    assert found(both, inputs="linear") == {}
+    assert found(record) == {}
+
+
+def test_a_predictor_whose_noise_is_estimated_has_the_gradient_of_its_likelihood():
+    """Of known initial states, so that one simulation has them all; the Fisher information is that of S and of e."""
+    criterion = gb.PredictionError(process_noise=("v",), inputs="held", initial={"x": 0.1, "v": -0.2})
+    nlp = compile_problem(gb.Problem(Spring(), spring(80), criterion))
+    values = SPRING | {"w_v": 0.4, "v_x": 0.06, "v_v": 0.09}
+    (part,), z = nlp.parts, nlp.scaling.to_solver(np.array([values[name] for name in nlp.free]))
+    nodes = part.initial_trajectory(z).nodes
+
+    def run(v):
+        return part.trajectory(v, nodes, simulated=True)
+
+    trajectory = run(z)
+    weight = part.residual_weight(trajectory)
+    condensed = part.condense(part.linearize(trajectory, weight), trajectory, np.zeros(2))
+    gradient = numeric_jacobian(lambda v: np.array([part.cost(run(v))]), z)[0]
+    assert_allclose(condensed.gradient, gradient, rtol=1e-4, atol=1e-5 * np.abs(gradient).max())
+    J = numeric_jacobian(lambda v: (weight @ part.residuals(run(v))).ravel(), z)
+    S = run(z).detail.placed.filter.covariance
+    change = numeric_jacobian(lambda v: run(v).detail.placed.filter.covariance.ravel(), z).reshape(2, 2, -1)
+    relative = np.einsum("ab,bcp->acp", np.linalg.inv(S), change)
+    fisher = J.T @ J + 80 / 2 * np.einsum("abp,baq->pq", relative, relative)
+    assert_allclose(condensed.hessian, fisher, rtol=1e-4, atol=1e-5 * np.abs(fisher).max())
+    told = part.information(nlp.names, nlp.all_values(nlp.scaling.to_parameters(z)), (), trajectory, np.ones(len(z)))
+    assert_allclose((told.jacobian.T @ told.jacobian)[:6, :6], fisher, rtol=1e-4, atol=1e-5 * np.abs(fisher).max())
+    assert told.colored is None  # the errors of a predictor are white

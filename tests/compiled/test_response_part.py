@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
+from greybox.statistics.neighbor_correlation import neighbor_correlation
 
 OMEGA = np.array([0.5, 1.0, 3.0, 10.0])
 
@@ -156,3 +157,35 @@ def test_relative_errors_have_a_bias_along_the_response_and_no_errors_in_common_
     given, size = part.criterion.spread(model, part.data, 1.2)
     assert bread == given
     assert_allclose(meat, found.jacobian.T @ (size[:, None] * found.jacobian))
+
+
+@pytest.mark.parametrize(
+    "columns", [{}, {"common_errors": np.array([[0.1, 0.05j, 0.0, 0.05] * 5, [0.0, 0.1, 0.1j, 0.0] * 5])}]
+)
+@pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.MaximumLikelihood()])
+def test_neighbors_are_correlated_as_errors_are_in_units_of_their_size(criterion, columns):
+    """Errors turned by the phase of the model, less what the fit took along some directions and what is common."""
+    omega, random = np.geomspace(0.3, 12, 20), np.random.default_rng(1)
+    lag = np.sqrt(5) / (1 + 0.7j * omega)
+    slope = np.transpose([lag / 10, -1j * omega * lag / (1 + 0.7j * omega)])
+    draws = random.normal(size=(2, 21))
+    smooth = (draws[:, :-1] + 0.8 * draws[:, 1:]) * 0.08
+    measured, variance = lag * (1 + smooth[0] + 1j * smooth[1]), np.linspace(0.02, 0.05, 20)
+    data = gb.FrequencyResponse(omega, measured, input="u", output="y", variance=variance, **columns)
+    nlp = compile_problem(gb.Problem(Lag(), data, criterion))
+    part, x, root = nlp.parts[0], np.array([5.0, 0.7]), np.array([[0.3], [-0.2]])
+    found = part.neighbors(x, root, 1.2)
+
+    is_known = isinstance(criterion, gb.MaximumLikelihood)
+    size = np.sqrt(variance) if is_known else np.abs(lag)
+    turned = np.exp(-1j * np.angle(lag)) / size
+    design = [slope @ root, *(data.common_errors[:, :, None] if columns else [])]
+    design = turned[:, None] * np.hstack(design)
+    ratio = np.mean(np.abs(measured - lag) ** 2 / variance) * 1.2**2 if is_known else None
+    wanted = neighbor_correlation(turned * (measured - lag), np.vstack([design.real, design.imag]), ratio)
+    assert 0.1 < found.mean < 0.9
+    assert_allclose(found.rho, wanted.rho)
+    assert_allclose(found.weight, wanted.weight, rtol=1e-6, atol=1e-12)
+    assert_allclose(found.scale, wanted.scale, rtol=1e-6)
+    told = part.information(tuple(nlp.free), x, (), part.trajectory(nlp.scaling.to_solver(x), None), np.ones(2))
+    assert told.correlated(1.2, root, 30.0).correlation == pytest.approx(found.mean)

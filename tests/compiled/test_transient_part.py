@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
+from greybox.compiled.transient_part import _hermitian_rows
 from greybox.spectral import transient_spectrum
 
 study = benchmark("transient_coverage")
@@ -128,3 +129,27 @@ def fixed_ends(part, z, ends):
     """The errors with these end terms."""
     at = part.along(part.locate(z)[0].full().ravel())
     return at.errors + at.basis @ (at.ends - ends)
+
+
+def test_the_spread_is_that_of_white_errors_but_for_the_end_terms(made):
+    """What the outputs' variances say, the last rows, has no end terms."""
+    nlp, part, z, trajectory = made
+    x = nlp.scaling.to_parameters(z)
+    found = part.information(tuple(nlp.free), x, tuple(range(len(x))), trajectory, np.zeros((0, 0)))
+    mean, variance = np.split(found.jacobian, [part.numbers])
+    if len(part.outputs) == 1 or trajectory.detail.covariance.full:  # of others, the correlation shows in it
+        wanted = mean.T @ mean * part.numbers / (part.numbers - len(part.states)) + variance.T @ variance
+        assert_allclose(found.spread(1.0)[1], wanted, rtol=1e-6, atol=1e-9 * np.abs(wanted).max())
+    assert variance.any() == part._is_equation_error
+    assert part.has_states
+
+
+def test_real_rows_have_the_scalar_products_of_hermitian_matrices():
+    random = np.random.default_rng(0)
+    values = random.normal(size=(5, 3, 3, 2)) + 1j * random.normal(size=(5, 3, 3, 2))
+    hermitian = values + np.conj(np.swapaxes(values, 1, 2))
+    rows = _hermitian_rows(values)
+    assert rows.shape == (5, 9, 2)
+    wanted = np.einsum("labx,lbay->lxy", hermitian, hermitian)
+    assert_allclose(wanted.imag, 0, atol=1e-12)
+    assert_allclose(np.einsum("lrx,lry->lxy", rows, rows), wanted.real)
