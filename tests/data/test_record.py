@@ -1,6 +1,7 @@
 """One experiment on one time base: what is refused, its rate, gaps, parts and identity."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -191,3 +192,74 @@ def test_rows_are_shared_by_number_in_one_file_and_by_value_in_others():
     assert not share_samples(rows.rows(np.arange(3)), rows.rows(np.arange(3, 6)))
     assert not share_samples(rows, Record(np.arange(6.0), {"x": np.arange(6.0) + 1}, has_time=False))
     assert share_samples(rows, Record(np.arange(6.0), {"x": np.arange(6.0)}, has_time=False))
+
+
+def test_what_a_record_says_of_itself():
+    time = np.r_[2.0:3.0:0.25, 5.0:6.5:0.25]
+    flown = Record(time, {"u": np.arange(10.0), "y": [1.0, np.nan, np.inf, *np.arange(7.0)]}, {"u": "m"}, "flight")
+    assert str(flown) == "flight: 10 samples at 4 Hz, 4.2 s from 2.0 s in 2 pieces: u (m), y"
+    assert repr(flown) == "<Record 'flight', 10 samples, 4.25 s, u, y>"
+    assert "<td>0</td><td>6</td><td>2</td>" in re.sub(r" style=\"[^\"]*\"", "", flown._repr_html_()).replace("\n", "")
+    assert [len(rows) for rows in flown.independent_pieces] == [4, 6]
+    assert np.concatenate(flown.independent_pieces).tolist() == list(range(10))
+    rows = Record(None, {"x": np.arange(3.0)})
+    assert str(rows) == "record: 3 rows without a time: x"
+    assert repr(rows) == "<Record '', 3 rows, x>"
+    assert (rows.step, rows.rate, rows.has_time, len(rows.pieces)) == (1.0, 1.0, False, 1)
+    assert [one.tolist() for one in rows.independent_pieces] == [[0], [1], [2]]
+    assert rows.time.tolist() == [0, 1, 2]
+    with pytest.raises(ValueError, match="between needs samples in time, and the record has rows without a time"):
+        rows.between(0, 1)
+    with pytest.raises(ValueError, match=r"^x has 3 samples but y has 2: they must match"):
+        Record(None, {"x": np.arange(3.0), "y": np.arange(2.0)})
+
+
+def test_a_cut_that_has_no_sample_says_what_there_is():
+    with pytest.raises(ValueError, match=r"^the record has no sample from 7 to 9 s; it runs from 2 to 6 s\.$"):
+        Record([2.0, 4.0, 6.0], {}).between(7, 9)
+    assert len(Record([2.0, 4.0, 6.0], {}).between(2, 4)) == 2
+
+
+@pytest.mark.parametrize(("equal", "shared"), [(10, False), (11, True)])
+def test_more_than_half_of_the_samples_must_be_equal(equal, shared):
+    time = np.arange(20.0)
+    values = np.where(time < equal, np.sin(time), 7.0)
+    assert share_samples(Record(time, {"u": np.sin(time)}), Record(time, {"u": values})) is shared
+
+
+def test_a_recording_says_what_it_has():
+    log = Recording({"A[0]": Record([0.0, 1.0], {"x": [1.0, 2.0]}), "B": Record(None, {"y": [1.0]})}, "a.bin")
+    assert repr(log) == "<Recording 'a.bin', 2 messages, A[0], B>"
+    assert (len(log), [*log], log["A"] is log["A[0]"]) == (2, ["A[0]", "B"], True)
+    with pytest.raises(KeyError, match=r"a\.bin has no message 'C'; it has A\[0\], B\."):
+        log["C"]
+    with pytest.raises(KeyError, match=r"'z' is ambiguous or unknown, no message has it; write MESSAGE\.z"):
+        log.locate("z")
+    html = log._repr_html_()
+    assert "a.bin: 2 messages" in html
+    for cell in ("A[0]", "x", "y", ">-<"):
+        assert cell in html
+
+
+def test_arrays_that_nobody_can_write_to_are_kept_and_others_copied():
+    frozen = np.arange(4.0)
+    frozen.setflags(write=False)
+    open_ = np.arange(4.0)
+    part = open_[1:]
+    part.setflags(write=False)  # its owner can still be written to
+    kept = Record(np.arange(4.0), {"frozen": frozen, "open": open_})
+    assert np.shares_memory(kept["frozen"], frozen)
+    assert not np.shares_memory(kept["open"], open_)
+    assert not np.shares_memory(Record(np.arange(3.0), {"x": part})["x"], open_)
+    assert np.shares_memory(Record(np.arange(3.0), {"x": frozen[1:]})["x"], frozen)
+    assert not kept["open"].flags.writeable
+
+
+def test_names_and_texts_from_files_are_written_out():
+    bad, good = "x\x1b[2J", r"x\x1b[2J"
+    known = Record([0.0, 1.0], {bad: [1, 2]}, {bad: bad}, bad, bad, hold={bad: 0.5, "other": 1.0}, findings=(bad,))
+    assert [*known.signals] == [good]
+    assert (known.units, known.name, known.source, known.findings) == ({good: good}, good, good, (good,))
+    assert known.hold == {good: 0.5}
+    log = Recording({bad: known}, bad, metadata={bad: [bad, (1.0, bad)]}, findings=(bad,))
+    assert ([*log], log.source, log.metadata, log.findings) == ([good], good, {good: [good, (1.0, good)]}, (good,))

@@ -273,3 +273,20 @@ def test_the_usual_inputs_are_sticks_then_setpoints_and_controls():
         assert axes(manual_control_setpoint={stick: pulse}) == [f"manual_control_setpoint.{stick}"]
     rows = gb.Record(None, {"de": pulse})
     assert gb.logs.find_manoeuvres(Recording({"table": rows})) == ()
+
+
+@pytest.mark.parametrize(("levels", "kind"), [
+    (((1.0, 1.0), (0.0, 0.4), (1.0, 1.0), (-1.0, 2.4)), "doublet"),  # two of one sign are one, with the way between
+    (((1.0, 1.7), (0.0, 0.6), (-1.0, 0.4), (0.0, 0.6), (1.0, 0.7)), "2-1-1"),  # of a way each pulse has a half
+    (((1.0, 0.7), (0.0, 0.6), (-1.0, 0.4), (0.0, 0.6), (1.0, 1.7)), "stick input"),
+])  # fmt: skip
+def test_ways_between_pulses_are_shared_out(levels, kind):
+    assert kinds(*levels) == [kind]
+
+
+def test_a_band_ends_at_two_fifths_of_the_sampling_rate():
+    """Of levels that change from sample to sample by chance, which are strong everywhere."""
+    values = np.zeros(1000)
+    values[400:550] = np.random.default_rng(2).choice([-1.0, 1.0], 150)
+    (found,) = manoeuvres_in(np.arange(1000) / 50, values)
+    assert found.band[1] == pytest.approx(0.4 * 2 * np.pi * 50, rel=0.03)
