@@ -100,8 +100,7 @@ def shares(informations: Array, wanted: Array) -> Array:
         method="SLSQP",
         options={"maxiter": 300, "ftol": 1e-9},
     )
-    found = np.clip(outcome.x[:-1], 0, None)
-    found[found < SMALLEST_SHARE] = 0
+    found = np.where(outcome.x[:-1] < SMALLEST_SHARE, 0.0, outcome.x[:-1])
     return found / found.sum()
 
 

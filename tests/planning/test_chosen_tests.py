@@ -134,3 +134,18 @@ def test_tests_for_a_short_time_say_what_is_missing():
     # Of all parameters the errors count, each relative to its value: the mean of two tests of equal information.
     once, twice = (choose_tests(fast, TWO_LAGS, seconds=seconds).standard_error for seconds in (20.0, 40.0))
     assert twice == pytest.approx({name: error / np.sqrt(2) for name, error in once.items()})
+
+
+@pytest.mark.parametrize(("share", "repeats"), [(6.5, 7), (7.0, 7), (7.2, 8)])
+def test_errors_shrink_by_the_root_of_the_repeats(share, repeats):
+    """Of one test: as often as it takes, and all tests equally often are the same flight."""
+    once = expected_errors(TESTS["fast"][0], TWO_LAGS).standard_error
+    found = choose_tests({"fast": TESTS["fast"]}, TWO_LAGS, wanted={"T2": once["T2"] / np.sqrt(share)})
+    assert (found.repeats, found.flight_time, found.equally_often) == ({"fast": repeats}, 20 * repeats, 20 * repeats)
+    assert found.standard_error["K"] == pytest.approx(once["K"] / np.sqrt(repeats))
+
+
+def test_tests_that_fit_and_leave_parameters_open_are_too_short():
+    sines = {f"{omega:g}": (response(omega, omega, points=1), 10.0) for omega in (0.5, 3.0, 12.0)}
+    with pytest.raises(ValueError, match="15 s are too short for tests that determine every parameter: give more"):
+        choose_tests(sines, TWO_LAGS, seconds=15.0)

@@ -1,5 +1,6 @@
 """Models are nested when the equations of one are those of the other with terms removed, whatever their names say."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,9 +13,13 @@ from greybox.validation.nesting import (
     PARAMETER_SPREAD,
     NotNestedError,
     _beyond,
+    _embedding,
     _Equations,
     _held_alike,
+    _idle,
+    _is_of_model,
     _left_null_space,
+    _neutral,
     _on_bound,
     _require_fewer_terms,
     _same,
@@ -373,3 +378,139 @@ def test_three_points_are_compared_as_well():
     small = gb.fit(gb.Problem(Lag(), data), starts=[{"K": 5.0, "T": 1.0}], progress=False)
     with pytest.raises(NotNestedError):
         nesting(small, large, NAMES)
+
+
+def agreeing(*places):
+    """Equations that agree at these values of a, b, ... alone."""
+    return SimpleNamespace(agree=lambda values: tuple(values[n] for n in sorted(values)) in places)
+
+
+def test_values_that_remove_terms_are_zero_or_one_in_any_combination_of_four():
+    large = SimpleNamespace(estimate=dict(zip("abcde", (0.3, 0.7, 2.0, 5.0, 9.0), strict=True)))
+    assert _neutral(agreeing((0.0, 1.0)), {"b": 1.0}, ["a"], large) == ({"a": 0.0, "b": 1.0}, ())
+    four = dict(zip("abcd", (1.0, 0.0, 0.0, 1.0), strict=True))
+    assert _neutral(agreeing((1, 0, 0, 1)), {}, [*"abcd"], large) == (four, ())
+    assert _neutral(agreeing((1, 0, 0, 1, 0)), {}, [*"abcde"], large) is None
+    assert _neutral(agreeing((1, 1, 1, 1, 1)), {}, [*"abcde"], large) == (dict.fromkeys("abcde", 1.0), ())
+    assert _neutral(agreeing((0.5,)), {}, ["a"], large) is None
+    assert _neutral(agreeing((0.3,)), {}, ["a"], large) is None  # its own estimate removes nothing
+
+
+def test_a_term_that_leaves_the_others_any_value_is_found_with_them():
+    large = SimpleNamespace(estimate={"a": 0.3, "b": 0.7, "c": 2.0})
+    found = _neutral(agreeing((0.3, 1.0, 2.0, 8.0)), {"d": 8.0}, [*"abc"], large)
+    assert found == ({"a": 0.3, "b": 1.0, "c": 2.0, "d": 8.0}, ("a", "c"))
+
+
+def test_a_parameter_is_idle_where_nothing_moves_with_it():
+    """It is moved to its estimate, or by a tenth where it is there already; all parts have to be the same."""
+    for value, estimate, moved in ((2.0, 5.0, 5.0), (2.0, 2.001, 2.2), (-3.0, -3.0, -2.7), (0.0, 0.0, 0.1)):
+        for parts in ([True, True], [True, False], [False, True]):
+            seen = []
+
+            def agrees(k, values, instead, parts=parts, seen=seen):
+                seen.append((values, instead))
+                return parts[k]
+
+            made = SimpleNamespace(
+                _large=SimpleNamespace(estimate={"a": estimate}),
+                _slots=SimpleNamespace(small=(1, 2)),
+                _part_agrees=agrees,
+            )
+            assert _Equations.is_idle(made, "a", {"a": value, "b": 7.0}) is all(parts)
+            assert seen[0] == ({"a": pytest.approx(moved), "b": 7.0}, {"a": value, "b": 7.0})
+
+
+def test_a_name_is_of_the_model_where_a_part_has_it_inside():
+    model = SimpleNamespace(parameters={"k": None, "T": None})
+    slots = SimpleNamespace(large=({"k": "k_1", "y_bias": "y_bias_1"},), models=((None, model),))
+    names = ("k_1", "k", "y_bias_1", "T")
+    assert [_is_of_model(slots, name) for name in names] == [True, False, False, False]
+    assert not _is_of_model(SimpleNamespace(large=slots.large, models=None), "k_1")
+
+
+@pytest.mark.parametrize(
+    ("idle", "rest", "said"),
+    [
+        (["a"], ["c"], "a of large has no effect where c is as in small, and a nested test then lacks its nominal "
+         "size; fix a at a value known beforehand to test c"),
+        (["a", "b"], [], "a and b of large have no effect where the rest is as in small, and a nested test then lacks "
+         "its nominal size; fix a and b at a value known beforehand to test the rest"),
+    ],
+)  # fmt: skip
+def test_what_has_no_effect_is_said(idle, rest, said):
+    error = _idle(idle, rest, NAMES)
+    assert (str(error), error.undecided) == (said, True)
+
+
+@pytest.fixture(scope="module")
+def response_fit():
+    data = measured(Lag(), [0.5, 2.0, 8.0], {"K": 2.0, "T": 0.3}, noise=0.02)
+    return gb.fit(gb.Problem(Lag(), data), starts=[{"K": 2.0, "T": 0.3}], progress=False, profiles=False)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"criterion_class": "mine:Other"}, "small and large have different criteria"),
+        ({"delay": "pade:2"}, "small and large evaluate delays differently"),
+        ({"at": {"v": 2.0}}, "small and large have different operating points"),
+        ({"sine": 0.1}, "small and large have different operating points"),
+    ],
+)
+def test_other_assumptions_make_other_models(response_fit, change, said):
+    with pytest.raises(NotNestedError, match=said) as caught:
+        nesting(response_fit, replace(response_fit, parts=(replace(response_fit.parts[0], **change),)), NAMES)
+    assert not caught.value.undecided
+
+
+def quantity(name, kind="free", bounds=(-9.0, 9.0)):
+    return SimpleNamespace(name=name, kind=kind, bounds=bounds)
+
+
+def embedding(*, covariance=None, nuisances=(1, 3), value=0.5, bounds=(0.5, 9.0)):
+    """a is free in both; b is tied to 3 a in the smaller one, c is absent there, and s is along."""
+    covariance = np.array([[4.0, 12.0], [12.0, 36.0]]) if covariance is None else covariance
+    small = SimpleNamespace(
+        free=("a",),
+        estimate={"a": 2.0, "b": 6.0},
+        quantities=[quantity("a"), quantity("b", "tied")],
+        parts=[SimpleNamespace(nuisances=nuisances[0])],
+        covariance_of=lambda names: covariance,
+    )
+    large = SimpleNamespace(
+        free=("a", "b", "c", "s"),
+        quantities=[quantity("a"), quantity("b"), quantity("c", bounds=bounds), quantity("s")],
+        parts=[SimpleNamespace(nuisances=nuisances[1])],
+    )
+    sources = {"a": "a", "b": "b", "c": None, "s": None}
+    return _embedding(small, large, NAMES, ("b", "c"), sources, {"c": value, "s": 7.0})
+
+
+def test_the_smaller_model_has_its_place_and_the_directions_that_leave_it():
+    found = embedding()
+    np.testing.assert_allclose(found.point, [2.0, 6.0, 0.5, 7.0])
+    assert found.directions.shape == (4, 2)
+    inside = np.array([[1.0, 3.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])  # along the tie, and along s
+    np.testing.assert_allclose(inside @ found.directions, 0.0, atol=1e-12)
+    assert np.linalg.matrix_rank(found.directions) == 2
+    assert (found.terms, found.on_bound) == (("b", "c"), ("c",))
+    assert found.initial_states == 3 + 1 - 1  # those of the two fits, and s, which the smaller one estimates apart
+    assert found.dof == 5
+    assert embedding(bounds=(0.4, 9.0)).on_bound == ()
+    assert embedding(nuisances=(4, 3)).initial_states == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "said", "undecided"),
+    [
+        ({"value": 0.4}, r"c = 0\.4, as in small, is outside the bounds \(0\.5, 9\) of large", False),
+        ({"covariance": np.full((2, 2), np.nan)}, "the data do not determine what small ties to others", True),
+        ({"nuisances": (5, 3)}, "large has 1 initial state less than small", False),
+        ({"nuisances": (7, 3)}, "large has 3 initial states less than small", False),
+    ],
+)
+def test_what_has_no_place_in_the_larger_model_is_said(options, said, undecided):
+    with pytest.raises(NotNestedError, match=said) as caught:
+        embedding(**options)
+    assert caught.value.undecided is undecided

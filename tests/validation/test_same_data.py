@@ -8,7 +8,17 @@ from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from huber import Huber
 
 import greybox as gb
-from greybox.validation.same_data import count_numbers, data_difference, is_likelihood, labels_of, why_not_comparable
+from greybox.estimate.fitted_part import FittedSpectrum
+from greybox.validation.same_data import (
+    check_fits,
+    count_numbers,
+    data_difference,
+    is_likelihood,
+    labels_of,
+    other_samples,
+    shared_data,
+    why_not_comparable,
+)
 
 DATA = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.02, columns={"variance": np.full(30, 1e-4)})
 
@@ -60,3 +70,34 @@ def test_other_data_and_other_weights_are_told(fits):
     assert why_not_comparable([one, heavy], ("a", "b")) == "their data are weighted differently (1; 3)"
     assert why_not_comparable([one, one], ("a", "b")) == ""
     assert count_numbers(one.parts[0]) == 60
+
+
+def test_what_cannot_be_compared_is_told(fits):
+    one, two = fits[1.0], fits[2.0]
+    check_fits([one, two])
+    for given, error, said in (
+        ([one, 3], TypeError, "cannot compare 3: give fits, such as"),
+        ([one], ValueError, "there is 1 fit to compare: give at least two"),
+        ([], ValueError, "there is no fit to compare: give at least two"),
+        (
+            [one, replace(two, minima=(), name="lost")],
+            ValueError,
+            "fit 'lost' has no estimate: ",
+        ),
+    ):
+        with pytest.raises(error, match=said):
+            check_fits(given)
+
+
+def test_numbers_of_data_and_outputs_are_counted_in_each_kind(fits):
+    part = fits[1.0].parts[0]
+    spectrum = FittedSpectrum.__new__(FittedSpectrum)
+    vars(spectrum).update(data=np.zeros(7), outputs=("p", "r", "beta"))
+    assert count_numbers(spectrum) == 2 * 7 * 3
+    assert shared_data([fits[1.0]]) == f"the same for all: made ({part.data.checksum[:8]}), 60 numbers"
+    fewer = replace(fits[2.0], parts=(replace(part, data=part.data.where(np.arange(30) < 29)),))
+    assert other_samples([fits[1.0], fits[2.0]], ("a", "b")) == ""
+    assert other_samples([fits[1.0], fewer], ("a", "b")).startswith(
+        "a was fitted to 60 numbers of 'made' and b to 58 ("
+    )
+    assert why_not_comparable([fits[1.0], fewer], ("a", "b")).startswith("a was fitted to 60 numbers of 'made' and b ")

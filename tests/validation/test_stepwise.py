@@ -1,5 +1,8 @@
 """Terms are chosen as by textbook regression, none from noise, and what cannot be told apart is said."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from declared_models import measured
@@ -137,3 +140,20 @@ def test_candidates_are_free_or_at_the_values_where_they_are_absent():
 
 def test_a_difference_of_aic_has_a_direction():
     assert [_more(x) for x in (1.234, -1.234, 0.004)] == ["AIC 1.23 more", "AIC 1.23 less", "the same AIC"]
+
+
+def test_what_is_correlated_with_a_chosen_term_is_said(selection):
+    _, found = selection
+    near, far = (found.terms[0], "K", 0.98765), ("c1", "K", -0.99)
+    judged = SimpleNamespace(correlated=[near, far], name="made", cost=1.0)
+    said = [*replace(found, fit=SimpleNamespace(identifiability=judged), alike={})._notes()]
+    assert said[0] == f"{near[0]} and K are collinear: their estimates have a correlation of 0.988."
+    assert len(said) == 2
+    assert repr(found) == f"<StepwiseSelection {found.fit.name}, {', '.join(found.terms)}>"
+    assert repr(replace(found, terms=())) == f"<StepwiseSelection {found.fit.name}, no term>"
+
+
+def test_a_problem_without_a_fit_is_told():
+    made = problem({}).with_(constraints=[lambda p: -1 - p.K**2])
+    with pytest.raises(ValueError, match=r"the problem 'made' has no fit without any of c1, c9"):
+        gb.stepwise(made.with_(name="made"), ["c1", "c9"], starts=1)
