@@ -1,12 +1,14 @@
 """Elimination in a chosen order, against numpy's pivoted solution."""
 
+from itertools import permutations
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import greybox as gb
-from greybox.modeling.elimination import elimination_order, solve, solve_pencils
+from greybox.modeling.elimination import _orders, elimination_order, solve, solve_pencils
 from greybox.modeling.linear_response import response_formula
 
 OMEGA = np.array([1.0, 2.0, 4.0, 8.0, 16.0])
@@ -89,3 +91,21 @@ def test_a_pole_on_the_axis_is_named_and_spoils_no_other_frequency():
     with pytest.raises(ValueError, match="no finite response at omega = 4 rad/s: a pole lies there"):
         gb.frequency_response(Undamped(), {}, OMEGA)
     assert np.all(np.isfinite(gb.frequency_response(Undamped(), {}, [1.0, 5.0]).response))
+
+
+def test_a_singular_matrix_spoils_no_other_one():
+    regular, right = np.array([[2.0, 1], [0, 4]]), np.array([5.0, 8])
+    found = solve_pencils(np.array([regular, np.ones((2, 2)), 1j * regular]), np.array([right] * 3))
+    assert found[0] == pytest.approx([1.5, 2])
+    assert np.isnan(found[1]).all()
+    assert found[2] == pytest.approx([-1.5j, -2j])
+
+
+def test_orders_are_all_of_few_states_and_some_of_many():
+    assert list(_orders(3)) == list(permutations(range(3)))
+    assert len(set(_orders(5))) == 120
+    many = list(_orders(6))
+    assert len(many) == 200
+    assert many[:2] == [(0, 1, 2, 3, 4, 5), (5, 4, 3, 2, 1, 0)]
+    assert all(sorted(order) == list(range(6)) for order in many)
+    assert len(set(many)) > 150

@@ -128,6 +128,26 @@ def test_the_size_of_what_repeats_is_that_of_what_would_be_written():
     assert size(tree(nested, "a")) > 2**59
 
 
+def test_the_size_counts_symbols_numbers_and_operations():
+    s, k, two = Symbol("s"), Symbol("K", "T"), Number(2.0)
+    assert [size(part) for part in (s, two, Power(s, two))] == [1, 1, 3]
+    assert size(Product((two, k, Power(s, two)), (s, k))) == 8
+    assert size(Sum(((1, k), (-1, Product((s,), (k,)))))) == 5
+    assert size(Function("if", (Function("<", (s, k)), two))) == 5
+
+
+def test_values_stand_in_the_place_of_all_symbols_that_they_name():
+    s, k = Symbol("s"), Symbol("K")
+    found = with_values(
+        Function("max", (Power(s, k), Product((Number(3.0), k), (Sum(((1, s), (-1, k))),)))), {"K": 2.0}
+    )
+    two = Number(2.0)
+    assert found == Function("max", (Power(s, two), Product((Number(6.0),), (Sum(((1, s), (-1, two))),))))
+    assert with_values(Product((Number(3.0), k), (s,)), {"K": -0.5}) == Sum(((-1, Product((Number(1.5),), (s,))),))
+    assert with_values(Product((k,), (s,)), {"K": 0.0}) == Number(0.0)
+    assert with_values(k, {}) is k
+
+
 def test_negative_numbers_stand_behind_their_sign():
     s, k = Symbol("s"), Symbol("K")
     assert tree(lambda s, k: -2.5 * s, "s", "K") == Sum(((-1, Product((Number(2.5), s), ())),))

@@ -78,3 +78,13 @@ def test_signals_without_names_are_numbered_where_there_are_several_and_states_a
     ratio = KnownTransferFunction([3, 1], [1, 2])
     assert all(p.fixed for p in ratio.parameters.values())
     assert {name: p.start for name, p in ratio.parameters.items()} == {"b1": 3.0, "b0": 1.0, "a1": 1.0, "a0": 2.0}
+
+
+@pytest.mark.parametrize("outputs", [1, 3])
+def test_there_may_be_more_or_fewer_outputs_than_states(outputs):
+    c = np.array([[1, 0.5], [0, 1], [2, -3]])[:outputs]
+    d = np.array([[0.25], [0], [1]])[:outputs]
+    model = KnownStateSpace(A, B, c, d)
+    x, u, p = {"x1": 2.0, "x2": -1.0}, {"u": 3.0}, model.values()
+    assert model.output(x, u, p) == pytest.approx(c @ [2, -1] + d[:, 0] * 3)
+    assert model.derivative(x, u, p) == pytest.approx(np.array(A) @ [2, -1] + np.array(B)[:, 0] * 3)

@@ -122,6 +122,14 @@ def test_the_point_follows_the_parameters_from_the_same_root():
     assert float(function(9.0)[0]) == pytest.approx(1.5 * start, rel=1e-10)
 
 
+def test_a_point_that_one_step_does_not_reach_is_reached_in_ten():
+    """Newton's method finds the root of an arctangent from no farther than 1.39; at the start it is 4."""
+    model = make(lambda x, u, p: (gb.arctan2(x.x - p.c, 1.0) + u.u,))
+    function = trim_of(model, {"u": 0.0}).closed()
+    for c in (4.5, 9.0, -8.0):
+        assert float(function(c)[0]) == pytest.approx(c, rel=1e-9)
+
+
 @pytest.mark.parametrize(("at", "wanted"), [({}, [0, 0, 0, 0]), ({"Omega_2": 7.0}, [0, 7, 0, 0])])
 def test_a_static_model_is_where_its_inputs_are_given(at, wanted):
     assert list(gb.modeling.linearize(Torques(), at=at).point.values()) == wanted

@@ -349,6 +349,7 @@ def parabola(q):
         (2.0, (-50, 50), 2.0),
         (4.1, (-50, 50), 2.05),  # would end farther off than it began
         (3.9, (-50, 50), 3.9),
+        (4.0, (-50, 50), 4.0),  # no worse
         (36.0, (-50, 50), 2.25),
         (9.5, (-50, 50), 2.375),  # to where fewer numbers are finite
         (-1.0, (-50, 50), 0.0),

@@ -422,3 +422,22 @@ def test_two_samples_are_enough_and_one_of_a_static_model():
     assert gb.simulate(Gain(), {}, one)["position"] == pytest.approx(3 * one["force"])
     with pytest.raises(ValueError, match="has no sample with all inputs"):
         gb.simulate(Gain(), {}, one.with_signals(force=np.full(1, np.nan)))
+
+
+@pytest.mark.parametrize(
+    ("rate", "delay", "lead", "horizon"), [(50.0, 0.31, 0.62, 0.5), (50.0, 0.1, 0.5, 0.5), (16.0, 0.1, 0.625, 0.625)]
+)
+def test_lengths_are_half_a_second_ten_samples_or_twice_the_delay(rate, delay, lead, horizon):
+    time, force = forced(4.0, rate)
+    found = gb.predict(Spring(), {"delay": delay}, gb.Record(time, {"force": force, "position": force}))
+    assert (found.lead, found.horizon) == (pytest.approx(lead), pytest.approx(horizon))
+
+
+def test_a_simulation_is_a_record_of_outputs_and_states_with_the_units_of_the_data():
+    record = driven(1.0).with_signals(velocity=np.zeros(50))
+    found = gb.simulate(Spring(), {}, record)
+    assert list(found.signals) == ["position", "velocity"]
+    assert dict(found.units) == {"position": "m"}
+    assert found.name == "simulation of Spring"
+    assert found.has_time
+    np.testing.assert_array_equal(found.time, record.time)

@@ -188,7 +188,7 @@ def test_a_model_without_states_has_the_mean_square_of_each_output_as_noise():
 def test_the_prior_of_few_windows_is_as_weak_as_the_spread_of_the_outputs():
     """As many numbers as are measured in a window, each with its spread over its noise."""
     random = np.random.default_rng(0)
-    J = random.normal(size=(2, 6, 3))
+    J = 0.2 * random.normal(size=(2, 6, 3))
     H = J.transpose(0, 2, 1) @ J
     H[:, 2], H[:, :, 2] = 0.0, 0.0  # a state that nothing shows
     measured = np.ones((2, 4, 2))
