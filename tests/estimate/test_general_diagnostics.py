@@ -1,10 +1,14 @@
 """Warnings appear when they should and not otherwise."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, Oscillator, Parabola, measured
 
 import greybox as gb
+from greybox.estimate.diagnostics.delay_approximation import coarse_pade, pade_error
+from greybox.estimate.diagnostics.identifiability import no_degrees_of_freedom
 from greybox.models.yaw import YawStates
 
 ORDERED = [lambda p: p.T1 - p.T2]
@@ -235,3 +239,46 @@ def test_given_variances_are_doubted_from_a_factor_of_two_and_a_half_on(ratio):
     assert len(texts) == (not 0.4 <= ratio <= 2.5)
     assert all(t.startswith(f"the residuals of 'made' are {ratio:.2g} times what") for t in texts)
     assert all(("incomplete" in t) == (ratio > 1) for t in texts)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "initial", "said"),
+    [
+        (1, 0, "1 real number of data for 3 unknowns leaves no degrees"),
+        (3, 0, "3 real numbers of data for 3 unknowns leave no degrees"),
+        (4, 0, ""),
+        (4, 1, "4 real numbers of data for 3 unknowns and 1 initial state leave no degrees"),
+        (5, 2, "5 real numbers of data for 3 unknowns and 2 initial states leave no degrees"),
+        (5, 1, ""),
+    ],
+)
+def test_there_must_be_more_numbers_than_unknowns(numbers, initial, said):
+    parts = [
+        SimpleNamespace(numbers=numbers - 1, unknown_initial_states=0),
+        SimpleNamespace(numbers=1, unknown_initial_states=initial),
+    ]
+    found = [*no_degrees_of_freedom(SimpleNamespace(parts=parts, free=("a", "b", "c")))]
+    assert found == ([f"{said} of freedom, so that no standard error is known: add data."] if said else [])
+
+
+def test_an_approximate_delay_is_told_beyond_a_degree():
+    parts = [SimpleNamespace(delay="pade:2", name=name) for name in ("near", "far", "exact")]
+    found = [*coarse_pade(SimpleNamespace(problem=SimpleNamespace(parts=parts)), [1.0, 1.01, None])]
+    assert found == [
+        "the phase of pade:2 is off by up to 1° over the band of 'far': use a higher order or delay='exact'."
+    ]
+
+
+def test_the_error_of_an_approximate_delay_is_that_of_its_phase():
+    """Of first order -2 atan(ωT/2) for -ωT, which differ most at the upper end of the band."""
+
+    class Delay(gb.TransferFunction):
+        T = gb.Parameter(0.4, bounds=(0, 1))
+
+        def response(self, s, p):
+            return 2 * gb.exp(-s * p.T)
+
+    omega = np.array([5.0, 1.0, 2.0])
+    problem = gb.Problem(Delay(), gb.FrequencyResponse(omega, np.ones(3)), delay="pade:1")
+    assert pade_error(problem, {"T": 0.4}) == pytest.approx(np.degrees(2.0 - 2 * np.arctan(1.0)))
+    assert pade_error(problem.with_(delay="exact"), {"T": 0.4}) is None
