@@ -1,12 +1,15 @@
 """What the subprocess collects, without the subprocess."""
 
+import importlib.util
 import io
 import json
+import struct
 import sys
 
 import h5py
 import numpy as np
 import pytest
+from synthetic_logs import ulog
 
 from greybox.data import subprocess_main
 from greybox.data.subprocess_main import LINKS, MOST, SMALL, Collector, RefusedError
@@ -131,3 +134,191 @@ def test_of_a_table_of_rows_the_columns_of_numbers_are_kept(tmp_path):
         "table/k": [1, 3],
         "table/x": [2.5, 4.5],
     }
+
+
+def test_room_is_taken_by_what_fits_alone():
+    """8 bytes a number; memory is allowed for as much."""
+    allowed = []
+    collector = Collector(100)
+    collector.allow_memory = allowed.append
+    assert [collector.reserve(n) for n in (5, 8, 7, 1)] == [True, False, True, False]
+    assert (collector.room, allowed) == (4, [40, 0, 56, 0])
+    few = Collector(SMALL)
+    few.arrays = [np.zeros(0)] * (MOST - 1)
+    assert few.reserve(1)
+
+
+def test_text_is_read_up_to_its_limit():
+    collector = Collector(0)
+    collector.letters = 10
+    assert collector.text("seven..") == "seven.."
+    assert collector.text("abc") == "abc"
+    with pytest.raises(RefusedError, match="its text has more than 16777216 characters"):
+        collector.text("d")
+
+
+@pytest.fixture
+def h5(tmp_path):
+    """Write an HDF5 file and return what `subprocess_main` collects of it as a kind."""
+
+    def collected(write, kind="hdf5", **limits):
+        with h5py.File(tmp_path / "log.h5", "w") as file:
+            write(file)
+        collector = Collector(SMALL)
+        for name, value in limits.items():
+            setattr(collector, name, value)
+        getattr(subprocess_main, kind)(str(tmp_path / "log.h5"), collector, [])
+        return collector
+
+    return collected
+
+
+def test_links_of_all_groups_count(h5):
+    """Soft ones as well, which are not followed."""
+
+    def write(file):
+        file["a/x"] = [1.0]
+        file["a/soft"] = h5py.SoftLink("/a/x")
+        file["b/y"] = [2.0]
+
+    assert h5(write, links=5).links == 0
+    with pytest.raises(RefusedError, match="more than 50000 links"):
+        h5(write, links=4)
+
+
+@pytest.mark.parametrize(("levels", "fits"), [(9, True), (10, False)])
+def test_groups_may_be_nested_to_eight_levels(h5, levels, fits):
+    def write(file):
+        file["/".join("abcdefghijkl"[:levels])] = [1.0]
+
+    if fits:
+        assert len(h5(write).arrays) == 1
+    else:
+        with pytest.raises(RefusedError, match="more than 8 levels"):
+            h5(write)
+
+
+@pytest.mark.parametrize(("number", "fits"), [(100, True), (101, False)])
+def test_a_group_has_a_hundred_attributes_at_most(h5, number, fits):
+    def write(file):
+        for k in range(number):
+            file.attrs[f"a{k}"] = float(k)
+
+    if fits:
+        assert h5(write, "sealed").items[0]["attributes"] == {f"a{k}": float(k) for k in range(100)}
+    else:
+        with pytest.raises(RefusedError, match="more than 100 attributes"):
+            h5(write, "sealed")
+
+
+def test_vectors_and_matrices_of_numbers_are_kept_with_their_units(h5):
+    def write(file):
+        file["x"] = np.arange(3.0)
+        file["x"].attrs["unit"], file["x"].attrs["units"] = "m", "ft"
+        file["y"] = np.arange(3, dtype="i2")
+        file["y"].attrs["units"] = np.array([b"deg"])
+        file["flags"] = [True, False]
+        file["m"] = np.arange(6.0).reshape(2, 3)
+        file["m"].attrs["unit"] = 7
+        file["scalar"], file["cube"], file["word"], file["none"] = 1.0, np.zeros((1, 1, 2)), "word", h5py.Empty("f8")
+        file["empty"], file["complex"] = np.zeros(0), np.zeros(2, complex)
+
+    found = h5(write)
+    assert {item["path"]: item["unit"] for item in found.items} == {"x": "m", "y": "deg", "flags": "", "m": ""}
+    assert [values.tolist() for values in found.arrays] == [[1, 0], [[0, 1, 2], [3, 4, 5]], [0, 1, 2], [0, 1, 2]]
+    assert found.findings == []
+    assert found.room == SMALL - 8 * (2 + 6 + 3 + 3)  # written as 8 bytes each, whatever their type
+
+
+def test_the_room_of_a_table_is_that_of_its_columns_or_of_its_bytes(h5):
+    def write(file):
+        file["short"] = np.zeros(10, dtype=[("a", "i1"), ("b", "i1"), ("c", "i1")])
+        file["long"] = np.zeros(10, dtype=[("a", "f8"), ("text", "S32")])
+
+    assert h5(write).room == SMALL - 8 * (10 * 3 + 10 * 5)
+
+
+def test_a_sealed_file_holds_members_numbers_and_texts(h5):
+    def write(file):
+        file.attrs["name"], file.attrs["count"], file.attrs["list"] = "a", np.int16(3), [1, 2]
+        group = file.create_group("g")
+        group["x"] = np.arange(4.0).reshape(2, 2)
+        group["x"].attrs["true"] = np.bool_(True)
+        group.create_dataset("said", data=["one", "two"], dtype=h5py.string_dtype())
+
+    found = h5(write, "sealed")
+    assert found.items == [
+        {"path": "", "holds": "members", "attributes": {"name": "a", "count": 3}},
+        {"path": "g", "holds": "members", "attributes": {}},
+        {"path": "g/said", "holds": "texts", "texts": ["one", "two"], "attributes": {}},
+        {"path": "g/x", "holds": "numbers", "attributes": {"true": True}},
+    ]
+    assert found.arrays[0].tolist() == [[0, 1], [2, 3]]
+    assert found.letters == SMALL - len("aonetwo")
+    for odd in (np.zeros((1, 1, 1)), np.zeros(2, complex), np.array([b"ab"])):
+        with pytest.raises(RefusedError, match=r"x (holds neither numbers nor text|is larger than the file)"):
+            h5(lambda file, odd=odd: file.create_dataset("x", data=odd), "sealed")
+
+
+def nested(levels):
+    """Structs in one another, the innermost with a vector."""
+    contents = {"x": np.ones(2)}
+    for _ in range(levels):
+        contents = {"s": contents}
+    return contents
+
+
+def test_structs_are_followed_to_eight_levels_and_matrices_are_kept():
+    for levels, kept in ((8, 1), (9, 0)):
+        collector = Collector(SMALL)
+        subprocess_main._keep_struct("", nested(levels), collector)
+        assert len(collector.items) == kept
+    collector = Collector(SMALL)
+    contents = {"m": np.ones((2, 3)), "c": np.ones((1, 2, 3)), "e": np.zeros(0), "z": np.ones(2, complex)}
+    subprocess_main._keep_struct("g/", contents | {"n": np.array(1.0), "b": np.array([True])}, collector)
+    assert [item["path"] for item in collector.items] == ["g/m", "g/b"]
+    assert collector.room == SMALL - 8 * 7
+    with pytest.raises(ValueError, match="its arrays are too large for the size of the file"):
+        subprocess_main._keep_struct("", {"x": np.ones(3)}, Collector(16))
+    opaque = type("MatlabOpaque", (), {})()
+    subprocess_main._keep_struct("", {"flown": opaque}, collector)
+    assert collector.findings == ["flown: only MATLAB can read this object (a timetable?); save it as a struct."]
+
+
+@pytest.mark.parametrize(
+    ("signals", "names"),
+    [
+        ([{"values": np.ones(3), "label": ""}, {"values": np.ones(3), "label": 7}], ["time", "signal1", "signal2"]),
+        ([{"label": "u"}, "odd", {"values": np.ones(3), "label": "y"}], ["time", "y"]),
+        ("odd", ["time", "signals"]),
+    ],
+)
+def test_signals_of_simulink_have_their_labels_or_numbers(signals, names):
+    collector = Collector(SMALL)
+    contents = {"time": np.arange(3.0), "signals": signals}
+    subprocess_main._keep_struct("", contents, collector)
+    assert [item["path"] for item in collector.items] == [name for name in names if name != "signals"]
+
+
+@pytest.mark.skipif(importlib.util.find_spec("pyulog") is None, reason="the extra px4 is not installed")
+def test_what_a_px4_log_lost_is_said(tmp_path):
+    """Two dropouts of 250 and 1500 ms, and bytes that are no message."""
+
+    def put(kind, body):
+        return struct.pack("<HB", len(body), ord(kind)) + body
+
+    path = tmp_path / "log.ulg"
+    path.write_bytes(ulog(0.5) + put("O", struct.pack("<H", 250)) + put("O", struct.pack("<H", 1500)))
+    found = Collector(SMALL)
+    subprocess_main.ulog(str(path), found, [])
+    assert found.findings == ["the logger lost data 2 times, 1.75 s in total."]
+    assert found.about["texts"] == [(2_100_000, "[commander] Takeoff detected")]
+    assert found.about["parameters"] == {"MC_PITCH_P": 7.0, "CBRK_IO": 4}
+    units = {item["path"]: item["unit"] for item in found.items}
+    assert units["vehicle_attitude/timestamp"] == "us"
+    assert units["sensor_accel[1]/x"] == units["vehicle_attitude/q[0]"] == ""
+    few = Collector(SMALL)
+    subprocess_main.ulog(str(path), few, ["vehicle_status"])
+    assert {item["path"].partition("/")[0] for item in few.items} == {"vehicle_status"}
+    with pytest.raises(ValueError, match="its arrays are too large for the size of the file"):
+        subprocess_main.ulog(str(path), Collector(100), [])
