@@ -1,5 +1,6 @@
 """Declarations: what they collect, what they refuse, and parameters that are one unknown."""
 
+import copy
 import pickle
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from gain_and_lag import Gain, Lag
 
 import greybox as gb
-from greybox.modeling.model import Names, equation, merge, merged_parameters
+from greybox.modeling.model import Names, equation, merge, merged_parameters, pick_signals
 from greybox.models.polynomial import Polynomial
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import LinearTilt, Tilt
@@ -134,3 +135,41 @@ def test_a_number_in_the_place_of_a_declared_parameter_is_refused():
 
     with pytest.raises(TypeError, match=r"Slow\.tau is a number where a Parameter was declared"):
         type("Slow", (Lag,), {"tau": 0.5})
+
+
+def test_signals_are_picked_by_name_or_because_they_are_the_only_ones():
+    assert pick_signals(LinearTilt(), output="v") == ("u", "v")
+    assert pick_signals(Tilt()) == ("u", "theta")
+    assert pick_signals(Tilt(), "u", "theta") == ("u", "theta")
+    with pytest.raises(ValueError, match=r"LinearTilt has several outputs \(theta, v\): specify which one, output="):
+        pick_signals(LinearTilt())
+    with pytest.raises(ValueError, match=r"Tilt has no input 'v'; it has u: name the data's input as one of them\."):
+        pick_signals(Tilt(), "v")
+
+
+def test_values_are_given_to_a_problem_not_to_a_model():
+    for args, kwargs in (((1.0,), {}), ((), {"k": 1.0})):
+        with pytest.raises(TypeError, match=r"Lag\(\) takes no arguments: give values to a problem"):
+            Lag(*args, **kwargs)
+    with pytest.raises(TypeError, match=r"the values of Lag are \[1\]: give \{name: value\}, after the model"):
+        Lag().values([1])
+    for value in ("1", None, np.nan, np.inf):
+        with pytest.raises(ValueError, match=r"k = .* of Lag is not a finite number: give one"):
+            Lag().values({"k": value})
+
+
+def test_names_can_be_copied():
+    names = Names({"a": 1.0, "b": 2.0})
+    for copied in (copy.copy(names), pickle.loads(pickle.dumps(names))):
+        assert dict(copied) == {"a": 1.0, "b": 2.0}
+    assert not hasattr(names, "__array__")
+
+
+def test_a_merged_start_box_stays_within_the_merged_bounds():
+    a = gb.Parameter(5.0, bounds=(0, 10), starts=(1, 9))
+    b = gb.Parameter(5.0, bounds=(3, 6))
+    merged = merge("T", a, b)
+    assert (merged.bounds, merged.starts, merged.start) == ((3, 6), (3, 6), 5.0)
+    inside = merge("T", gb.Parameter(5.0, bounds=(0, 10), starts=(4, 5)), b)
+    assert inside.starts == (4, 5)
+    assert merge("T", gb.Parameter(8.0, bounds=(0, 10)), b).start == 6

@@ -315,3 +315,21 @@ def test_the_first_frequency_without_a_motion_is_named():
     ):
         periodic._require_finite(Spring(), omega, sine, response)
     periodic._require_finite(Spring(), omega[:1], gb.modeling.Sine("u", 0.1), response[:1])
+
+
+def test_harmonics_have_places_that_do_not_depend_on_their_number():
+    """Mean, cosines and sines of both states, and the mean of the input, whose sine is given."""
+    few, many = level_of(Spring(), 0.5, 3), level_of(Spring(), 0.5, 7)
+    balance = few.balance(3).balance
+    coefficients = [*range(7), *range(7), 0]
+    signals = [0] * 7 + [1] * 7 + [2]
+    assert balance.places.tolist() == [
+        (2 * MOST_HARMONICS + 1) * s + c for s, c in zip(signals, coefficients, strict=True)
+    ]
+    numbers = np.array([(c + 1) // 2 for c in coefficients])
+    np.testing.assert_array_equal(balance.orders, np.maximum(numbers, 1) ** 2)
+    np.testing.assert_array_equal(balance.mirror, np.where(numbers % 2, 1, -1))
+    padded = periodic._padded(np.arange(1.0, 16.0), few.balance(3), many.balance(7))
+    wanted = np.zeros(31)
+    wanted[[*range(7), *range(15, 22), 30]] = np.arange(1.0, 16.0)
+    np.testing.assert_array_equal(padded, wanted)

@@ -388,6 +388,7 @@ def test_the_grid_reaches_from_two_periods_of_the_longest_window_to_four_tenths_
     got = spectral_response(flown, band=(1e-3, 1e4), points=12)
     assert 6 * HZ / 20 < got.omega[0] < 9 * HZ / 20
     assert 0.34 * HZ * RATE < got.omega[-1] < 0.4 * HZ * RATE
+    np.testing.assert_allclose(spectral_response(flown, windows=[4.0], band=(5.0, 50.0), points=1).omega, [5, 50])
     with pytest.raises(ValueError, match=r"overlap is -0\.1: it must be at least 0 and below 1"):
         spectral_response(flown, overlap=-0.1)
     assert len(spectral_response(flown, omega=5.0, windows=[4.0], overlap=0.0)) == 1

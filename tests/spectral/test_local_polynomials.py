@@ -534,3 +534,30 @@ def test_an_instrument_is_weak_where_the_input_it_explains_is_below_ten_times_it
         found = local_polynomials._estimates(lines, band, [band], None)
         assert [p.weak for p in found] == weak
         assert [np.isnan(p.variance) for p in found] == weak
+
+
+@pytest.mark.parametrize(("own", "used"), [(2, False), (3, True)])
+def test_a_stretch_with_no_more_lines_than_its_transient_has_coefficients_is_left_out(own, used):
+    """The long one has lines at whole numbers, the short one so many between them in the band from 12 to 20."""
+    extra = 12.5 + np.arange(own)
+    omega = np.concatenate([np.arange(1.0, 41.0), [3.5], extra, [25.5]])
+    stretch = np.repeat([0, 7], [40, own + 2])
+    order = np.argsort(omega)
+    lines = local_polynomials.Lines(omega[order], np.ones((3, omega.size), complex), stretch[order], 1.0, True)
+    rows, stretches = local_polynomials._rows(lines, 16.0, 4.0, 1)
+    assert stretches == ([0, 7] if used else [0])
+    wanted = [*np.arange(12.0, 21.0), *(extra if used else [])]
+    np.testing.assert_allclose(lines.omega[rows], np.sort(wanted))
+
+
+@pytest.mark.parametrize(("apart", "solved"), [(2.2e-6, True), (1.8e-6, False), (0.0, False)])
+def test_columns_are_told_apart_up_to_a_condition_number_of_a_million(apart, solved):
+    """Of a and a + εb, orthogonal and of length one, it is 2/ε; whatever their units."""
+    a, b = np.linalg.qr(np.random.default_rng(0).normal(size=(6, 2)))[0].T
+    columns = np.array([1e5 * a, 1e-4 * (a + apart * b)]).T.astype(complex)
+    found = local_polynomials._solved(columns, columns)
+    assert (found is not None) == solved
+    if found:
+        np.testing.assert_allclose(columns @ (found[1] @ columns), columns, rtol=1e-6)
+    assert local_polynomials._solved(columns * [1, 0], columns) is None
+    assert local_polynomials._solved(columns, columns * [1, 0]) is None

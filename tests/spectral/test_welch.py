@@ -262,3 +262,11 @@ def test_points_of_a_coherence_below_six_tenths_are_left_out_unless_all_are():
     for same in ([0.1, 0.2, 0.3, 0.4], [0.6, 0.7, 0.8, 0.9]):
         whole = response(same)
         assert welch.without_incoherent(whole) is whole
+
+
+@pytest.mark.parametrize(("apart", "solvable"), [(2.1e-3, True), (1.9e-3, False)])
+def test_columns_are_solvable_up_to_a_condition_number_of_a_million(apart, solvable):
+    """Of a and a + εb, orthogonal and of length one, the products have 4/ε²."""
+    a, b = np.linalg.qr(complexes(np.random.default_rng(0), 6, 2))[0].T
+    columns = np.array([a, a + apart * b]).T
+    assert welch._solvable(columns, columns) == solvable
