@@ -11,7 +11,8 @@ from scipy.optimize import least_squares
 from scipy.stats import f, t
 
 import greybox as gb
-from greybox.estimate.response_band import radius
+from greybox.estimate.identifiability import KnownDirections
+from greybox.estimate.response_band import ResponseBand, band_of, radius, t_quantile
 from greybox.models.tilt import NonlinearTilt
 
 OMEGA = np.geomspace(0.3, 12, 12)
@@ -196,3 +197,51 @@ def test_residuals_are_measured_less_fitted(likely):
     (rows,) = fit.residuals
     assert rows.shape == (1, 5)
     assert_allclose(rows[0], record["y"] - 1 - fit.estimate["a"] * record["x"])
+
+
+def test_a_band_of_a_biased_response_is_about_the_response_less_its_bias():
+    response = gb.FrequencyResponse([1.0, 3.0], [2.0 + 1j, -0.5j])
+    bias = np.array([0.2 - 0.1j, 0.1j])
+    relative = np.array([[0.05, 0.2], [0.03, 0.4]])
+    covariance = np.array([[[0.04, 0.01], [0.01, 0.09]], [[0.25, -0.1], [-0.1, 0.16]]])
+    band = ResponseBand(response, 0.8, 7.0, covariance, relative, bias)
+    center = np.array([1.8 + 1.1j, -0.6j])
+    half = t.ppf(0.9, 7) * relative
+    assert_allclose(band.half_width, half)
+    assert_allclose(band.magnitude, np.abs(center) * np.exp([-half[0], half[0]]))
+    assert_allclose(band.phase, np.angle(center) + np.array([-half[1], half[1]]))
+    assert_allclose(band.offset, [np.log(np.abs(center / response.response)), np.angle(center / response.response)])
+    away = band.ellipses(9) - center[:, None]
+    assert away.shape == (2, 9)
+    for one, matrix in zip(away, covariance, strict=True):
+        z = np.array([one.real, one.imag])
+        assert_allclose(np.einsum("in,ij,jn->n", z, np.linalg.inv(matrix), z), 2 * f.ppf(0.8, 2, 7))
+    assert (len(band), band.omega.tolist()) == (2, [1.0, 3.0])
+
+
+def test_errors_of_a_response_are_those_of_its_derivatives():
+    """Two parameters of the model are one of the fit: their derivatives add; another is not seen by the data."""
+    response = gb.FrequencyResponse([1.0, 3.0], [2.0 + 1j, -0.5j])
+    slope = np.array([[1 + 2j, 0.5, 0.0], [0.3j, -1.0, 2.0]])
+    covariance = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, 0.0], [0.0, 0.0, 0.0]])
+    known = KnownDirections(covariance, np.array([[0.0], [0.0], [1.0]]), np.ones(3), np.array([1.0, 2.0, 3.0]))
+    bias = np.array([0.1, -0.2, 0.0])
+    band = band_of(response, slope, known, [1, 1, 2], 0.95, 9.0, bias)
+    total = slope[0, 0] + slope[0, 1]
+    assert_allclose(band.covariance[0], 0.09 * np.outer([total.real, total.imag], [total.real, total.imag]))
+    assert np.isnan(band.covariance[1]).all()
+    ratio = total / (2 + 1j)
+    assert_allclose(band.relative_error[:, 0], 0.3 * np.abs([ratio.real, ratio.imag]))
+    assert_allclose(band.bias, slope @ bias)
+    first = band_of(response, slope, known, [0, 1, 1], 0.95, 9.0, bias)
+    gradient = np.array([[0.0, 2 - 1], [0.3, 0.0]])
+    assert_allclose(first.covariance[1], gradient @ covariance[:2, :2] @ gradient.T)
+
+
+def test_quantiles_without_degrees_of_freedom_and_of_the_normal_distribution():
+    assert np.isnan(t_quantile(0.95, 0.0))
+    assert t_quantile(0.95, 0.5) == pytest.approx(t.ppf(0.975, 0.5))
+    assert t_quantile(0.8, np.inf) == pytest.approx(t.ppf(0.9, 1e12))
+    for level in (0.0, 1.0):
+        with pytest.raises(ValueError, match=rf"^level {level} must lie between 0 and 1, e\.g\. 0\.95\.$"):
+            t_quantile(level, 3.0)

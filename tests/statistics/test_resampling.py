@@ -68,3 +68,39 @@ def test_an_estimate_on_one_side_of_all_replicates_has_no_corrected_interval(est
     values = np.linspace(-2, 2, 41)
     assert np.isnan(bca_interval(values, estimate, 0.0, 0.9)).all()
     assert np.isfinite(bca_interval(values, 0.9 * estimate / 1.5, 0.0, 0.9)).all()
+
+
+def test_two_estimates_are_enough_and_one_or_none_tells_nothing():
+    left_out = np.array([[1.0, 3.0], [2.0, 9.0], [np.nan, 5.0]])
+    assert_allclose(acceleration(left_out), [0.0, 0.0], atol=1e-15)  # symmetric
+    assert_allclose(acceleration(np.array([[0.0], [0.0], [3.0]])), [(1 + 1 - 8) / (6 * 6**1.5)])
+    assert acceleration(np.full((2, 3), np.nan)).tolist() == [0, 0, 0]
+
+
+def test_without_replicates_there_is_no_interval():
+    for found in (
+        percentile_interval([], 0.9),
+        bca_interval([], 0.0, 0.1, 0.9),
+        percentile_interval([1.0, 2.0], 0.9, np.nan),
+    ):
+        assert np.isnan(found).all()
+
+
+@pytest.mark.parametrize(("count", "size", "length"), [(12, 5, 4), (13, 30, 4), (3, 30, 7), (4, 4, 1)])
+def test_blocks_are_as_many_as_needed(count, size, length):
+    places = drawn_blocks(np.random.default_rng(1), count, size, length)
+    assert len(places) == count
+    assert places.min() >= 0
+    assert places.max() < size
+    first = np.random.default_rng(1).integers(0, size, int(np.ceil(count / length)))
+    assert places.tolist() == [(first[k // length] + k % length) % size for k in range(count)]
+
+
+@pytest.mark.parametrize("a", [-0.1, 0.0, 0.08])
+def test_accelerated_ends_are_those_of_efron(a):
+    """Φ(z + (z + u) / (1 - a (z + u))) among replicates, z from the share below the estimate."""
+    values = np.sort(np.random.default_rng(0).gamma(2.0, size=4000))
+    estimate = values[1700] + 1e-9
+    z = norm.ppf(1701 / 4000)
+    ends = [norm.cdf(z + (z + u) / (1 - a * (z + u))) for u in norm.ppf([0.1, 0.9])]
+    assert_allclose(bca_interval(values, estimate, a, 0.8), np.quantile(values, ends), rtol=1e-7)

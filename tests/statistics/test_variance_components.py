@@ -60,3 +60,53 @@ def test_a_part_that_is_not_there_has_no_variance():
     found = variance_components(expected, white, np.full(200, 2.0), sensors=2)
     assert found.variance[2] < 1e-3
     assert_allclose(found.variance[:2], TRUTH[:2], rtol=5e-3)
+
+
+def test_scores_are_those_of_complex_normal_numbers():
+    """-2 log likelihood of independent complex vectors, up to a constant: log det S + z* S⁻¹ z, for every number."""
+    random = np.random.default_rng(4)
+    spectrum = np.tensordot(TRUTH, parts(5), 1)
+    z = random.normal(size=(5, 2)) + 1j * random.normal(size=(5, 2))
+    numbers = np.array([1.0, 2.0, 0.5, 3.0, 1.5])
+    ridged = spectrum + 1e-4 * np.eye(2)
+    wanted = sum(
+        n * (np.log(np.linalg.det(s).real) + (x.conj() @ np.linalg.solve(s, x)).real)
+        for n, s, x in zip(numbers, ridged, z, strict=True)
+    )
+    periodogram = z[:, :, None] * z[:, None].conj()
+    assert whittle_score(spectrum, periodogram, numbers) == pytest.approx(wanted)
+
+
+def test_the_covariance_is_twice_the_inverse_of_the_information_by_differences():
+    """At the expected periodogram the second derivatives of the score by the logarithms are the information."""
+    expected, numbers = parts(60), np.linspace(1.0, 3.0, 60)
+    periodogram = np.tensordot(TRUTH, expected, 1)
+    found = variance_components(expected, periodogram, numbers, sensors=2)
+
+    def score(logs):
+        return whittle_score(np.tensordot(np.exp(logs), expected, 1), periodogram, numbers)
+
+    at, h = np.log(found.variance), 1e-3 * np.eye(3)
+    curvature = np.array(
+        [[score(at + a + b) - score(at + a - b) - score(at - a + b) + score(at - a - b) for a in h] for b in h]
+    ) / (4e-6)
+    assert_allclose(found.covariance, 2 * np.linalg.inv(curvature), rtol=5e-3)
+    assert found.score == pytest.approx(score(at))
+
+
+def test_parts_that_look_the_same_share_a_variance_and_have_finite_errors():
+    """Of two equal parts the sum is known; what cannot be told has no part in the covariance."""
+    expected = parts(60)
+    twice = np.concatenate([expected, expected[2:]])
+    periodogram = np.tensordot(TRUTH, expected, 1)
+    found = variance_components(twice, periodogram, np.full(60, 2.0), sensors=2)
+    assert found.variance[2:].sum() == pytest.approx(TRUTH[2], rel=5e-3)
+    assert np.abs(found.covariance).max() < 1
+
+
+def test_a_periodogram_far_from_the_beginning_is_reached():
+    """By variances of a hundredth and of thirty times those at the beginning."""
+    expected = parts(200)
+    truth = np.array([0.007, 20.0, 9.0])
+    found = variance_components(expected, np.tensordot(truth, expected, 1), np.full(200, 2.0), sensors=2)
+    assert_allclose(found.variance, truth, rtol=0.02)
