@@ -56,3 +56,24 @@ def test_of_two_clocks_the_one_that_is_named_is_the_time(tmp_path):
     np.testing.assert_allclose(record.time, 20 + TIME)
     kept = gb.read(path, columns={"time": "time", "u": "stick"})["flight"]
     np.testing.assert_allclose(kept.time, TIME)
+
+
+@pytest.mark.parametrize("before", [0, 2])
+def test_lines_are_counted_from_the_first_without_a_header_too(tmp_path, before):
+    """Where comments or nothing stand before it."""
+    path = tmp_path / "flight.txt"
+    path.write_text("% made for a test\n" * before + "0 1\n1 oops\n2 3\n3 4\n")
+    log = gb.read(path, columns={"time": "1:s", "u": "2"})
+    found = f"cells that are not numbers, which count as missing: 2 (1 cell, the first 'oops' in line {before + 2})."
+    assert log.findings == (found,)
+    np.testing.assert_array_equal(log["flight"]["u"], [1, np.nan, 3, 4])
+
+
+def test_how_a_column_runs_between_samples_stays_with_it(tmp_path):
+    path = tmp_path / "flight.csv"
+    path.write_text("t [s],stick [% held],angle [deg sampled],x\n0,1,2,3\n1,2,3,4\n2,3,4,5\n")
+    record = gb.read(path, columns={"u": "stick", "theta": "angle", "x": "x:ft"})["flight"]
+    assert record.hold == {"u": np.inf, "theta": 0.0}
+    assert record.units == {"u": "1", "theta": "rad", "x": "m"}
+    np.testing.assert_allclose(record["x"], 0.3048 * np.array([3, 4, 5]))
+    np.testing.assert_allclose(record["u"], [0.01, 0.02, 0.03])

@@ -324,3 +324,116 @@ def test_the_rate_is_that_of_the_wanted_stretch():
     assert record.rate == pytest.approx(200)
     assert len(record.pieces) == 1
     assert record["theta"] == pytest.approx(wave(record.time), abs=1e-5)
+
+
+@pytest.mark.parametrize("samples", [13, 40, 1200])
+@pytest.mark.parametrize("rate", [50, 37.0])
+def test_a_straight_line_passes_the_filter_as_it_is(samples, rate):
+    """Its ends as well, which are extended by reflection in a point; however few samples there are."""
+    time = 3 + np.arange(samples) / 400
+    record = gb.prepare(recording(A=(time, {"x": 2 - 0.7 * time}, {})), {"x": "A.x"}, rate=rate)
+    assert len(record) == int((samples - 1) / 400 * rate + 1e-6) + 1
+    assert record["x"] == pytest.approx(2 - 0.7 * record.time, abs=1e-9)
+
+
+@pytest.mark.parametrize(("share", "kept"), [(0.05, 1), (0.2, 1), (0.345, 1), (0.505, 0), (0.7, 0), (1.3, 0), (3.4, 0)])
+def test_the_filter_is_flat_to_0_35_of_the_new_rate_and_stops_from_half_of_it(share, kept):
+    """By 80 dB; it moves nothing in time."""
+    time = stamps(400, 12)
+    omega = 2 * np.pi * share * 50
+    record = gb.prepare(recording(A=(time, {"x": wave(time, omega)}, {})), {"x": "A.x"}, rate=50)
+    inner = slice(60, -60)
+    assert record["x"][inner] == pytest.approx(kept * wave(record.time[inner], omega), abs=3e-4)
+
+
+@pytest.mark.parametrize(("rate", "filtered"), [(96, False), (94, True)])
+def test_close_to_the_rate_of_the_log_there_is_no_filter(rate, filtered):
+    """From 0.95 of it; a sine at 0.47 of the rate of the log is beyond half of the new one."""
+    time = stamps(100, 20)
+    log = recording(A=(time, {"x": wave(time, 2 * np.pi * 47.2)}, {}))
+    record = gb.prepare(log, {"x": "A.x"}, rate=rate, interpolation="linear")
+    assert (np.abs(record["x"][200:-200]).max() < 0.01) == filtered
+
+
+@pytest.mark.parametrize("rate", [999.0, 1001.0])
+def test_a_rate_is_ten_times_that_of_the_fastest_signal_at_most(rate):
+    fast, slow = stamps(100, 2), stamps(20, 2)
+    log = recording(A=(fast, {"x": fast}, {}), B=(slow, {"y": slow}, {}))
+    if rate > 1000:
+        with pytest.raises(
+            ValueError, match=r"^rate 1001 Hz is more than ten times that of the fastest signal, 100 Hz"
+        ):
+            gb.prepare(log, {"x": "A.x", "y": "B.y"}, rate=rate)
+    else:
+        record = gb.prepare(log, {"x": "A.x", "y": "B.y"}, rate=rate)
+        assert record["y"] == pytest.approx(record.time, abs=1e-9)
+
+
+def test_the_grid_is_what_all_signals_have_in_common():
+    """From the latest start to the earliest end, or those that are given; a signal of one sample is none."""
+    a, b = stamps(50, 10, start=2.0), stamps(20, 10, start=3.5)
+    log = recording(A=(a, {"x": a}, {}), B=(b, {"y": b}, {}), C=(b[:1], {"z": b[:1]}, {}))
+    signals = {"x": "A.x", "y": "B.y"}
+    record = gb.prepare(log, signals, rate=10)
+    assert (record.time[0], record.time[-1]) == pytest.approx((3.5, 11.9), abs=1e-9)
+    record = gb.prepare(log, signals, rate=10, start=4.25, end=7.0)
+    assert (record.time[0], record.time[-1]) == pytest.approx((4.25, 6.95), abs=1e-9)
+    record = gb.prepare(log, signals, rate=10, start=-5.0, end=70.0)
+    assert (record.time[0], record.time[-1]) == pytest.approx((3.5, 11.9), abs=1e-9)
+    for words, sentence in (
+        ({"start": np.nan}, "start nan and end inf must be numbers of seconds"),
+        ({"end": np.nan}, "start -inf and end nan must be numbers of seconds"),
+        (
+            {"start": 5.0, "end": 5.05},
+            r"do not overlap in time \(A\.x from 2\.0 to 12\.0 s; B\.y from 3\.5 to 13",
+        ),
+        ({"rate": np.inf}, "rate inf must be a finite number"),
+        ({"rate": -1.0}, "rate -1.0 must be a finite number of Hz above 0"),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            gb.prepare(log, signals, **{"rate": 10, **words})
+    with pytest.raises(ValueError, match=r"C\.z has 1 sample: there is nothing to put on a time base"):
+        gb.prepare(log, {"z": "C.z"})
+
+
+def test_a_lone_sample_between_gaps_is_no_stretch():
+    time = np.r_[0:2:0.02, 5.0, 8:10:0.02]
+    record = gb.prepare(recording(A=(time, {"x": 3 * time}, {})), {"x": "A.x"}, rate=50)
+    assert [len(piece) for piece in record.pieces] == [100, 100]
+    assert record["x"] == pytest.approx(3 * record.time)
+
+
+def test_each_piece_loses_its_own_trend():
+    """Its mean alone where it has two samples."""
+    time = np.r_[0:2:0.1, 5:7:0.1, 9.0, 9.1]
+    values = np.where(time < 3, 2 + time, np.where(time < 8, 7 - 3 * time + np.sin(time), 4 * time))
+    log = recording(A=(time, {"x": values}, {}))
+    whole = gb.prepare(log, {"x": "A.x"}, rate=10, interpolation="linear")
+    for how, degree in (("mean", 0), ("linear", 1)):
+        record = gb.prepare(log, {"x": "A.x"}, rate=10, interpolation="linear", detrend=how)
+        assert [len(piece) for piece in record.pieces] == [20, 20, 2]
+        for piece, before in zip(record.pieces, whole.pieces, strict=True):
+            line = np.polyfit(before.time, before["x"], degree if len(piece) > 2 else 0)
+            assert piece["x"] == pytest.approx(before["x"] - np.polyval(line, before.time), abs=1e-9)
+
+
+@pytest.mark.parametrize("samples", [3, 4, 30])
+def test_a_parabola_is_interpolated_by_cubics_from_four_samples_on(samples):
+    time = np.arange(samples) / 5
+    record = gb.prepare(recording(A=(time, {"x": time**2}, {})), {"x": "A.x"}, rate=20)
+    expected = record.time**2 if samples >= 4 else np.interp(record.time, time, time**2)
+    assert record["x"] == pytest.approx(expected, abs=1e-12)
+    linear = gb.prepare(recording(A=(time, {"x": time**2}, {})), {"x": "A.x"}, rate=20, interpolation="linear")
+    assert linear["x"] == pytest.approx(np.interp(linear.time, time, time**2), abs=1e-12)
+
+
+def test_the_negative_of_a_computed_signal_is_computed_first():
+    time = stamps(50, 2)
+    log = recording(A=(time, {"x": 2 + time, "y": 3 * time}, {"x": "m", "y": "m"}))
+    area = Derived(("A.x", "A.y"), lambda x, y: x * y - x, "m²")
+    record = gb.prepare(log, {"a": area, "b": negative(area), "c": negative("A.x")}, rate=50)
+    assert record["b"] == pytest.approx(-(2 + record.time) * (3 * record.time - 1))
+    assert record["a"] == pytest.approx(-record["b"])
+    assert record.units == {"a": "m²", "b": "m²", "c": "m"}
+    with pytest.raises(ValueError, match="axis 'up' is not known: use 'pitch', 'roll', 'forward' or 'right'"):
+        gb.logs.horizontal_velocity(axis="up")
