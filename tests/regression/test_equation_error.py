@@ -17,7 +17,7 @@ from greybox.models.rigid_body import RigidBody
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
 from greybox.models.yaw import YawStates
-from greybox.regression.equation_error import UsedEquation, _warnings, _why
+from greybox.regression.equation_error import EquationErrorEstimate, UsedEquation, _longest_delays, _warnings, _why
 from greybox.regression.least_squares import Block, autocovariances, covariance, residuals, solve
 from greybox.regression.linear_in_parameters import regressions
 
@@ -696,3 +696,126 @@ def test_why_a_parameter_was_not_estimated():
         ("f", (), "it is in no equation of the model"),
     ):
         assert _why(name, SimpleNamespace(left_out=left_out), projection) == said
+
+
+def test_every_row_of_what_is_printed():
+    parameters = {
+        "k": gb.Parameter(1.0, bounds=(0, 100), unit="1/s²", about="stiffness per mass"),
+        "c": gb.Parameter(1.0, bounds=(0, 10), unit="1/s", about="viscous friction"),
+    }
+    found = EquationErrorEstimate(
+        name="Slider, ground",
+        estimate={"k": 12.345678, "c": 10.0},
+        standard_error={"k": 0.123456, "c": np.nan},
+        bias={"k": -0.01234, "c": 0.0},
+        covariance=np.array([[0.04, np.nan], [np.nan, np.nan]]),
+        dof=57.3,
+        equations=(
+            UsedEquation("v'", ("k", "c"), 0.98765, 1234, 3.21098, 0.045678),
+            UsedEquation("az", ("k",), 0.5, 7, np.inf, 1.5),
+        ),
+        left_out=("w' (it needs w, not known)",),
+        missing={"m": "it has no effect in these data"},
+        at_bound=("c",),
+        fixed={},
+        states=("v from the derivative of x",),
+        cutoffs={"x": 6.4},
+        parameters=parameters,
+        warnings=("c ended at its bound.",),
+        inputs={"F": "held until its next sample"},
+    )
+    assert str(found).splitlines() == [
+        "Slider, ground: equation error",
+        "",
+        "  parameter  estimate  ± error  bias by noise  unit            meaning",
+        "  ---------  --------  -------  -------------  ----  --------  ------------------",
+        "  k             12.35     0.12         -0.012  1/s²            stiffness per mass",
+        "  c                10        -              0  1/s   AT BOUND  viscous friction",
+        "  not estimated: m, it has no effect in these data",
+        "",
+        "  equation  for      R²  rows  band, Hz  residual",
+        "  --------  ---  ------  ----  --------  --------",
+        "  v'        k c  0.9877  1234      3.21    0.0457",
+        "  az        k    0.5000     7       all       1.5",
+        "  left out: w' (it needs w, not known)",
+        "",
+        "  state v from the derivative of x",
+        "  input F held until its next sample",
+        "",
+        "  warning: c ended at its bound.",
+        "",
+        "  ± is the standard error for colored residuals and exact regressors. Noise in the regressors biases the",
+        "  estimate too, by about the column 'bias by noise', which is not subtracted. Use it as a start for gb.fit",
+        "  or confirm it with gb.fit.",
+    ]
+    assert "estimates of k, c" in repr(found)
+    assert "estimates of nothing" in repr(replace(found, estimate={}))
+
+
+def test_the_longest_delays_are_those_that_bounds_allow_or_that_are_given():
+    class Late(gb.StateSpace):
+        states, inputs, outputs = ("y",), ("u", "w", "r"), ("y",)
+        delays = {"u": "d", "w": "e"}
+        b = gb.Parameter(1.0)
+        d = gb.Parameter(0.05, bounds=(0, 0.3))
+        e = gb.Parameter(0.1, bounds=(0, 0.7))
+
+        def derivative(self, x, u, p):
+            return (p.b * u.u + u.w + u.r,)
+
+        def output(self, x, u, p):
+            return (x.y,)
+
+    parameters = dict(Late.parameters)
+    assert_allclose(_longest_delays(dynamics(Late()), parameters), [0.3, 0.7, 0.0])
+    parameters["e"] = replace(parameters["e"], fixed=True)
+    assert_allclose(_longest_delays(dynamics(Late()), parameters), [0.3, 0.1, 0.0])
+    parameters["d"] = replace(parameters["d"], bounds=(0, np.inf))
+    with pytest.raises(ValueError, match="a free delay has no upper bound: declare Parameter"):
+        _longest_delays(dynamics(Late()), parameters)
+
+
+def sampled(count=14, **more):
+    random = np.random.default_rng(0)
+    u = random.normal(size=count)
+    signals = {"u": u, "y": 2 * u + 0.3 + 0.1 * random.normal(size=count)}
+    return gb.Record(np.arange(count) * 0.1, signals | more)
+
+
+@pytest.mark.parametrize("value", [-10, 10, np.float64(3.0)])
+def test_what_is_fixed_may_lie_at_its_bound(value):
+    found = gb.regression.equation_error(StaticSum(), sampled(), fixed={"b": value})
+    assert found.fixed == {"b": float(value)}
+    u, y = sampled()["u"], sampled()["y"]
+    gain, offset = np.polyfit(u, y - value * u, 1)
+    if abs(gain) < 10:
+        assert found.estimate == pytest.approx({"a": gain, "c": offset})
+    assert found.equations[0].band == np.inf  # nothing was smoothed
+    assert (found.bias["c"], found.cutoffs) == (0.0, {})
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "sentence"),
+    [
+        ({"fixed": {"b": 10.1}}, ValueError, r"give a number within \(-10, 10\)"),
+        ({"fixed": {"b": "1"}}, ValueError, r"fixed gives 'b' the value '1'"),
+        ({"fixed": ["b"]}, TypeError, r"fixed is \['b'\]: give \{name: value\}"),
+        ({"cutoff": np.inf}, ValueError, r"cutoff inf must be a number of Hz above 0\."),
+        ({"cutoff": "1"}, ValueError, r"cutoff '1' must be a number of Hz above 0\."),
+    ],
+)
+def test_options_that_are_refused(options, error, sentence):
+    with pytest.raises(error, match=sentence):
+        gb.regression.equation_error(StaticSum(), sampled(), **options)
+
+
+@pytest.mark.parametrize(("ripple", "rests"), [(0.9e-9, True), (1.1e-9, False)])
+def test_signals_that_vary_by_rounding_are_constant(ripple, rests):
+    wave = np.where(np.arange(14) == 5, 0.0, 1.0)
+    record = sampled(u=-40 * (1 - ripple * wave), y=np.full(14, 3.0))
+    if rests:
+        with pytest.raises(ValueError, match="u and y of StaticSum are constant in the record, which carries no"):
+            gb.regression.equation_error(StaticSum(), record)
+    else:
+        found = gb.regression.equation_error(StaticSum(), record, fixed={"b": 0.0, "c": 0.0})
+        assert found.estimate["a"] == pytest.approx(-3 / 40)

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.modeling.realization import dynamics
-from greybox.regression.linear_in_parameters import regressions
+from greybox.regression.linear_in_parameters import _unstable, regressions
 
 
 class Motor(gb.StateSpace):
@@ -174,3 +174,77 @@ def test_a_parameter_is_linear_where_numbers_say_so(term, is_linear):
             return (x.x,)
 
     assert of(Term(), ["y"], fixed={}).linear == (("a",) if is_linear else ())
+
+
+class Hidden(gb.StateSpace):
+    """Three hidden states, of which the second of a pair and the third may not decay, beside one that is measured."""
+
+    states, inputs, outputs = ("v", "w", "n", "i"), ("u",), ("v",)
+    a = gb.Parameter(1.0, bounds=(-9, 9))
+    b = gb.Parameter(1.0, bounds=(-9, 9))
+    f = gb.Parameter(-3.0, bounds=(-9, 9))
+    g = gb.Parameter(-0.5, bounds=(-9, 9))
+    k = gb.Parameter(2.0, bounds=(-9, 9))
+
+    def derivative(self, x, u, p):
+        return (p.a * x.v + p.b * x.w + p.k * x.i, p.f * x.w + 0.1 * x.n, p.g * x.n + u.u, u.u)
+
+    def output(self, x, u, p):
+        return (x.v,)
+
+
+def test_states_that_do_not_decay_are_not_known_and_neither_is_what_they_drive():
+    """An integrator does not forget where it began; a growing mode leaves out the state with its largest part."""
+    found = of(Hidden(), ["u", "v"], fixed={"k": 0.0})
+    assert found.simulated_names == ("w", "n")
+    assert [e.left for e in found.equations] == ["v'"]
+    assert found.linear == ("a", "b")
+    assert found.nonlinear == ("f", "g")
+    found = of(Hidden(), ["u", "v"], fixed={})
+    assert found.equations == ()
+    assert found.left_out[0] == "v' (it needs i, not known)"
+    growing = of(Hidden(), ["u", "v"], fixed={"k": 0.0}, start=[1.0, 1.0, -3.0, 0.5])
+    assert growing.simulated_names == ()
+    assert "v' (it needs w, not known)" in growing.left_out
+    assert "n' (the state n is not known)" in growing.left_out
+    still = of(Hidden(), ["u", "v"], fixed={"k": 0.0}, start=[1.0, 1.0, -3.0, 0.0])
+    assert "v' (it needs w, not known)" in still.left_out
+
+
+@pytest.mark.parametrize(
+    ("matrix", "names"),
+    [
+        ([[-1.0, 5.0], [0.0, -2.0]], []),
+        ([[-1.0, 5.0], [0.0, 0.0]], ["p"]),  # the mode (5, 1)
+        ([[-1.0, 0.2], [0.0, 0.0]], ["q"]),  # the mode (0.2, 1)
+        ([[3.0, 0.0], [9.0, -2.0]], ["q"]),  # the mode (5, 9)
+        ([[0.0, 1.0], [-4.0, 0.0]], ["q"]),  # an oscillation that does not decay: (1, 2j)
+        ([[np.nan, 0.0], [0.0, -1.0]], ["p", "q"]),
+    ],
+)
+def test_the_state_with_the_largest_part_in_a_mode_that_does_not_decay_is_left_out(matrix, names):
+    assert _unstable(np.array(matrix), ["p", "q"]) == names
+
+
+class Products(gb.StateSpace):
+    """Of three parameters the second multiplies both others; the fourth alone is a power."""
+
+    states, inputs, outputs = ("v", "w"), ("u",), ("v", "y")
+    a, b, c, d = (gb.Parameter(1.0, bounds=(-9, 9)) for _ in range(4))
+
+    def derivative(self, x, u, p):
+        return (p.a * p.b * x.w + p.b * p.c * u.u, p.d**2 * u.u)
+
+    def output(self, x, u, p):
+        return (x.v, p.c * x.w)
+
+
+def test_of_parameters_that_multiply_one_another_the_fewest_are_left_out():
+    found = of(Products(), ["u", "v", "w", "y"], fixed={})
+    assert found.linear == ("a", "c")
+    assert found.nonlinear == ("b", "d")
+
+
+def test_an_equation_is_of_the_signals_behind_its_row_and_of_that_whose_slope_it_is():
+    found = of(Products(), ["u", "v", "w", "y"], fixed={})
+    assert [(e.left, e.signals) for e in found.equations] == [("v'", ("v", "w")), ("w'", ("w",)), ("y", ("w",))]
