@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,8 +15,11 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.models.tilt import Tilt
 from greybox.problems import pitch_5deg, pitch_hover, pitch_operating_points, rotors, yaw_hover
 from greybox.solve.batched_newton import BatchedNewton
-from greybox.solve.batched_solver import BatchedSolver
+from greybox.solve.batched_solver import BatchedSolver, _power_of_two
+from greybox.solve.minima import Minimum
 from greybox.solve.newton_iteration import RADIUS, Vectors, bounded
+from greybox.solve.outcome import IMPROVED, POLISHED, Outcome, Run
+from greybox.solve.runs import Runs
 from greybox.solve.waves import probability_of_no_other
 
 PAPER = (pitch_hover, pitch_5deg, yaw_hover, rotors)
@@ -352,3 +356,54 @@ def test_compiled_it_finds_the_same_and_compiles_once(tmp_path, monkeypatch):
     assert [*(tmp_path / "greybox").iterdir()] == [library]
     with pytest.raises(ValueError, match="compile=True is for multiple shooting, not for SingleShooting"):
         gb.fit(problem, 2, compile=True, method=gb.SingleShooting())
+
+
+class Confirming(BatchedSolver):
+    """IPOPT goes from each point to the cost that is stated for it; None is no solution."""
+
+    def __init__(self, costs):
+        self.costs, self.asked = costs, []
+        self._nlp = SimpleNamespace(parts=[SimpleNamespace(is_likelihood=True, numbers=9)])
+
+    def run(self, x, smoothing=0.0):
+        self.asked.append(float(x[0]))
+        cost = self.costs[float(x[0])]
+        return Outcome(x + 0.5, "end", 10, 1.0, converged=cost is not None, cost=99.0 if cost is None else cost)
+
+    def judged_run(self, outcome):
+        return outcome
+
+
+def improved_runs(*costs, stage=IMPROVED):
+    """From -1, -2, ... to 1, 2, ..."""
+    return Runs.of(
+        Run(k, np.array([-1.0 - k]), np.array([1.0 + k]), cost, "s", True, 4, 0.25, "", stage)
+        for k, cost in enumerate(costs)
+    )
+
+
+def test_what_ipopt_confirms_is_taken_over_with_what_was_spent_before():
+    """One of the best three runs of each minimum; costs of likelihoods are the same within a hundredth."""
+    runs = improved_runs(5.0, 5.0, 7.0)
+    minima = [Minimum(5.0, np.ones(1), (0, 1), 1), Minimum(7.0, np.ones(1), (2,), 1)]
+    solver = Confirming({1.0: 5.009, 3.0: 6.991})
+    found = solver.certified(runs, minima)
+    assert solver.asked == [1.0, 3.0]
+    assert {k: outcome.cost for k, outcome in found.items()} == {0: 5.009, 2: 6.991}
+    assert (found[0].iterations, found[0].seconds, found[0].stage) == (14, 1.25, POLISHED)
+    assert solver.certified(improved_runs(5.0, 5.0, 7.0, stage=POLISHED), minima) == {}
+
+
+def test_what_ipopt_does_not_confirm_is_made_again_from_its_starts():
+    """A higher cost or no solution at the first three; a lower minimum is taken over, and the next run is asked."""
+    runs = improved_runs(5.0, 5.0, 5.0, 5.0)
+    minimum = [Minimum(5.0, np.ones(1), (0, 1, 2, 3), 1)]
+    solver = Confirming({1.0: 5.011, 2.0: None, 3.0: 4.9, -1.0: 8.0, -2.0: 4.0, -4.0: 6.0})
+    found = solver.certified(runs, minimum)
+    assert solver.asked == [1.0, 2.0, 3.0, -1.0, -2.0, -4.0]
+    assert {k: outcome.cost for k, outcome in found.items()} == {0: 8.0, 1: 4.0, 2: 4.9, 3: 6.0}
+    assert all(outcome.iterations == 14 for outcome in found.values())
+
+
+def test_a_batch_is_a_power_of_two():
+    assert [_power_of_two(count) for count in (1, 2, 3, 127, 128, 1024)] == [1, 2, 2, 64, 128, 1024]

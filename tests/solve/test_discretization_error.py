@@ -15,6 +15,7 @@ from greybox.solve.discretization_error import (
     _distinct_ends,
     _followed,
     _in_standard_errors,
+    _is_rounding,
     _widened,
     _without_aliases,
 )
@@ -207,3 +208,19 @@ def test_of_two_ends_one_may_be_an_alias(monkeypatch):
     assert found.nodes[0].item() == 2.0
     alone = search_of([(1.0, 10.0)], [(2.0, 15.5)])  # no rival: the only one is left
     assert _without_aliases(PLAIN, alone, Solver({1.0: 0.0}), ()) == (alone, True)
+
+
+@pytest.mark.parametrize(
+    ("moved", "is_rounding"),
+    [((1.9e-7, 0.0), True), ((2.1e-7, 0.0), False), ((0.0, -0.4e-7), True), ((0.0, -0.6e-7), False)],
+)
+def test_what_finer_steps_change_in_the_eighth_digit_is_rounding(moved, is_rounding):
+    """Of states that reach 2 and 0.5, each by itself."""
+    nodes, ends = np.array([[1.0, 0.1], [-2.0, 0.5], [0.5, -0.2]]), np.array([[3.0, 0.3], [1.0, 9.0], [0.0, 0.0]])
+    coarse = SimpleNamespace(nodes=nodes, ends=ends)
+    finer = SimpleNamespace(ends=ends + np.array([[0.0, 0.0], moved, [0.0, 0.0]]))
+    assert _is_rounding(coarse, finer) is is_rounding
+    none = SimpleNamespace(nodes=np.zeros((2, 0)), ends=np.zeros((2, 0)))
+    assert _is_rounding(none, none)
+    still = SimpleNamespace(nodes=np.zeros((3, 2)), ends=ends)
+    assert not _is_rounding(still, SimpleNamespace(ends=ends + 1e-12))
