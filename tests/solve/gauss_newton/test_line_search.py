@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+import numpy as np
 import pytest
 
 from greybox.solve import Strategies
@@ -61,3 +62,12 @@ def test_a_merit_that_grows_by_rounding_alone_is_taken(size, share, taken):
     rounding = Strategies().cost_rounding * max(size, 1.0)
     trial, length = line_search(Line(), 0.0, 1.0, lambda x: size + share * rounding * (x != 0), size, Stage())
     assert (trial, length) == ((1.0, 1.0) if taken else (None, 0.0))
+
+
+def test_no_share_of_a_step_below_the_shortest_is_tried():
+    settings, tried = Strategies(), []
+    found = line_search(Line(), 1.0, 1.0, lambda x: tried.append(x - 1) or 2.0, 1.0, Stage())
+    assert found == (None, 0.0)
+    lengths = settings.step_reduction ** np.arange(len(tried))
+    np.testing.assert_allclose(tried, lengths)
+    assert lengths[-1] > settings.shortest_step >= settings.step_reduction * lengths[-1]
