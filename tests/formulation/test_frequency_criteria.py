@@ -7,6 +7,7 @@ from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from evaluation import numeric_jacobian
 from numpy.testing import assert_allclose
 from scipy.optimize import minimize_scalar
+from scipy.special import hyp2f1
 from scipy.stats import multivariate_t
 
 import greybox as gb
@@ -365,3 +366,25 @@ def test_the_noise_does_not_depend_on_the_phase(criterion):
     ]
     assert sizes == pytest.approx([sizes[0]] * 3, rel=1e-9)
     assert 0.05 < sizes[0] < 0.2
+
+
+def test_directions_of_correlated_errors_are_correlated_as_middleton_says():
+    """E e₁ e₂* / |e₁ e₂| of circular normal errors is (π/4) k ₂F₁(1/2, 1/2; 2; k²)."""
+    k = np.array([0.0, 1e-6, 0.9e-4, 1.1e-4, 0.01, 0.3, 0.8, 0.999, 1.0])
+    found = gb.RelativeError().score_correlation(k)
+    assert_allclose(found, np.pi / 4 * k * hyp2f1(0.5, 0.5, 2, k**2), rtol=1e-6, atol=1e-150)
+    assert found[-1] == pytest.approx(1)
+    assert_allclose(gb.SquaredRelativeError().score_correlation(k), k)
+
+
+def test_the_mean_error_at_the_minimum_is_too_small_by_what_the_parameters_take():
+    """Of n points and p parameters by the share p / (π n), of squared errors by p / 2n of the square."""
+    errors = np.array([0.3 + 0.4j, -0.6j, 0.1, 0.5 - 1.2j, 0.2j])
+    n, p = 5, 3
+    correction = np.sqrt(2 * n / (2 * n - p))
+    mean = (0.5 + 0.6 + 0.1 + 1.3 + 0.2) / 5
+    assert gb.RelativeError().size_of(errors, 1.0) == pytest.approx(mean / np.sqrt(np.pi / 2))
+    expected = mean / np.sqrt(np.pi / 2) / (1 - p / (np.pi * n))
+    assert gb.RelativeError().size_of(errors, correction) == pytest.approx(expected)
+    squares = 0.25 + 0.36 + 0.01 + 1.69 + 0.04
+    assert gb.SquaredRelativeError().size_of(errors, correction) == pytest.approx(np.sqrt(squares / (2 * n - p)))

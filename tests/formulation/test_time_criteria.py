@@ -1,5 +1,7 @@
 """Fits of records, held against known truths, brute-force likelihoods, and fits that must give the same."""
 
+import re
+
 import numpy as np
 import pytest
 from hard_models import Direct, direct
@@ -227,3 +229,80 @@ def test_only_a_model_with_named_states_is_predicted():
     constant = bias_parameter("u", record)
     known = bias_parameter("u", record.with_signals(u=np.linspace(3.0, 4.0, 50)))
     assert (constant.starts, constant.bounds) == (known.starts, known.bounds)  # a constant counts as a range of one
+
+
+def test_unknowns_of_the_criterion_have_sizes_of_the_measured_signals():
+    """Ranges for biases, deviations for noise; a constant signal has neither."""
+    record = gb.Record(
+        np.arange(4.0),
+        {"F": [1.0, 3.0, np.nan, 7.0], "x": [2.0, 2.0, 2.0, 2.0], "v": [-1.0, 1.0, 3.0, np.nan]},
+        units={"F": "N", "v": "m/s"},
+    )
+    found = gb.OutputError(biases=("F", "x")).parameters(Spring(), record)
+    assert list(found) == ["F_bias", "x_bias"]
+    assert (found["F_bias"].start, found["F_bias"].bounds) == (0, (-60, 60))
+    assert found["F_bias"].starts == pytest.approx((-0.3, 0.3))
+    assert (found["F_bias"].unit, found["x_bias"].unit) == ("N", "1")
+    assert (found["x_bias"].bounds, found["x_bias"].starts) == ((-10, 10), (-0.05, 0.05))
+
+    found = gb.PredictionError(process_noise=("v",), biases=("x",)).parameters(Spring(), record)
+    assert list(found) == ["x_bias", "w_v", "v_x", "v_v"]
+    driven, deviation = found["w_v"], found["v_v"]
+    assert (driven.start, driven.bounds, driven.starts, driven.unit) == (0, (0, np.inf), (0, 0), "[v]/√s")
+    spread = np.sqrt(8 / 3)
+    assert deviation.start == pytest.approx(0.1 * spread)
+    assert deviation.starts == (deviation.start, deviation.start)
+    assert deviation.bounds == pytest.approx((1e-5 * spread, np.inf))
+    assert deviation.unit == "m/s"
+    assert found["v_x"].start == pytest.approx(0.1)
+
+    gains = gb.PredictionError(corrected=("v",)).parameters(Spring(), record)
+    assert list(gains) == ["K_v_x", "K_v_v"]
+    assert (gains["K_v_x"].start, gains["K_v_x"].starts, gains["K_v_x"].unit) == (0, (0, 0), "[v/x]")
+
+
+@pytest.mark.parametrize(
+    ("criterion", "words"),
+    [
+        (lambda: gb.OutputError(noise={"x": 0.0}), "noise gives 'x' the value 0.0: give a standard deviation above 0."),
+        (lambda: gb.OutputError(noise={"x": np.inf}), "noise gives 'x' the value inf: give a standard deviation"),
+        (lambda: gb.OutputError(noise={"x": "1"}), "noise gives 'x' the value '1': give a standard deviation"),
+        (lambda: gb.OutputError(noise="ful"), "noise 'ful' is not known: use 'diagonal', 'full' or {output: standard"),
+        (lambda: gb.OutputError(initial={"x": np.nan}), "initial gives 'x' the value nan: give a finite number or"),
+        (lambda: gb.OutputError(initial={"x": "0"}), "initial gives 'x' the value '0': give a finite number or a"),
+        (
+            lambda: gb.PredictionError(process_noise="v", corrected=("v",)),
+            "process_noise says which states are corrected: leave out corrected.",
+        ),
+        (
+            lambda: gb.PredictionError(process_noise="v", noise="full"),
+            "with process_noise sensors have the parameters v_<output>: leave out noise='full', and",
+        ),
+    ],
+)
+def test_options_that_are_none_are_refused(criterion, words):
+    with pytest.raises(ValueError, match=f"^{re.escape(words)}"):
+        criterion()
+    with pytest.raises(TypeError, match=r"^initial is \(\('x', 1\.0\),\): give \{state: value or function of the par"):
+        gb.OutputError(initial=(("x", 1.0),))
+
+
+@pytest.mark.parametrize(
+    ("criterion", "signals", "words"),
+    [
+        (gb.OutputError(), ("x", "v"), "Spring needs the input 'F', which the record does not have; it has x, v."),
+        (gb.OutputError(), ("F", "y"), "the record has none of the outputs of Spring (x, v); it has F, y."),
+        (
+            gb.OutputError(noise={"x": 0.1}),
+            ("F", "x", "v"),
+            "noise gives no standard deviation for 'v': add it, or use noise='diagonal'.",
+        ),
+        (gb.OutputError(noise={"a": 0.1, "x": 1.0}), ("F", "x"), "Spring has no output 'a'"),
+        (gb.OutputError(biases=("v",)), ("F", "x"), "Spring has no measured output or input 'v'"),
+        (gb.OutputError(initial={"a": 0.1}), ("F", "x"), "Spring has no state 'a'"),
+    ],
+)
+def test_a_record_that_does_not_meet_the_criterion_is_refused(criterion, signals, words):
+    record = gb.Record(np.arange(5.0), dict.fromkeys(signals, np.array([0.0, 1.0, 0.5, 2.0, 1.0])))
+    with pytest.raises(ValueError, match=f"^{re.escape(words)}"):
+        criterion.compared(Spring(), record)
