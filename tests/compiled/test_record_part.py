@@ -583,5 +583,5 @@ def test_a_steady_filter_needs_nine_tenths_of_the_samples_that_are_compared(miss
     if is_enough:
         assert part.noise_model.step == pytest.approx(0.05)
     else:
-        with pytest.raises(ValueError, match="^'flight' has all of x, v at too few samples for process_noise, whose"):
+        with pytest.raises(ValueError, match=r"^'flight' has all of x, v at too few samples for process_noise, whose"):
             _ = part.noise_model
