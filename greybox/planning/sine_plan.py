@@ -309,7 +309,7 @@ def _density(
         each, where = np.unique(lines, return_inverse=True)
         response = frequency_response(model, values, each, input=input, output=output).response[where.ravel()]
         basis = window * np.exp(-1j * np.outer(lines.ravel(), np.arange(u.size) * stretch.step))
-        power = np.abs(basis @ (y - y.mean()) - response * (basis @ (u - u.mean()))) ** 2
+        power = np.abs(basis @ y - response * (basis @ u)) ** 2
         total += length * 2 * stretch.step / np.sum(window**2) * power.reshape(lines.shape).mean(axis=1)
         seconds += length
     if seconds * omega[0] < QUIET_PERIODS * HZ:

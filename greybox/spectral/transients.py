@@ -85,7 +85,7 @@ def _grid(band: tuple[float, float], duration: float, step: float) -> NDArray[np
     spacing = 2 * np.pi / duration
     if not 0 <= low < high:
         raise ValueError(f"band ({low:g}, {high:g}) must be two frequencies in rad/s, the lower one first.")
-    if high > HIGHEST * 2 * np.pi / step:
+    if high > HIGHEST * 2 * np.pi / step * (1 + 1e-9):  # rounding of the step
         raise ValueError(
             f"the band ends at {high:g} rad/s and the signals are sampled at {1 / step:g} Hz: end it at "
             f"{HIGHEST * 2 * np.pi / step:.4g} rad/s at most, {HIGHEST:g} of the sampling rate."

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from command_line import run
 
-from greybox.cli.inspect_command import _about, _contents, _following
+from greybox.cli.inspect_command import _about, _contents, _following, _rate
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment
 
@@ -130,3 +130,13 @@ def test_the_next_command_follows_from_what_was_found(message, found, stated, fo
     is_sine = found[:1] == ["sine"]
     parts = (tests, []) if is_sine else ([], tests)
     assert _following(log, *parts, Namespace(**options)) == following
+
+
+def test_bursts_are_gaps_before_more_than_a_twentieth_of_the_samples():
+    """A lossy log of 100 samples at 10 Hz has the rate of its samples, one with six gaps its mean."""
+    for gaps, rate in ((5, 10.0), (6, 99 / (9.9 + 6 * 0.4))):
+        intervals = np.full(99, 0.1)
+        intervals[10 : 10 + 5 * gaps : 5] += 0.4
+        record = Record(np.concatenate([[0.0], np.cumsum(intervals)]), {"x": np.arange(100.0)})
+        assert len(record.pieces) == gaps + 1
+        assert _rate(record) == pytest.approx(rate)

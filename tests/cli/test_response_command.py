@@ -284,3 +284,12 @@ def test_a_matrix_of_responses_from_the_log_to_a_model(capsys, tmp_path):
     ]
     assert "one .csv file" in refused(capsys, *command, "--out", tmp_path / "matrix.h5")
     assert "there are 1 excitations for 2 inputs" in refused(capsys, *command[:-1])
+
+
+def test_several_signals_need_a_period_and_are_named(capsys):
+    several = ("response", LOG, "--input", "u=RATE.POut", "r=RATE.ROut", "--output", "q=RATE.P")
+    assert "greybox: --input u=RATE.POut r=RATE.ROut are several signals: give one, or the --period" in refused(
+        capsys, *several
+    )
+    both = refused(capsys, *several, "p=RATE.R")
+    assert "--input u=RATE.POut r=RATE.ROut and --output q=RATE.P p=RATE.R are several signals" in both

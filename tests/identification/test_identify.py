@@ -10,8 +10,9 @@ import pytest
 
 import greybox as gb
 from greybox.data.record import Record, Recording
-from greybox.identification.choices import choose
-from greybox.identification.identify import FittedStep, _closer
+from greybox.data.test_segment import Segment
+from greybox.identification.choices import _motion, choose
+from greybox.identification.identify import FittedStep, _chosen, _closer, _ladder_of
 from greybox.problems import sitl_pitch
 
 
@@ -301,3 +302,58 @@ def test_a_structure_that_fails_close_to_the_data_is_named():
         "Structure 1 did not converge, but came to a cost of 0.42 where the chosen one has 0.41: fit"
     )
     assert _closer(steps[1:], steps[1]) == []
+
+
+def test_the_motion_of_a_setpoint_is_that_during_the_tests():
+    """The largest of all tests; what moves before, between and after them is none. Angles jump by a whole turn."""
+    time = np.arange(0, 50, 0.01)
+    inside = np.where(time < 25, 3.0, 5.0) * np.sin(2 * np.pi * time)
+    is_test = ((time >= 10) & (time < 20)) | ((time >= 30) & (time < 40))
+    moved = np.where(is_test, inside, 80 * np.sin(9 * time))
+    record = Record(time, {"deg": moved, "rad": np.radians(moved) % (2 * np.pi)}, {"deg": "deg", "rad": "rad"})
+    log = Recording({"ATT": record})
+    tests = [Segment(start, start + 9.99, omega=2 * np.pi) for start in (10.0, 30.0)]
+    assert _motion(log, "ATT.deg", tests) == pytest.approx(5 / np.sqrt(2), rel=1e-3)
+    assert _motion(log, "ATT.rad", tests) == pytest.approx(np.radians(5) / np.sqrt(2), rel=1e-3)
+    assert _motion(log, "ATT.deg", tests[:1]) == pytest.approx(3 / np.sqrt(2), rel=1e-3)
+    assert _motion(log, "ATT.other", tests) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("count", "supported", "chosen", "said"),
+    [
+        (0, None, None, "No structure converged."),
+        (1, None, 1, "Only one structure converged."),
+        (2, "", 1, "The costs cannot be compared: the simplest structure is shown."),
+        (2, "3", 2, "Structure 3 is it."),
+    ],
+)
+def test_the_smallest_supported_structure_that_converged_is_chosen(count, supported, chosen, said):
+    converged = [False, *[True] * count]
+    steps = [FittedStep(str(k), (), "", (), "", SimpleNamespace(converged=c)) for k, c in enumerate(converged)]
+    labels = tuple(str(k + 1) for k, c in enumerate(converged) if c)
+    comparison = (
+        supported
+        if supported is None
+        else SimpleNamespace(supported=supported, labels=labels, verdict=f"{supported} is it.")
+    )
+    assert _chosen(steps, comparison) == (None if chosen is None else steps[chosen], said)
+
+
+def test_an_output_without_a_ladder_is_told():
+    with pytest.raises(
+        ValueError, match=r"^no structures are known for the output 'height': name it as one of .*=SIGNAL"
+    ):
+        _ladder_of("height")
+
+
+def test_an_axis_without_a_known_control_asks_for_the_input():
+    time = np.arange(0, 60, 0.01)
+    moved = np.where((time > 5) & (time < 55), 0.1 * np.sin(3 * (time - 5)), 0)
+    log = Recording(
+        {"ATT": Record(time, {"DesPitch": moved, "Pitch": 0.9 * moved}, {"DesPitch": "rad", "Pitch": "rad"})}
+    )
+    with pytest.raises(
+        ValueError, match=r"no control is known for the axis 'ATT.DesPitch': give the input, --input u=M"
+    ):
+        choose(log)

@@ -5,6 +5,7 @@ import pytest
 
 from greybox.data.record import Record, Recording
 from greybox.identification.manoeuvre import measure_manoeuvre
+from greybox.spectral.transients import HIGHEST
 
 TIME = np.arange(0, 40, 0.02)
 
@@ -85,3 +86,11 @@ def test_a_manoeuvre_in_a_loop_is_told_and_one_that_is_not_there():
         measure_manoeuvre(still, ["FLY.u"], ["FLY.q"], "1")
     with pytest.raises(ValueError, match=r"no manoeuvre was found in FLY\.q: name"):
         measure_manoeuvre(Recording({"FLY": still["FLY"].with_signals(q=0 * TIME)}), ["FLY.u"], [], "1", signal="FLY.q")
+
+
+def test_no_frequency_above_that_which_the_rate_resolves_is_taken():
+    """Two fifths of the sampling rate, where a pulse of one second has energy beyond."""
+    found = measure_manoeuvre(flown(), ["FLY.u"], ["FLY.q"], "2", rate=2.5)
+    omega, highest = found.spectrum.omega, HIGHEST * 2 * np.pi * 2.5
+    assert found.manoeuvre.band[1] > highest
+    assert highest - 2 * (omega[1] - omega[0]) < omega[-1] <= highest

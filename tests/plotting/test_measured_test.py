@@ -67,11 +67,12 @@ def test_the_ridge_of_a_spectrogram_is_the_law_of_the_sweep():
 
 def test_the_demodulated_sine_lies_over_the_raw_one():
     rng = np.random.default_rng(0)
-    theta = 0.05 * np.sin(3 * TIME) + 0.01 * rng.normal(size=TIME.size)
+    theta = 0.05 * np.sin(3 * TIME) + 0.3 - 0.02 * TIME + 0.01 * rng.normal(size=TIME.size)
     record = Record(TIME, {"u": np.cos(3 * TIME), "theta": theta}, {"theta": "rad"})
     control, angle = gb.plotting.demodulated(record, Segment(0.0, 40.0, omega=3.0), ("u", "theta"))
     raw, sine = angle.lines
-    assert sine.get_ydata() == pytest.approx(np.degrees(0.05) * np.sin(3 * sine.get_xdata()), abs=0.05)
+    at = sine.get_xdata()
+    assert sine.get_ydata() == pytest.approx(np.degrees(0.05 * np.sin(3 * at) + 0.3 - 0.02 * at), abs=0.08)
     assert np.ptp(raw.get_xdata()) == pytest.approx(4 * 2 * np.pi / 3, rel=0.01)
     assert (control.get_ylabel(), angle.get_ylabel()) == ("u", "θ, °")
     with pytest.raises(ValueError, match="the test is a sweep"):

@@ -35,7 +35,9 @@ def test_residuals_have_a_histogram_and_their_correlations(spring, record):
         (shade,) = ax.patches
         box = shade.get_extents().transformed(ax.transData.inverted())
         assert (box.y0, box.y1) == (pytest.approx(-test.bound), pytest.approx(test.bound))
-        assert ax.get_ylim()[1] > np.abs(test.correlations).max()
+        most = max(np.abs(test.correlations).max(), test.bound)
+        assert most < ax.get_ylim()[1] == -ax.get_ylim()[0] < 1.5 * most
+        assert ax.get_xlim() == (0, len(test.correlations) + 1)
     assert autocorrelation.get_ylabel() == "Autocorrelation"
     assert force.get_ylabel().startswith("Correlation with")
     assert histogram.get_xlabel() == "Residual of position, m"

@@ -9,6 +9,7 @@ from drawn_lines import QUICK, TRUTH, curves, legend, points
 import greybox as gb
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import Tilt
+from greybox.plotting.response_series import MARKER_SIZE, response_series
 
 
 def test_a_joint_fit_shows_every_part_and_a_common_curve_once(rotors):
@@ -116,3 +117,16 @@ def test_wrong_use_is_said_in_a_sentence(pitch):
         gb.plotting.bode([pitch])
     with pytest.raises(ValueError, match="1 labels for 2 fits"):
         gb.plotting.bode(pitch, pitch, labels=("one",))
+
+
+def test_curves_of_different_items_have_different_lines(pitch):
+    curve = gb.frequency_response(Tilt(), TRUTH, [1.0, 2.0, 5.0])
+    axes = gb.plotting.bode(*[replace(curve, response=k * curve.response) for k in range(1, 6)])
+    assert [line.get_linestyle() for line in curves(axes[0])] == ["-", "--", "-.", ":", "-"]
+
+
+@pytest.mark.parametrize(("count", "size"), [(20, 1.0), (100, 1.0), (400, 0.5)])
+def test_the_ink_of_many_points_is_that_of_a_hundred(count, size):
+    data = gb.FrequencyResponse(np.geomspace(1, 9, count), np.ones(count))
+    (series,) = response_series([data], (), None)
+    assert series.look["markersize"] == pytest.approx(size * MARKER_SIZE)

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from drawn_lines import TRUTH, curves, points
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 import greybox as gb
 from greybox.data.record import Record, Recording
 from greybox.models.tilt import Tilt
+from greybox.plotting.style import legend_below
 
 RECORD = Record(np.arange(0, 5, 0.01), {"u": np.arange(500.0), "theta": np.zeros(500)}, {"theta": "rad"}, name="made")
 
@@ -90,3 +92,12 @@ def test_only_the_lowest_of_stacked_panels_is_labeled(pitch):
     assert [ax.get_xlabel() for ax in gb.plotting.bode(pitch)] == ["", "", "", "ω, rad/s"]
     stacked = Figure().subplots(2, 1, sharex=True)
     assert [ax.get_xlabel() for ax in gb.plotting.bode(pitch, axes=stacked)] == ["", "ω, rad/s"]
+
+
+@pytest.mark.parametrize(("width", "columns"), [(4.0, 2), (6.0, 4), (20.0, 5)])
+def test_a_legend_below_has_as_many_columns_as_fit(width, columns):
+    """A letter takes an eleventh of an inch, a key six letters: of ten letters 16 / 11 in each."""
+    figure = Figure(figsize=(width, 3))
+    legend_below(figure, {f"{k} {'x' * 8}": (Line2D([], []),) for k in range(5)})
+    (legend,) = figure.legends
+    assert legend._ncols == columns

@@ -133,6 +133,7 @@ def test_errors_of_constants_from_an_earlier_fit_are_drawn(lag):
     with pytest.raises(ValueError, match="T from an earlier fit"):
         gb.bootstrap(fit, progress=False)
     found = gb.bootstrap(fit, replicates=300, problem=problem, progress=False)
+    assert "T" not in found.names  # what is fixed has no replicates
     assert_allclose(found.standard_error["K"], fit.standard_error["K"], rtol=0.2)
     assert_allclose(found.standard_error["bandwidth"], lag.standard_error["bandwidth"], rtol=0.2)
 
@@ -275,6 +276,9 @@ def test_a_bootstrap_is_printed_with_its_numbers(replicates):
     (row,) = [line.split() for line in text if line.split()[:1] == ["a"]]
     error, bias = replicates.standard_error["a"], replicates.bias["a"]
     assert [float(x) for x in row[1:5]] == pytest.approx([1.8, error, 0.5, bias], rel=0.05)
+    exact = replace(replicates, given_error=np.array([1 / 3, np.nan]))
+    (row,) = [line.split() for line in str(exact).splitlines() if line.split()[:1] == ["a"]]
+    assert [float(x) for x in row[2:5]] == [float(f"{error:.3g}"), 0.333, float(f"{bias:.2g}")]
     said = replicates.summary(0.8)
     assert (said["level"], said["statuses"], said["replicates"]) == (0.8, {"stagnated": 2}, 40)
     assert said["quantities"]["b"]["percentile"] == pytest.approx(replicates.interval(0.8, "percentile")["b"])
