@@ -33,3 +33,26 @@ def test_only_segments_are_segments():
     assert checked_segments(iter([sine])) == (sine,)
     with pytest.raises(TypeError, match=r"a segment is \(1, 2\): give those of gb.logs.find_segments"):
         checked_segments([sine, (1, 2)])
+
+
+def test_each_number_of_a_segment_stands_in_its_column():
+    segments = [
+        Segment(1.234, 11.0, "sine", "pitch", 2.0, amplitude=3.14159, offset=0.5, unit="deg", source="SIDS"),
+        Segment(20.0, 30.5, "sweep", "", band=(0.62832, 37.699), amplitude=0.06).refused("one", "two"),
+        Segment(40.0, 41.0, "doublet", "roll", offset=-1e-12),
+    ]
+    assert segment_table(segments).splitlines() == [
+        "   start s  end s  kind     axis           rad/s  periods  amplitude  offset  usable  source",
+        "-  -------  -----  -------  -----  -------------  -------  ---------  ------  ------  ------",
+        "1     1.23  11.00  sine     pitch              2     3.11   3.14 deg     0.5     yes  SIDS",
+        "2    20.00  30.50  sweep           0.628 to 37.7        -       0.06       -      no",
+        "3    40.00  41.00  doublet  roll          - to -        -          -      -0     yes",
+        "2: one",
+        "2: two",
+    ]
+    assert repr(segments[0]) == "<Segment sine, 1.234 to 11 s, pitch>"
+    assert repr(segments[1]) == "<Segment sweep, 20 to 30.5 s, no axis, not usable>"
+    assert segments[1].findings == ("one", "two")
+    assert segments[0].band == (2.0, 2.0)
+    assert segments[0].periods == pytest.approx((11 - 1.234) * 2 / (2 * math.pi))
+    assert segments[1].periods == pytest.approx(10.5 * 0.62832 / (2 * math.pi))

@@ -7,6 +7,8 @@ import pytest
 from synthetic_logs import Log
 
 from greybox.logs.readers import read
+from greybox.logs.readers.dataflash_units import with_usual_units
+from greybox.logs.readers.messages import Messages
 
 
 def long_log(lines):
@@ -81,3 +83,81 @@ def test_a_letter_with_two_units_means_none(tmp_path, suffix):
     recording = read(path)
     assert (recording["ATT"].units["Roll"], recording["ATT"].units["Spd"]) == ("", "m/s")
     assert any("the letter 'd' for deg and for rad" in text for text in recording.findings)
+
+
+def test_a_line_has_its_share_of_the_time_between_two_of_gps(tmp_path):
+    """Eleven lines from one to the next, 0.2 s; before the first and after the last it is not known."""
+    text = old_log().splitlines()
+    head, body = text[:4], text[4:]
+    (tmp_path / "old.log").write_text("\n".join([*head, "ATT, 0.0, 9.0, 0.0, 1.0", *body]) + "\n")
+    recording = read(tmp_path / "old.log")
+    k = np.arange(490)
+    expected = 20 + 0.2 * (k // 10) + 0.2 * (k % 10 + 1) / 11
+    np.testing.assert_allclose(recording["ATT"].time, expected, atol=1e-9)
+    np.testing.assert_allclose(recording["ATT"]["Roll"], np.round(np.sin(0.1 * k), 2))
+    assert "ATT: 11 of 501 samples dropped: 11 with implausible times." in recording.findings
+
+
+def test_damaged_lines_cost_only_themselves(tmp_path):
+    lines = [
+        "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns",
+        "FMT, 1, 17, ATT, Qfn, TimeUS,Roll,Who",
+        "FMT, x, 17, BAD, Qf, TimeUS,Roll",
+        "FMT, 2, 17, BAE, Q?, TimeUS,Roll",
+        "FMT, 3, 17, BAF, Qff, TimeUS,Roll",
+        "FMT, 4, 17, BAG, Qff, TimeUS,Roll,Roll",
+        "FMT, 5, 17",
+        "ATT, 1000000, 1.5, me",
+        "ATT, 1100000, 2.5",
+        "ATT, 1200000, oops, you",
+        "ATT, 1300000, 4.5, him",
+        *(f"{name}, 1000000, 1" for name in ("BAD", "BAE", "BAF", "BAG", "ODD")),
+        "no comma in this line",
+    ]
+    (tmp_path / "flight.log").write_text("\n".join(lines) + "\n")
+    recording = read(tmp_path / "flight.log")
+    assert [*recording] == ["ATT"]
+    np.testing.assert_array_equal(recording["ATT"].time, [1.0, 1.2, 1.3])
+    np.testing.assert_array_equal(recording["ATT"]["Roll"], [1.5, np.nan, 4.5])
+    assert "ATT: 1 damaged lines were skipped." in recording.findings
+    assert "5 lines are damaged, or have no FMT line that describes them, and were skipped." in recording.findings
+
+
+@pytest.mark.parametrize("suffix", [".log", ".bin"])
+def test_multipliers_are_a_part_of_the_unit(tmp_path, suffix):
+    """By their prefix, or as a number; one is none, and a letter that scales has its own."""
+    made = Log()
+    made.add("MULT", 0, ord("x"), 3.5).add("UNIT", 0, ord("m"), "m")
+    made.fmt("TST", "Qhhhhc", "TimeUS,A,B,C,D,E", "snnmms", "FBx0?B")
+    for k in range(3):
+        made.add("TST", 1_000_000 + 100_000 * k, 1, 2, 3, 4, 5.0)
+    path = tmp_path / f"log{suffix}"
+    path.write_bytes(made.binary) if suffix == ".bin" else path.write_text(made.text)
+    record = read(path)["TST"]
+    assert record.units == {"A": "cm/s", "B": "3.5 m/s", "C": "m", "D": "m", "E": "s"}
+    assert [record[name][0] for name in "ABCDE"] == [1, 2, 3, 4, 5]
+
+
+def test_the_usual_units_are_those_of_ardupilots_messages():
+    """As LogStructure.h of ArduPilot has them; a log that states one unit is believed."""
+    fields = {
+        "ATT": {"Roll": "deg", "DesPitch": "deg", "ErrYaw": "deg", "AEKF": ""},
+        "RATE": {"PDes": "deg/s", "P": "deg/s", "POut": "", "Y": "deg/s", "RDes": "deg/s"},
+        "IMU": {"GyrX": "rad/s", "GyrZ": "rad/s", "AccY": "m/s²", "T": ""},
+        "XKF1": {"Pitch": "deg", "VN": "m/s", "VD": "m/s", "PE": "m", "GX": ""},
+        "AHR2": {"Yaw": "deg", "Alt": ""},
+        "BARO": {"Alt": ""},
+    }
+    groups = [
+        Messages(name, np.arange(2), np.arange(2.0), {field: np.zeros(2) for field in units})
+        for name, units in fields.items()
+    ]
+    made, findings = with_usual_units(groups)
+    for group in made:
+        assert {name: group.units.get(name, "") for name in group.columns} == fields[group.name]
+    assert findings == (
+        "the log has no table of units: ArduPilot's usual ones are assumed for ATT, RATE, IMU, XKF1, AHR2.",
+    )
+    stated = [*groups, Messages("GPS", np.arange(2), np.arange(2.0), {"Spd": np.zeros(2)}, units={"Spd": "m/s"})]
+    assert with_usual_units(stated) == (stated, ())
+    assert with_usual_units(groups[-1:]) == (groups[-1:], ())

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from greybox.data.heading import Heading, heading
-from greybox.logs.readers.table_columns import WIDEST, seconds, table
+from greybox.logs.readers.table_columns import WIDEST, name_list, of_rows, seconds, table
 
 TIME = np.arange(5) * 20.0  # ms
 
@@ -55,3 +55,60 @@ def test_a_table_has_a_time_signals_and_a_word_on_what_was_left_out():
 def test_without_a_time_or_without_anything_else_there_is_no_table():
     assert table("a", {"x": TIME}, {}) == (None, ("a: 1 variables without a time were left out.",))
     assert table("a", {"t": TIME}, {}) == (None, ())
+
+
+def test_a_matrix_of_64_columns_is_signals_and_one_of_65_an_image():
+    columns = {
+        "t": TIME,
+        "m": np.tile(np.arange(64.0), (5, 1)),
+        "image": np.zeros((5, 65)),
+        "cube": np.zeros((5, 2, 2)),
+    }
+    messages, findings = table("a", columns, {})
+    assert [*messages.columns] == [f"m[{k}]" for k in range(64)]
+    assert [column[0] for column in messages.columns.values()] == list(range(64))
+    assert (messages.order.tolist(), findings) == (list(range(5)), ())
+    np.testing.assert_array_equal(messages.time, TIME)  # in seconds where no unit is stated
+
+
+def test_a_unit_may_say_how_a_signal_runs():
+    columns = {"t": TIME, "u": TIME, "x": TIME, "y": TIME, "z": TIME}
+    units = {"t": "ms", "u": "1 held", "x": "m/s sampled", "y": "m s", "z": " HELD"}
+    messages, _ = table("a", columns, units)
+    assert messages.units == {"u": "1", "x": "m/s", "y": "m s", "z": ""}
+    assert messages.hold == {"u": np.inf, "x": 0.0, "z": np.inf}
+    rows = of_rows("a", {"u": TIME, "y": TIME, "w": TIME}, units | {"w": ""})
+    assert (rows.units, rows.has_time, rows.name) == ({"u": "1", "y": "m s"}, False, "a")
+
+
+def test_of_two_times_the_first_vector_is_the_time():
+    columns = {"time": np.zeros((5, 2)), "t": TIME, "timestamp": TIME + 7}
+    messages, _ = table("a", columns, {"t": "min"})
+    np.testing.assert_array_equal(messages.time, 60 * TIME)
+    assert [*messages.columns] == ["time[0]", "time[1]", "timestamp"]
+    assert table("", {"t": TIME[:0], "x": TIME[:0]}, {}) == (
+        None,
+        ("the file: 2 variables without a time were left out.",),
+    )
+
+
+def test_long_lists_of_names_are_cut():
+    names = [f"n{k}" for k in range(14)]
+    assert name_list(names[:12]) == ", ".join(names[:12])
+    assert name_list(names) == ", ".join(names[:12]) + " and 2 more"
+    assert name_list(names, 1) == "n0 and 13 more"
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "tick"),
+    [
+        ("TimeMS", "", 1e-3),
+        ("Time_MS", "", 1e-3),
+        ("t_us", "", 1e-6),
+        ("tout_sec", "", 1),
+        ("t", "h", 3600),
+        ("t_h", "", None),
+    ],
+)
+def test_names_of_times_with_their_unit(name, unit, tick):
+    assert seconds(name, unit) == (tick or None)
