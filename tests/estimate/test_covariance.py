@@ -809,3 +809,34 @@ def test_a_suspect_combination_is_loose_from_half_of_a_value_on(error, is_loose)
     nlp = SimpleNamespace(free=("a", "b", "c"))
     covariance = np.diag(np.square([error[0], 9.0, error[1]]))
     assert _is_loose(Combination(("c", "a"), 30.0), nlp, covariance, np.array([-2.0, 1.0, 0.9])) == is_loose
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize(
+    ("away", "beyond", "held"),
+    [
+        (0.009, 1.0, True),  # as close as the data can tell, and pushed against the bound
+        (0.011, 1.0, False),
+        (0.009, 0.0111 - 0.009, True),  # by a hundredth of the deviation of the gradient
+        (0.009, 0.0095 - 0.009, False),
+        (0.009, -1.0, False),  # the minimum is inside
+        (0.9e-7, -1.0, True),  # of the value itself: rounding
+        (1.2e-7, -1.0, False),
+    ],
+)
+def test_a_bound_holds_what_is_close_and_pushed_or_within_rounding(side, away, beyond, held):
+    """`away` from the bound and the minimum `beyond` it, in standard errors."""
+    random = np.random.default_rng(3)
+    regressor, sigma, bound = random.normal(size=50) * 3, 0.4, 5.0 * side
+    error = sigma / np.linalg.norm(regressor)
+    unit = 5.0 if away < 1e-6 else error
+    noise = random.normal(size=50)
+    noise -= regressor * (regressor @ noise) / (regressor @ regressor)
+    y = (bound + side * beyond * error) * regressor + sigma * noise
+    record = gb.Record(np.arange(50.0), {"u": regressor, "w": np.zeros(50), "y": y}, has_time=False)
+    bounds = (bound, 10.0) if side < 0 else (-10.0, bound)
+    given = {"fixed": {"b": 0.0}, "bounds": {"a": bounds}}
+    nlp = compile_problem(gb.Problem(Plane(), record, gb.OutputError(noise={"y": sigma}), **given))
+    x = np.array([bound - side * away * unit])
+    accuracy = assess(nlp, x, [part.initial_trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts])
+    assert accuracy.at_bound == (("a",) if held else ())

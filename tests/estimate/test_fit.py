@@ -20,11 +20,14 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 import greybox as gb
-from greybox.estimate.fit import _curve, _cut_short
+from greybox.estimate.diagnostics.discretization import discretization_warnings
+from greybox.estimate.fit import _curve, _cut_short, _rule, _waves
+from greybox.formulation.starts import Chained, Listed, Sobol, UntilFoundAgain
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
 from greybox.solve.outcome import RUN_OVER, SEARCH_OVER
 from greybox.solve.time_limits import TimeLimits, limited
+from greybox.solve.waves import AllAtOnce, FoundAgain, PromisingFirst
 
 ORDERED = [lambda p: p.T1 - p.T2]
 LAG = gb.fit(gb.Problem(Lag(), measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0, "T": 0.3}, noise=0.05, seed=3)), starts=6)
@@ -313,3 +316,38 @@ def test_what_ctrl_c_and_time_limits_left_out_is_said():
                 f"{cut} of 5 starts {verb} cut at 2.5 s, the time limit of a start: on a faster machine it may end "
                 "at a lower cost."
             ]
+
+
+def test_a_number_of_starts_begins_with_the_declared_values_where_the_solver_asks_for_it():
+    solver = SimpleNamespace(starts=20, tries_declared_values=True, promising=(3, 0.5))
+    other = SimpleNamespace(starts=200, tries_declared_values=False, promising=(8, 0.5))
+    assert _rule(None, 3, solver) == Chained((Listed(({},)), Sobol(19, 3)))
+    assert _rule(2, None, solver) == Chained((Listed(({},)), Sobol(1, 0)))
+    assert _rule(1, 3, solver) == Listed(({},))
+    assert _rule(None, 3, other) == Sobol(200, 3)
+    assert _rule(Sobol(5, 2), None, solver) == Sobol(5, 2)
+    assert _rule([{"K": 1.0}], None, solver) == Listed(({"K": 1.0},))
+    again = UntilFoundAgain(error=0.02)
+    assert _waves(again, again, solver) == FoundAgain(0.02)
+    assert _waves(None, Sobol(20, 0), solver) == PromisingFirst(3, 0.5)
+    assert _waves(20, Sobol(20, 0), solver) == AllAtOnce()
+
+
+@pytest.mark.parametrize(
+    ("matters", "largest", "by"),
+    [(False, 0.5, None), (True, 0.123, "by 0.12 standard errors"), (True, np.inf, "by without limit, since")],
+)
+def test_steps_that_are_too_coarse_are_told_with_what_they_move_most(matters, largest, by):
+    parts = [SimpleNamespace(substeps=2), SimpleNamespace(substeps=3)]
+    nlp = SimpleNamespace(parts=parts, free=("a", "b", "c"), method=gb.MultipleShooting())
+    error = SimpleNamespace(matters=matters, shift=np.array([0.1, -0.9, 0.3]), largest=largest, growth=2)
+    found = [*discretization_warnings(nlp, (), error)]
+    assert len(found) == matters
+    if matters:
+        said = (
+            "the integration is too coarse: twice the steps per sample (6 instead of 3) would change b or its standard"
+        )
+        assert found[0].startswith(f"{said} error {by.removeprefix('by ') if np.isinf(largest) else by}")
+        assert str(nlp.method.finer(6)) in found[0]
+    static = SimpleNamespace(parts=[SimpleNamespace(substeps=0)])
+    assert [*discretization_warnings(static, (), error)] == []

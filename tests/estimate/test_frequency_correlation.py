@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import beta
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
@@ -162,3 +163,25 @@ def test_common_errors_are_not_counted_as_correlation():
         found[name] = nlp.parts[0].neighbors(np.array([2.0, 0.3, 0.03]), np.eye(3), 1.0)
     assert found["told"] is None
     assert found["not told"].mean > 0.8
+
+
+@pytest.mark.parametrize(("a", "b"), [(3.0, 5.0), (7.5, 2.0)])
+def test_the_chance_is_that_of_the_beta_distribution_with_this_mean_and_variance(a, b):
+    """On [-1, 1]: twice the standard one less one."""
+    mean, variance = 2 * a / (a + b) - 1, 4 * a * b / ((a + b) ** 2 * (a + b + 1))
+    for r in (-0.4, 0.1, 0.7):
+        assert chance_of_more(r, mean, variance) == pytest.approx(beta.sf((1 + r) / 2, a, b))
+
+
+def test_mean_and_variance_are_those_of_durbin_and_watson_by_dense_matrices():
+    random = np.random.default_rng(5)
+    n, p = 7, 3
+    jacobian = random.normal(size=(2 * n, p))
+    rest = np.eye(2 * n) - jacobian @ np.linalg.pinv(jacobian)
+    neighbors = np.kron(np.eye(2), (np.eye(n, k=1) + np.eye(n, k=-1)) / 2)
+    z = random.normal(size=2 * n)
+    r, mean, variance = lag_one_correlation(z[:n] + 1j * z[n:], np.column_stack([jacobian, jacobian[:, 0] * 2]))
+    turned, k = rest @ neighbors, 2 * n - p
+    assert r == pytest.approx(z @ neighbors @ z / (z @ z))
+    assert mean == pytest.approx(np.trace(turned) / k)
+    assert variance == pytest.approx(2 * (np.trace(turned @ turned) - np.trace(turned) ** 2 / k) / (k * (k + 2)))
