@@ -72,7 +72,7 @@ def test_noise_is_not_taken_for_harmonics():
 def test_harmonics_have_the_lines_beside_them():
     """Of 5 periods two on either side; of 3 one, of 1 none."""
     omega = 2 * math.pi
-    for periods, expected in ((5, (1, -1, 2, -2)), (3, (1, -1)), (1, ())):
+    for periods, expected in ((9, (1, -1, 2, -2)), (5, (1, -1, 2, -2)), (3, (1, -1)), (1, ())):
         t = 0.3 + np.arange(100 * periods) / 100
         x = np.random.default_rng(0).normal(size=(2, t.size))
         amplitudes = np.array([[1, 0.2j, 0.1], [3, 0.3, -0.4j]])

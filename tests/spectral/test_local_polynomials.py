@@ -561,3 +561,47 @@ def test_columns_are_told_apart_up_to_a_condition_number_of_a_million(apart, sol
         np.testing.assert_allclose(columns @ (found[1] @ columns), columns, rtol=1e-6)
     assert local_polynomials._solved(columns * [1, 0], columns) is None
     assert local_polynomials._solved(columns, columns * [1, 0]) is None
+
+
+@pytest.mark.parametrize(
+    ("center", "half", "residuals", "wrong", "near"),
+    [
+        (20.0, 4.0, 5, (), np.linspace(17, 23, 6)),  # two bands of 6 rad/s, and six places in them at least
+        (20.0, 4.0, 1, (), np.linspace(-1, 41, 24)),  # eight, up to a zero below which there is nothing
+        (20.0, 9.0, 5, (), np.linspace(14, 26, 6)),  # a band that is wider itself
+        (5.0, 4.0, 5, (), np.linspace(3.5, 9.5, 6)),  # half a line above zero, at least
+        (20.0, 4.0, 5, ((20.0, 10.0),), np.linspace(3.5, 45.5, 24)),  # four times as far, where all is wrong
+        (20.0, 4.0, 5, ((20.0, 2.0),), np.linspace(11, 29, 12)),  # twice as far
+        (20.0, 4.0, 5, ((20.0, 1.0),), np.linspace(17, 23, 6)),  # half of the places are enough
+        (20.0, 4.0, 5, ((20.0, 40.0),), ()),
+    ],
+)
+def test_noise_comes_from_narrow_bands_nearby_that_are_right(monkeypatch, center, half, residuals, wrong, near):
+    asked = []
+
+    def residual(lines, center, half, bands):
+        asked.append(center)
+        squares = residuals * np.array([3.0, 0.7])
+        return local_polynomials._Residual(center, 10 * len(asked) + np.arange(2), squares, residuals, np.eye(2) + 0j)
+
+    monkeypatch.setattr(local_polynomials, "_residual", residual)
+    lines = one_stretch()
+    fitted = local_polynomials._fit(lines, 20.0, 6.0)._replace(center=center, half=half)
+    band = local_polynomials.Band(fitted, np.zeros(1), np.zeros(1), np.zeros(1), None)
+    others = [band._replace(fitted=fitted._replace(center=c, half=h), pole_noise=(1.0, 1.0)) for c, h in wrong]
+    widths = local_polynomials._Widths(8.0, 6.0, residuals)
+    found = local_polynomials._noise(lines, band, [band, *others], widths)
+    places = max(-(-24 // residuals), 6)
+
+    def right(centers):
+        return [c for c in centers if all(abs(c - f) >= h for f, h in wrong)]
+
+    octaves = right(np.geomspace(center / 2, 2 * center, places))
+    np.testing.assert_allclose(asked[: len(octaves)], octaves)
+    if not len(near):
+        assert found is None
+        return
+    low = max(near[0], 3.5)
+    wanted = right(low + near - near[0])
+    np.testing.assert_allclose(asked[-len(wanted) :], wanted)
+    assert found == pytest.approx((3.0, 0.7, 2 * (residuals * len(wanted)) ** 2 / (2 * len(wanted))))

@@ -117,3 +117,15 @@ def test_a_manoeuvre_may_begin_at_any_time_and_reach_to_the_highest_frequency():
     assert (found.duration, found.step) == (pytest.approx(T), pytest.approx(STEP))
     assert (found.name, found.source, dict(found.units)) == ("late", "a.bin", {"u": "N"})
     assert (found.stretch.start, found.stretch.end) == (50, 58)
+
+
+def test_an_input_that_lasted_for_part_of_a_step_acts_half_of_that_later():
+    """Both as far as a pulse that is over before the manoeuvre ends."""
+
+    def pulse(t):
+        return np.exp(-4 * (t - 3.0) ** 2)
+
+    plain, late = (transient_spectrum(record(pulse, np.sin, hold=h), "u", "y", (0.5, 20)) for h in ({}, {"u": 0.008}))
+    s = 1j * plain.omega
+    np.testing.assert_allclose(late.inputs["u"], plain.inputs["u"] * np.exp(-0.004 * s), atol=1e-9)
+    np.testing.assert_allclose(late.outputs["y"], plain.outputs["y"])
