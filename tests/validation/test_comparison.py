@@ -1,7 +1,10 @@
 """The table of a comparison, as values and as text."""
 
 import math
+from types import SimpleNamespace
+from xml.etree import ElementTree as ET
 
+import numpy as np
 import pytest
 
 from greybox.validation.comparison import Comparison, Row, _without_uncorrelated, p_text
@@ -92,3 +95,66 @@ def test_rows_stand_under_their_data_and_output():
         ("identification", "held-out"), (lines[begins[0] : begins[1]], lines[begins[1] :]), strict=True
     ):
         assert [words[:2] for words in part if words[:1] == [kind] and words[-1] == "-"] == [[kind, "p"], [kind, "q"]]
+
+
+def test_a_notebook_shows_all_rows_and_statements():
+    shown = Comparison(("a", "b<"), "the same for all", ROWS, ("a is better.",))._repr_html_()
+    body = ET.fromstring(f"<div>{shown}</div>")
+    header, *rows = [["".join(cell.itertext()) for cell in row] for row in body.iter("tr")]
+    assert header == ["data", "output", "measure", "unit", "a", "b<"]
+    assert rows == [["fit", "", "AIC", "", "3", "-"], ["fit", "", "free parameters", "", "2", "4"]]
+    said = "".join(body.itertext())
+    assert said.startswith("Comparison of a, b<")
+    assert "Data: the same for all" in said
+    assert said.endswith("a is better.")
+    assert repr(Comparison(("a", "b"), "", ROWS, ())) == "<Comparison of a, b, 2 rows>"
+
+
+class Windows(list):
+    """Predictions over so many windows of so many samples each, in s."""
+
+    def __init__(self, count, samples=0, horizon=0.0, lead=0.0):
+        super().__init__(range(count))
+        self.data = SimpleNamespace(has_time=samples > 0)
+        self.rows, self.horizon, self.lead = np.zeros((count, samples)), horizon, lead
+
+
+@pytest.mark.parametrize(
+    ("of", "said"),
+    [
+        ([Windows(7, 50, 1.0, 0.5)], "7 windows of 1 s (50 samples), each from 0.5 s before it"),
+        (
+            [Windows(7, 50, 1.0, 0.5), Windows(2, 40, 1.25, 0.5)],
+            "9 windows of 1 to 1.25 s, each from 0.5 s before it",
+        ),
+        ([Windows(3), Windows(5)], "8 rows, each by itself"),
+        ([Windows(3), Windows(1, 20, 2.0, 0.25)], "3 rows, each by itself and 1 window of 2 s (20 samples), each from"),
+    ],
+)
+def test_windows_are_counted_with_their_lengths(of, said):
+    found = Comparison(("a",), "", (), (), predictions={"held-out": (tuple(of),)})
+    assert found._windows("held-out").startswith(said)
+
+
+def test_details_are_left_out_beyond_a_page_of_45_rows():
+    for count, shown in ((45, 45), (46, 40)):
+        rows = [Row("fit", "", f"m{k}", "", (1.0,), is_detail=k >= 40) for k in range(count)]
+        text = str(Comparison(("a",), "", tuple(rows), ()))
+        assert sum(line.split()[:1] == [f"m{k}"] for k in range(count) for line in text.splitlines()) == shown
+        assert (f"The most telling 40 of {count} rows; `table` has all." in text) == (shown < count)
+
+
+def test_a_signal_counts_below_its_share_of_the_limit_and_three_are_told():
+    def rows(*p_values):
+        return [Row("held-out", "p", f"{k} (p)", "", (0.9, p), f"u{k}") for k, p in enumerate(p_values)]
+
+    told = _without_uncorrelated(rows(0.011, 0.009, 0.013, 0.0124))
+    assert [row.measure for row in told] == [
+        "1 (p)",
+        "0 (p)",
+        "3 (p)",
+        "2 (p)",
+    ]  # below 0.05 / 4, by size; then the other
+    told = _without_uncorrelated(rows(4e-3, 3e-3, 2e-3, 1e-3, 5e-3))
+    assert [row.measure for row in told] == ["3 (p)", "2 (p)", "1 (p)", "  2 other signals (least p)"]
+    assert told[-1].values == (0.9, 4e-3)

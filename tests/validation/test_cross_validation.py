@@ -162,3 +162,8 @@ def test_amplitudes_of_single_frequencies_are_those_of_the_points_that_are_kept(
     one = gb.modeling.Sine("u", 2.0)
     assert cross_validation._sine(SimpleNamespace(amplitude=one), kept) is one
     assert cross_validation._sine(SimpleNamespace(amplitude=None), kept) is None
+
+
+def test_records_are_held_out_otherwise():
+    with pytest.raises(ValueError, match="folds are for frequency responses alone: hold records out by records="):
+        cross_validation.cross_validation([SimpleNamespace(responses=(), parts=("a record",))], ("a",), 3)

@@ -222,3 +222,39 @@ def test_a_worse_fit_of_the_larger_model_is_told():
         gb.validation.nested_test(small, replace(large, cost=small.cost + 1))
     said = gb.compare(small, replace(large, cost=small.cost + 1)).statements[0]
     assert said.startswith("It cannot be told which of LinearDrag and Drag fits the data better: Drag costs more")
+
+
+def quick(problem):
+    start = {name: TWO_LAGS[name] for name, p in problem.parameters.items() if not p.fixed}
+    return gb.fit(problem, starts=[start], progress=False, profiles=False)
+
+
+def test_of_two_terms_the_ratio_is_divided_by_the_mean_scale(monkeypatch):
+    monkeypatch.setattr(ResponsePart, "neighbors", lambda *_: None)  # as above
+    data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.02)
+    both = [
+        gb.Problem(LagLagDelay(), data, gb.SquaredRelativeError(), fixed=f) for f in ({"T2": 0.19, "tau": 0.06}, {})
+    ]
+    small, large = map(quick, both)
+    found = gb.validation.nested_test(small, large)
+    rows = np.ix_(*[[large.free.index(name) for name in ("T2", "tau")]] * 2)
+    white, real = large.white[rows], large.covariance_of(large.free)[rows]
+    assert found.terms == ("T2", "tau")
+    assert found.dof == (2, large.dof)
+    assert found.scale == pytest.approx(np.trace(np.linalg.inv(white) @ real) / 2, rel=1e-6)
+    assert found.statistic == pytest.approx(2 * (small.cost - large.cost) / (2 * found.scale))
+    assert found.p_value == pytest.approx(f.sf(found.statistic, 2, large.dof))
+
+
+def test_of_other_data_nothing_is_tested():
+    data = [measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.02, seed=seed) for seed in (0, 1)]
+    both = zip(data, ({"tau": 0.06}, {}), strict=True)
+    small, large = (quick(gb.Problem(LagLagDelay(), d, fixed=fixed)) for d, fixed in both)
+    with pytest.raises(
+        ValueError, match=r"was fitted to other data than .*: a nested test needs fits of the same data\.$"
+    ):
+        gb.validation.nested_test(small, large)
+    time = np.arange(80) / 20
+    held_out = gb.Record(time, {"u": np.sin(3 * time), "y": np.sin(3 * time - 0.7)})
+    with pytest.raises(ValueError, match="folds need fits of the same data"):
+        gb.compare(small, large, records=[held_out], folds=3)

@@ -1,6 +1,7 @@
 """What a fit leaves open goes to its end, and nothing else does."""
 
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -357,6 +358,10 @@ def test_why_nothing_was_reduced_is_said(tried, said):
     fit = SimpleNamespace(name="f", free=("a", "b", "w"), cost=2.0)
     found = Reduction(fit, fit, tuple(kinds[name] for name in tried), None, None)
     assert re.search(said, str(found))
+    assert repr(found) == "<Reduction f, not reduced>"
+    taken = tuple(replace(one, taken=True) for one in found.tried[:2])
+    shown = "; ".join({"rejected": "a = 0", "stiff": "w → ∞", "failed": "b → ∞"}[name] for name in tried[:2])
+    assert not taken or repr(replace(found, tried=taken)) == f"<Reduction f, {shown}>"
     rows = {line.split()[0]: line for line in str(found).splitlines()[2:] if "→" in line or "=" in line}
     assert ("rejected" in tried) == any(line.endswith("rejected") for line in rows.values())
     assert "failed" not in tried or rows["b"].split()[-2:] == ["-", "-"]
@@ -371,3 +376,9 @@ def test_what_the_problem_frees_stays_free_unless_it_is_gone():
     assert {name for name, p in fast.parameters.items() if not p.fixed} == {"a", "tau"}
     prompt = reduction._part_at_limit(problem, Candidate({"tau": 1}, "zero"), fit)
     assert {name for name, p in prompt.parameters.items() if not p.fixed} == {"a", "w"}
+
+
+def test_a_fit_without_an_estimate_is_not_reduced():
+    lost = SimpleNamespace(name="lost", converged=False, status="no start converged")
+    with pytest.raises(ValueError, match="the fit 'lost' has no estimate to reduce: no start converged"):
+        gb.validation.reduce(lost)
