@@ -465,3 +465,33 @@ def test_the_unit_of_a_sweep_does_not_matter(size):
     (plain,), (scaled,) = (sines_and_sweeps(t, each) for each in (r, size * r))
     assert (scaled.start, scaled.end, scaled.band) == (plain.start, plain.end, pytest.approx(plain.band))
     assert scaled.amplitude == pytest.approx(size * plain.amplitude)
+
+
+@pytest.mark.parametrize(("samples", "found"), [(8.4, 1), (7.6, 0)])
+def test_a_sine_has_eight_samples_a_period(samples, found):
+    t = np.arange(0, 20, STEP)
+    omega = 2 * math.pi / (samples * STEP)
+    r = np.where((t > 5) & (t < 15), np.sin(omega * (t - 5)), 0.0)
+    runs = [run for run in sines_and_sweeps(t, r) if run.kind == "sine" and run.duration > 5]
+    assert len(runs) == found
+
+
+@pytest.mark.parametrize(("amplitude", "found"), [(0.0053, 1), (0.0047, 0)])
+def test_a_sine_has_an_amplitude_of_half_a_percent_of_the_range(amplitude, found):
+    """Beside a step of one; its turning points are twice as far apart."""
+    t = np.arange(0, 30, STEP)
+    r = np.where(t < 3, 0.0, 1.0) + np.where((t > 10) & (t < 25), amplitude * np.sin(4 * (t - 10)), 0.0)
+    runs = [run for run in sines_and_sweeps(t, r) if run.duration > 5]
+    assert len(runs) == found
+    for run in runs:
+        assert (run.amplitude, run.omega) == pytest.approx((amplitude, 4), rel=1e-6)
+
+
+@pytest.mark.parametrize(("bend", "found"), [(0.11, 1), (0.145, 0)])
+def test_a_sine_is_bent_by_0_12_rad_at_most(bend, found):
+    """At the last crossings, of a frequency that changes evenly; a single piece that is bent more is no sweep either."""
+    t = np.arange(0, 40, STEP)
+    since = t - 20
+    half = 40 * math.pi / 4 / 2
+    r = np.where(np.abs(since) < half, np.sin(4 * since + bend / half**2 * since**2), 0.0)
+    assert len([run for run in sines_and_sweeps(t, r) if run.duration > 20]) == found
