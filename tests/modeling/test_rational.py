@@ -149,3 +149,58 @@ def test_poles_and_zeros_are_the_roots():
     form = (S - 2) * (S + 3) / ((S + 1) ** 2 + 4)
     assert_allclose(np.sort(form.zeros), [-3, 2])
     assert_allclose(form.poles[np.argsort(form.poles.imag)], [-1 - 2j, -1 + 2j])
+
+
+def test_zero_has_no_degree_and_takes_any_delay():
+    zero = Rational([0.0, 0.0])
+    assert (zero.numerator, zero.denominator) == ([0.0], [1.0])
+    delayed = gb.exp(-0.3 * S) / (S + 1)
+    for total in (zero + delayed, delayed + zero, zero * S + delayed):
+        assert total.delay == 0.3
+        close(total(2j), np.exp(-0.6j) / (1 + 2j))
+    assert Rational([0.0, 0.0, 2.0, 0.0], [0.0, 4.0]).numerator == [2.0, 0.0]
+    assert Rational([1.0], [0.0, 4.0]).denominator == [4.0]
+
+
+def test_exponentials_of_lines_through_zero_are_delays():
+    assert gb.exp(Rational([-0.5, 0.0], [2.0])).delay == 0.25
+    assert gb.exp(Rational([0.0])).delay == 0
+    assert gb.exp(-S * ca.SX.sym("T")).numerator == [1.0]
+    for wrong in (Rational([-1.0, 0.0], [1.0, 1.0]), Rational([-1.0, 0.5]), Rational([2.0]), S * gb.exp(-S)):
+        with pytest.raises(ValueError, match=r"only exp\(-s T\) with a T that does not depend on s"):
+            gb.exp(wrong)
+
+
+class TwoInputs(gb.StateSpace):
+    """Three states, of which the second input acts late and directly."""
+
+    states, inputs, outputs = ("a", "b", "c"), ("early", "late"), ("y", "z")
+    delays = {"late": "T"}
+    k = gb.Parameter(3.0)
+    T = gb.Parameter(0.2, bounds=(0, 1))
+
+    def derivative(self, x, u, p):
+        return (-p.k * x.a + u.late, x.a - 2 * x.b + u.early, x.b - x.c)
+
+    def output(self, x, u, p):
+        return (x.b + 5 * x.c + 4 * u.late, x.a)
+
+
+@pytest.mark.parametrize("pade", [None, 2])
+def test_an_ode_is_read_by_its_markov_parameters(pade):
+    """z is late/(s + k), and y the sum of (s + 6)/((s + 2)(s + 1)) times early + late/(s + k), and 4 late."""
+    values, s = {"k": 1.5, "T": 0.3}, np.array([0.4j, 3j, 11j])
+    late = np.exp(-0.3 * s)
+    if pade:
+        late = (1 - 0.15 * s + 0.0075 * s**2) / (1 + 0.15 * s + 0.0075 * s**2)
+    slow = (s + 2) * (s + 1)
+    wanted = {
+        ("late", "z"): late / (s + 1.5),
+        ("late", "y"): late * (4 + (s + 6) / ((s + 1.5) * slow)),
+        ("early", "y"): (s + 6) / slow,
+        ("early", "z"): 0 * s,
+    }
+    for (input, output), response in wanted.items():
+        form = gb.modeling.rational(TwoInputs(), values, input=input, output=output, pade=pade)
+        assert_allclose(form(s), response, rtol=1e-9, atol=1e-12)
+        assert form.delay == (0.3 if pade is None and input == "late" else 0.0)

@@ -286,6 +286,11 @@ def test_the_prior_of_many_windows_is_that_of_their_states():
     mean, precision = state_estimation._prior(H, information, np.zeros(2), measured, np.eye(1), np.array([100.0]))
     assert_allclose(mean, x.mean(axis=0), rtol=1e-4)
     assert_allclose(precision, (w - 1) / ((x - x.mean(axis=0)) ** 2).sum(axis=0), rtol=1e-3)
+    for few, told in ((9, False), (10, True)):  # below ten their states do not determine a spread
+        mean, _ = state_estimation._prior(
+            H[:few], information[:few], np.zeros(2), measured[:few], np.eye(1), np.array([100.0])
+        )
+        assert_allclose(mean, x[:few].mean(axis=0) if told else 0.0, rtol=1e-4)
 
 
 def test_information_is_weighted_by_correlated_noise():

@@ -128,3 +128,22 @@ def test_of_rows_without_a_time_each_that_has_its_inputs_and_some_output_is_a_wi
     assert (windows.lead, windows.horizon, len(windows)) == (0, 1, 4)
     with pytest.raises(ValueError, match="rows has no row with all inputs and an output"):
         cut(rows.rows(np.array([1, 2])), ["u"], ["y", "z"], lead=1.0, horizon=1.0)
+
+
+def test_a_length_may_fall_short_of_a_sample_by_rounding_alone():
+    for lengths in ({"lead": 0.1 * (1 - 5e-7), "horizon": 0.3}, {"lead": 0.3, "horizon": 0.1 * (1 - 5e-7)}):
+        windows = cut(record(), ["u"], ["y"], **lengths)
+        assert {windows.lead, windows.horizon} == {1, 3}
+    sentence = r"lead=0\.1 s is shorter than a sample of r, 0\.1 s: give several samples, e\.g\. lead=1, or omit it\."
+    with pytest.raises(ValueError, match=sentence):
+        cut(record(), ["u"], ["y"], lead=0.1 * (1 - 2e-6), horizon=0.3)
+    unnamed = gb.Record(0.2 * np.arange(9), {"u": np.ones(9), "y": np.ones(9)})
+    with pytest.raises(ValueError, match=r"step=0\.05 s is shorter than a sample of the record, 0\.2 s: .* step=2, or"):
+        cut(unnamed, ["u"], ["y"], lead=0.4, horizon=0.05, called="step")
+
+
+def test_a_window_may_take_the_whole_of_a_stretch_and_no_more():
+    data = record(count=12)
+    assert cut(data, ["u"], ["y"], lead=0.5, horizon=0.7).rows.tolist() == [list(range(12))]
+    with pytest.raises(ValueError, match=r"r has no room for lead=0\.5 and horizon=0\.8 s with .* lasts 1\.2 s; give"):
+        cut(data, ["u"], ["y"], lead=0.5, horizon=0.8)
