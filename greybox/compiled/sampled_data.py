@@ -113,7 +113,7 @@ class SampledData:
             return self
         kept = []
         for stretch in self.stretches:
-            count = max(math.ceil(pieces * len(stretch) / total), 1)
+            count = math.ceil(pieces * len(stretch) / total)
             length = max(samples // (count * len(self.stretches)), 2 * self.segment_length)
             length = min(length, len(stretch) // count)
             for start in np.linspace(0, len(stretch) - length, count).astype(int):

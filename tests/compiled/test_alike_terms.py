@@ -7,7 +7,7 @@ import pytest
 from greybox.compiled.alike_terms import SecondOrder, _alike, _terms
 
 OMEGA = np.array([0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0])  # at one a product is simplified: a term of another form
-MEASURED = np.array([0.9, 0.8, -0.4, 0.3, 0.1, -0.2, 0.05])
+MEASURED = 0.03 * np.array([9, 8, -4, 3, 1, -2, 0.5])
 
 
 def cost(z, smoothing):
@@ -41,7 +41,7 @@ def test_terms_of_one_form_differ_in_their_constants():
     assert [0.5, 2, 3, 5, 8, 13] in rows
     assert sorted(np.abs(MEASURED[OMEGA != 1])) in rows
     at_zero = ca.Function("rest", [z, smoothing], [rest])([1, 0, 2], 0)
-    assert float(at_zero) == pytest.approx(2 * 0.2 + 16 - 3)
+    assert float(at_zero) == pytest.approx(2 * (1 - 0.24) + 16 - 3)
 
 
 def test_a_cost_without_alike_terms_and_a_constant_one(monkeypatch):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from evaluation import numeric_jacobian
 from hard_models import ROTOR, WIND, BlindTilt, pushed, windy_flight
 from numpy.testing import assert_allclose
 from spring_lag_tilt import SPRING, TILT, FullTilt, Spring, assert_true, fit, steps
@@ -115,3 +116,54 @@ def test_a_fit_of_prediction_errors_takes_as_few_iterations_as_one_of_output_err
         for rule in (gb.OutputError(inputs="held"), WIND)
     )
     assert prediction <= 1.5 * output
+
+
+# --- where its poles are ----------------------------------------------------------------------------------------------
+
+
+def spring_gain(criterion=WIND, **values):
+    """Of 600 samples at 20 Hz, whose transition has poles of magnitude exp(-0.03); they must be within 1 - 3/600."""
+    nlp = compile_problem(gb.Problem(Spring(), spring_flight(600), criterion))
+    z = nlp.scaling.to_solver(np.array([(SPRING | values).get(name, 0.0) for name in nlp.free]))
+    (part,) = nlp.parts
+    return kalman_gain(part), part.initial_trajectory(z), z
+
+
+@pytest.mark.parametrize(
+    ("radius", "is_stable", "is_at_limit"),
+    [(0.5, True, False), (0.99488, True, False), (0.99492, True, True), (0.99498, True, True), (0.99502, False, True)],
+)
+def test_a_predictor_is_stable_within_the_limit_and_at_it_within_a_fiftieth_of_the_distance(
+    radius, is_stable, is_at_limit
+):
+    corrected = 1 - radius / np.exp(-0.03)
+    gain, trajectory, _ = spring_gain(K_x_x=corrected, K_v_v=corrected)
+    assert gain.limit == pytest.approx(0.995)
+    assert_allclose(np.abs(np.linalg.eigvals(gain.error_transition(trajectory))), radius, rtol=1e-6)
+    assert gain.is_stable(trajectory) is is_stable
+    assert gain.is_at_limit(trajectory) is is_at_limit
+
+
+@pytest.mark.parametrize("coupling", [0.02, 0.9])
+def test_poles_follow_parameters_and_gains_as_by_differences(coupling):
+    """A pair of poles, and two that are real."""
+    gain, trajectory, z = spring_gain(K_x_x=0.4, K_x_v=0.01, K_v_x=coupling, K_v_v=0.1)
+
+    def magnitudes(v):
+        moved = gain.error_transition(trajectory, gain.part.place(v))
+        return np.sort(np.abs(np.linalg.eigvals(moved)))
+
+    slopes, room = gain.pole_derivatives(trajectory, z, 1e-6)
+    order = np.argsort(-room)
+    assert_allclose(gain.limit - room[order], magnitudes(z), rtol=1e-9)
+    wanted = numeric_jacobian(magnitudes, z)
+    assert_allclose(slopes[order], wanted, rtol=1e-3, atol=1e-4 * np.abs(wanted).max())
+
+
+def test_noise_that_makes_a_given_variance_over_a_sample_and_residuals_are_the_unknowns_of_a_filter():
+    criterion = gb.PredictionError(process_noise=("v",), inputs="held")
+    gain, trajectory, _ = spring_gain(criterion, w_v=0.4, v_x=0.06, v_v=0.09)
+    (found,) = gain.steady_state(trajectory, [np.array([7.0, 0.02])])
+    variance = (gain.part.residuals(trajectory) ** 2).mean(axis=1)
+    assert gain.names == ("w_v", "v_x", "v_v")
+    assert_allclose(found, [np.sqrt(0.02 / 0.05), *np.sqrt(variance)])

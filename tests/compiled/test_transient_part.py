@@ -15,9 +15,40 @@ study = benchmark("transient_coverage")
 MOVING = (8.0, (1.0, 2.0, 2.5, 3.0), [0.005, 0.01])
 SHORT = study.ShortPeriod(), study.SHORT_PERIOD, study.short_period_record(*MOVING), "u", "q"
 LATERAL = study.Lateral(), study.LATERAL, study.lateral_record(), ["da", "dr"], ["roll", "yaw"]
+
+
+class Seat(gb.StateSpace):
+    """A lag that is felt together with what drives it, directly and late."""
+
+    states, inputs, outputs = ("x",), ("u", "w"), ("felt", "load")
+    delays = {"u": "T"}
+    k = gb.Parameter(2.0, bounds=(0.1, 20))
+    b = gb.Parameter(3.0, bounds=(0.1, 20))
+    d = gb.Parameter(1.0, bounds=(0.1, 20))
+    e = gb.Parameter(0.5, bounds=(0.1, 20))
+    T = gb.Parameter(0.1, bounds=(0.0, 0.5))
+
+    def derivative(self, x, u, p):
+        return (-p.k * x.x + p.b * u.u + 0.3 * u.w,)
+
+    def output(self, x, u, p):
+        return (1.7 * x.x + p.d * u.u, p.e * x.x - p.d * p.e * u.w)
+
+
+def seat_record():
+    """Of smooth inputs at 50 Hz, of which what is interpolated is far below the noise; it ends away from its begin."""
+    t = 0.02 * np.arange(401)
+    late = gb.Record(t, {"u": np.sin(t) ** 3 + 0.3 * t, "w": np.cos(1.7 * t) - 0.2 * t}, hold={"u": 0.0, "w": 0.0})
+    felt = gb.simulate(Seat(), FELT, late)
+    return late.with_signals(felt=felt["felt"], load=felt["load"])
+
+
+FELT = {"k": 1.3, "b": 2.2, "d": 0.6, "e": 1.4, "T": 0.07}
+DIRECT = Seat(), FELT, seat_record(), ["u", "w"], ["felt", "load"]
 CASES = {
     "one output": (*SHORT, gb.OutputError()),
     "two of each": (*LATERAL, gb.OutputError()),
+    "felt directly": (*DIRECT, gb.OutputError()),
     "two of each, correlated": (*LATERAL, gb.OutputError(noise="full")),
     "equation error of one output": (*SHORT, gb.EquationError()),
     "equation error of all states": (*LATERAL, gb.EquationError(noise="full")),

@@ -46,6 +46,8 @@ def test_a_declared_start_box_is_cut_to_the_bounds():
     assert box() == (0.1, 10)
     assert box(bounds={"K": (1, 1e4)}) == (1, 10)
     assert box(bounds={"K": (20, 30)}) == (20, 30)
+    assert box(bounds={"K": (10, 30)}) == (10, 10)
+    assert box(bounds={"K": (0.01, 0.1)}) == (0.1, 0.1)
     assert box(bounds={"K": (2, np.inf)}) == (2, 10)
     # Without a declared one, starts need a finite interval all the same.
     assert gb.Problem(Lag(), LAG, bounds={"K": (2, np.inf)}).parameters["K"].box == (2, 1e3)
