@@ -489,7 +489,7 @@ def test_a_sine_has_an_amplitude_of_half_a_percent_of_the_range(amplitude, found
 
 @pytest.mark.parametrize(("bend", "found"), [(0.11, 1), (0.145, 0)])
 def test_a_sine_is_bent_by_0_12_rad_at_most(bend, found):
-    """At the last crossings, of a frequency that changes evenly; a single piece that is bent more is no sweep either."""
+    """At its ends, of a frequency that changes evenly; one piece that is bent more is no sweep either."""
     t = np.arange(0, 40, STEP)
     since = t - 20
     half = 40 * math.pi / 4 / 2
