@@ -7,6 +7,7 @@ import pytest
 
 import greybox as gb
 from greybox.estimate.identifiability import (
+    DeterminedCombination,
     Identifiability,
     KnownDirections,
     _condition,
@@ -408,3 +409,39 @@ def test_a_parameter_without_effect_is_infinitely_insensitive():
     assert found.condition == np.inf
     assert found.beyond == ("b",)
     assert str(found).splitlines()[3].split() == ["b", "-", "no", "effect", "beyond", "the", "guideline"]
+
+
+@pytest.mark.parametrize(("variance", "is_seen"), [(0.9e10, True), (1.1e10, False)])
+def test_what_the_data_see_less_than_a_hundred_thousandth_of_has_no_effect(variance, is_seen):
+    """Of the information in multiples of the sizes, which is the square of what is seen."""
+    size, value = np.array([1.0, 10.0, 0.1]), np.array([1.0, 2.0, 4.0])
+    known = KnownDirections(np.diag([1.0, 100 * variance, 0.01]), np.zeros((3, 0)), size, value)
+    found = identifiability(tuple("abc"), ("s", "m", "1"), known, ())
+    alone = 10 * np.sqrt(variance) / 2 if is_seen else np.inf
+    np.testing.assert_allclose(found.insensitivity, [1.0, alone, 0.025])
+
+
+def test_the_table_has_a_line_for_each_parameter_and_what_is_told_of_several():
+    together = DeterminedCombination("a/b", ("a", "b"), (1, -1), True, 2.5, 0.025)
+    pair = (("a", "b", -0.98765),)
+    found = Identifiability(
+        ("a", "bb", "c"),
+        np.array([0.2, 0.3, np.nan]),
+        np.array([0.1, np.inf, np.nan]),
+        ("c",),
+        pair,
+        12.345,
+        (together,),
+    )
+    assert [line.rstrip() for line in str(found).splitlines()] == [
+        "parameter  error, %  insensitivity, %",
+        "---------  --------  ----------------  --------------------",
+        "a                20                10",
+        "bb               30         no effect  beyond the guideline",
+        "c                 -                 -  at its bound",
+        "",
+        "guidelines: 20 % error (Cramér-Rao bound), 10 % insensitivity (the error if all others were known)",
+        "condition number of the scaled Jacobian: 12.3",
+        "correlation of a and b: -0.9877",
+        "determined together: a/b = 2.500 ± 0.025",
+    ]

@@ -192,3 +192,45 @@ def test_points_are_a_whole_number(points):
         gb.structural_identifiability(Redundant(), points=points)
     with pytest.raises(TypeError, match="give an instance such as Tilt"):
         gb.structural_identifiability(Redundant)
+
+
+class Root(gb.TransferFunction):
+    """A response that is not finite where the root is of a negative number."""
+
+    k = gb.Parameter(1.0, bounds=(-5, 5))
+    c = gb.Parameter(1.0, bounds=(1, 5))
+
+    def response(self, s, p):
+        return p.c * gb.sqrt(p.k) / (s + 1)
+
+
+class Nothing(Root):
+    def response(self, s, p):
+        return 0 * p.k * p.c / (s + 1)
+
+
+@pytest.mark.parametrize(("model", "points"), [(Root(), 2), (Nothing(), 1)])
+def test_a_model_without_a_finite_response_at_any_point_is_refused(model, points):
+    said = rf"^{type(model).__name__} is finite at none of {points} points? of its start boxes: narrow `starts`\.$"
+    with pytest.raises(ValueError, match=said):
+        gb.structural_identifiability(model, fixed={"k": -1.0}, points=points)
+
+
+def test_a_finite_point_among_others_is_enough():
+    found = gb.structural_identifiability(Root(), points=4)
+    assert lost(found) == [{"k", "c"}]
+
+
+def test_of_two_outputs_both_responses_tell():
+    """Through the state itself the gain of the input is seen, and through both outputs their ratio."""
+
+    class TwoOutputs(Scaled):
+        outputs = ("y", "z")
+
+        def output(self, x, u, p):
+            return p.c * x.x, x.x
+
+    assert lost(gb.structural_identifiability(TwoOutputs(), ["y"], at={"x": 0.0})) == [{"b", "c"}]
+    found = gb.structural_identifiability(TwoOutputs(), at={"x": 0.0})
+    assert not found.groups
+    assert found.data == "the response of y and z"
