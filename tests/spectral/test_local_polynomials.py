@@ -605,3 +605,36 @@ def test_noise_comes_from_narrow_bands_nearby_that_are_right(monkeypatch, center
     wanted = right(low + near - near[0])
     np.testing.assert_allclose(asked[-len(wanted) :], wanted)
     assert found == pytest.approx((3.0, 0.7, 2 * (residuals * len(wanted)) ** 2 / (2 * len(wanted))))
+
+
+@pytest.mark.parametrize("joint", [False, True])
+def test_a_cubic_that_vanishes_at_the_nodes_is_orthogonal_to_all_quadratics(joint):
+    """Over the lines of the band, weighted by the amplitudes of input and instrument."""
+    lines = random_lines(joint)
+    fitted = local_polynomials._fit(lines, 20.0, 9.0)
+    nodes = (local_polynomials._gauss_nodes(lines, fitted) - 20.0) / 9.0
+    assert np.all(np.abs(nodes) < 1)
+    u, _, r, *_ = lines.values[:, fitted.rows]
+    x = (lines.omega[fitted.rows] - 20.0) / 9.0
+    cubic = np.prod(x[:, None] - nodes, axis=1) * np.abs(u * r)
+    np.testing.assert_allclose([cubic @ x**k for k in range(3)], 0, atol=1e-9 * np.abs(cubic).sum())
+
+
+def test_three_residuals_with_a_pole_tell_the_noise_and_fewer_do_not():
+    lines = one_stretch()
+    fitted = local_polynomials._fit(lines, 20.0, 4.0)
+    band = local_polynomials.Band(fitted, np.zeros(1), np.zeros(1), np.zeros(1), (6.0, 3.0))
+    widths = local_polynomials._Widths(8.0, 6.0, 1)
+    assert local_polynomials._noise(lines, band, [band], widths) == (2.0, 0.0, 6.0)
+    fewer = local_polynomials._noise(lines, band._replace(pole_noise=(6.0, 2.0)), [band], widths)
+    assert fewer[0] == pytest.approx(0.02, rel=0.5)  # that of the lines, 0.1² for both components
+
+
+@pytest.mark.parametrize(("half", "left"), [(3.5, None), (4.0, 1), (4.6, 1), (5.0, 3)])
+def test_a_band_with_a_conditioned_input_has_lines_for_its_three_coefficients_too(half, left):
+    """Eight unknowns, for as many lines as lie within."""
+    lines = one_stretch()
+    other = np.random.default_rng(8).standard_normal((2, 60))
+    lines = lines._replace(values=np.array([*lines.values, other[0] + 1j * other[1]]))
+    fitted = local_polynomials._fit(lines, 20.0, half)
+    assert (fitted and fitted.number) == left

@@ -297,3 +297,24 @@ def test_findings_hold_their_numbers_and_print_the_most_serious_first():
     worse = quality.with_findings(Finding("test", "note", 1.0, "a"), Finding("test", "refusal", 2.0, "b"))
     assert [f.text for f in worse.findings][1] == "b"
     assert [f.text for f in worse.findings][-1] == "a"
+
+
+@pytest.mark.parametrize(
+    ("segments", "told"),
+    [
+        ([sine(5.0), sine(10.0), sine(60.0)], []),  # what is sampled too slowly is left out, where there is more
+        ([sine(51.0), sine(60.0)], [("refusal", 2 * np.pi * 20 / 60)]),
+        ([sine(5.0), sine(20.0)], [("warning", 2 * np.pi)]),
+        ([Segment(0.0, 60.0, "sweep", band=(0.6, 80.0))], [("warning", 2.5), ("note", 80.0)]),
+        ([Segment(0.0, 60.0, "sweep", band=(0.6, 80.0)), sine(60.0)], [("warning", 2.5), ("note", 80.0)]),
+        ([Segment(0.0, 60.0, "sweep", band=(0.6, 10.0)), sine(60.0)], []),
+        ([Segment(0.0, 60.0, "sweep", band=(55.0, 80.0))], [("refusal", 2 * np.pi * 20 / 80)]),
+    ],
+)
+def test_at_twenty_hertz_fifty_radians_a_second_are_the_highest(segments, told):
+    """2.5 samples a period; ten of them are at 12.6 rad/s."""
+    rate = [f for f in check(record(rate=20.0), None, segments).findings if f.about == "rate"]
+    assert [(f.severity, f.value) for f in rate] == [(s, pytest.approx(v)) for s, v in told]
+    if told and told[-1][0] == "note":
+        assert rate[-1].text == "the sweep runs to 80 rad/s, but 20 Hz resolve 50.27 rad/s: it is used to 50.27 rad/s."
+        assert rate[0].text.startswith("there are 2.5 samples per period of the highest frequency, 50.2655 rad/s: log")
