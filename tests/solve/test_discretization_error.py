@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +11,7 @@ from hard_models import Swing, stiff_lag, swung
 from numpy.testing import assert_allclose
 
 import greybox as gb
+from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.discretization_error import (
     DiscretizationError,
     _distinct_ends,
@@ -18,7 +20,9 @@ from greybox.solve.discretization_error import (
     _is_rounding,
     _widened,
     _without_aliases,
+    discretization_error,
 )
+from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.outcome import TOO_COARSE, Outcome, Run
 
@@ -224,3 +228,49 @@ def test_what_finer_steps_change_in_the_eighth_digit_is_rounding(moved, is_round
     assert _is_rounding(none, none)
     still = SimpleNamespace(nodes=np.zeros((3, 2)), ends=ends)
     assert not _is_rounding(still, SimpleNamespace(ends=ends + 1e-12))
+
+
+class Decaying(gb.StateSpace):
+    """A lag, of which a step is four fifths of its time constant."""
+
+    states, inputs, outputs = ("x",), ("u",), ("x",)
+    a = gb.Parameter(1.0, bounds=(0.01, 50))
+
+    def derivative(self, x, u, p):
+        return (p.a * (u.u - x.x),)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+def decaying(seed, samples):
+    random = np.random.default_rng(seed)
+    time, u = 0.5 * np.arange(samples), np.repeat(random.normal(size=samples // 4), 4)
+    flown = gb.simulate(Decaying(), {"a": 1.6}, gb.Record(time, {"u": u}), inputs="held")
+    return gb.Record(time, {"u": u, "x": flown["x"] + 0.1 * random.normal(size=samples)})
+
+
+def test_the_shift_is_that_of_a_fit_with_twice_the_steps():
+    """Of two records of unlike weights; a standard error is where the cost is half a unit higher."""
+    held = gb.OutputError(inputs="held")
+    problem = gb.Problem(Decaying(), decaying(0, 60), held, weight=2.0) + gb.Problem(
+        Decaying(), decaying(1, 40), held, weight=5.0
+    )
+    nlp = compile_problem(problem, COARSE)
+    solver = GaussNewton(nlp)
+    end = solver.run(np.array([2.0]))
+    error = discretization_error(nlp, solver.profile(end.estimate, end.nodes).trajectories)
+    finer = GaussNewton(replace(nlp, parts=tuple(part.refined(2) for part in nlp.parts)))
+    moved = finer.run(end.estimate)
+    away = 0.004
+    heights = [solver.cost(end.estimate * (1 + sign * away)) - end.cost for sign in (1, -1)]
+    standard_error = away * end.estimate[0] / np.sqrt(2 * np.mean(heights))
+    wanted = (moved.estimate[0] - end.estimate[0]) / standard_error
+    assert abs(wanted) > 0.1
+    assert error.shift[0] == pytest.approx(wanted, rel=0.2)  # to first order
+    assert error.order == 4
+    assert error.accepted == nlp.strategies.negligible_shift
+    same = discretization_error(
+        nlp, solver.profile(end.estimate, end.nodes).trajectories, tuple(GaussNewton(nlp)._parts.parts)
+    )
+    assert same.shift.tolist() == [0.0]
