@@ -1,6 +1,7 @@
 """Many runs: all are kept, failures never win, noise-free truths are found from nearly every start."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.models.tilt import Tilt
 from greybox.solve.ipopt import IpoptSolver
 from greybox.solve.minima import find_minima
-from greybox.solve.multistart import multistart, solver_for
+from greybox.solve.multistart import _Drawn, _moved_to_finite, multistart, solver_for
 from greybox.solve.outcome import Outcome, Run
 
 NOISY = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.05))
@@ -148,3 +149,47 @@ def test_runs_are_told_apart_by_their_response_in_units_of_the_signals():
     signatures = [np.array([3.0, 1e-9]), np.array([3.0, -2e-9]), np.array([3.3, 0.0]), np.array([3.0, 0.1])]
     runs = [Run(k, x, x, 1.0, "converged", True, 1, 0.0) for k in range(4)]
     assert [minimum.runs for minimum in find_minima(nlp, runs, signatures)] == [(0, 1), (2,), (3,)]
+
+
+def finite_below(limit, asked):
+    """A solver whose model is finite where the first parameter is below a limit, or is 50."""
+    return SimpleNamespace(is_finite_at=lambda x: asked.append(float(x[0])) or bool(x[0] < limit or x[0] == 50))
+
+
+def of_logarithms():
+    """The solver's variables are the logarithms of the parameters, which are within 0.01 and 60."""
+    scaling = SimpleNamespace(to_solver=np.log, to_parameters=np.exp)
+    return SimpleNamespace(scaling=scaling, lower=np.full(1, 0.01), upper=np.full(1, 60.0))
+
+
+def test_starts_at_which_the_model_is_not_finite_move_toward_the_first_at_which_it_is():
+    """Half of the way in the solver's variables, a quarter, and so on; what was finite or is hopeless stays."""
+    asked = []
+    starts = np.array([[100.0], [64.0], [2.0], [1.0], [32.0], [50.0]])
+    moved = np.array(list(_moved_to_finite(of_logarithms(), finite_below(6.0, asked), starts)))
+    assert asked[:3] == [100.0, 64.0, 2.0]
+    # From 2: half of the way to 100 and to 64 is too far, a quarter is not; half of that to 32 would be 8.
+    assert moved.ravel() == pytest.approx([2 * 50**0.25, 2 * 32**0.25, 2.0, 1.0, 2 * 16**0.25, 50.0])
+    nowhere = np.array(list(_moved_to_finite(of_logarithms(), finite_below(0.0, []), starts[:5])))
+    assert_array_equal(nowhere, starts[:5])
+    # Where only home is finite, a start stays after six halvings.
+    asked.clear()
+    close = np.array(list(_moved_to_finite(of_logarithms(), finite_below(2.001, asked), starts[2:5:2])))
+    assert_array_equal(close, starts[2:5:2])
+    assert asked[2:] == pytest.approx([2 * 16.0**share for share in (0.5, 0.25, 0.125, 1 / 16, 1 / 32, 1 / 64)])
+
+
+def test_points_are_drawn_as_far_as_they_are_asked_for():
+    given = []
+
+    def points():
+        for k in range(6):
+            given.append(k)
+            yield np.array([float(k), -k])
+
+    drawn = _Drawn(points(), np.zeros((6, 2)))
+    assert drawn[2].tolist() == [2.0, -2.0]
+    assert given == [0, 1, 2]
+    assert drawn[0].tolist() == [0.0, 0.0]
+    assert given == [0, 1, 2]
+    assert drawn[5].tolist() == [5.0, -5.0]
