@@ -292,3 +292,10 @@ def test_a_derivative_has_the_order_of_a_cubic_spline():
         found = differentiate(np.sin(3 * time), time[1])
         errors.append(np.abs(found - 3 * np.cos(3 * time))[count // 4 : -(count // 4)].max())
     assert errors[0] / errors[1] == pytest.approx(16, rel=0.1)
+
+
+@pytest.mark.parametrize("curve", [lambda t: np.exp(-t), lambda t: t**3 - t, np.sin], ids=["decay", "cubic", "sine"])
+def test_of_a_smooth_curve_without_noise_all_passes(curve):
+    """No cutoff above the highest of the sines is tried: there is nothing beyond."""
+    known = smooth(TIME[:200], curve(TIME[:200]))
+    assert known.cutoff == pytest.approx(np.pi * 198 / TIME[199], rel=1e-6)
