@@ -262,7 +262,7 @@ def _rate(grid: Array) -> float:
 
 def _held_mean(time: Array, values: Array, grid: Array, step: float) -> Array:
     """Return the mean over the coming step of what is held from sample to sample, so that nothing moves in time."""
-    ends = np.append(time[1:], max(time[-1], grid[-1]) + step)
+    ends = np.append(time[1:], time[-1] + step)
     integral = np.append(0.0, np.cumsum(values * (ends - time)))
     bounds = np.append(time[0], ends)
     return (np.interp(grid + step, bounds, integral) - np.interp(grid, bounds, integral)) / step

@@ -129,6 +129,7 @@ def test_utf_16_is_refused_with_the_cure(tmp_path):
         ("t;x\n0;+1,5e1\n1;-,5\n", [15, -0.5]),
         ("t;x\n0;1,\n1;2,\n", [1, 2]),
         ("t;x\n0;1.\n1;.5\n", [1, 0.5]),
+        ("x\n1.5\n2.5\n", [1.5, 2.5]),  # one column
     ],
 )
 def test_the_second_column_is_read_in_each_spelling(tmp_path, text, values):

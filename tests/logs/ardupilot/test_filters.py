@@ -216,3 +216,16 @@ def test_px4_has_two_notches_and_a_filter_of_the_d_term(signal):
     assert named_filters(flown)["d-term-filter"] == (LowPass(25.0),)
     assert passed_filters(log(IMU_GYRO_NF0_FRQ=0, IMU_GYRO_NF0_BW=20, IMU_GYRO_CUTOFF=0), signal) == ()
     assert passed_filters(log(IMU_GYRO_NF0_FRQ=120, IMU_GYRO_NF0_BW=0), signal) == ()
+
+
+@pytest.mark.parametrize("cutoff", [0.5, 1.0, 0.0, -1.0])
+def test_a_cutoff_above_zero_is_a_filter(cutoff):
+    parameters = dict.fromkeys(("INS_GYRO_FILTER", "ATC_RAT_YAW_FLTE"), cutoff)
+    known = named_filters(log(**parameters), "yaw")
+    assert known == (
+        {"gyro-filter": (LowPass(cutoff),), "error-filter": (FirstOrderLowPass(cutoff),)} if cutoff > 0 else {}
+    )
+    px4 = named_filters(log(**dict.fromkeys(("IMU_GYRO_CUTOFF", "IMU_DGYRO_CUTOFF"), cutoff)))
+    assert px4 == (dict.fromkeys(("gyro-filter", "d-term-filter"), (LowPass(cutoff),)) if cutoff > 0 else {})
+    assert centers(INS_HNTCH_ENABLE=0.5) == [60]
+    assert centers(INS_HNTCH_FREQ=0.8, INS_HNTCH_BW=0.5) == [0.8]

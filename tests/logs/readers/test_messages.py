@@ -69,3 +69,63 @@ def test_dropped_samples_are_counted_with_the_reason():
     found, findings = records([messages(order=range(5), time=(0.0, 1.0, np.nan, 1.0, 2.0))], "a.bin", "abc")
     np.testing.assert_array_equal(found["ATT"].time, [0, 1, 2])
     assert findings == ("ATT: 2 of 5 samples dropped: 1 with implausible times, 1 whose time does not increase.",)
+
+
+def test_records_of_instances_keep_units_holds_and_texts_apart():
+    """By number and by name, in order; a single value of an instance is one too."""
+    n = 6
+    group = Messages(
+        "BAT",
+        np.arange(n),
+        np.arange(n) / 10,
+        {"I": np.array([2.0, 0, 2, 0, 2, 0.5]), "V": np.arange(n) * 1.5},
+        {},
+        {"V": "V"},
+        "I",
+        {"V": 0.25},
+    )
+    found, findings = records([group], "a.bin", "abc")
+    assert [*found] == ["BAT[0]", "BAT[0.5]", "BAT[2]"]
+    assert [record["V"].tolist() for record in found.values()] == [[1.5, 4.5], [7.5], [0, 3, 6]]
+    assert [record.time.tolist() for record in found.values()] == [[0.1, 0.3], [0.5], [0, 0.2, 0.4]]
+    assert {(record.units["V"], record.hold["V"]) for record in found.values()} == {("V", 0.25)}
+    assert findings == ()
+    named = replace(group, columns={"V": group.columns["V"]}, texts={"I": list("baabca")})
+    found, _ = records([named], "a.bin", "abc")
+    assert {name: record["V"].tolist() for name, record in found.items()} == {
+        "BAT[a]": [1.5, 3, 7.5], "BAT[b]": [0, 4.5], "BAT[c]": [6],
+    }  # fmt: skip
+
+
+def test_gaps_and_dropped_samples_of_a_record_are_said_once():
+    time = np.arange(60) / 10
+    time[30:] += 2
+    holed = Messages("ATT", np.arange(60), time, {"x": time})
+    found, findings = records([holed], "a.bin", "abc")
+    (said,) = findings
+    assert said == "ATT: a gap 2.1 s at 2.9 s (its usual interval is 0.1 s)."
+    assert found["ATT"].findings == (said,)
+    back = replace(holed, time=np.where(np.arange(60) == 10, np.nan, np.where(np.arange(60) == 20, 0.5, time)))
+    _, findings = records([back], "a.bin", "abc")
+    assert findings[0] == "ATT: 2 of 60 samples dropped: 1 with implausible times, 1 whose time does not increase."
+
+
+def test_the_span_of_a_log_is_that_of_all_stamps():
+    first, second = messages(order=(0, 3), time=(2.0, 9.0)), messages("GPS", order=(1, 2), time=(np.nan, 4.0))
+    clocked = on_one_clock([first, second, messages("MSG", order=(0,), time=None)])
+    assert clocked.span == (2.0, 9.0)
+    assert [group.name for group in clocked.groups] == ["ATT", "GPS", "MSG"]
+    assert on_one_clock([messages("MSG", time=None)]).span == (0.0, 0.0)
+    assert on_one_clock([]).span == (0.0, 0.0)
+    assert on_one_clock([first], np.array([1.0, 2.0, 3.0, 12.0])).span == (1.0, 12.0)
+
+
+def test_messages_with_and_without_times_or_texts_are_not_joined():
+    large = messages()
+    for other in (
+        messages(order=(5,), time=None, x=np.array([1.0])),
+        replace(messages(order=(5,), time=(5.0,), x=np.array([1.0])), texts={"said": ["a"]}),
+    ):
+        (kept,), findings = merged([large, other])
+        assert kept is large
+        assert findings == ("ATT: 1 messages with other fields than the rest were left out.",)
