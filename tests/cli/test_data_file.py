@@ -12,6 +12,7 @@ from command_line import refused, run
 import greybox as gb
 from greybox.cli.data_file import read_data
 from greybox.models.drag import Drag
+from greybox.models.tilt import Tilt
 
 FLIGHT = files("greybox.problems") / "data" / "sitl_drag_hover.csv"
 DRAG = ("fit", "--model", "drag:Drag", "--data")
@@ -191,3 +192,11 @@ def test_manoeuvres_are_fitted_together(capsys, tmp_path):
     assert json.loads(out)["criterion"] == "equation-error"
     other = [word for word in command if word != "--json"]
     assert "is for frequency responses and" in refused(capsys, *other, paths[0], "--criterion", "relative-error")
+
+
+def test_a_file_that_is_neither_response_nor_record_is_said(tmp_path):
+    (tmp_path / "words.csv").write_text("some words\nand more of them\n")
+    with pytest.raises(
+        ValueError, match=r"words\.csv is neither a frequency response, with columns omega_rad_s, alpha, beta"
+    ):
+        read_data(tmp_path / "words.csv", Tilt())

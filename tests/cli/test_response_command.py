@@ -2,6 +2,7 @@
 
 import json
 import math
+from argparse import Namespace
 from importlib.resources import files
 
 import numpy as np
@@ -10,6 +11,8 @@ from benchmark_module import benchmark
 from command_line import refused, run
 
 import greybox as gb
+from greybox.cli.options import UsageError
+from greybox.cli.response_command import stated_choices
 
 LOG = str(files("greybox.problems") / "data" / "sitl_pitch.BIN")
 PITCH = ["--announced", "SINE", "--input", "u=RATE.POut", "--output", "theta=ATT.Pitch"]
@@ -293,3 +296,8 @@ def test_several_signals_need_a_period_and_are_named(capsys):
     )
     both = refused(capsys, *several, "p=RATE.R")
     assert "--input u=RATE.POut r=RATE.ROut and --output q=RATE.P p=RATE.R are several signals" in both
+
+
+def test_one_input_has_one_instrument():
+    with pytest.raises(UsageError, match=r"--instrument SIDD\.Targ X\.y are several signals: give one for each input"):
+        stated_choices(Namespace(instrument=["SIDD.Targ", "X.y"]))

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -108,3 +109,10 @@ def test_linear_least_squares_begins_at_the_truth_where_its_share_of_the_delay_i
     assert list(_linear_starts(bare, 3, 2, 1, 0.0)) == []
     assert list(_linear_starts(bare, 1, 0, 1, 0.0)) == []
     assert len(list(_linear_starts(bare, 2, 0, 1, 0.0))) == 1
+
+
+def test_a_grid_of_which_no_structure_has_a_fit_is_told(monkeypatch):
+    monkeypatch.setattr("greybox.identification.orders.fit", lambda *_, **__: SimpleNamespace(converged=False))
+    data = measured(Plant(), np.geomspace(0.5, 30, 20))
+    with pytest.raises(ValueError, match="none of 3 structures has a fit: look at the response first"):
+        gb.identification.select_orders(data, n=(1, 2), integrators=(0,), delays=(0.0,), starts=1)

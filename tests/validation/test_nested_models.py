@@ -11,7 +11,7 @@ from scipy.stats import chi2, f
 
 import greybox as gb
 from greybox.compiled.response_part import ResponsePart
-from greybox.validation.nested_models import NestedTest, _p_value, cost_scale, ratio_test
+from greybox.validation.nested_models import NestedTest, _likelihood_ratio, _p_value, cost_scale, ratio_test
 
 
 def test_a_nested_test_says_what_is_needed():
@@ -258,3 +258,14 @@ def test_of_other_data_nothing_is_tested():
     held_out = gb.Record(time, {"u": np.sin(3 * time), "y": np.sin(3 * time - 0.7)})
     with pytest.raises(ValueError, match="folds need fits of the same data"):
         gb.compare(small, large, records=[held_out], folds=3)
+
+
+@pytest.mark.parametrize(("cost", "most"), [(-3.0, 0.02), (4e9, 4.0), (-4e9, 4.0)])
+def test_a_ratio_below_zero_by_what_solvers_leave_is_none(cost, most):
+    """A fiftieth, or a billionth of a large cost."""
+    large = SimpleNamespace(cost=cost)
+    for share in (-0.9, 5.0):
+        ratio = _likelihood_ratio(SimpleNamespace(cost=cost + share * most / 2), large, ("a", "b"))
+        assert ratio == pytest.approx(share * most, rel=1e-3)
+    with pytest.raises(ValueError, match="b costs more than a, which it contains: its fit has not found the minimum"):
+        _likelihood_ratio(SimpleNamespace(cost=cost - 1.1 * most / 2), large, ("a", "b"))

@@ -514,3 +514,13 @@ def test_what_has_no_place_in_the_larger_model_is_said(options, said, undecided)
     with pytest.raises(NotNestedError, match=said) as caught:
         embedding(**options)
     assert caught.value.undecided is undecided
+
+
+def test_directions_are_those_of_parameters_of_any_size():
+    """Two that move together, one that does not and one with a column of its own: two directions leave them."""
+    point = np.array([2e3, -4e-3, 5.0, 0.0])
+    slope = np.array([[1e3, 0.0], [1e-3, 0.0], [0.0, 0.0], [0.0, 7.0]])
+    directions = _left_null_space(slope, point)
+    assert directions.shape == (4, 2)
+    np.testing.assert_allclose(directions.T @ slope, 0.0, atol=1e-12)
+    assert np.linalg.matrix_rank(directions * np.array([[2e3], [4e-3], [5.0], [1.0]])) == 2
