@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.compiled.record_group import Groups, RecordGroup
+from greybox.compiled.record_group import Groups, RecordGroup, excerpts
 
 TRUTH = {"a": 1.5, "b": 3.0, "c": 5.0, "delay": 0.031}
 
@@ -176,3 +176,54 @@ def test_records_compiled_to_c_have_the_same_linearization(monkeypatch, tmp_path
     for name in ("transition", "node_hessian", "cross_hessian", "parameter_hessian", "parameter_gradient"):
         wanted = getattr(interpreted, name)
         assert_allclose(getattr(compiled, name), wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())
+
+
+@pytest.fixture(scope="module")
+def mixed():
+    """Three records and a response; the second record is another group by its parameter, the third by its step."""
+    omega = np.array([1.0, 2.0, 4.0])
+    response = gb.FrequencyResponse(omega, 1 / (1 + 1j * omega), "u", "x")
+    each = [gb.Problem(Spring(), one) for one in (record(0), record(3, samples=300), record(2, step=0.01))]
+    problem = sum([*each[:2], gb.Problem(Spring(), response), each[2].with_(weight=2.0)])
+    return compile_problem(problem, gb.MultipleShooting(segment=10, integrator=gb.RungeKutta(1)))
+
+
+def test_excerpts_share_the_samples_as_the_parts_have_them(mixed):
+    parts = mixed.parts
+    assert [part.samples for part in parts] == [150, 300, 0, 150]
+    assert all(one is other for one, other in zip(excerpts(parts, 600), parts, strict=True))
+    found = excerpts(parts, 240)
+    assert found[2] is parts[2]
+    wanted = [part.excerpt(share).samples for part, share in zip(parts, (60, 120, 0, 60), strict=True) if part.samples]
+    assert [part.samples for part in found if part.samples] == wanted
+    assert len(set(wanted)) > 1
+    group = Groups(parts).parts[0]
+    assert [part.samples for part in group.excerpt(150).parts] == [
+        part.excerpt(share).samples for part, share in zip(parts[:2], (50, 100), strict=True)
+    ]
+
+
+def test_groups_give_back_what_they_were_given(mixed):
+    """Those of one step, one weight and one length of segments are one, whatever stands between them."""
+    parts, groups = mixed.parts, Groups(mixed.parts)
+    assert [isinstance(group, RecordGroup) for group in groups.parts] == [True, False, False]
+    z = mixed.origin
+    trajectories = [part.trajectory(z, part.initial_trajectory(z).nodes, simulated=True) for part in parts]
+    nodes = [t.nodes for t in trajectories]
+    joined = groups.joined(nodes)
+    assert [len(own) for own in joined] == [45, 0, 15]
+    for back, own in zip(groups.nodes_by_part(joined), nodes, strict=True):
+        assert_allclose(back, own)
+    together = groups.rejoined(trajectories)
+    assert together[0].simulated
+    for back, own in zip(groups.split(together), trajectories, strict=True):
+        assert_allclose(back.nodes, own.nodes)
+        assert_allclose(back.products, own.products, rtol=1e-9)
+    spreads = [part.covariance.spread for part in parts[:2]]
+    outputs = [part.simulated_outputs(t) for part, t in zip(parts[:2], trajectories[:2], strict=True)]
+    scaled = np.hstack([values / spread[:, None] for values, spread in zip(outputs, spreads, strict=True)])
+    assert_allclose(groups.parts[0].signature(together[0]), scaled.ravel(), rtol=1e-9)
+    group = groups.parts[0]
+    initial = group.split(group.initial_trajectory(z))
+    for one, part in zip(initial, parts[:2], strict=True):
+        assert_allclose(one.nodes, part.initial_trajectory(z).nodes)
