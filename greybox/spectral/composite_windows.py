@@ -200,7 +200,7 @@ def _excited_band(lines: Lines, lowest: float, highest: float) -> tuple[float, f
     first = np.searchsorted(lines.omega, fine - reach)
     last = np.searchsorted(lines.omega, fine + reach)
     total = np.concatenate([[0.0], np.cumsum(np.abs(lines.values[2]) ** 2)])
-    power = fine * (total[last] - total[first]) / np.maximum(last - first, 1)
+    power = fine * (total[last] - total[first]) / (last - first)
 
     weak = np.flatnonzero(power < EXCITED * power.max())
     strongest = int(power.argmax())
