@@ -6,7 +6,8 @@ link; the others are put where they were received. Both are on one clock, the ve
 
 import hashlib
 import mmap
-from collections.abc import Collection, Sequence
+import sys
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -68,12 +69,14 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     names = {kind: KINDS[kind].msgname for kind in np.unique(frames.kinds).tolist()}
     wanted = [k for k, name in names.items() if (name not in ABOUT if messages is None else name in messages)]
     about = telemetry_metadata.metadata(data, frames, time)
+    frames = frames.only(np.isin(frames.kinds, wanted))  # the other packets of a long log fill hundreds of MB
+    time = frames.received  # the common clock has put them there
     groups = (_messages(data, frames, kind, time) for kind in wanted)
     found, problems = records(with_holds(groups, about.get("parameters", {})), path.name, checksum)
     findings = (
         *_damage(frames),
         *restarts,
-        *_missing(frames, messages),
+        *_missing(names.values(), messages),
         *_received(set(wanted) - set(timed.tolist())),
         *problems,
     )
@@ -97,7 +100,7 @@ def _common_clock(frames: Frames, sender_time: Floats, vehicle: int) -> tuple[Fl
     The median difference between reception and the sender's time is the sender's start; it changes when it restarts.
     These times take the place of the reception times: a log has ten million packets.
     """
-    time = frames.received
+    time = frames.received  # the common clock has put them there
     findings = []
     zero = None
     senders = np.unique(frames.senders).tolist()
@@ -157,15 +160,18 @@ def _columns(name: str, values: NDArray[Any]) -> list[tuple[str, NDArray[Any]]]:
 def _labels(
     senders: NDArray[np.uint16], instance: str | None, columns: dict[str, Floats], texts: dict[str, Sequence[str]]
 ) -> list[str]:
-    """Return the labels of senders and instances of one kind; nothing if there is only one."""
-    parts: list[list[str]] = []
+    """Return the labels of senders and instances of one kind; nothing if there is only one.
+
+    Equal ones are one text in memory: a log has millions.
+    """
+    parts: list[Iterable[str]] = []
     if np.unique(senders).size > 1:
-        parts.append([_address(sender) for sender in senders.tolist()])
+        parts.append(_address(int(sender)) for sender in senders)
     if instance in texts:
-        parts.append(list(texts[instance]))
+        parts.append(texts[instance])
     elif instance in columns:
-        parts.append([f"{value:g}" for value in columns[instance].tolist()])
-    return [":".join(part) for part in zip(*parts, strict=True)]
+        parts.append(f"{value:g}" for value in columns[instance])
+    return [sys.intern(":".join(part)) for part in zip(*parts, strict=True)]
 
 
 def _address(sender: int) -> str:
@@ -180,8 +186,7 @@ def _received(untimed: Collection[int]) -> tuple[str, ...]:
     return (f"these carry no time stamp and are given their time of reception: {', '.join(names)}.",)
 
 
-def _missing(frames: Frames, messages: Collection[str] | None) -> tuple[str, ...]:
-    present = [KINDS[kind].msgname for kind in np.unique(frames.kinds).tolist()]
+def _missing(present: Collection[str], messages: Collection[str] | None) -> tuple[str, ...]:
     absent = [name for name in messages or () if name not in present]
     return tuple(f"there is no message {name}; the log has {', '.join(present)}." for name in absent)
 

@@ -7,7 +7,7 @@ import mmap
 import re
 from array import array
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 from typing import Any
@@ -60,6 +60,11 @@ class Frames:
     skipped: int
     places: int
     unknown: int
+
+    def only(self, chosen: NDArray[np.bool_]) -> "Frames":
+        """Return some packets, chosen (n,), of the same file."""
+        arrays = ("kinds", "senders", "starts", "lengths", "received")
+        return replace(self, **{name: getattr(self, name)[chosen] for name in arrays})
 
 
 def find_packets(data: mmap.mmap) -> Frames:

@@ -171,6 +171,24 @@ def test_what_is_not_asked_for_is_not_in_memory(tmp_path, monkeypatch, message):
     assert peak < 65 * 20_000  # bytes a packet: 19 of frames, its time by the sender, and where these are
 
 
+def test_of_others_nothing_is_in_memory_while_values_are_made(tmp_path, monkeypatch):
+    """What is read of one kind is its values, and little else: neither a text of every packet nor all other packets."""
+    motors = mavlink.MAVLink_servo_output_raw_message(0, 1, *range(1100, 1900, 100))
+    other = mavlink.MAVLink_attitude_message(9000, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+    packets = [tlog([(0, 1, 1, message)])[8:] for message in (motors, other, other, other)]
+    path = tmp_path / "long.tlog"
+    path.write_bytes(b"".join((BOOT + 10_000 * k).to_bytes(8, "big") + packets[k % 4] for k in range(20_000)))
+    monkeypatch.setattr(telemetry_frames, "WINDOW", 2**16)
+    read(path, ["HEARTBEAT"])
+    tracemalloc.start()
+    recording = read(path, ["SERVO_OUTPUT_RAW"])
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    record = recording["SERVO_OUTPUT_RAW[1]"]
+    assert len(record) == 5000
+    assert peak < 2 * record.time.nbytes * (1 + len(record.signals))
+
+
 def beat(at, system=1, component=1, kind=2, autopilot=3, base=81, mode=5):
     heartbeat = mavlink.MAVLink_heartbeat_message(kind, autopilot, base, mode, 4, 3)
     return BOOT + round(at * 1e6), system, component, heartbeat
