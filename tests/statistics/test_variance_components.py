@@ -110,3 +110,13 @@ def test_a_periodogram_far_from_the_beginning_is_reached():
     truth = np.array([0.007, 20.0, 9.0])
     found = variance_components(expected, np.tensordot(truth, expected, 1), np.full(200, 2.0), sensors=2)
     assert_allclose(found.variance, truth, rtol=0.02)
+
+
+@pytest.mark.parametrize("absent", [1, 2])
+def test_the_variance_of_what_is_not_there_is_positive_and_far_below_all_others(absent):
+    """Its logarithm is a number; a hundred-thousandth of an output's power is a tenth of what counts as none."""
+    expected = parts(200)
+    periodogram = np.tensordot(np.where(np.arange(3) == absent, 0.0, TRUTH), expected, 1)
+    found = variance_components(expected, periodogram, np.full(200, 2.0), sensors=2)
+    assert 0 < found.variance[absent] < 1e-5
+    assert np.isfinite(found.covariance).all()
