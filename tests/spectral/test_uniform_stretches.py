@@ -64,3 +64,8 @@ def test_single_samples_are_no_stretch_and_constants_no_signal():
     assert len(uniform_stretches(parts, ["u"], "none")) == 2
     with pytest.raises(ValueError, match="there are no samples in which u, y are all present"):
         uniform_stretches(Record(TIME, {"u": RAMP, "y": np.full(100, np.nan)}), ["u", "y", "u"], "none")
+
+
+def test_what_is_to_be_removed_is_one_of_three():
+    with pytest.raises(ValueError, match="detrend 'cubic' is not known: use 'linear', 'constant' or 'none'"):
+        uniform_stretches(Record(TIME, {"u": RAMP}), ["u"], "cubic")

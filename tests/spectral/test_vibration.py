@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from greybox.data.record import Record
-from greybox.spectral.vibration import peaks_of, power_density, sensors, vibration, vibration_table
+from greybox.spectral.vibration import Vibration, peaks_of, power_density, sensors, vibration, vibration_table
 
 HZ = np.arange(0, 500.0)
 
@@ -83,3 +83,18 @@ def test_the_density_is_the_mean_of_stretches_by_their_samples():
     assert power == pytest.approx((960 * 2.0**2 / 2 + 240 * 6.0**2 / 2) / 1200, rel=1e-3)
     long = Record(np.arange(20000) / rate, {"x": np.sin(np.arange(20000.0))})
     assert power_density(long)[0][1] == pytest.approx(rate / 1024)
+
+
+def test_a_table_has_four_digits_of_the_rate_and_the_peaks_and_three_of_the_size():
+    found = [
+        Vibration("IMU", "GyrX", 1234.567, 0.0123456, "rad/s", (123.456, 98.7654)),
+        Vibration("ISBD[gyro0]", "x", 400.0, 2.0, "", ()),
+    ]
+    _, _, first, second = vibration_table(found).splitlines()
+    assert first.split() == ["IMU", "GyrX", "1235", "0.0123", "rad/s", "123.5,", "98.77"]
+    assert second.split() == ["ISBD[gyro0]", "x", "400", "2", "-"]
+    # Names and peaks begin below one another, numbers end so.
+    assert first.startswith("IMU ")
+    assert first.index("GyrX") == second.index("x ")
+    assert first.index("1235") + 4 == second.index("400") + 3
+    assert first.index("123.5,") == second.index("-")
