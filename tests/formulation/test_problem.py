@@ -1,5 +1,6 @@
 """Statements of problems: fixed, free, tied, constrained and renamed parameters, sums, and every refusal."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -372,3 +373,61 @@ def test_a_file_is_read_before_it_is_data(tmp_path, suffix):
     assert np.array_equal(problem.data.response, data.response)
     with pytest.raises(TypeError, match=r"data is the path .*: read the file first, gb.read_response"):
         gb.Problem(Rotor(), path)
+
+
+class Cube(gb.StateSpace):
+    """A cubic drag, in time and about an operating point."""
+
+    states, inputs, outputs = ("v",), ("F",), ("v",)
+    c = gb.Parameter(0.4, bounds=(0.1, 5))
+    m = gb.Parameter(2.0, bounds=(0.5, 9), fixed=True)
+
+    def derivative(self, x, u, p):
+        return ((u.F - p.c * x.v**3) / p.m,)
+
+    def output(self, x, u, p):
+        return (x.v,)
+
+
+ROWS = gb.Record(np.arange(4.0), {"F": [0.0, 1.0, 2.0, 1.0], "v": [0.0, 0.5, np.nan, 1.0]})
+
+
+@pytest.mark.parametrize(
+    ("statement", "words"),
+    [
+        ({"amplitude": {"F": 0.1}}, "amplitude is for frequency responses and the data are a record: leave it out."),
+        (
+            {"at": {"v": 1.0}},
+            "at={'v': 1.0} is the operating point of a frequency response and this is a record: leave it out; known "
+            "initial states go into OutputError(initial=...).",
+        ),
+        (
+            {"bounds": {"m": (1, 3)}, "start": {"m": 2.5}},
+            "bounds and start names 'm', which Cube declares fixed: give free=['m'] to estimate it, or "
+            "fixed={'m': ...} to hold it at another value.",
+        ),
+        ({"tied": {"c": lambda p: p.m / 5}, "start": {"c": 0.5}}, "'c' is tied, so that it has no start of its own: "),
+        (
+            {"fixed": {"c": 7.0}},
+            "fixed gives 'c' the value 7 outside its bounds (0.1, 5): change the value, or the bounds, "
+            "bounds={'c': (low, high)}.",
+        ),
+        ({"fixed": {"c": np.nan}}, "fixed gives 'c' the value nan: give a finite number or a Fit."),
+        ({"start": {"k": 1.0}}, "start names 'k', which Cube does not have; its parameters are c, m."),
+    ],
+)
+def test_what_a_record_cannot_be_asked_is_refused(statement, words):
+    with pytest.raises(ValueError, match=f"^{re.escape(words)}"):
+        gb.Problem(Cube(), ROWS, **statement)
+
+
+def test_values_at_bounds_are_kept_and_numbers_are_what_is_compared():
+    for value in (0.1, 5.0):
+        problem = gb.Problem(Cube(), ROWS, fixed={"c": value}, free="m")
+        assert (problem.parameters["c"].start, problem.parameters["c"].fixed) == (value, True)
+        assert not problem.parameters["m"].fixed
+    assert gb.Problem(Cube(), ROWS).numbers == 3
+    assert gb.Problem(LagLagDelay(), TWO).numbers == 2 * len(TWO_LAGS_OMEGA)
+    assert gb.Problem(Cube(), ROWS, bounds={"m": (1, 3)}, free=["m"]).parameters["m"].bounds == (1, 3)
+    with pytest.raises(TypeError, match=r"^bounds is \['c'\]: give \{name: \.\.\.\}, with a name of a parameter\.$"):
+        gb.Problem(Cube(), ROWS, bounds=["c"])
