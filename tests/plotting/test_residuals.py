@@ -1,5 +1,7 @@
 """Residuals of fitted records, against histograms and tests by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from declared_models import TWO_LAGS_OMEGA, Lag, measured
@@ -61,6 +63,8 @@ def test_constant_inputs_and_rows_without_a_time_have_no_correlations(spring, re
     rows = gb.Record(time, {"x": time, "y": time + 0.1 * np.sin(time**2)}, has_time=False)
     fits = [gb.fit(gb.Problem(Line(), each), starts=[{}], progress=False) for each in (still, rows)]
     assert [len(gb.plotting.residuals(fit)) for fit in fits] == [2, 1]
+    with pytest.raises(ValueError, match="the fit 'lost' has no estimate: no start converged"):
+        gb.plotting.residuals(replace(spring, name="lost", minima=()))
     with pytest.raises(ValueError, match="there is no record 3"):
         gb.plotting.residuals(spring, 3)
     response = gb.fit(gb.Problem(Lag(), measured(Lag(), TWO_LAGS_OMEGA)), starts=1, progress=False)

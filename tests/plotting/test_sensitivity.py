@@ -42,6 +42,8 @@ def test_shares_are_drawn_in_percent_an_output_a_color_and_all_together_in_gray(
         ([2.0, 5.0, 9.9], "rad/s", "linear"),
         ([2.0, 5.0, 2e4], "s", "linear"),
         ([2.0, 5.0, 2e4], "rad/s", "log"),
+        ([2.0, 5.0, 1900.0], "rad/s", "log"),
+        ([2.0, 5.0, 2100.0], "rad/s", "log"),
     ],
 )
 def test_frequencies_beyond_a_ratio_of_five_have_a_logarithmic_axis(at, unit, scale):

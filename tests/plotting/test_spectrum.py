@@ -1,5 +1,7 @@
 """The figure of a manoeuvre's transforms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from benchmark_module import benchmark
@@ -47,3 +49,5 @@ def test_what_cannot_be_drawn_is_said(fit):
         gb.plotting.spectrum("fit")
     with pytest.raises(ValueError, match="there is no manoeuvre 1"):
         gb.plotting.spectrum(fit, part=1)
+    with pytest.raises(ValueError, match=r"^the fit 'plain' has no manoeuvre: draw it with gb\.plot\.$"):
+        gb.plotting.spectrum(replace(fit, name="plain", parts=()))
