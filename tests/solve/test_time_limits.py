@@ -1,5 +1,8 @@
 """Runs and searches that are cut at a time limit, with a clock that goes on by a second at every look."""
 
+import math
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from sampled_lag import lag_problem
@@ -8,7 +11,7 @@ import greybox as gb
 from greybox.solve.ipopt import PATIENCE
 from greybox.solve.kept_runs import KeptRuns, Memory
 from greybox.solve.outcome import RUN_OVER, Outcome
-from greybox.solve.time_limits import TimeLimits, current_limits, limited
+from greybox.solve.time_limits import TimeLimits, current_limits, is_run_over, is_search_over, limited, one_run
 
 OMEGA = np.geomspace(0.1, 10, 8)
 
@@ -104,3 +107,28 @@ def test_what_is_no_time_is_refused():
         gb.fit(RECORD, 1, seconds=-1)
     with pytest.raises(ValueError, match="start_seconds is 'long'"):
         gb.fit(RECORD, 1, start_seconds="long")
+
+
+def test_limits_are_reached_at_their_end(monkeypatch):
+    """On a clock that stands at 100 s until it is set: of three starts at once of 5 s each, of which 2 s are spent."""
+    now = [100.0]
+    monkeypatch.setattr("greybox.solve.time_limits.time", SimpleNamespace(time=lambda: now[0]))
+    assert TimeLimits.from_now(7, None) == TimeLimits(math.inf, 107.0)
+    assert TimeLimits.from_now(None, 3) == TimeLimits(3, math.inf)
+    for end, over in ((100.1, False), (100.0, True), (99.9, True)):
+        with limited(TimeLimits(end=end)):
+            assert is_search_over() is over
+    with limited(TimeLimits(start=5.0)), one_run(spent=2.0, starts=3):
+        for now[0], over in ((112.9, False), (113.0, True)):
+            assert is_run_over() is over
+        now[0] = 100.0
+        with one_run(starts=9):  # no longer than what is around it
+            now[0] = 113.0
+            assert is_run_over()
+        now[0] = 112.0
+        assert not is_run_over()
+    now[0] = 1e9
+    assert not is_run_over()
+    with limited(TimeLimits(4.0, 20.0)), limited(TimeLimits(6.0, 10.0)):
+        assert current_limits() == TimeLimits(4.0, 10.0)
+    assert current_limits() == TimeLimits()
