@@ -201,3 +201,13 @@ def test_columns_are_above_zero(column, high):
     for bad in (0.0, -1.0, *([1.001] if high == 1 else [])):
         with pytest.raises(ValueError, match=rf"^{column} is {bad:g} at index 1: it must be {said}\.$"):
             gb.FrequencyResponse([1.0, 2.0], [1, 2], **{column: [0.5, bad]})
+
+
+@pytest.mark.parametrize(
+    ("column", "value"), [("omega", 1e76), ("omega", 1e-76), ("response", 1e76), ("response", 1e-76j)]
+)
+def test_numbers_whose_squares_are_beyond_arithmetic_are_refused(column, value):
+    columns = {"omega": [1.0, 2.0, 3.0], "response": [1.0, 2.0, 0.0]}
+    columns[column][1] = value
+    with pytest.raises(ValueError, match=rf"^{column} is .* at index 1: squares of such numbers are beyond"):
+        gb.FrequencyResponse(**columns)

@@ -339,7 +339,7 @@ def test_a_straight_line_passes_the_filter_as_it_is(samples, rate):
 @pytest.mark.parametrize(("share", "kept"), [(0.05, 1), (0.2, 1), (0.345, 1), (0.505, 0), (0.7, 0), (1.3, 0), (3.4, 0)])
 def test_the_filter_is_flat_to_0_35_of_the_new_rate_and_stops_from_half_of_it(share, kept):
     """By 80 dB; it moves nothing in time."""
-    time = stamps(400, 12)
+    time = stamps(400, 12, start=5.0)
     omega = 2 * np.pi * share * 50
     record = gb.prepare(recording(A=(time, {"x": wave(time, omega)}, {})), {"x": "A.x"}, rate=50)
     inner = slice(60, -60)

@@ -14,6 +14,8 @@ from synthetic_logs import Log, flight
 from greybox.data.numerical_range import within_range
 from greybox.logs.readers import read
 from greybox.logs.readers.ardupilot_metadata import unit
+from greybox.logs.readers.dataflash import clock_column
+from greybox.logs.readers.dataflash_index import Layout
 
 CUT = Path(__file__).parents[2] / "data" / "sitl_sweep_cut.BIN"
 QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -348,3 +350,55 @@ def test_a_long_log_is_never_in_memory(tmp_path):
     peak, kept, samples = map(int, answer.stdout.split())
     assert samples == number
     assert peak < kept + path.stat().st_size / 2
+
+
+def test_damaged_places_are_counted_and_the_first_is_told(saved):
+    parts = flight(seconds=0.3).parts
+    at = len(b"".join(parts[:40]))
+    for places, said in (((40,), "5 bytes in one place,"), ((40, 60), "10 bytes in 2 places, the first")):
+        data = b"".join(b"junk!" * (k in places) + part for k, part in enumerate(parts))
+        expected = f"{said} at byte {at}, are damaged and were skipped."
+        assert [text for text in saved(data).findings if "byte" in text] == [expected]
+    cut = saved(b"".join(parts)[:-1]).findings
+    assert "the last message (EV) is cut off: the file was truncated, or the power was lost." in cut
+
+
+@pytest.mark.parametrize(
+    ("name", "columns", "clock"),
+    [
+        ("ATT", ("TimeUS", "Roll"), "TimeUS"),
+        ("ATT", ("TimeMS", "Roll"), "TimeMS"),
+        ("ATT", ("Roll", "TimeMS"), ""),
+        ("GPS", ("Status", "TimeMS", "T"), "T"),
+        ("GPS2", ("TimeMS", "T"), "T"),
+        ("GPS", ("TimeUS", "T"), "TimeUS"),
+        ("GPS", ("TimeMS", "Status"), "TimeMS"),
+        ("BARO", ("Alt", "T"), ""),
+        ("ODD", (), ""),
+    ],
+)
+def test_the_clock_of_a_message_is_its_first_column_or_the_t_of_old_gps(name, columns, clock):
+    assert clock_column(Layout(1, name, 3, "f" * len(columns), columns)) == clock
+
+
+@pytest.mark.parametrize(
+    ("there", "asked", "said"),
+    [
+        (("ATT", "IMU"), None, True),
+        (("ATT", "RATE"), None, False),
+        (("IMU",), None, False),
+        (("ATT",), ("ATT",), False),
+        (("ATT",), ("ATT", "RATE"), True),
+        (("ATT", "RATE"), ("RATE",), False),
+    ],
+)
+def test_without_rates_the_cure_is_said_to_who_needs_them(saved, there, asked, said):
+    made = Log()
+    for name in there:
+        made.fmt(name, "Qf", "TimeUS,X", "s-", "F-")
+    for k in range(3):
+        for name in there:
+            made.add(name, 1_000_000 + 1000 * k, 1.0)
+    findings = saved(made.binary, messages=asked).findings
+    assert any("set LOG_BITMASK" in text for text in findings) is said
+    assert not any(text.startswith("there is no message") for text in findings)

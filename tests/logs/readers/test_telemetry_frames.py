@@ -164,3 +164,12 @@ def test_after_damage_a_packet_of_a_known_kind_is_searched(mapped):
     frames = find_packets(mapped(b"".join([*made[:2], broken, other, *made[3:]])))
     assert (frames.kinds.size, frames.unknown) == (5, 0)
     assert (frames.skipped, frames.places) == (len(broken) + len(other), 1)
+
+
+def test_a_packet_without_a_payload_may_end_the_file(mapped):
+    """Of the first version, eight bytes; of the second, twelve."""
+    for version in (1, 2):
+        empty = unknown(version, payload=b"")
+        assert len(empty) == (8 if version == 1 else 12)
+        frames = find_packets(mapped(b"".join([*packets(3), struct.pack(">Q", START), empty])))
+        assert (frames.kinds.size, frames.unknown, frames.skipped) == (3, 1, 0)
