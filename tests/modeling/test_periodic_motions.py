@@ -333,3 +333,10 @@ def test_harmonics_have_places_that_do_not_depend_on_their_number():
     wanted = np.zeros(31)
     wanted[[*range(7), *range(15, 22), 30]] = np.arange(1.0, 16.0)
     np.testing.assert_array_equal(padded, wanted)
+
+
+def test_a_signal_that_a_loop_holds_to_a_sine_keeps_its_mean():
+    """Of the position, about zero: what pushes to one side is met by the mean of the force, and no first harmonic."""
+    sine = gb.modeling.Sine("x", 2.0, harmonics=1)
+    motions = periodic_motions(Leaning(), {}, np.array([OMEGA]), sine)
+    assert_allclose(motions.response, [1 / (1 + 0.75 * 4.0 - OMEGA**2 + 1j * OMEGA * DAMPING)], rtol=1e-6)
