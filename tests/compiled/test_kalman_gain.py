@@ -1,5 +1,7 @@
 """Predictors: their gains, held against Riccati's equation, and fits of flights in wind, held against the truth."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from evaluation import numeric_jacobian
@@ -121,9 +123,15 @@ def test_a_fit_of_prediction_errors_takes_as_few_iterations_as_one_of_output_err
 # --- where its poles are ----------------------------------------------------------------------------------------------
 
 
-def spring_gain(criterion=WIND, **values):
+@cache
+def compiled_spring(*process_noise):
+    criterion = gb.PredictionError(process_noise=process_noise, inputs="held")
+    return compile_problem(gb.Problem(Spring(), spring_flight(600), criterion))
+
+
+def spring_gain(*process_noise, **values):
     """Of 600 samples at 20 Hz, whose transition has poles of magnitude exp(-0.03); they must be within 1 - 3/600."""
-    nlp = compile_problem(gb.Problem(Spring(), spring_flight(600), criterion))
+    nlp = compiled_spring(*process_noise)
     z = nlp.scaling.to_solver(np.array([(SPRING | values).get(name, 0.0) for name in nlp.free]))
     (part,) = nlp.parts
     return kalman_gain(part), part.initial_trajectory(z), z
@@ -161,8 +169,7 @@ def test_poles_follow_parameters_and_gains_as_by_differences(coupling):
 
 
 def test_noise_that_makes_a_given_variance_over_a_sample_and_residuals_are_the_unknowns_of_a_filter():
-    criterion = gb.PredictionError(process_noise=("v",), inputs="held")
-    gain, trajectory, _ = spring_gain(criterion, w_v=0.4, v_x=0.06, v_v=0.09)
+    gain, trajectory, _ = spring_gain("v", w_v=0.4, v_x=0.06, v_v=0.09)
     (found,) = gain.steady_state(trajectory, [np.array([7.0, 0.02])])
     variance = (gain.part.residuals(trajectory) ** 2).mean(axis=1)
     assert gain.names == ("w_v", "v_x", "v_v")
