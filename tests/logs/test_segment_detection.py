@@ -310,3 +310,19 @@ def test_the_stick_of_an_axis_flies_it(setpoint, stick, others):
             records.setdefault(message, {})[field] = one
         (found,) = find_segments(Recording({name: Record(time, signals) for name, signals in records.items()}))
         assert found.usable is (moving == others)
+
+
+def test_sines_of_the_system_identification_mode_are_as_long_as_they_were_set():
+    """They are not held against one another; a run whose data end a tenth of a second early is whole."""
+    setting = {"Ax": [10.0] * 3, "Mag": [0.1, 0.1, 1e-4], "FSt": [0.5] * 3, "FSp": [0.5] * 3, "TR": [60.0, 60.0, 10.0]}
+    time = np.concatenate(
+        [100 + np.arange(0, 60.95, 0.01), 200 + np.arange(0, 60.8, 0.01), 300 + np.arange(0.01, 20, 0.01)]
+    )
+    log = Recording({"SIDS": Record([100.0, 200.0, 300.0], setting), "SIDD": Record(time, {"Targ": 0 * time})})
+    found = find_segments(log)
+    assert [(s.kind, s.axis, s.usable) for s in found] == [
+        ("sine", "mixer roll", True), ("sine", "mixer roll", False), ("sine", "mixer roll", True),
+    ]  # fmt: skip
+    assert [s.start for s in found] == [101.0, 201.0, 301.0]
+    assert found[2].end == 311.0
+    assert found[1].findings == ("ended early, after 59.8 of 60.0 s",)
