@@ -109,3 +109,14 @@ def test_orders_are_all_of_few_states_and_some_of_many():
     assert many[:2] == [(0, 1, 2, 3, 4, 5), (5, 4, 3, 2, 1, 0)]
     assert all(sorted(order) == list(range(6)) for order in many)
     assert len(set(many)) > 150
+
+
+def test_the_first_order_that_is_accurate_is_taken():
+    """The natural one, of matrices without small pivots; the next one where its second pivot vanishes."""
+    for seed in range(5):
+        random = np.random.default_rng(seed)
+        A, b = random.normal(size=(2, 4, 4)), random.normal(size=(2, 4))
+        assert elimination_order(A, b, np.zeros((4, 4), dtype=bool), OMEGA) == (0, 1, 2, 3)
+    A = np.array([[0.0, 4, 0], [-4, 0, -3], [0, 2, -3]])  # of the first two alone, 4 rad/s is an eigenvalue
+    assert elimination_order(A[None], np.array([[0.0, 2, 0]]), A == 0, OMEGA) == (0, 2, 1)
+    assert elimination_order(A[None, :1, :1], np.ones((1, 1)), A[:1, :1] == 0, OMEGA) == (0,)
