@@ -193,3 +193,18 @@ def test_points_are_drawn_as_far_as_they_are_asked_for():
     assert drawn[0].tolist() == [0.0, 0.0]
     assert given == [0, 1, 2]
     assert drawn[5].tolist() == [5.0, -5.0]
+
+
+@pytest.mark.parametrize(("count", "neighbors"), [(1, False), (2, True)])
+def test_neighborhoods_are_tried_where_there_are_several_starts(monkeypatch, count, neighbors):
+    class Asked(Exception):  # noqa: N818
+        """With what the search was told."""
+
+    def search(*_, neighbors):
+        raise Asked(neighbors)
+
+    monkeypatch.setattr("greybox.solve.multistart.LocalSearch", search)
+    nlp = compile_problem(NOISY)
+    with pytest.raises(Asked) as told:
+        multistart(nlp, IpoptSolver(nlp), np.tile(nlp.lower, (count, 1)), movable=False)
+    assert told.value.args == (neighbors,)
