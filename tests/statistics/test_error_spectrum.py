@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.integrate import trapezoid
 from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import lfilter
 
@@ -63,8 +64,8 @@ def test_draws_of_correlated_residuals_get_the_variances_of_the_spectrum():
     covariance[0, 0] = np.nanmean(white[0] ** 2)
     eigenvalues, vectors = np.linalg.eigh(spectrum.density.transpose(2, 0, 1))
     root = vectors * np.sqrt(eigenvalues)[:, None] @ vectors.conj().transpose(0, 2, 1)
-    mean = np.trapezoid((root @ covariance @ root).transpose(1, 2, 0), OMEGA).real / np.pi
-    wanted = np.trapezoid(spectrum.density, OMEGA).real / np.pi
+    mean = trapezoid((root @ covariance @ root).transpose(1, 2, 0), OMEGA).real / np.pi
+    wanted = trapezoid(spectrum.density, OMEGA).real / np.pi
     assert_allclose(found, np.sqrt(np.diag(wanted) / np.diag(mean)), rtol=1e-3)
 
 

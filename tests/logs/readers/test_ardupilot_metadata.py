@@ -93,7 +93,7 @@ def test_units_are_written_as_greybox_writes_them():
         ("APMrover2", {4: "HOLD", 10: "AUTO"}),
         ("ArduSub", {9: "SURFACE", 19: "MANUAL"}),
         ("AntennaTracker", {1: "STOP", 2: "SCAN"}),
-        ("Blimp", {2: "VELOCITY", 6: "HOLD"}),
+        ("Blimp", {1: "MANUAL", 2: "VELOCITY"}),
     ],
 )
 def test_modes_are_those_of_each_firmware(vehicle, modes):
