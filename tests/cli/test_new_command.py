@@ -58,3 +58,12 @@ def test_nothing_is_overwritten_or_hidden(capsys, folder):
         assert "is the name of a Python package" in refused(capsys, "new", "problem", name)
     assert "'2 pitch' cannot be the name of a Python file" in refused(capsys, "new", "model", "2 pitch")
     assert "the folder of missing" in refused(capsys, "new", "model", "missing/pitch")
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("a1_rate", "A1Rate"), ("x", "X"), ("_2dof", "Model2dof"), ("pitchRate_fast", "pitchRateFast")],
+)
+def test_a_class_has_the_name_of_its_file(capsys, folder, name, expected):
+    assert run(capsys, "new", "model", f"{name}.py")[0] == 0
+    assert f"\nclass {expected}(" in (folder / f"{name}.py").read_text()

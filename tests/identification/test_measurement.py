@@ -9,7 +9,7 @@ from scipy.signal import chirp, lsim
 
 import greybox as gb
 from greybox.data.record import Record, Recording
-from greybox.identification.measurement import FEEDBACK, Settings, measure, named_signals
+from greybox.identification.measurement import FEEDBACK, Settings, found_tests, measure, named_signals
 
 PAIR = {"input": "u=IN.u", "output": "y=OUT.y"}
 TIME = np.arange(0, 60, 0.04)
@@ -223,3 +223,13 @@ def test_signals_that_share_a_name_are_told():
     assert named_signals(["u=RATE.POut", "ATT.Pitch"]) == {"u": "RATE.POut", "Pitch": "ATT.Pitch"}
     with pytest.raises(ValueError, match="two signals have one name: give them names of your own, NAME=SIGNAL"):
         named_signals(["ANG.Pitch", "ATT.Pitch"])
+
+
+def test_fields_of_an_announcement_can_have_other_names():
+    """The frequency of each test in Hz, as a message of one's own has it; none are fields that are looked for."""
+    ticks = np.arange(0, 40, 0.1)
+    speed = np.where(ticks < 20, 0.5, 1.5)
+    log = flight(SWEEP, TEST=Record(ticks, {"speed": speed, "W": np.full(ticks.size, 7.0)}))
+    own = found_tests(log, Settings(**PAIR, announced="TEST", fields={"frequency": "speed"}))
+    assert [test.omega for test in own] == pytest.approx([np.pi, 3 * np.pi])
+    assert [test.omega for test in found_tests(log, Settings(**PAIR, announced="TEST"))] == [7.0]
