@@ -2,25 +2,11 @@
 
 import numpy as np
 import pytest
+from duffing_oscillator import Spring
 
 import greybox as gb
 from greybox.estimate.harmonic_numbers import are_open, with_enough_harmonics
 from greybox.modeling import harmonic_response
-
-
-class Spring(gb.StateSpace):
-    """A hardening spring."""
-
-    states, inputs, outputs = ("x", "v"), ("u",), ("x",)
-    b = gb.Parameter(1.0, bounds=(0, 10))
-    d = gb.Parameter(0.4, bounds=(0, 10))
-
-    def derivative(self, x, u, p):
-        return (x.v, -x.x - p.b * x.x**3 - p.d * x.v + u.u)
-
-    def output(self, x, u, p):
-        return (x.x,)
-
 
 OMEGA = np.array([0.4, 0.9])
 

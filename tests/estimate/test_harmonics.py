@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from duffing_oscillator import Spring
 from evaluation import numeric_jacobian
 
 import greybox as gb
@@ -9,21 +10,6 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess
 from greybox.estimate.diagnostics.harmonics import too_few_harmonics
 from greybox.modeling import Sine, harmonic_response
-
-
-class Spring(gb.StateSpace):
-    """A hardening spring."""
-
-    states, inputs, outputs = ("x", "v"), ("u",), ("x",)
-    b = gb.Parameter(1.0, bounds=(0, 10))
-    d = gb.Parameter(0.4, bounds=(0, 10))
-
-    def derivative(self, x, u, p):
-        return (x.v, -x.x - p.b * x.x**3 - p.d * x.v + u.u)
-
-    def output(self, x, u, p):
-        return (x.x,)
-
 
 OMEGA = np.array([0.45, 1.7])
 

@@ -100,7 +100,7 @@ def _common_clock(frames: Frames, sender_time: Floats, vehicle: int) -> tuple[Fl
     The median difference between reception and the sender's time is the sender's start; it changes when it restarts.
     These times take the place of the reception times: a log has ten million packets.
     """
-    time = frames.received  # the common clock has put them there
+    time = frames.received
     findings = []
     zero = None
     senders = np.unique(frames.senders).tolist()
