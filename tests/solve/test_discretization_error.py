@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hard_models import Swing, stiff_lag, swung
 from numpy.testing import assert_allclose
+from rate_lag import Lag
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
@@ -230,31 +231,18 @@ def test_what_finer_steps_change_in_the_eighth_digit_is_rounding(moved, is_round
     assert not _is_rounding(still, SimpleNamespace(ends=ends + 1e-12))
 
 
-class Decaying(gb.StateSpace):
-    """A lag, of which a step is four fifths of its time constant."""
-
-    states, inputs, outputs = ("x",), ("u",), ("x",)
-    a = gb.Parameter(1.0, bounds=(0.01, 50))
-
-    def derivative(self, x, u, p):
-        return (p.a * (u.u - x.x),)
-
-    def output(self, x, u, p):
-        return (x.x,)
-
-
 def decaying(seed, samples):
     random = np.random.default_rng(seed)
     time, u = 0.5 * np.arange(samples), np.repeat(random.normal(size=samples // 4), 4)
-    flown = gb.simulate(Decaying(), {"a": 1.6}, gb.Record(time, {"u": u}), inputs="held")
+    flown = gb.simulate(Lag(), {"a": 1.6}, gb.Record(time, {"u": u}), inputs="held")
     return gb.Record(time, {"u": u, "x": flown["x"] + 0.1 * random.normal(size=samples)})
 
 
 def test_the_shift_is_that_of_a_fit_with_twice_the_steps():
     """Of two records of unlike weights; a standard error is where the cost is half a unit higher."""
     held = gb.OutputError(inputs="held")
-    problem = gb.Problem(Decaying(), decaying(0, 60), held, weight=2.0) + gb.Problem(
-        Decaying(), decaying(1, 40), held, weight=5.0
+    problem = gb.Problem(Lag(), decaying(0, 60), held, weight=2.0) + gb.Problem(
+        Lag(), decaying(1, 40), held, weight=5.0
     )
     nlp = compile_problem(problem, COARSE)
     solver = GaussNewton(nlp)

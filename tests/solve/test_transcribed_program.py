@@ -5,24 +5,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rate_lag import Lag
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.outcome import NOT_FINITE
 from greybox.solve.transcribed_program import TranscribedProgram
-
-
-class Lag(gb.StateSpace):
-    states = outputs = ("x",)
-    inputs = ("u",)
-    a = gb.Parameter(1.0, bounds=(0.01, 50))
-
-    def derivative(self, x, u, p):
-        return (p.a * (u.u - x.x),)
-
-    def output(self, x, u, p):
-        return (x.x,)
 
 
 def record(samples, seed):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hard_models import direct_delay
 from numpy.testing import assert_allclose
+from rate_lag import Lag
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
@@ -20,17 +21,6 @@ from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.homotopy import Progress
 from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.outcome import Outcome
-
-
-class Lag(gb.StateSpace):
-    states, inputs, outputs = ("x",), ("u",), ("x",)
-    a = gb.Parameter(1.0, bounds=(0.01, 50))
-
-    def derivative(self, x, u, p):
-        return (p.a * (u.u - x.x),)
-
-    def output(self, x, u, p):
-        return (x.x,)
 
 
 def record(seed, samples=300):
