@@ -14,7 +14,7 @@ import greybox as gb
 
 HERE = Path(__file__).parent
 FOLDERS = """
-data logs spectral modeling experiment formulation regression solve simulation validation planning interop
+data logs spectral modeling formulation regression solve simulation validation experiment interop
 identification study plotting
 """
 

@@ -1,14 +1,24 @@
 """Grey-box estimation: declare a model structure once, fit it to flight data, know how far to believe the answer.
 
 Declare a model as a `TransferFunction` or a `StateSpace` with `Parameter`s, state a `Problem` (model, data, criterion),
-`fit` it, and print the `Fit`. More stands in the namespaces, which are the folders:
+`fit` it, and print the `Fit`. The folders are namespaces:
 
-`greybox.data` records, responses and their files; `greybox.logs` flight logs; `greybox.spectral` from records to
-frequency responses; `greybox.modeling` what a model is and how it is read; `greybox.experiment` test signals,
-controllers and virtual flights; `greybox.simulation` models run at given values; `greybox.regression` estimates by
-linear least squares; `greybox.solve` starts and solvers; `greybox.validation` tests between models; `greybox.planning`
-flight tests before they are flown; `greybox.interop` other libraries and languages; `greybox.identification` from a log
-to a model in one go; `greybox.study` batches of fits; `greybox.plotting` figures.
+| namespace | contents |
+| --- | --- |
+| `greybox.data` | records, frequency responses, and their files |
+| `greybox.logs` | flight logs |
+| `greybox.spectral` | from records to frequency responses |
+| `greybox.modeling` | models and the readings of their formulas |
+| `greybox.formulation` | problems and criteria |
+| `greybox.regression` | estimates by linear least squares |
+| `greybox.solve` | starts and solvers |
+| `greybox.simulation` | simulation and prediction |
+| `greybox.validation` | tests between models |
+| `greybox.experiment` | test signals, controllers, virtual flights, planning of flight tests |
+| `greybox.interop` | other libraries and languages |
+| `greybox.identification` | from a log to a model in one call |
+| `greybox.study` | batches of fits and the bootstrap |
+| `greybox.plotting` | figures |
 """
 
 from greybox.cli.startup import guard_imports as _guard_imports
@@ -25,7 +35,6 @@ from greybox import identification as identification
 from greybox import interop as interop
 from greybox import logs as logs
 from greybox import modeling as modeling
-from greybox import planning as planning
 from greybox import regression as regression
 from greybox import simulation as simulation
 from greybox import solve as solve

@@ -21,7 +21,7 @@ C_x is fixed where its slope at 5° equals the paper's a5 of 0.16 1/s, as in `pi
 import math
 
 import greybox as gb
-from greybox.data.text_table import text_table
+from greybox.files.text_table import text_table
 from greybox.models.moment import MOMENT_TERMS, TiltMomentAt
 from greybox.problems import pitch_5deg, pitch_hover
 from greybox.problems.pitch_operating_points import ANGLE, DRAG

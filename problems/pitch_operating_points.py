@@ -17,7 +17,7 @@ free, it goes to its lower bound of 0.001 1/m, at a cost of 6.027: the data at 5
 import math
 
 import greybox as gb
-from greybox.data.text_table import number, text_table
+from greybox.files.text_table import number, text_table
 from greybox.models.tilt import NonlinearTilt, Tilt
 from greybox.problems import pitch_5deg, pitch_hover
 

@@ -32,7 +32,7 @@ def files_are_read_here(request, monkeypatch):
     if not any(where in request.path.as_posix() for where in IN_SUBPROCESS):
         from read_here import read_here  # not above: it imports numpy
 
-        monkeypatch.setattr("greybox.data.sealed_files.read_in_subprocess", read_here)
+        monkeypatch.setattr("greybox.files.sealed_files.read_in_subprocess", read_here)
         monkeypatch.setattr("greybox.logs.readers.named_arrays.read_in_subprocess", read_here)
 
 

@@ -14,8 +14,8 @@ ROOT = Path(__file__).parents[1]
 
 # A folder may import only folders listed above it; CONTRIBUTING.md says what each is for.
 FOLDERS = """
-data statistics logs spectral modeling experiment formulation compiled regression solve simulation estimate validation
-planning interop identification study plotting html_report cli
+files data statistics logs spectral modeling formulation compiled regression solve simulation estimate validation
+experiment interop identification study plotting html_report cli
 """.split()
 
 SOURCES = sorted(path for folder in ("greybox", "models", "problems") for path in (ROOT / folder).rglob("*.py"))

@@ -27,8 +27,8 @@ arccos arcsin arctan arctan2 cos exp g log maximum minimum sign sin sqrt tan tan
 NAMESPACES = {
     "data": "FrequencyResponse Record Recording Segment Stretch TransientSpectrum read_response read_spectrum "
     "segment_table write_response write_responses write_spectrum",
-    "experiment": "Controller Excitation ardupilot_script multisine sine_schedule sweep systemid_parameters "
-    "virtual_flight write_excitation",
+    "experiment": "ChosenTests Controller Excitation ExpectedErrors SinePlan ardupilot_script choose_tests "
+    "expected_errors multisine plan_sines sine_schedule sweep systemid_parameters virtual_flight write_excitation",
     "formulation": "Criterion EquationError MagnitudePhase MaximumLikelihood OutputError PredictionError Problem "
     "RelativeError RelativeLikelihood SquaredRelativeError Starts Sum TimeCriterion several",
     "identification": "Identification ManoeuvreMeasurement MatrixMeasurement Measurement OrderSelection Settings "
@@ -37,7 +37,6 @@ NAMESPACES = {
     "logs": "find_manoeuvres find_segments horizontal_velocity negative prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response late_sensors linearize rational",
-    "planning": "ChosenTests ExpectedErrors SinePlan choose_tests expected_errors plan_sines",
     "plotting": "bode contour demodulated measurement nyquist orders plot profiles recording residuals response_matrix "
     "sensitivity spectrogram spectrum starts time_history traces vibration",
     "regression": "EquationErrorEstimate equation_error levy order_path",

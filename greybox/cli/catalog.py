@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import Any
 
 from greybox.compiled.compiled_problem import AnyProblem
-from greybox.data.text_table import alternatives, nearest
+from greybox.files.text_table import alternatives, nearest
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.model import Model

@@ -8,7 +8,7 @@ from typing import Any
 from greybox.cli.catalog import shipped
 from greybox.cli.options import UsageError, add_common_options, add_parser
 from greybox.cli.output import USABLE, Answer
-from greybox.data.optional_package import required
+from greybox.files.optional_package import required
 
 SHELLS = ("bash", "zsh", "tcsh")
 EXAMPLES = (

@@ -4,15 +4,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from greybox.data.delimited_text import read_delimited
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.heading import heading
 from greybox.data.record import Record, Recording
 from greybox.data.response_file import COLUMNS, HDF5, read_response
-from greybox.data.safe_files import require_file
 from greybox.data.transient_file import holds_spectrum, read_spectrum
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.data.units import to_si
+from greybox.files.delimited_text import read_delimited
+from greybox.files.heading import heading
+from greybox.files.safe_files import require_file
 from greybox.formulation.signal_units import as_the_only_pair
 from greybox.logs.readers import read
 from greybox.logs.readers.table_columns import seconds

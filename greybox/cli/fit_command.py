@@ -21,11 +21,11 @@ from greybox.cli.saved_fits import add_out_option, require_fit_file
 from greybox.cli.startup import INTERRUPTED
 from greybox.cli.stated_problem import add_problem_options, stated_problem
 from greybox.cli.workers import add_worker_options, stated_executor
-from greybox.data.text_table import counted
 from greybox.estimate.fit import Interrupted, SolverChoice, fit_keeping
 from greybox.estimate.result import Fit
 from greybox.estimate.storage import save
 from greybox.estimate.summary import summary
+from greybox.files.text_table import counted
 from greybox.formulation.starts import UntilFoundAgain
 from greybox.solve.executors import ExecutorLostError
 from greybox.solve.interruption import Response, responding, take_interrupt

@@ -8,10 +8,10 @@ from greybox.cli.catalog import find_model
 from greybox.cli.options import UsageError, add_common_options, add_parser, assignments, nonnegative, positive
 from greybox.cli.output import USABLE, Answer
 from greybox.cli.saved_fits import add_model_option, saved_fit
-from greybox.data.json_numbers import finite
 from greybox.data.response_file import HDF5
 from greybox.estimate.identifiability import Identifiability
 from greybox.estimate.structural_identifiability import StructuralIdentifiability, structural_identifiability
+from greybox.files.json_numbers import finite
 
 EXAMPLES = (
     "yaw:YawRate",

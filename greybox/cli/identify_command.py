@@ -11,10 +11,10 @@ from greybox.cli.log_tests import read_log
 from greybox.cli.options import UsageError, add_common_options, add_parser, nonnegative, positive
 from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
 from greybox.cli.response_command import add_measurement_options, response_json, stated_choices
-from greybox.data.json_numbers import finite
 from greybox.data.response_file import write_response
 from greybox.estimate.storage import save
 from greybox.estimate.summary import summary
+from greybox.files.json_numbers import finite
 from greybox.identification.identify import STARTS, Identification, identify
 from greybox.modeling.transfer_function import TransferFunction
 

@@ -10,10 +10,10 @@ from typing import Any
 from greybox.cli.log_tests import add_test_options, read_log, segment_as_json, segments_of
 from greybox.cli.options import add_common_options, add_parser
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
-from greybox.data.json_numbers import finite
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
-from greybox.data.text_table import number, text_table
+from greybox.files.json_numbers import finite
+from greybox.files.text_table import number, text_table
 from greybox.logs.flight_controllers import axis_of
 from greybox.logs.manoeuvre_detection import find_manoeuvres
 from greybox.logs.segment_detection import announcing

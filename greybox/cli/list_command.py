@@ -8,8 +8,8 @@ from typing import Any
 from greybox.cli.catalog import find_model, find_problem, models_of, shipped, shipped_module
 from greybox.cli.options import add_common_options, add_parser
 from greybox.cli.output import USABLE, Answer
-from greybox.data.json_numbers import finite
-from greybox.data.text_table import number, text_table
+from greybox.files.json_numbers import finite
+from greybox.files.text_table import number, text_table
 from greybox.modeling.model import Model, equation
 
 EXAMPLES = (

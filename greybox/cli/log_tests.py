@@ -4,9 +4,9 @@ import argparse
 from typing import Any
 
 from greybox.cli.columns import RECORD, add_columns_option, stated_columns
-from greybox.data.json_numbers import finite
 from greybox.data.record import Recording
 from greybox.data.test_segment import Segment
+from greybox.files.json_numbers import finite
 from greybox.logs.readers import read
 from greybox.logs.segment_detection import find_segments
 

@@ -35,7 +35,7 @@ from greybox.cli.options import HelpFormatter, UsageError
 from greybox.cli.output import BAD_INPUT, FAILED, NO_WORKING_DIRECTORY, USABLE, Answer, has_working_directory
 from greybox.cli.startup import INTERRUPTED
 from greybox.cli.terminal import colored, has_all_characters, no_terminal, write
-from greybox.data.text_table import alternatives, nearest, printable
+from greybox.files.text_table import alternatives, nearest, printable
 from greybox.modeling.model_reference import UnknownModelError
 from greybox.solve.interruption import Response, listening, responding, take_interrupt
 

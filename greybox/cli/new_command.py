@@ -9,7 +9,7 @@ from typing import Any
 from greybox.cli.options import UsageError, add_common_options, add_parser
 from greybox.cli.output import USABLE, Answer, require_writable
 from greybox.cli.starting_files import model_file, problem_file
-from greybox.data.safe_files import write_text
+from greybox.files.safe_files import write_text
 
 # Packages that such a file, or who runs it, imports: one of the same name would stand in their place.
 TAKEN = frozenset(

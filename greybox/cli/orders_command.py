@@ -8,9 +8,9 @@ from greybox.cli.columns import add_columns_option, stated_columns
 from greybox.cli.options import add_common_options, add_parser, nonnegative, positive
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
 from greybox.cli.saved_fits import add_out_option, require_fit_file, save_fit
-from greybox.data.json_numbers import finite
 from greybox.data.response_file import read_response
 from greybox.estimate.summary import summary
+from greybox.files.json_numbers import finite
 from greybox.identification.orders import OrderSelection, select_orders
 
 EXAMPLES = (

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.cli.options import UsageError
-from greybox.data.safe_files import replacing
+from greybox.files.safe_files import replacing
 
 Answer = tuple[dict[str, Any], str, int]
 """The JSON object, the text for a person, and the exit status."""

@@ -6,7 +6,7 @@ from typing import Any
 
 from greybox.cli.options import UsageError, assignments, intervals, uncertain_values
 from greybox.compiled.compiled_problem import AnyProblem
-from greybox.data.text_table import alternatives
+from greybox.files.text_table import alternatives
 from greybox.formulation.problem import Problem
 
 

@@ -7,9 +7,9 @@ from greybox.cli.options import UsageError, add_common_options, add_parser, nonn
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
 from greybox.cli.saved_fits import add_fit_argument, stated_fit
 from greybox.cli.workers import add_worker_options, stated_executor
-from greybox.data.json_numbers import finite
 from greybox.estimate.profile import contour, profile
 from greybox.estimate.profiles import Contour, Profiles
+from greybox.files.json_numbers import finite
 
 EXAMPLES = (
     "pitch.h5",

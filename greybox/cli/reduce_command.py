@@ -6,8 +6,8 @@ from typing import Any
 from greybox.cli.options import add_common_options, add_parser, positive
 from greybox.cli.output import USABLE, Answer
 from greybox.cli.saved_fits import add_fit_argument, add_out_option, require_fit_file, save_fit, stated_fit
-from greybox.data.json_numbers import finite
 from greybox.estimate.summary import summary
+from greybox.files.json_numbers import finite
 from greybox.validation.reduction import Reduction, reduce
 
 EXAMPLES = (

@@ -10,10 +10,10 @@ from typing import Any
 from greybox.cli.log_tests import add_test_options, read_log, segment_as_json, stated_fields
 from greybox.cli.options import UsageError, add_common_options, add_parser
 from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
-from greybox.data.json_numbers import finite
 from greybox.data.record import Recording
 from greybox.data.response_file import HDF5, write_response, write_responses
 from greybox.data.transient_file import write_spectrum
+from greybox.files.json_numbers import finite
 from greybox.identification.manoeuvre import ManoeuvreMeasurement, measure_manoeuvre
 from greybox.identification.matrix import MatrixMeasurement, measure_matrix
 from greybox.identification.measurement import INSTRUMENT, Measurement, Settings, measure

@@ -17,8 +17,8 @@ from greybox.compiled.transcription.multiple_shooting import MultipleShooting
 from greybox.compiled.transcription.single_shooting import SingleShooting
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.data.text_table import alternatives
 from greybox.data.transient_spectrum import TransientSpectrum
+from greybox.files.text_table import alternatives
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA, SPECTRUM_CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem

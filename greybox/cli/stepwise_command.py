@@ -8,8 +8,8 @@ from greybox.cli.options import UsageError, add_common_options, add_parser, posi
 from greybox.cli.output import USABLE, Answer
 from greybox.cli.saved_fits import add_out_option, require_fit_file, save_fit
 from greybox.cli.stated_problem import add_problem_options, stated_problem
-from greybox.data.json_numbers import finite
 from greybox.estimate.summary import summary
+from greybox.files.json_numbers import finite
 from greybox.validation.comparison import SIGNIFICANT
 from greybox.validation.stepwise import StepwiseSelection, stepwise
 

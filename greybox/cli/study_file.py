@@ -12,8 +12,8 @@ from typing import Any
 
 from greybox.cli.options import UsageError
 from greybox.cli.stated_problem import METHODS, stated_problem
-from greybox.data.safe_files import require_file
-from greybox.data.text_table import alternatives
+from greybox.files.safe_files import require_file
+from greybox.files.text_table import alternatives
 from greybox.modeling.model_file import module_from_file
 from greybox.solve.multistart import BATCHED
 from greybox.study.batch import Member, require_distinct

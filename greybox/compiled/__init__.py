@@ -3,8 +3,7 @@
 Begin with `compiled_problem` (what a solver is given) and `part` (what every part of it answers, be it a frequency
 response, `response_part` with `response_map` for large ones, the spectrum of a manoeuvre, `transient_part`, or a
 record, `record_part`); the first two are each a `part_without_nodes`. `scaling` is between parameters and the solver's
-variables, `limits` has the constraints. `explicit_program` states problems with trims that Newton's method finds,
-`open_data` leaves the data of responses open, for many data sets at once.
+variables, `limits` has the constraints. `explicit_program` states problems with trims that Newton's method finds.
 
 A record is cut into segments (`sampled_data`), as many steps per sample as it needs (`step_size`). Every sample is one
 CasADi function (`sample_step`), which `segments` evaluates and linearizes for all segments at once, those of several

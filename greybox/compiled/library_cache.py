@@ -9,7 +9,7 @@ import os
 import stat
 from pathlib import Path
 
-from greybox.data.safe_files import replacing
+from greybox.files.safe_files import replacing
 
 SUFFIX = ".so"
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.text_table import listed
+from greybox.files.text_table import listed
 from greybox.formulation.time_criteria import TimeCriterion
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.record import Record
-from greybox.data.text_table import listed
+from greybox.files.text_table import listed
 from greybox.statistics.noise_ratio import noise_ratio
 
 Array = NDArray[np.float64]

@@ -10,12 +10,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from greybox.data.html_text import html_list, html_table, html_text
 from greybox.data.magnitude_phase import angular_frequency, complex_response
 from greybox.data.numerical_range import out_of_range
 from greybox.data.pandas_frames import Frame, frame_of
-from greybox.data.text_table import counted, number, one_line, printable
 from greybox.data.units import to_si
+from greybox.files.html_text import html_list, html_table, html_text
+from greybox.files.text_table import counted, number, one_line, printable
 
 ROUNDING = 1e-9  # relative, of sums of squares that were written out in decimals
 

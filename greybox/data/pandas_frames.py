@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.optional_package import required
+from greybox.files.optional_package import required
 
 SECOND = np.timedelta64(1, "s")
 

@@ -10,11 +10,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from greybox.data.html_text import html_list, html_table, html_text
 from greybox.data.intersample import checked_hold
 from greybox.data.numerical_range import within_range
 from greybox.data.pandas_frames import Frame, columns_of, frame_of, seconds_of
-from greybox.data.text_table import counted, number, one_line, printable
+from greybox.files.html_text import html_list, html_table, html_text
+from greybox.files.text_table import counted, number, one_line, printable
 
 # Median steps: a longer one is a gap, across which nothing is interpolated. One lost sample makes a step of two, which
 # is none; the half is for jitter.

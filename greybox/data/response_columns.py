@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.heading import heading
 from greybox.data.magnitude_phase import angular_frequency, complex_response
-from greybox.data.text_table import alternatives
+from greybox.files.heading import heading
+from greybox.files.text_table import alternatives
 
 EXTRAS = ("coherence", "variance", "dof")
 COMMON = re.compile(r"(alpha|beta)_common(\d+)")  # of common errors, see `FrequencyResponse.columns`

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from greybox.data.delimited_text import DecimalMark, read_delimited
 from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.response_columns import COMMON, EXTRAS, Column, assembled, extras, stated_columns
-from greybox.data.safe_files import require_file, write_text
-from greybox.data.text_table import counted
+from greybox.files.delimited_text import DecimalMark, read_delimited
+from greybox.files.safe_files import require_file, write_text
+from greybox.files.text_table import counted
 
 COLUMNS = ("omega_rad_s", "alpha", "beta", *EXTRAS)
 OWN_UNITS = {"frequency": "rad/s"}
@@ -119,13 +119,13 @@ def write_response(response: FrequencyResponse, path: str | Path) -> None:
 
     CSV holds the numbers; before them, in comments ``# key: value``, the names and units of the signals and what the
     response says about itself; after them the stretches of records that they come from. HDF5 also has the names of
-    response and source, and a checksum (see `greybox.data.sealed_files`): attributes ``input, output, name, source``
+    response and source, and a checksum (see `greybox.files.sealed_files`): attributes ``input, output, name, source``
     and datasets ``omega``, those of `FrequencyResponse.columns`, ``stretches`` (a text for each: checksum, start and
     end) and ``about`` (texts ``key: value``).
     """
     path = Path(path)
     if path.suffix.lower() in HDF5:
-        from greybox.data.sealed_files import write_sealed  # noqa: PLC0415  (h5py is imported when it is needed)
+        from greybox.files.sealed_files import write_sealed  # noqa: PLC0415  (h5py is imported when it is needed)
 
         write_sealed(path, KIND, lambda file: write_group(file, response))
         return
@@ -196,7 +196,7 @@ def read_group(group: Node) -> FrequencyResponse:
 
 
 def _read_hdf5(path: Path, input: str, output: str, name: str) -> FrequencyResponse:
-    from greybox.data.sealed_files import open_sealed  # noqa: PLC0415  (h5py is imported when it is needed)
+    from greybox.files.sealed_files import open_sealed  # noqa: PLC0415  (h5py is imported when it is needed)
 
     with open_sealed(path, KIND) as file:
         response = read_group(file)

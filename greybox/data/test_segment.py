@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from greybox.data.text_table import number, one_line, text_table
+from greybox.files.text_table import number, one_line, text_table
 
 PERIODIC = ("sine", "sweep", "multisine")
 MANOEUVRES = ("2-1-1", "3-2-1-1", "doublet", "pulse", "step", "stick input")

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from greybox.data.delimited_text import DecimalMark, read_delimited
 from greybox.data.record_file import escaped, unescaped
 from greybox.data.response_file import HDF5, STRETCH, UNIT, comments, stretch_from, stretch_line, stretches_in
-from greybox.data.safe_files import require_file, write_text
 from greybox.data.transient_spectrum import TransientSpectrum
+from greybox.files.delimited_text import DecimalMark, read_delimited
+from greybox.files.safe_files import require_file, write_text
 
 KIND = "transient spectrum"
 CHANGE = "change of "  # begins the key of the last less the first value of an input
@@ -32,7 +32,7 @@ def write_spectrum(spectrum: TransientSpectrum, path: str | Path) -> None:
     """
     path = Path(path)
     if path.suffix.lower() in HDF5:
-        from greybox.data.sealed_files import write_sealed  # noqa: PLC0415  (h5py is imported when it is needed)
+        from greybox.files.sealed_files import write_sealed  # noqa: PLC0415  (h5py is imported when it is needed)
 
         write_sealed(path, KIND, lambda file: write_group(file, spectrum))
         return
@@ -70,7 +70,7 @@ def read_spectrum(path: str | Path) -> TransientSpectrum:
     path = Path(path)
     require_file(path)
     if path.suffix.lower() in HDF5:
-        from greybox.data.sealed_files import open_sealed  # noqa: PLC0415  (h5py is imported when it is needed)
+        from greybox.files.sealed_files import open_sealed  # noqa: PLC0415  (h5py is imported when it is needed)
 
         with open_sealed(path, KIND) as file:
             return read_group(file)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import Stretch
 from greybox.data.numerical_range import out_of_range
-from greybox.data.text_table import one_line, printable
+from greybox.files.text_table import one_line, printable
 
 # Share of a line of the grid by which a frequency may be off it: rounding.
 OFF_GRID = 1e-6

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.data.text_table import listed, number, text_table
+from greybox.files.text_table import listed, number, text_table
 from greybox.solve.minima import Multistart
 
 Array = NDArray[np.float64]

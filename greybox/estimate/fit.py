@@ -25,7 +25,6 @@ from greybox.compiled.transcription.method import Transcription
 from greybox.compiled.transcription.multiple_shooting import MultipleShooting
 from greybox.compiled.transient_part import TransientPart
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.text_table import counted
 from greybox.estimate.covariance import Accuracy, assess, known_directions, known_of, told_by
 from greybox.estimate.diagnostics.delay_approximation import pade_error
 from greybox.estimate.diagnostics.determined_together import determined_together
@@ -46,6 +45,7 @@ from greybox.estimate.harmonic_numbers import are_open, with_enough_harmonics, w
 from greybox.estimate.profile import profiled_where_misleading
 from greybox.estimate.quantities import quantities, slopes_of_parameters
 from greybox.estimate.result import Fit
+from greybox.files.text_table import counted
 from greybox.formulation.frequency_criteria import evaluate
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.prior_part import stated_priors

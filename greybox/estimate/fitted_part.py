@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.data.text_table import one_line
 from greybox.data.transient_spectrum import TransientSpectrum
+from greybox.files.text_table import one_line
 from greybox.formulation.input_assumptions import Inputs, described_inputs
 from greybox.formulation.prior import Prior
 from greybox.modeling.sine import Sine

@@ -8,7 +8,7 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.text_table import counted, number, one_line, text_table, with_error
+from greybox.files.text_table import counted, number, one_line, text_table, with_error
 
 Array = NDArray[np.float64]
 

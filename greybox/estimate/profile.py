@@ -33,14 +33,14 @@ from numpy.typing import NDArray
 from greybox.compiled.compiled_problem import AnyProblem, Nlp
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
-from greybox.data.progress import counted_off
-from greybox.data.text_table import alternatives, number
 from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.held_records import HeldRecords, NoMinimumError, best_of_records, slope_of
 from greybox.estimate.profiles import Contour, End, ProfileOf, Profiles
 from greybox.estimate.quantities import Formula, formulas
 from greybox.estimate.result import Fit, Quantity
+from greybox.files.progress import counted_off
+from greybox.files.text_table import alternatives, number
 from greybox.formulation.starts import Sobol
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.batched_solver import TOLERANCE, BatchedSolver

@@ -7,8 +7,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.json_numbers import all_finite, finite
-from greybox.data.text_table import alternatives, number, one_line
+from greybox.files.json_numbers import all_finite, finite
+from greybox.files.text_table import alternatives, number, one_line
 
 Array = NDArray[np.float64]
 

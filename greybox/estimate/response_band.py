@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.text_table import counted, one_line
 from greybox.estimate.identifiability import KnownDirections
+from greybox.files.text_table import counted, one_line
 from greybox.modeling.harmonic_balance import enough_harmonics, harmonic_function
 from greybox.modeling.linear_response import formula_at_one_frequency, response_formula
 from greybox.modeling.model import Model, pick_signals

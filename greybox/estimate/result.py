@@ -12,16 +12,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.html_text import html_list, html_table, html_text
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.record import Record, share_samples
-from greybox.data.text_table import alternatives, counted, number, one_line, some, text_table, with_error
 from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.identifiability import Identifiability, KnownDirections, correlation, identifiability
 from greybox.estimate.profiles import Profiles
 from greybox.estimate.response_band import ResponseBand, band_of, require_level, response_and_slope, t_quantile
 from greybox.estimate.sensitivity import Sensitivity, sensitivity
 from greybox.estimate.summary import summary
+from greybox.files.html_text import html_list, html_table, html_text
+from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table, with_error
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.input_assumptions import Inputs
 from greybox.formulation.restated_parameter import restated

@@ -37,7 +37,7 @@ Layout, version 3 (2 had the criterion as text alone; 1 had no records and no ``
                  `greybox.data.transient_file`, ``fitted/...`` by output (2, n), real and imaginary parts, and
                  ``noise`` (k, k).
 
-The file is sealed, see `greybox.data.sealed_files`. NaN means "not known". A file may come from anyone: nothing in it
+The file is sealed, see `greybox.files.sealed_files`. NaN means "not known". A file may come from anyone: nothing in it
 is executed, nothing that it names is imported, and what is loaded fits together (SECURITY.md).
 """
 
@@ -55,8 +55,6 @@ import numpy as np
 
 from greybox.data.record_file import escaped, read_record, unescaped, write_record
 from greybox.data.response_file import read_group, write_group
-from greybox.data.sealed_files import Node, Stored, open_sealed, write_sealed
-from greybox.data.text_table import printable
 from greybox.data.transient_file import read_group as read_spectrum_group
 from greybox.data.transient_file import write_group as write_spectrum_group
 from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedResponse, FittedSpectrum
@@ -64,6 +62,8 @@ from greybox.estimate.fitted_record import criterion_values
 from greybox.estimate.identifiability import KnownDirections
 from greybox.estimate.profiles import End, ProfileOf, Profiles
 from greybox.estimate.result import Fit, Quantity
+from greybox.files.sealed_files import Node, Stored, open_sealed, write_sealed
+from greybox.files.text_table import printable
 from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
 from greybox.formulation.input_assumptions import Inputs
 from greybox.formulation.prior import as_prior

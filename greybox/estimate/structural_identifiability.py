@@ -14,9 +14,9 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.data.text_table import counted, listed, one_line
 from greybox.estimate.covariance import Accuracy, Combination, assess, known_directions
 from greybox.estimate.identifiability import identifiability
+from greybox.files.text_table import counted, listed, one_line
 from greybox.formulation.frequency_criteria import SquaredRelativeError
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from greybox.data.json_numbers import all_finite, finite
 from greybox.estimate.verdict import verdict
+from greybox.files.json_numbers import all_finite, finite
 from greybox.solve.outcome import SCREENED
 from greybox.solve.runs import Runs
 

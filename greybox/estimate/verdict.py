@@ -7,8 +7,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from greybox.data.text_table import counted, listed, number, some
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
+from greybox.files.text_table import counted, listed, number, some
 from greybox.solve.outcome import SCREENED
 from greybox.statistics.metrics import rms
 

@@ -1,15 +1,32 @@
-"""Test signals, controllers and virtual flights.
+"""Test signals, controllers, virtual flights, and the planning of flight tests.
 
-Begin with `excitation` (what a test signal is). `sines`, `sweep` and `multisine` make one; `scripts` bring it to a
-vehicle; `controller` (sampled control laws) and `virtual_flight` fly it in simulation.
+Begin with `excitation` (what a test signal is) or `expected_errors` (what a planned test would tell).
+
+| file | contents |
+| --- | --- |
+| `sines`, `sweep`, `multisine` | test signals |
+| `scripts` | files that fly them on a vehicle |
+| `controller` | sampled control laws |
+| `virtual_flight` | flights in simulation |
+| `expected_errors` | the standard errors that a planned test would give |
+| `sine_plan` | sines that reach the wanted errors in the shortest flight |
+| `optimal_design` | shares of time for frequencies and tests |
+| `closed_loop` | amplitudes of signals in the loop |
+| `chosen_tests` | which of several tests to fly, and how often |
 """
 
+from greybox.experiment.chosen_tests import ChosenTests as ChosenTests
+from greybox.experiment.chosen_tests import choose_tests as choose_tests
 from greybox.experiment.controller import Controller as Controller
 from greybox.experiment.excitation import Excitation as Excitation
+from greybox.experiment.expected_errors import ExpectedErrors as ExpectedErrors
+from greybox.experiment.expected_errors import expected_errors as expected_errors
 from greybox.experiment.multisine import multisine as multisine
 from greybox.experiment.scripts import ardupilot_script as ardupilot_script
 from greybox.experiment.scripts import systemid_parameters as systemid_parameters
 from greybox.experiment.scripts import write_excitation as write_excitation
+from greybox.experiment.sine_plan import SinePlan as SinePlan
+from greybox.experiment.sine_plan import plan_sines as plan_sines
 from greybox.experiment.sines import sine_schedule as sine_schedule
 from greybox.experiment.sweep import sweep as sweep
 from greybox.experiment.virtual_flight import virtual_flight as virtual_flight

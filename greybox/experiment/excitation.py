@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.record import Record
-from greybox.data.text_table import one_line
+from greybox.files.text_table import one_line
 
 Array = NDArray[np.float64]
 

@@ -3,9 +3,9 @@
 import math
 from pathlib import Path
 
-from greybox.data.safe_files import write_text
 from greybox.experiment.excitation import Excitation
 from greybox.experiment.sweep import DWELL
+from greybox.files.safe_files import write_text
 from greybox.logs.ardupilot import SYSTEMID_AXES
 
 AXES = {"roll": 1, "pitch": 2, "yaw": 3}  # of the SINE message, and the first three of SID_AXIS

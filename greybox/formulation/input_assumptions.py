@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from greybox.data.intersample import CONTINUOUS, HELD, Intersample, intersample
 from greybox.data.record import Record
-from greybox.data.text_table import listed, number
+from greybox.files.text_table import listed, number
 from greybox.modeling.parameter import Parameter
 
 Inputs = Literal["record", "linear", "held"]

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.text_table import listed
+from greybox.files.text_table import listed
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.parameter import Parameter

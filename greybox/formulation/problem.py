@@ -11,8 +11,8 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
-from greybox.data.text_table import one_line
 from greybox.data.transient_spectrum import TransientSpectrum
+from greybox.files.text_table import one_line
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.formulation.prior import Knowledge, NormalPrior, normal_priors

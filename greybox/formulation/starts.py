@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.text_table import counted, one_line
+from greybox.files.text_table import counted, one_line
 from greybox.modeling.parameter import Parameter
 
 

@@ -6,7 +6,7 @@ from typing import Any, Generic
 
 import numpy as np
 
-from greybox.data.text_table import counted, one_line
+from greybox.files.text_table import counted, one_line
 from greybox.formulation.added_criteria import with_costs_that_add
 from greybox.formulation.data_used_twice import require_data_once
 from greybox.formulation.held_estimate import HeldEstimate

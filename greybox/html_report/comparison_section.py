@@ -5,8 +5,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 from xml.etree.ElementTree import Element
 
-from greybox.data.text_table import with_error
 from greybox.estimate.result import Fit
+from greybox.files.text_table import with_error
 from greybox.html_report.elements import tag
 from greybox.html_report.entry import Entry
 from greybox.html_report.figure import Figure, figure_grid

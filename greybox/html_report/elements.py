@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from typing import Any
 from xml.etree.ElementTree import Element, tostring
 
-from greybox.data.text_table import printable
+from greybox.files.text_table import printable
 
 Child = Element | str | None | Iterable["Child"]
 """What stands in an element: elements, text, nothing, or several of these."""

@@ -3,10 +3,10 @@
 from collections.abc import Iterator, Mapping, Sequence
 from xml.etree.ElementTree import Element
 
-from greybox.data.text_table import counted, listed
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
 from greybox.estimate.verdict import verdict
+from greybox.files.text_table import counted, listed
 from greybox.html_report.elements import tag
 from greybox.html_report.entry import Entry
 from greybox.html_report.equation import equations

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.text_table import in_greek
 from greybox.estimate.result import Fit
+from greybox.files.text_table import in_greek
 from greybox.html_report.figure import Figure, Panel, Series
 from greybox.plotting.long_lines import drawn_line
 from greybox.plotting.style import shown_unit

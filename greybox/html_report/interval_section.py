@@ -6,9 +6,9 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from greybox.data.text_table import counted
 from greybox.estimate.profiles import Profiles
 from greybox.estimate.result import Fit
+from greybox.files.text_table import counted
 from greybox.html_report.elements import tag
 from greybox.html_report.figure import Figure, Panel, Series, figure_grid
 from greybox.html_report.tables import Cell, number_cell, table

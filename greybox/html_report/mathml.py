@@ -5,7 +5,7 @@ import re
 from collections.abc import Sequence
 from xml.etree.ElementTree import Element
 
-from greybox.data.text_table import greek
+from greybox.files.text_table import greek
 from greybox.html_report.elements import Child, tag
 from greybox.modeling.expression_tree import Expression, Function, Number, Power, Product, Sum, Symbol
 

@@ -9,8 +9,8 @@ from importlib.metadata import version
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-from greybox.data.text_table import counted
 from greybox.estimate.result import Fit
+from greybox.files.text_table import counted
 from greybox.html_report.comparison_section import comparison_section, overview
 from greybox.html_report.elements import Child, html, tag
 from greybox.html_report.entry import Entry

@@ -5,9 +5,9 @@ import shlex
 from collections.abc import Sequence
 from xml.etree.ElementTree import Element
 
-from greybox.data.text_table import counted, number
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.result import Fit, error_condition
+from greybox.files.text_table import counted, number
 from greybox.html_report.elements import Child, tag
 from greybox.html_report.tables import Cell, number_cell, table
 

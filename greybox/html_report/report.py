@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from greybox.data.safe_files import write_text
-from greybox.data.text_table import counted
 from greybox.estimate.result import Fit
+from greybox.files.safe_files import write_text
+from greybox.files.text_table import counted
 from greybox.html_report.entry import Entry
 from greybox.html_report.interval_section import bootstrap_table
 from greybox.html_report.page import page

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from greybox.data.text_table import in_greek
 from greybox.estimate.fitted_part import FittedRecord
+from greybox.files.text_table import in_greek
 from greybox.html_report.figure import Figure, Panel, Series
 from greybox.plotting.residuals import residual_panels
 from greybox.statistics.metrics import CorrelationTest

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from greybox.data.text_table import in_greek
 from greybox.estimate.fitted_part import FittedSpectrum
+from greybox.files.text_table import in_greek
 from greybox.html_report.figure import Figure, Panel, Series
 from greybox.plotting.spectrum import integral_unit
 

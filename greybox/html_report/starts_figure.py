@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from greybox.data.text_table import counted
 from greybox.estimate.result import Fit
+from greybox.files.text_table import counted
 from greybox.html_report.figure import Figure, Panel, Series
 from greybox.plotting.starts import LOG_SPAN
 from greybox.solve.outcome import SCREENED

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
-from greybox.data.text_table import number, with_error
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
 from greybox.estimate.result import Fit, Quantity
 from greybox.estimate.verdict import percent
+from greybox.files.text_table import number, with_error
 from greybox.html_report.elements import Child, tag
 
 PROSE = 24  # characters from which a text is broken into lines

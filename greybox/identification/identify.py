@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from greybox.data.record import Recording
-from greybox.data.text_table import number, one_line, text_table, with_error
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit
+from greybox.files.text_table import number, one_line, text_table, with_error
 from greybox.formulation.frequency_criteria import MaximumLikelihood, RelativeLikelihood
 from greybox.formulation.problem import Problem
 from greybox.formulation.signal_units import as_the_only_pair

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
-from greybox.data.text_table import counted, one_line
 from greybox.data.transient_spectrum import TransientSpectrum
+from greybox.files.text_table import counted, one_line
 from greybox.identification.loop import controller_in
 from greybox.identification.measurement import named_signals
 from greybox.logs.manoeuvre_detection import chosen_manoeuvre, find_manoeuvres

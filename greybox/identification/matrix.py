@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
-from greybox.data.text_table import counted, number, one_line, text_table
+from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.identification.loop import controller_in
 from greybox.identification.measurement import named_signals
 from greybox.logs.prepare import prepare

@@ -10,8 +10,8 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
-from greybox.data.text_table import alternatives, counted, number, one_line
 from greybox.data.units import to_si
+from greybox.files.text_table import alternatives, counted, number, one_line
 from greybox.identification.loop import DirectDifference, controller_in, direct_difference
 from greybox.identification.systematic_errors import motor_saturation, systematic_errors, with_systematic_errors
 from greybox.logs.ardupilot.truncated_angles import STEP, is_truncated

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.text_table import counted, number, one_line, text_table
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit
+from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.formulation.frequency_criteria import MaximumLikelihood, RelativeLikelihood
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol

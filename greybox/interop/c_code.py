@@ -7,8 +7,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.data.safe_files import write_text
-from greybox.data.text_table import printable
+from greybox.files.safe_files import write_text
+from greybox.files.text_table import printable
 from greybox.interop.linear_systems import GivenModel, given_model
 from greybox.interop.source_names import identifier, identifiers
 from greybox.modeling.integrators import RungeKutta

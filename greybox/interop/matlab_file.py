@@ -8,9 +8,9 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.data.safe_files import replacing
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse
 from greybox.estimate.result import Fit
+from greybox.files.safe_files import replacing
 from greybox.interop.source_names import identifiers
 
 LONGEST_NAME = 63  # characters, of MATLAB's variables and fields

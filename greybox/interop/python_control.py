@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.optional_package import required
+from greybox.files.optional_package import required
 from greybox.interop.linear_systems import GivenModel, given_model
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
 from greybox.modeling.model import pick_signals

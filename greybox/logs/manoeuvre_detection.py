@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment
-from greybox.data.text_table import alternatives
+from greybox.files.text_table import alternatives
 from greybox.logs.segment_detection import SETPOINTS, whole_turn
 from greybox.logs.sine_detection import sines_and_sweeps
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from greybox.data.intersample import HELD, intersample
 from greybox.data.record import GAP, Record, Recording, require_time
-from greybox.data.text_table import counted
 from greybox.data.units import to_si
+from greybox.files.text_table import counted
 from greybox.logs.ardupilot.truncated_angles import untruncated
 from greybox.logs.flight_controllers import passed_filters
 

@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.text_table import one_line
+from greybox.files.text_table import one_line
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import traced_derivative, traced_output
 from greybox.modeling.trim import trim_of

@@ -8,7 +8,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
-from greybox.data.text_table import alternatives
+from greybox.files.text_table import alternatives
 from greybox.modeling.parameter import Parameter
 
 PACKAGE = __name__.rpartition(".")[0]  # whose classes' attributes no parameter may hide

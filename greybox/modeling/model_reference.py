@@ -6,7 +6,7 @@ import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from greybox.data.text_table import printable
+from greybox.files.text_table import printable
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
 from greybox.modeling.late_sensors import LateSensors
 from greybox.modeling.limit import Limit, StateSpaceLimit

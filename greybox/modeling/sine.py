@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.text_table import counted, one_line
+from greybox.files.text_table import counted, one_line
 
 # Five times what a strong kink needs, see `Sine`.
 MOST_HARMONICS = 50

@@ -14,9 +14,9 @@ from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.text_table import counted
 from greybox.estimate.response_band import radius, require_level
 from greybox.estimate.result import Fit
+from greybox.files.text_table import counted
 from greybox.plotting.response_series import (
     BAND_ALPHA,
     MARKER_SIZE,

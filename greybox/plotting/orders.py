@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from greybox.data.text_table import counted
+from greybox.files.text_table import counted
 from greybox.identification.orders import OrderSelection
 from greybox.plotting.style import (
     DARK,

@@ -11,10 +11,10 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from greybox.data.text_table import counted
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.estimate.fitted_part import FittedSpectrum
 from greybox.estimate.result import Fit
+from greybox.files.text_table import counted
 from greybox.plotting.style import (
     COLORS,
     DARK,

@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from greybox.data.text_table import counted
 from greybox.estimate.result import Fit
+from greybox.files.text_table import counted
 from greybox.plotting.style import (
     COLORS,
     DARK,

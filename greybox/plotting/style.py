@@ -14,7 +14,7 @@ from matplotlib.legend_handler import HandlerTuple
 from numpy.typing import NDArray
 
 from greybox.data.test_segment import Segment
-from greybox.data.text_table import in_greek
+from greybox.files.text_table import in_greek
 
 # Okabe and Ito's colors, which readers with a color vision deficiency can tell apart; yellow is too pale for lines.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")

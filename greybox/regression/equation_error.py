@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record, require_time
-from greybox.data.text_table import number, one_line, text_table, with_error
+from greybox.files.text_table import number, one_line, text_table, with_error
 from greybox.formulation.input_assumptions import (
     Inputs,
     assumption_warning,

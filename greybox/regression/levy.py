@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.text_table import counted, number, one_line, text_table
+from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.formulation.frequency_criteria import RelativeError, evaluate
 from greybox.regression.poles_and_zeros import Factored, NearPair, factored, near_pairs, root_text, upper_half
 

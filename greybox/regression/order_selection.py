@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.text_table import counted, number, one_line, text_table
+from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.regression.levy import RationalFit, levy
 from greybox.regression.poles_and_zeros import NEAR, NearPair, near_pairs
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from greybox.data.text_table import number
+from greybox.files.text_table import number
 
 # Relative distance below which a pole and a zero count as nearly cancelling. A real pair (s + z) / (s + p) this close
 # changes the response by about this much, 10 %, at most, at any frequency. The paper names no number.

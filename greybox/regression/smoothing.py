@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.record import GAP, Record
-from greybox.data.text_table import counted
+from greybox.files.text_table import counted
 
 Array = NDArray[np.float64]
 

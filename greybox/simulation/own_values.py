@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.sampled_data import gapless
-from greybox.data.text_table import counted, listed, with_error
+from greybox.files.text_table import counted, listed, with_error
 from greybox.formulation.time_criteria import WIDEST_BIAS
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import require_known

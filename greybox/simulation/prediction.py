@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.record import Record
-from greybox.data.text_table import counted, number, one_line, text_table
+from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.simulation.windows import seconds
 from greybox.statistics.metrics import fit_percent, rms
 

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from greybox.compiled.sampled_data import gapless
 from greybox.data.record import Record, share_samples
-from greybox.data.text_table import counted
+from greybox.files.text_table import counted
 from greybox.formulation.input_assumptions import Inputs
 from greybox.modeling.integrators import Integrator, RungeKutta
 from greybox.modeling.model import Model, require_known

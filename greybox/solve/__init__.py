@@ -9,7 +9,7 @@ them to minima together, by `batched_newton`, whose steps are in `newton_iterati
 MATLAB's GlobalSearch; an `outcome` is what one run leaves, `runs` has those of a search in columns, `minima` groups
 them. `executors` has the runs made by other processes, `worker_pool` has such on this machine, `kept_runs` says what
 keeps them. `local_search` tries more than the starts, `discretization_error` refines the integration, `cost` evaluates
-a problem at given parameters. `response_replicates` and `record_replicates` repeat a fit on data that are drawn anew.
+a problem at given parameters.
 `constraints` and `quadratic_program` serve the Gauss-Newton steps. `interruption` says what becomes of Ctrl-C,
 `time_limits` how long a search may take.
 """

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.data.text_table import counted, one_line
+from greybox.files.text_table import counted, one_line
 from greybox.solve.outcome import SCREENED, TOO_COARSE, Run
 from greybox.solve.runs import AT_ONCE, Runs
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.text_table import counted, one_line
+from greybox.files.text_table import counted, one_line
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.text_table import counted, one_line
+from greybox.files.text_table import counted, one_line
 from greybox.solve.outcome import SCREENED, Outcome, Run
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.record import Record
-from greybox.data.text_table import counted
+from greybox.files.text_table import counted
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.test_segment import Segment
-from greybox.data.text_table import counted, number, one_line, text_table
+from greybox.files.text_table import counted, number, one_line, text_table
 
 # Harmonics over fundamental. Of a cubic nonlinearity, y = x + k x³, harmonics of a share h come with a gain 3h off.
 NONLINEAR = 0.1

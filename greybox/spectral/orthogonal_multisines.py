@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.data.text_table import counted
+from greybox.files.text_table import counted
 from greybox.spectral.multisine_lines import EXCITED, whole_periods
 from greybox.spectral.uniform_stretches import uniform_stretches
 

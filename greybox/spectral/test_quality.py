@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import GAP, Record, require_time
 from greybox.data.test_segment import Segment
-from greybox.data.text_table import counted, number, one_line, text_table
+from greybox.files.text_table import counted, number, one_line, text_table
 
 Severity = Literal["note", "warning", "refusal"]
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.record import Record, Recording
-from greybox.data.text_table import number, text_table
+from greybox.files.text_table import number, text_table
 
 Array = NDArray[np.float64]
 

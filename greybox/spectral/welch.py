@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.text_table import counted
+from greybox.files.text_table import counted
 from greybox.spectral.uniform_stretches import UniformStretch
 
 Array = NDArray[np.float64]

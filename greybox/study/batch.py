@@ -12,11 +12,11 @@ from tqdm import tqdm
 
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.compiled.transcription.method import Transcription
-from greybox.data.text_table import counted, printable
 from greybox.estimate.fit import SolverChoice, fingerprint, fit_keeping
 from greybox.estimate.result import Fit
 from greybox.estimate.storage import save
 from greybox.estimate.summary import summary
+from greybox.files.text_table import counted, printable
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Starts
 from greybox.formulation.sum import Sum

@@ -23,12 +23,12 @@ from tqdm import tqdm
 
 from greybox.compiled.compiled_problem import AnyProblem, Nlp
 from greybox.compiled.transcription.method import Transcription
-from greybox.data.json_numbers import finite
-from greybox.data.text_table import alternatives, counted, number, one_line, some, text_table
 from greybox.estimate.covariance import assess, known_covariances
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.quantities import formulas
 from greybox.estimate.result import Fit
+from greybox.files.json_numbers import finite
+from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table
 from greybox.solve.discretization_error import refine_discretization
 from greybox.solve.executors import packed, run_all
 from greybox.solve.interruption import Response, listening, responding, take_interrupt
@@ -36,10 +36,10 @@ from greybox.solve.kept_runs import Memory
 from greybox.solve.minima import same_cost
 from greybox.solve.multistart import multistart, solver_for
 from greybox.solve.outcome import Outcome
-from greybox.solve.record_replicates import RecordReplicates, record_draws
-from greybox.solve.response_replicates import response_draws, response_replicates
 from greybox.statistics.error_spectrum import ErrorSpectrum
-from greybox.statistics.resampling import acceleration, bca_interval, percentile_interval, tail
+from greybox.study.record_replicates import RecordReplicates, record_draws
+from greybox.study.resampling import acceleration, bca_interval, percentile_interval, tail
+from greybox.study.response_replicates import response_draws, response_replicates
 from greybox.study.run_files import RunFiles
 from greybox.study.study_folder import locked
 

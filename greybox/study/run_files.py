@@ -2,7 +2,7 @@
 
 Layout, version 1
 -----------------
-``runs-SERIAL-COUNT.h5``  sealed (`greybox.data.sealed_files`), with the attributes ``format`` ("greybox runs"),
+``runs-SERIAL-COUNT.h5``  sealed (`greybox.files.sealed_files`), with the attributes ``format`` ("greybox runs"),
     ``layout``, ``fingerprint`` (of the compiled problem and its solver), ``statuses`` (JSON), and datasets with a row
     a run: ``number`` (of the start), ``start`` (r, s) and ``estimate`` (r, p), ``cost``, ``status`` (index of
     ``statuses``), ``converged``, ``iterations``, ``seconds``, ``stage`` (index of `STAGES`, the last where it is
@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.sealed_files import Node, Stored, open_sealed, write_sealed
-from greybox.data.text_table import printable
+from greybox.files.sealed_files import Node, Stored, open_sealed, write_sealed
+from greybox.files.text_table import printable
 from greybox.solve.kept_runs import KeptRuns, KeptRunsError
 from greybox.solve.outcome import IMPROVED, POLISHED, SCREENED, Outcome
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from greybox.data.text_table import counted, number, one_line, printable, text_table, with_error
 from greybox.estimate.result import Fit
+from greybox.files.text_table import counted, number, one_line, printable, text_table, with_error
 from greybox.study.run_files import count_runs
 from greybox.study.study_folder import ANSWER, FIT, member_folder, read_index, read_json
 

@@ -19,8 +19,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from greybox.data.safe_files import write_text
-from greybox.data.text_table import printable
+from greybox.files.safe_files import write_text
+from greybox.files.text_table import printable
 
 FORMAT = "greybox study"
 LAYOUT = 1

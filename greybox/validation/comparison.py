@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from greybox.data.html_text import html_list, html_table, html_text
-from greybox.data.text_table import counted, number, one_line, text_table
+from greybox.files.html_text import html_list, html_table, html_text
+from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.simulation.prediction import Prediction
 from greybox.simulation.windows import seconds
 

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import AnyProblem
-from greybox.data.text_table import counted, number
 from greybox.estimate.fit import fit as fit_problem
 from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.result import Fit
+from greybox.files.text_table import counted, number
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.periodic_motions import response_of_test

@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from greybox.data.text_table import counted, listed, one_line, text_table, with_error
 from greybox.estimate.result import Fit
+from greybox.files.text_table import counted, listed, one_line, text_table, with_error
 from greybox.modeling.model import require_known
 from greybox.validation.comparison import SIGNIFICANT, p_text
 from greybox.validation.same_data import check_fits, labels_of

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.record import Record, share_samples
-from greybox.data.text_table import counted
 from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.result import Fit
+from greybox.files.text_table import counted
 from greybox.simulation.model_at_estimate import ModelAtEstimate
 from greybox.simulation.prediction import Prediction
 from greybox.simulation.simulate import cure, predict_windows

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.text_table import listed, number, one_line
 from greybox.estimate.result import Fit
+from greybox.files.text_table import listed, number, one_line
 from greybox.validation.comparison import SIGNIFICANT, p_text
 from greybox.validation.nesting import Nesting, NotNestedError, nesting
 from greybox.validation.same_data import (

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.text_table import counted, listed
 from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.result import Fit, Quantity
+from greybox.files.text_table import counted, listed
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.model_reference import resolve
 from greybox.modeling.pade_delay import delay_order

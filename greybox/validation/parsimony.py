@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from greybox.data.text_table import listed, number
+from greybox.files.text_table import listed, number
 from greybox.validation.comparison import SIGNIFICANT, p_text
 from greybox.validation.significance import Evidence, Pair
 

@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.data.record import Record
-from greybox.data.text_table import counted, number, one_line, text_table
 from greybox.estimate.fit import fit as fit_problem
 from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.identifiability import ERROR_GUIDELINE
 from greybox.estimate.result import Fit, FittedRecord
+from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol
 from greybox.modeling.limit import at_limit, invariant_name

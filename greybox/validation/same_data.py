@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from greybox.data.record import Record
-from greybox.data.text_table import number
 from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.result import Fit
+from greybox.files.text_table import number
 
 LIKELIHOOD = "negative log-likelihood"
 

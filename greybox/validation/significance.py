@@ -8,9 +8,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.text_table import counted, listed, number, with_error
 from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.result import Fit
+from greybox.files.text_table import counted, listed, number, with_error
 from greybox.simulation.prediction import Prediction
 from greybox.statistics.metrics import mean_test, whiteness
 from greybox.validation.common_likelihood import Likelihoods

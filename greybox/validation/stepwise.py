@@ -19,9 +19,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from greybox.compiled.compiled_problem import AnyProblem
-from greybox.data.text_table import counted, listed, number, one_line, text_table
 from greybox.estimate.fit import fit as fit_problem
 from greybox.estimate.result import Fit
+from greybox.files.text_table import counted, listed, number, one_line, text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol
 from greybox.modeling.model import require_known

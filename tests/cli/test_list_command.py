@@ -6,7 +6,7 @@ import pytest
 from command_line import run
 
 from greybox.cli.list_command import _source
-from greybox.data.text_table import number
+from greybox.files.text_table import number
 from greybox.models.tilt import Tilt
 
 

@@ -9,7 +9,7 @@ from benchmark_module import benchmark
 from crafted_results import craft
 
 import greybox as gb
-from greybox.data.sealed_files import seal
+from greybox.files.sealed_files import seal
 
 # One of each kind; the benchmark has them all.
 KINDS = [

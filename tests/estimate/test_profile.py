@@ -14,9 +14,9 @@ from scipy.stats import t as student
 
 import greybox as gb
 from greybox.compiled.response_part import ResponsePart
-from greybox.data.text_table import number
 from greybox.estimate import profile as profile_module
 from greybox.estimate.profiles import Contour, ProfileOf, Profiles
+from greybox.files.text_table import number
 from greybox.problems import pitch_hover, yaw_hover
 from greybox.solve.ipopt import Ipopt
 

@@ -18,9 +18,9 @@ from numpy.testing import assert_array_equal, assert_equal
 
 import greybox as gb
 from greybox.data.record_file import read_record, write_record
-from greybox.data.sealed_files import seal
 from greybox.estimate import storage
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
+from greybox.files.sealed_files import seal
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.models.polynomial import Polynomial
 from greybox.models.rotor import Rotor

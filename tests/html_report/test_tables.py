@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 from page_results import lag
 
-from greybox.data.text_table import number, with_error
+from greybox.files.text_table import number, with_error
 from greybox.html_report.comparison_section import comparison_section, overview
 from greybox.html_report.entry import Entry
 from greybox.html_report.fit_section import _remarks

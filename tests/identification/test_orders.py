@@ -9,7 +9,7 @@ import pytest
 from declared_models import measured
 
 import greybox as gb
-from greybox.data.text_table import number
+from greybox.files.text_table import number
 from greybox.identification.orders import _linear_starts
 from greybox.models.polynomial import Polynomial
 from greybox.plotting.orders import orders

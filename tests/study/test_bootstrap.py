@@ -21,8 +21,8 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.html_report.elements import html
 from greybox.html_report.interval_section import bootstrap_table
 from greybox.problems import pitch_hover, yaw_hover
-from greybox.solve.response_replicates import response_draws
 from greybox.study.bootstrap import Bootstrap, _resampling, _warnings, interval_text
+from greybox.study.response_replicates import response_draws
 
 OMEGA = np.geomspace(0.5, 20, 8)
 SIGMA = 0.05

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from greybox.data.sealed_files import write_sealed
+from greybox.files.sealed_files import write_sealed
 from greybox.solve.kept_runs import KeptRunsError
 from greybox.solve.outcome import IMPROVED, Outcome
 from greybox.study.run_files import UNWRITTEN, RunFiles, _Columns, _fill, count_runs

@@ -7,7 +7,7 @@ import zlib
 import h5py
 import numpy as np
 
-from greybox.data.sealed_files import seal
+from greybox.files.sealed_files import seal
 
 SECRET = "first line of a file that nobody was to see\n"
 

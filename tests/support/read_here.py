@@ -5,11 +5,11 @@ import warnings
 
 import numpy as np
 
-from greybox.data.subprocess_main import EXPANSION, KINDS, SMALL, Collector, RefusedError
+from greybox.files.subprocess_main import EXPANSION, KINDS, SMALL, Collector, RefusedError
 
 
 def read_here(kind, path, *wanted):
-    """As `greybox.data.subprocess_reader.read_in_subprocess`, without the limits of time and memory."""
+    """As `greybox.files.subprocess_reader.read_in_subprocess`, without the limits of time and memory."""
     size = path.stat().st_size
     found = Collector(8 * size if kind == "sealed" else max(SMALL, EXPANSION * size))
     try:

@@ -9,7 +9,7 @@ from drag_flights import LINEAR, QUADRATIC, Drag, LinearDrag, QuadraticDrag, fit
 from scipy.stats import multivariate_normal, norm, ttest_1samp
 
 import greybox as gb
-from greybox.data.text_table import number
+from greybox.files.text_table import number
 from greybox.validation import significance
 from greybox.validation.comparison import p_text
 from greybox.validation.held_out import Predictions

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.strategies import Strategies
-from greybox.data.text_table import counted
+from greybox.files.text_table import counted
 from greybox.modeling.integrators import Integrator
 
 

@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator
 
-from greybox.data.text_table import listed
 from greybox.estimate.result import Fit
+from greybox.files.text_table import listed
 
 MOST = 3  # combinations that the answer shows; `Fit.identifiability` has them all
 

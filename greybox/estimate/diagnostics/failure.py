@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.data.text_table import counted, listed
 from greybox.estimate.covariance import assess, steepness
 from greybox.estimate.diagnostics.identifiability import not_determined
+from greybox.files.text_table import counted, listed
 from greybox.solve.local_solver import LocalSolver, Profile
 from greybox.solve.minima import Multistart, best_unfinished
 from greybox.solve.outcome import CUT_SHORT, Run

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transient_part import TransientPart
-from greybox.data.text_table import counted
 from greybox.estimate.covariance import Accuracy
+from greybox.files.text_table import counted
 from greybox.statistics.column_space import column_basis
 
 Array = NDArray[np.float64]

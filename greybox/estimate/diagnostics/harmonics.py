@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
 from greybox.compiled.part import Information
-from greybox.data.text_table import counted
 from greybox.estimate.covariance import Accuracy
+from greybox.files.text_table import counted
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.problem import Problem
 from greybox.modeling.harmonic_balance import ENOUGH, directly_found

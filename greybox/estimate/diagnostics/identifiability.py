@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.data.text_table import counted, listed, text_table
 from greybox.estimate.covariance import Accuracy, Combination
+from greybox.files.text_table import counted, listed, text_table
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.realization import has_branches
 from greybox.solve.minima import Minimum

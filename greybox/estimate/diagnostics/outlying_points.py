@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp, compile_problem
 from greybox.compiled.response_part import ResponsePart
-from greybox.data.text_table import number, with_error
 from greybox.estimate.covariance import Accuracy, assess
+from greybox.files.text_table import number, with_error
 from greybox.formulation.problem import Problem
 from greybox.solve.multistart import multistart, solver_for
 from greybox.statistics.column_space import column_basis

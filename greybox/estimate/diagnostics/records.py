@@ -15,10 +15,10 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.record_information import FEWEST_TIMES
 from greybox.compiled.record_part import RecordPart
 from greybox.data.record import Record
-from greybox.data.text_table import counted, some
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.repeated import Found, once
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
+from greybox.files.text_table import counted, some
 from greybox.statistics.metrics import feedback_correlation, whiteness
 from greybox.statistics.noise_ratio import noise_ratio
 

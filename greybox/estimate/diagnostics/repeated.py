@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 
-from greybox.data.text_table import some
+from greybox.files.text_table import some
 
 Found = tuple[str, str, str]
 """What kind of thing was found, the name of the data, and the sentence."""

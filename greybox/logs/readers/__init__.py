@@ -14,7 +14,7 @@ Shared by several
     `time_stamps` (clock restarts, impossible and repeated stamps), `table_columns` (units in headings, the time
     column), `ardupilot_metadata` (vehicle, firmware, parameters, modes, arming), `controller_outputs` (which signals a
     controller holds), `named_arrays` (records of the groups in HDF5, MATLAB and PX4 files, which
-    `greybox.data.subprocess_reader` reads in a subprocess).
+    `greybox.files.subprocess_reader` reads in a subprocess).
 """
 
 from collections.abc import Callable, Collection, Mapping
@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from greybox.data.record import Recording
-from greybox.data.safe_files import require_file
-from greybox.data.text_table import printable
+from greybox.files.safe_files import require_file
+from greybox.files.text_table import printable
 from greybox.logs.named_columns import with_columns
 
 HEAD = 4096  # bytes by which a format is recognized

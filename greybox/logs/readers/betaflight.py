@@ -8,7 +8,7 @@ Source: https://github.com/betaflight/blackbox-tools, src/blackbox_decode.c; the
 import re
 from collections.abc import Sequence
 
-from greybox.data.heading import Heading
+from greybox.files.heading import Heading
 
 HEADER = re.compile(rb'^"?loopIteration"?\s*,', re.MULTILINE)
 TIME = "time"

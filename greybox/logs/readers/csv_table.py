@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.delimited_text import MISSING, DecimalMark, DelimitedText, read_delimited
-from greybox.data.heading import Heading, heading
-from greybox.data.progress import counted_off
 from greybox.data.record import Recording
-from greybox.data.text_table import counted, is_number, printable
+from greybox.files.delimited_text import MISSING, DecimalMark, DelimitedText, read_delimited
+from greybox.files.heading import Heading, heading
+from greybox.files.progress import counted_off
+from greybox.files.text_table import counted, is_number, printable
 from greybox.logs.readers.betaflight import with_units, without_settings
 from greybox.logs.readers.messages import on_one_clock, records
 from greybox.logs.readers.table_columns import SECONDS, TIMES, name_list, of_rows, seconds, table
@@ -27,7 +27,7 @@ def read(path: str | Path, messages: Collection[str] | None = None, numbered: bo
     """Read a table with a header line into one record named after the file.
 
     The cells are separated by semicolons, tabs or commas; the numbers may have decimal commas, see
-    `greybox.data.delimited_text`. Units stand in the header: ``pitch [deg]`` or ``pitch (deg)``. So does how a signal
+    `greybox.files.delimited_text`. Units stand in the header: ``pitch [deg]`` or ``pitch (deg)``. So does how a signal
     runs between its samples, where that is known: ``u [1 held]`` for the output of a controller, which holds it, and
     ``pitch [deg sampled]`` for samples of what is continuous. Lines that start with ``#`` or ``%`` are comments; empty
     cells, and words such as ``nan``, are missing samples.

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.progress import counted_off
 from greybox.data.record import Recording
+from greybox.files.progress import counted_off
 from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.dataflash_index import PIECE, Index, Layout, index, text

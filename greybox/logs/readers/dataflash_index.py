@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.DFReader import FORMAT_TO_STRUCT
 
-from greybox.data.progress import reading
+from greybox.files.progress import reading
 from greybox.logs.readers.mapped_file import Bytes, release
 
 HEAD = b"\xa3\x95"  # before every message, then the type's number

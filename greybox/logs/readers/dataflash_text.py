@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pymavlink.DFReader import FORMAT_TO_STRUCT
 
 from greybox.data.record import Recording
-from greybox.data.text_table import is_number
+from greybox.files.text_table import is_number
 from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.dataflash import ALWAYS, CLOCKS, TABLES, clock_column, recording
 from greybox.logs.readers.dataflash_index import Layout

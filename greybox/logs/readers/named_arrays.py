@@ -1,4 +1,4 @@
-"""Files of named arrays (HDF5, MATLAB, PX4), read by `greybox.data.subprocess_reader`: their groups become records."""
+"""Files of named arrays (HDF5, MATLAB, PX4), read by `greybox.files.subprocess_reader`: their groups become records."""
 
 import hashlib
 from collections.abc import Collection, Mapping
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.record import Recording
-from greybox.data.subprocess_reader import read_in_subprocess
+from greybox.files.subprocess_reader import read_in_subprocess
 from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.messages import on_one_clock, records
 from greybox.logs.readers.table_columns import of_rows, table

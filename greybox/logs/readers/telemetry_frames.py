@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from greybox.data.progress import reading
+from greybox.files.progress import reading
 from greybox.logs.readers.mapped_file import release
 
 PIECE = 2**20  # bytes after which the bar moves on

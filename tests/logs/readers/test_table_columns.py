@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from greybox.data.heading import Heading, heading
+from greybox.files.heading import Heading, heading
 from greybox.logs.readers.table_columns import WIDEST, name_list, of_rows, seconds, table
 
 TIME = np.arange(5) * 20.0  # ms

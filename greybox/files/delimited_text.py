@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from greybox.data.text_table import is_number
+from greybox.files.text_table import is_number
 
 SEPARATORS = ";\t,"
 COMMENTS = ("#", "%")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.planning.closed_loop import loop_gains
+from greybox.experiment.closed_loop import loop_gains
 
 STEP = 0.02
 

@@ -3,7 +3,7 @@ import hashlib
 import h5py
 import pytest
 
-from greybox.data.sealed_files import BLOCK, is_sealed, open_sealed, write_sealed
+from greybox.files.sealed_files import BLOCK, is_sealed, open_sealed, write_sealed
 
 
 @pytest.fixture

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import Nlp
-from greybox.compiled.open_data import data_table, formulas_of_frequency, given, open_program
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
 from greybox.compiled.scaling import Scaling
 from greybox.solve.batched_newton import BatchedNewton
@@ -25,6 +24,7 @@ from greybox.solve.interruption import reason_to_end
 from greybox.solve.ipopt import CONVERGED, WARM, Ipopt
 from greybox.solve.local_solver import Runner
 from greybox.solve.outcome import IMPROVED, Outcome
+from greybox.study.open_data import data_table, formulas_of_frequency, given, open_program
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -52,7 +52,7 @@ class ResponseDraws:
     drawn : "residuals", "points", "parametric" or "parts"
     seed : int
     tables : tuple of (rows, n) arrays
-        The measured data of every part, see `greybox.compiled.open_data`.
+        The measured data of every part, see `greybox.study.open_data`.
     responses : tuple of (n,) complex arrays
         The fitted ones.
     sizes : tuple of (n,) arrays

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from html import escape
 
-from greybox.data.text_table import printable
+from greybox.files.text_table import printable
 
 ROWS = 60  # of a table; a notebook stays readable, and the whole is in the object
 

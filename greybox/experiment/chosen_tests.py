@@ -8,11 +8,8 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.text_table import text_table
-from greybox.formulation.problem import Problem
-from greybox.formulation.sum import Sum
-from greybox.planning.expected_errors import expected_errors
-from greybox.planning.optimal_design import (
+from greybox.experiment.expected_errors import expected_errors
+from greybox.experiment.optimal_design import (
     Optimality,
     optimal_shares,
     require_determined,
@@ -21,6 +18,9 @@ from greybox.planning.optimal_design import (
     time_needed,
     variances,
 )
+from greybox.files.text_table import text_table
+from greybox.formulation.problem import Problem
+from greybox.formulation.sum import Sum
 
 Array = NDArray[np.float64]
 

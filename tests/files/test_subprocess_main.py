@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from synthetic_logs import ulog
 
-from greybox.data import subprocess_main
-from greybox.data.subprocess_main import LINKS, MOST, SMALL, Collector, RefusedError
+from greybox.files import subprocess_main
+from greybox.files.subprocess_main import LINKS, MOST, SMALL, Collector, RefusedError
 
 
 def test_arrays_beyond_what_a_file_can_hold_are_refused():

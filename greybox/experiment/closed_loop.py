@@ -6,7 +6,9 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from greybox.experiment import Controller, multisine, virtual_flight
+from greybox.experiment.controller import Controller
+from greybox.experiment.multisine import multisine
+from greybox.experiment.virtual_flight import virtual_flight
 from greybox.modeling import Model
 
 Complex = NDArray[np.complex128]

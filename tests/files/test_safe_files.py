@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from greybox.data import safe_files
-from greybox.data.safe_files import replacing, write_text
+from greybox.files import safe_files
+from greybox.files.safe_files import replacing, write_text
 
 # Without the rest of greybox, whose import takes longer than the test.
 ALONE = {**os.environ, "PYTHONPATH": str(Path(safe_files.__file__).parent)}

@@ -9,8 +9,8 @@ import h5py
 import numpy as np
 import pytest
 
-from greybox.data import subprocess_main, subprocess_reader
-from greybox.data.subprocess_reader import read_in_subprocess
+from greybox.files import subprocess_main, subprocess_reader
+from greybox.files.subprocess_reader import read_in_subprocess
 
 
 @pytest.fixture

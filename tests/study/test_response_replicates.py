@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.outcome import SEARCH_OVER
-from greybox.solve.response_replicates import ResponseDraws, response_draws, response_replicates
 from greybox.solve.time_limits import TimeLimits, limited
+from greybox.study.response_replicates import ResponseDraws, response_draws, response_replicates
 
 
 def draws(drawn, *, parts=1, points=3, unknowns=4):
@@ -273,7 +273,7 @@ def runner_of(drawn, sets):
 def test_each_point_of_each_part_is_left_out_once(monkeypatch, by_ipopt):
     """In one batch with replicates, whose points are as many as were measured; and so where IPOPT solves them."""
     if by_ipopt:
-        monkeypatch.setattr("greybox.solve.response_replicates.MOST_UNKNOWNS", 1)
+        monkeypatch.setattr("greybox.study.response_replicates.MOST_UNKNOWNS", 1)
     sets = two_parts()
     runner, made, _ = runner_of("points", sets)
     assert runner.left_out == 9
@@ -308,7 +308,7 @@ def test_parts_are_left_out_and_drawn_as_often_as_they_are():
 
 
 def test_when_time_is_up_what_newtons_method_left_has_no_estimate(monkeypatch):
-    monkeypatch.setattr("greybox.solve.response_replicates.MOST_UNKNOWNS", 1)
+    monkeypatch.setattr("greybox.study.response_replicates.MOST_UNKNOWNS", 1)
     runner, _, _ = runner_of("residuals", two_parts())
     with limited(TimeLimits(end=0.0)):
         (outcome,) = runner.run_together(np.array([[5.0]]))

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import bootstrap, norm
 from scipy.stats import t as student
 
-from greybox.statistics.resampling import (
+from greybox.study.resampling import (
     acceleration,
     bca_interval,
     drawn_blocks,

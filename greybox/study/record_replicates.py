@@ -21,7 +21,7 @@ from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.local_solver import Runner
 from greybox.solve.outcome import Outcome
 from greybox.statistics.error_spectrum import ErrorSpectrum
-from greybox.statistics.resampling import drawn_blocks
+from greybox.study.resampling import drawn_blocks
 
 Array = NDArray[np.float64]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from greybox.planning.optimal_design import (
+from greybox.experiment.optimal_design import (
     optimal_shares,
     require_determined,
     shares,

@@ -7,9 +7,9 @@ import pytest
 from declared_models import TWO_LAGS, LagLagDelay
 
 import greybox as gb
-from greybox.planning import choose_tests, expected_errors
-from greybox.planning.chosen_tests import _without_surplus
-from greybox.planning.optimal_design import optimal_shares, size_of_errors
+from greybox.experiment import choose_tests, expected_errors
+from greybox.experiment.chosen_tests import _without_surplus
+from greybox.experiment.optimal_design import optimal_shares, size_of_errors
 
 
 def response(low, high, noise=0.02, rename=None, points=8):

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.progress import waiting
-from greybox.data.subprocess_main import REFUSED
-from greybox.data.text_table import printable
+from greybox.files.progress import waiting
+from greybox.files.subprocess_main import REFUSED
+from greybox.files.text_table import printable
 
 Answer = tuple[dict[str, Any], list[NDArray[np.float64]]]
 

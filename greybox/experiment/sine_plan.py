@@ -12,13 +12,15 @@ from greybox.compiled.compiled_problem import Nlp, compile_problem
 from greybox.compiled.response_part import ResponsePart
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.data.text_table import text_table
-from greybox.experiment import Controller, Excitation, sine_schedule
+from greybox.experiment.closed_loop import loop_gains
+from greybox.experiment.controller import Controller
+from greybox.experiment.excitation import Excitation
+from greybox.experiment.optimal_design import require_determined, shares, time_needed
+from greybox.experiment.sines import sine_schedule
+from greybox.files.text_table import text_table
 from greybox.formulation.frequency_criteria import MaximumLikelihood
 from greybox.formulation.problem import Problem
 from greybox.modeling import Model, frequency_response
-from greybox.planning.closed_loop import loop_gains
-from greybox.planning.optimal_design import require_determined, shares, time_needed
 from greybox.spectral.uniform_stretches import uniform_stretches
 from greybox.spectral.welch import HZ
 
@@ -147,9 +149,9 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
 
     The response at a frequency is estimated from a sine of amplitude U at the plant's input and of duration t with the
     variance E|P̂ - P|² = 2 G / (t |U|²), G being the one-sided spectral density of what the output shows beside the
-    response; the shares of the flight time follow from the Fisher information (`greybox.planning.optimal_design`). U is
-    what the closed loop makes of the excitation, as large as the limits allow. Larger amplitudes than the model is
-    linear for are not seen here: fly the plan by `virtual_flight` first.
+    response; the shares of the flight time follow from the Fisher information
+    as large as the limits allow. Larger amplitudes than the model is linear for are not seen here: fly the plan by
+    `virtual_flight` first.
 
     Parameters
     ----------

@@ -7,8 +7,8 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.compiled.open_data import data_table, formulas_of_frequency, given, open_program
 from greybox.models.tilt import NonlinearTilt
+from greybox.study.open_data import data_table, formulas_of_frequency, given, open_program
 
 OMEGA = TWO_LAGS_OMEGA[::3]
 

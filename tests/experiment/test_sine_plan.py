@@ -5,10 +5,10 @@ import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay
 
 import greybox as gb
+from greybox.experiment import expected_errors, plan_sines
+from greybox.experiment.sine_plan import QUIET_PERIODS, _density, _lines_around, _with_spare
 from greybox.models.controller import AttitudeController
 from greybox.models.tilt import NonlinearTilt
-from greybox.planning import expected_errors, plan_sines
-from greybox.planning.sine_plan import QUIET_PERIODS, _density, _lines_around, _with_spare
 
 TILT = {"a1": -14.6, "a2": 3.0, "a3": 8.5, "a4": 295.0}
 RATE = 100  # Hz

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.transcription import Transcription
-from greybox.data.text_table import text_table
 from greybox.estimate.covariance import assess
+from greybox.files.text_table import text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.solve.multistart import solver_for

@@ -16,9 +16,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from greybox.data.safe_files import replacing
-from greybox.data.subprocess_reader import read_in_subprocess
-from greybox.data.text_table import printable
+from greybox.files.safe_files import replacing
+from greybox.files.subprocess_reader import read_in_subprocess
+from greybox.files.text_table import printable
 
 Node = Any  # h5py types every item as "group, dataset or type", which is of no help
 BLOCK = 512  # bytes, the smallest user block of HDF5

@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import greybox as gb
-from greybox.planning.chosen_tests import ChosenTests
-from greybox.planning.expected_errors import ExpectedErrors, expected_errors
+from greybox.experiment.chosen_tests import ChosenTests
+from greybox.experiment.expected_errors import ExpectedErrors, expected_errors
 
 OMEGA = np.geomspace(0.5, 8, 7)
 

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess
-from greybox.solve.record_replicates import PIECES, RecordReplicates, record_draws
+from greybox.study.record_replicates import PIECES, RecordReplicates, record_draws
 
 VALUES = 2 + 0.1 * np.random.default_rng(1).normal(size=12)
 

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from greybox.data.json_numbers import all_finite, finite
+from greybox.files.json_numbers import all_finite, finite
 
 
 def test_what_is_not_finite_is_null():

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from greybox.data.text_table import (
+from greybox.files.text_table import (
     alternatives,
     counted,
     in_greek,
